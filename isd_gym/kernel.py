@@ -1,0 +1,528 @@
+"""The one compiled kernel: single cars, batches and long records all run through `advance`.
+
+A step of length h is exact in the linear part (matrix exponential, inputs linear over the step, currents held).
+Dry friction is set-valued and projected (Moreau, time stepping at velocity level: Acary and Brogliato, Springer
+2008): its force is the one within its bound that stops the sliding, or the bound. Smooth laws enter as a force that
+is linear over the step with its end value found implicitly (second order). Several laws that see one another are
+solved by Gauss-Seidel sweeps.
+
+Cars are *lanes*: the last axis of every array, so that one instruction works on many of them; a single car is one
+lane. No operation is reordered between lanes, so a car in a batch is the same car alone, to the last bit.
+The number of states is a constant of the compiled code (the number of axes of the argument `size`), and so is
+whether lanes have matrices of their own (the axes of `tag`); all other sizes are arguments. Compiled code is cached
+on disk under a key made of the sources, so an upgrade never runs yesterday's physics.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+
+from . import elements as el
+
+LAW_PARAMETERS = 4  # numbers a law may read
+
+
+# ------------------------------------------------------------------------------------- law dispatch
+
+
+def _chain(functions: Sequence[Callable], fallback: Callable) -> Callable:
+    """One compiled function that calls functions[code]."""
+    out = nb.njit(error_model="numpy")(fallback)
+    for code, function in reversed(list(enumerate(functions))):
+        out = _link(code, nb.njit(error_model="numpy")(function), out)
+    return out
+
+
+def _link(code: int, this: Callable, rest: Callable) -> Callable:
+    @nb.njit(error_model="numpy")
+    def dispatch(which, *args):
+        if which == code:
+            return this(*args)
+        return rest(which, *args)
+
+    return dispatch
+
+
+def _no_law(which, p, d, v, d_last, z, h):
+    return 0.0, z
+
+
+def _no_bound(which, p, d, v):
+    return 0.0
+
+
+def _laws() -> tuple[list[type[el.Element]], list[type[el.Element]]]:
+    smooth = [cls for cls in el.TYPES.values() if cls.law is not None]
+    dry = [cls for cls in el.TYPES.values() if cls.bound is not None]
+    return smooth, dry
+
+
+def law_code(cls: type[el.Element]) -> int:
+    """Code of an element's law in the kernel: >= 0 a smooth law, < 0 a set-valued one."""
+    smooth, dry = _laws()
+    return smooth.index(cls) if cls.law is not None else -1 - dry.index(cls)
+
+
+def _stamp() -> int:
+    """A number that changes with the kernel's and the laws' code."""
+    digest = hashlib.sha256(Path(__file__).read_bytes())
+    digest.update(Path(el.__file__).read_bytes())
+    for group in _laws():
+        for cls in group:
+            function: Any = cls.law if cls.law is not None else cls.bound
+            digest.update(
+                cls.type.encode() + function.__code__.co_code + repr(function.__code__.co_consts).encode()
+            )
+    return int.from_bytes(digest.digest()[:6], "big")
+
+
+# ------------------------------------------------------------------------------------------- road noise
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S16, _S32, _S48 = (np.uint64(i) for i in (30, 27, 31, 16, 32, 48))
+_LOW = np.uint64(0xFFFF)
+_MEAN = 4 * 65535 / 2
+_SIGMA = math.sqrt(4 * (65536.0**2 - 1) / 12)
+
+
+@nb.njit(inline="always")
+def noise(counter):
+    """A zero-mean, unit-variance number from a counter: four 16-bit uniforms of one SplitMix64 word, summed.
+
+    Nearly normal (excess kurtosis -0.3); the road is a sum of thousands of them, hence normal.
+    """
+    w = counter
+    w = (w ^ (w >> _S30)) * _MIX_1
+    w = (w ^ (w >> _S27)) * _MIX_2
+    w = w ^ (w >> _S31)
+    total = (
+        np.int64(w & _LOW) + np.int64((w >> _S16) & _LOW) + np.int64((w >> _S32) & _LOW) + np.int64(w >> _S48)
+    )
+    return (np.float64(total) - _MEAN) / _SIGMA
+
+
+@nb.njit(error_model="numpy")
+def road_noise(seed, gain, pole, start, out):
+    """Fill `out` with the rough road of one car [m], continuing from counter `seed` and height `start`."""
+    r, counter = start, seed
+    for k in range(out.shape[0]):
+        counter = counter + _GOLDEN
+        r = pole * r + gain * noise(counter)
+        out[k] = r
+    return counter
+
+
+# --------------------------------------------------------------------------------------------- kernel
+
+
+@nb.njit(inline="always")
+def take(pool, start, rows, columns, lanes):
+    return pool[start : start + rows * columns * lanes].reshape(rows, columns, lanes)
+
+
+def solve(q, l, kinds, P, GD, GS, d_free, s_free, f, z, d, s, h):
+    """Forces of all laws of one lane at the end of the step."""
+    a = l * q
+    nl = kinds.shape[0]
+    for _ in range(100):
+        change = 0.0
+        for j in range(nl):
+            di, si = d_free[j, l], s_free[j, l]
+            for i in range(nl):
+                if i != j:
+                    di += GD[j, i, a] * f[i, l]
+                    si += GS[j, i, a] * f[i, l]
+            gd, gs, old = GD[j, j, a], GS[j, j, a], f[j, l]
+            if kinds[j] < 0:
+                # the bound is that of the rate at the start of the step: a falling (Stribeck) curve taken at
+                # its end would have several solutions
+                level = law_bound(-1 - kinds[j], P[j, :, a], d[j, l], s[j, l])
+                if gs < 0.0:
+                    new = min(max(-si / gs, -level), level)
+                else:  # prescribed motion: nothing yields
+                    new = level if si > 0.0 else (-level if si < 0.0 else 0.0)
+            else:
+                new = old
+                f0 = old
+                r0 = law_force(kinds[j], P[j, :, a], di + gd * f0, si + gs * f0, d[j, l], z[j, l], h)[0] - f0
+                f1 = f0 + r0
+                new = f1
+                if gd != 0.0 or gs != 0.0:
+                    for _ in range(40):
+                        r1 = (
+                            law_force(kinds[j], P[j, :, a], di + gd * f1, si + gs * f1, d[j, l], z[j, l], h)[
+                                0
+                            ]
+                            - f1
+                        )
+                        new = f1 + r1
+                        if abs(r1) <= 1e-10 * (1.0 + abs(f1)):
+                            break
+                        slope = (r1 - r0) / (f1 - f0) if f1 != f0 else -1.0
+                        step = -r1 / slope if slope < -1e-2 else r1
+                        f0, r0 = f1, r1
+                        f1 = f1 + step
+                        new = f1
+            f[j, l] = new
+            change = max(change, abs(new - old) / (1.0 + abs(new)))
+        if change <= 1e-9 or nl == 1:
+            break
+    for j in range(nl):
+        di, si = d_free[j, l], s_free[j, l]
+        for i in range(nl):
+            di += GD[j, i, a] * f[i, l]
+            si += GS[j, i, a] * f[i, l]
+        if kinds[j] >= 0:
+            z[j, l] = law_force(kinds[j], P[j, :, a], di, si, d[j, l], z[j, l], h)[1]
+        d[j, l], s[j, l] = di, si
+
+
+def advance(size, tag, mats, ints, state, u, c, lanes):
+    """Run ``u.shape[0] - 1`` steps in place. u (K+1, m, lanes), c (K, nc, lanes)."""
+    n, q = size.ndim, tag.ndim
+    m, nc, nl, fast = ints[0], ints[1], ints[2], ints[3]
+    kinds, differ = ints[5 : 5 + nl], ints[5 + nl : 5 + 2 * nl]
+    la = lanes if q else 1
+    h = mats[0]
+    o = 1
+    A = take(mats, o, n, n, la)
+    o += n * n * la
+    U0 = take(mats, o, n, m, la)
+    o += n * m * la
+    U1 = take(mats, o, n, m, la)
+    o += n * m * la
+    B = take(mats, o, n, nc, la)
+    o += n * nc * la
+    G0 = take(mats, o, n, nl, la)
+    o += n * nl * la
+    G1 = take(mats, o, n, nl, la)
+    o += n * nl * la
+    D = take(mats, o, nl, n, la)
+    o += nl * n * la
+    DU = take(mats, o, nl, m, la)
+    o += nl * m * la
+    DC = take(mats, o, nl, nc, la)
+    o += nl * nc * la
+    S = take(mats, o, nl, n, la)
+    o += nl * n * la
+    SU = take(mats, o, nl, m, la)
+    o += nl * m * la
+    SC = take(mats, o, nl, nc, la)
+    o += nl * nc * la
+    GD = take(mats, o, nl, nl, la)
+    o += nl * nl * la
+    GS = take(mats, o, nl, nl, la)
+    o += nl * nl * la
+    P = take(mats, o, nl, LAW_PARAMETERS, la)
+    o += nl * LAW_PARAMETERS * la
+    quiet = take(mats, o, nl, 1, la)
+    x = state[: n * lanes].reshape(n, lanes)
+    w = n * lanes
+    f = state[w : w + nl * lanes].reshape(nl, lanes)
+    w += nl * lanes
+    z = state[w : w + nl * lanes].reshape(nl, lanes)
+    w += nl * lanes
+    d = state[w : w + nl * lanes].reshape(nl, lanes)
+    w += nl * lanes
+    s = state[w : w + nl * lanes].reshape(nl, lanes)
+    w += nl * lanes
+    y = state[w : w + n * lanes].reshape(n, lanes)
+    w += n * lanes
+    df = state[w : w + nl * lanes].reshape(nl, lanes)
+    w += nl * lanes
+    sf = state[w : w + nl * lanes].reshape(nl, lanes)
+    for k in range(u.shape[0] - 1):
+        for i in range(n):
+            for l in range(lanes):
+                t = 0.0
+                for j in range(n):
+                    t += A[i, j, l * q] * x[j, l]
+                y[i, l] = t
+        for j in range(m):
+            for i in range(n):
+                for l in range(lanes):
+                    y[i, l] += U0[i, j, l * q] * u[k, j, l] + U1[i, j, l * q] * u[k + 1, j, l]
+        for j in range(nc):
+            for i in range(n):
+                for l in range(lanes):
+                    y[i, l] += B[i, j, l * q] * c[k, j, l]
+        for j in range(nl):
+            if kinds[j] >= 0 and fast == 0:
+                for i in range(n):
+                    for l in range(lanes):
+                        y[i, l] += G0[i, j, l * q] * f[j, l]
+        busy = fast == 0
+        for j in range(nl):
+            for l in range(lanes):
+                t = 0.0
+                for i in range(n):
+                    t += D[j, i, l * q] * y[i, l]
+                df[j, l] = t
+            for l in range(lanes):
+                t = 0.0
+                for i in range(n):
+                    t += S[j, i, l * q] * y[i, l]
+                sf[j, l] = t
+            for i in range(m):
+                for l in range(lanes):
+                    df[j, l] += DU[j, i, l * q] * u[k + 1, i, l]
+                    sf[j, l] += SU[j, i, l * q] * u[k + 1, i, l]
+            for i in range(nc):
+                for l in range(lanes):
+                    df[j, l] += DC[j, i, l * q] * c[k, i, l]
+                    sf[j, l] += SC[j, i, l * q] * c[k, i, l]
+            if differ[j]:
+                for l in range(lanes):
+                    sf[j, l] -= d[j, l] / h
+            if fast and kinds[j] >= 0:
+                for l in range(lanes):
+                    if abs(df[j, l]) > quiet[j, 0, l * q] or f[j, l] != 0.0:
+                        busy = True
+        if not busy:
+            for j in range(nl):
+                if kinds[j] < 0:
+                    for l in range(lanes):
+                        g, level = GS[j, j, l * q], P[j, 0, l * q]
+                        t = -sf[j, l] / g
+                        t = level if t > level else t
+                        t = -level if t < -level else t
+                        f[j, l] = t
+                    for i in range(nl):
+                        for l in range(lanes):
+                            d[i, l] = df[i, l] + GD[i, j, l * q] * f[j, l]
+                            s[i, l] = sf[i, l] + GS[i, j, l * q] * f[j, l]
+                    for i in range(n):
+                        for l in range(lanes):
+                            y[i, l] += G1[i, j, l * q] * f[j, l]
+        else:
+            for l in range(lanes):
+                at_rest = fast == 1  # a quiet car goes the quiet way, whatever its neighbours do
+                for j in range(nl):
+                    if kinds[j] >= 0 and (abs(df[j, l]) > quiet[j, 0, l * q] or f[j, l] != 0.0):
+                        at_rest = False
+                if at_rest:
+                    for j in range(nl):
+                        if kinds[j] < 0:
+                            g, level = GS[j, j, l * q], P[j, 0, l * q]
+                            t = -sf[j, l] / g
+                            t = level if t > level else t
+                            t = -level if t < -level else t
+                            f[j, l] = t
+                            for i in range(nl):
+                                d[i, l] = df[i, l] + GD[i, j, l * q] * t
+                                s[i, l] = sf[i, l] + GS[i, j, l * q] * t
+                            for i in range(n):
+                                y[i, l] += G1[i, j, l * q] * t
+                    continue
+                if fast:  # the force at the start of the step was left out above
+                    for j in range(nl):
+                        if kinds[j] >= 0 and f[j, l] != 0.0:
+                            for i in range(n):
+                                t = G0[i, j, l * q] * f[j, l]
+                                y[i, l] += t
+                                for r in range(nl):
+                                    df[r, l] += D[r, i, l * q] * t
+                                    sf[r, l] += S[r, i, l * q] * t
+                solve(q, l, kinds, P, GD, GS, df, sf, f, z, d, s, h)
+                for j in range(nl):
+                    for i in range(n):
+                        y[i, l] += G1[i, j, l * q] * f[j, l]
+        for i in range(n):
+            for l in range(lanes):
+                x[i, l] = y[i, l]
+
+
+def measure(size, tag, mats, ints, state, u, c, lanes, out):
+    """Outputs now: out (ny, lanes) from u (m, lanes) and c (nc, lanes)."""
+    n, q = size.ndim, tag.ndim
+    m, nc, nl, ny = ints[0], ints[1], ints[2], ints[4]
+    la = lanes if q else 1
+    o = mats.shape[0] - ny * (n + m + nc + nl) * la
+    X = take(mats, o, ny, n, la)
+    o += ny * n * la
+    U = take(mats, o, ny, m, la)
+    o += ny * m * la
+    C = take(mats, o, ny, nc, la)
+    o += ny * nc * la
+    F = take(mats, o, ny, nl, la)
+    x = state[: n * lanes].reshape(n, lanes)
+    f = state[n * lanes : (n + nl) * lanes].reshape(nl, lanes)
+    for i in range(ny):
+        for l in range(lanes):
+            t = 0.0
+            for j in range(n):
+                t += X[i, j, l * q] * x[j, l]
+            out[i, l] = t
+        for j in range(m):
+            for l in range(lanes):
+                out[i, l] += U[i, j, l * q] * u[j, l]
+        for j in range(nc):
+            for l in range(lanes):
+                out[i, l] += C[i, j, l * q] * c[j, l]
+        for j in range(nl):
+            for l in range(lanes):
+                out[i, l] += F[i, j, l * q] * f[j, l]
+
+
+def record(size, tag, mats, ints, state, u, c, lanes, every, shared, out):
+    """A whole record: u (N*every+1, m, L), c (N*every, nc, L), L = 1 if the lanes share their inputs.
+
+    out (N+1, ny, lanes) holds the outputs at every `every`-th step.
+    """
+    m, nc = u.shape[1], c.shape[1]
+    ub, cb = np.empty((every + 1, m, lanes)), np.empty((every, nc, lanes))
+    cm = np.zeros((nc, lanes))
+    rows = out.shape[0]
+    for k in range(rows):
+        for j in range(m):
+            for i in range(every + 1):
+                at = min(k * every + i, u.shape[0] - 1)
+                for l in range(lanes):
+                    ub[i, j, l] = u[at, j, l * (1 - shared)]
+        for j in range(nc):
+            for i in range(every):
+                at = min(k * every + i, c.shape[0] - 1)
+                for l in range(lanes):
+                    cb[i, j, l] = c[at, j, l * (1 - shared)]
+            for l in range(lanes):
+                cm[j, l] = cb[0, j, l]
+        measure(size, tag, mats, ints, state, ub[0], cm, lanes, out[k])
+        if k < rows - 1:
+            advance(size, tag, mats, ints, state, ub, cb, lanes)
+
+
+def drive(size, tag, mats, ints, states, cars, noise_seed, road, ways, table, commands, ahead, out, road_out):
+    """One control step of a batch, block by block of `lanes` cars.
+
+    ints[-6:] = lanes, substeps, column of r in u (or -1), of v, of alpha, ahead (length of the road kept ahead).
+    cars (rows, N): 0 present current [A], 1 drive state [A], 2 gain and 3 pole of the road, 4 last road [m],
+    5 last road rate [m/s], 6 lag pole, 7 saturation [A], 8 delay [steps]; road (N,): noise height;
+    ways (2, N) int: place in the table, its end; commands (N, D): ring of past currents, D = 0 without delay.
+    """
+    q = tag.ndim
+    lanes, substeps, col_r, col_v, col_a = ints[-5], ints[-4], ints[-3], ints[-2], ints[-1]
+    m, nc, ny = ints[0], ints[1], ints[4]
+    total = cars.shape[1]
+    blocks = (total + lanes - 1) // lanes
+    per_state = states.shape[0] // blocks
+    per_mats = mats.shape[0] // blocks if q else 0
+    size_mats = mats.shape[0] // blocks if q else mats.shape[0]
+    u, c = np.zeros((substeps + 1, m, lanes)), np.zeros((substeps, nc, lanes))
+    y = np.empty((ny, lanes))
+    h = mats[0]
+    look = ahead.shape[1]
+    for b in range(blocks):
+        first = b * lanes
+        count = min(lanes, total - first)
+        pool = mats[b * per_mats : b * per_mats + size_mats]
+        state = states[b * per_state : (b + 1) * per_state]
+        for l in range(count):
+            e = first + l
+            if col_r >= 0:
+                u[0, col_r, l] = cars[4, e]
+            if col_v >= 0:
+                u[0, col_v, l] = cars[5, e]
+                if col_a >= 0:
+                    u[0, col_a, l] = 0.0
+        for k in range(substeps):
+            for l in range(count):
+                e = first + l
+                noise_seed[e] = noise_seed[e] + _GOLDEN
+                road[e] = cars[3, e] * road[e] + cars[2, e] * noise(noise_seed[e])
+            for l in range(count):
+                e = first + l
+                r = road[e]
+                if ways[0, e] < ways[1, e]:
+                    r += table[ways[0, e]]
+                    ways[0, e] += 1
+                elif ways[1, e] > 0:
+                    r += table[ways[1, e] - 1]
+                if look > 0:
+                    now = ahead[e, 0]
+                    for i in range(look - 1):
+                        ahead[e, i] = ahead[e, i + 1]
+                    ahead[e, look - 1] = r
+                    r = now
+                if col_r >= 0:
+                    u[k + 1, col_r, l] = r
+                if col_v >= 0:
+                    u[k + 1, col_v, l] = (r - cars[4, e]) / h
+                if col_a >= 0:
+                    u[k + 1, col_a, l] = ((r - cars[4, e]) / h - cars[5, e]) / h
+                cars[5, e] = (r - cars[4, e]) / h
+                cars[4, e] = r
+        depth = commands.shape[1]
+        for k in range(substeps):
+            for l in range(count):
+                e = first + l
+                i = cars[0, e]
+                if depth > 0:
+                    commands[e, 1:] = commands[e, :-1].copy()
+                    commands[e, 0] = i
+                    back = cars[8, e]
+                    low = int(back)
+                    part = back - low
+                    i = (
+                        commands[e, low]
+                        if part == 0.0
+                        else ((1.0 - part) * commands[e, low] + part * commands[e, low + 1])
+                    )
+                if cars[6, e] > 0.0:
+                    # mean over the step of the first-order lag, exact
+                    was = cars[1, e]
+                    cars[1, e] = i + (was - i) * cars[6, e]
+                    i = i + (was - i) * (1.0 - cars[6, e]) / -math.log(cars[6, e])
+                if cars[7, e] < 1e8:
+                    i = cars[7, e] * math.tanh(i / cars[7, e])
+                if nc > 0:
+                    c[k, 0, l] = i
+        advance(size, tag, pool, ints, state, u, c, lanes)
+        measure(size, tag, pool, ints, state, u[substeps], c[substeps - 1], lanes, y)
+        for i in range(ny):
+            for l in range(count):
+                out[first + l, i] = y[i, l]
+
+
+# ------------------------------------------------------------------------------------------- compiling
+
+
+class Kernel(NamedTuple):
+    """The compiled functions; `size` arguments are arrays with as many axes as there are states."""
+
+    advance: Callable
+    measure: Callable
+    record: Callable
+    drive: Callable
+
+
+_PLAIN = {f.__name__: f for f in (solve, advance, measure, record, drive)}
+
+
+@functools.cache
+def _bind(stamp: int) -> Kernel:
+    smooth, dry = _laws()
+    names: dict[str, Any] = {
+        "law_force": _chain([c.law for c in smooth], _no_law),  # type: ignore[misc]
+        "law_bound": _chain([c.bound for c in dry], _no_bound),  # type: ignore[misc]
+    }
+    for name, plain in _PLAIN.items():
+        # the name of a function is part of its key in numba's cache on disk: the stamp keeps old laws out
+        plain.__qualname__ = f"{name}_{stamp:x}"
+        names[name] = nb.njit(plain, nogil=True, error_model="numpy", cache=True)
+    globals().update(names)
+    return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
+
+
+def kernel() -> Kernel:
+    """The compiled kernel with every law that is registered now."""
+    return _bind(_stamp())
