@@ -9,12 +9,13 @@ null space is split off: a massless node's balance is one more equation of the s
 elasto-plastic contact: a spring-damper of `PRESLIDING` metres of travel in series with a slider; its limit is
 Coulomb's law, and no velocity is regularised, so a stuck contact does not creep.
 
-`simulate_events` (slow) gives each massless node a very small mass, integrates with `scipy` and finds the instants
-of sticking and slipping as events, the stuck contact's force being a Lagrange multiplier.
+`simulate_events` (slow) gives each massless node a very small mass, integrates with `scipy` and finds the
+instants of sticking and slipping as events, the stuck contact's force being a Lagrange multiplier.
 
-Sign of forces, inputs and outputs: DESIGN section 4. Displacement and force inputs are linear between samples,
-currents are held (zero order). Where inertia acts on a moved node, its motion is the cubic spline of the samples,
-or the quintic Hermite spline of displacement, velocity and acceleration if `derivatives` has them.
+Sign of forces, inputs and outputs: DESIGN section 4. Displacement and force inputs are linear between
+samples, currents are held (zero order). Where inertia acts on a moved node, its motion is the cubic spline of
+the samples, or the quintic Hermite spline of displacement, velocity and acceleration where `derivatives` has
+them.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from scipy.interpolate import CubicSpline
 Array = NDArray[np.float64]
 Model = dict[str, Any]
 
-PRESLIDING = 1e-8
+PRESLIDING = 1e-9
 """Elastic travel of a friction contact at its full level [m]."""
 CONTACT_TIME = 2e-5
 """Ratio of a friction contact's damping to its stiffness [s]."""
@@ -59,8 +60,8 @@ SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
     PARAMETRIC,
 ) = range(14)
 
-# type -> (law, its parameters in order with their defaults; None: must be given). The last four are no members of
-# the project's library: laws that a diagnosis has to call unknown.
+# type -> (law, its parameters in order with their defaults; None: must be given). The last four, x_..., are
+# no members of the project's library: laws that a diagnosis has to call unknown.
 LAWS: dict[str, tuple[int, dict[str, Any]]] = {
     "coulomb_friction": (FRICTION, {"level": None}),
     "stribeck_friction": (FRICTION, {"level": None, "static_level": None, "stribeck_velocity": None}),
@@ -177,7 +178,9 @@ def _column(inputs: Mapping[str, ArrayLike], name: str, size: int) -> Array:
     return column
 
 
-def _motion(model: Model, plant: _Plant, time: Array, interval: float, inputs: Any, derivatives: Any) -> Array:
+def _motion(
+    model: Model, plant: _Plant, time: Array, interval: float, inputs: Any, derivatives: Any
+) -> Array:
     """The moved nodes' motion as polynomials of the time since the sample, (nodes, intervals, 6)."""
     size, T = len(time), interval
     coef = np.zeros((len(plant.moved), size - 1, 6))
@@ -227,9 +230,9 @@ def _inverse(system: Array) -> Array:
     return np.linalg.inv(system / size) / size.T
 
 
-# ------------------------------------------------------------------------------------- the compiled integrator
+# ------------------------------------------------------------------------------------ the compiled integrator
 @numba.njit(cache=True)
-def _law(code, p, d, v, z, hg, t):  # type: ignore[no-untyped-def]
+def _law(code, p, d, v, z, hg, t):
     """Force, its derivative by v (where d moves by hg dv), and the law's state after a stage of length hg."""
     if code == FRICTION:
         level = p[0]
@@ -313,7 +316,7 @@ def _law(code, p, d, v, z, hg, t):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _stage(codes, params, xa_d, q, G, z, hg, t, u, f, z_new, J, r):  # type: ignore[no-untyped-def]
+def _stage(codes, params, xa_d, q, G, z, hg, t, u, f, z_new, J, r):
     """Solve u = q - G f(u) for the laws' speeds u by Newton's method; True where it converged."""
     m = len(codes)
     best = np.inf
@@ -367,10 +370,11 @@ def _stage(codes, params, xa_d, q, G, z, hg, t, u, f, z_new, J, r):  # type: ign
 
 
 @numba.njit(cache=True)
-def _integrate(  # type: ignore[no-untyped-def]
+def _integrate(
     samples,
     per_sample,
     h,
+    interval,
     t0,
     M,
     C,
@@ -435,7 +439,7 @@ def _integrate(  # type: ignore[no-untyped-def]
                 for j in range(p):
                     drive[i] -= Kw[i, j] * w[j] + Cw[i, j] * wv[j] + Mw[i, j] * wa[j]
             for j in range(q_in):
-                value = push[j, segment] + (push[j, segment + 1] - push[j, segment]) * tau / (per_sample * h)
+                value = push[j, segment] + (push[j, segment + 1] - push[j, segment]) * tau / interval
                 drive[push_at[j]] += value
             for j in range(q_motor):
                 at = step - 1 - int(motor[j, 0])
@@ -521,8 +525,8 @@ def _integrate(  # type: ignore[no-untyped-def]
 
 @dataclass
 class Trajectory:
-    """What happened: displacement [m], velocity [m/s] and acceleration [m/s^2] of every node, and the force [N] of
-    every element with a name, all of shape (samples,)."""
+    """What happened: displacement [m], velocity [m/s] and acceleration [m/s^2] of every node, and the force
+    [N] of every element with a name, all of shape (samples,)."""
 
     time: Array
     displacement: dict[str, Array]
@@ -570,9 +574,10 @@ def trajectories(
         if i["quantity"] == "force":
             push.append(_column(inputs, i["name"], size))
             push_at.append(plant.free.index(i["at"]))
-    motor_names = []
     for e, direction in plant.motors:
-        names = [i["name"] for i in model["inputs"] if i["quantity"] == "current" and i["element"] == e["name"]]
+        names = [
+            i["name"] for i in model["inputs"] if i["quantity"] == "current" and i["element"] == e["name"]
+        ]
         current.append(_column(inputs, names[0], size) if names else np.zeros(size))
         effects = {f["type"]: f for f in model["elements"] if f.get("element") == e["name"]}
         tau = effects.get("actuator_lag", {}).get("time_constant", 0.0)
@@ -581,7 +586,6 @@ def trajectories(
         decay = [float(np.exp(-part * h / tau)) if tau > 0 else 0.0 for part in (GAMMA, 1.0)]
         motor.append([round(delay / h), *decay, limit])
         motor_at.append(e["thrust_constant"] * e.get("ratio", 1.0) * direction[:n])
-        motor_names.append(e["name"])
     offsets = np.zeros(1, dtype=np.int64)
 
     def run(samples: int, steps: int, h: float, params: Array, x: Array, v: Array, z: Array, out: Any) -> int:
@@ -594,16 +598,20 @@ def trajectories(
             np.array(motor_at).reshape(len(current), n),
             np.array(motor).reshape(len(current), 4),
         )
-        return int(_integrate(samples, steps, h, t[0], *matrices, codes, params, *sources, x, v, z, offsets, *out))
+        return int(
+            _integrate(
+                samples, steps, h, interval, t[0], *matrices, codes, params, *sources, x, v, z, offsets, *out
+            )
+        )
 
-    # The first sample: massless nodes find their balance, and stuck contacts their force, in a step of no length.
+    # The first sample: massless nodes find their balance, stuck contacts their force, in steps of no length.
     x, v = _initial(plant, initial)
     z = np.zeros(len(codes))
     rigid = params.copy()
     contact = np.isin(codes, (FRICTION, TIMED))
     rigid[contact, 3:] *= 1e6
     start = [np.zeros((len(offsets), 2, n)) for _ in range(3)] + [np.zeros((len(offsets), 2, len(codes)))]
-    run(2, 1, 1e-9, rigid, x, v, z, start)
+    run(2, 2, 1e-9, rigid, x, v, z, start)
     x, v = start[0][0, 1].copy(), start[1][0, 1].copy()
     z[contact] = start[3][0, 1, contact] / np.maximum(params[contact, 3], 1e-300)
     offsets = np.array([round(d / h) for d in delays], dtype=np.int64)
@@ -616,13 +624,15 @@ def trajectories(
             signal[o, : offset // per_sample + 1] = first[0, 1]
     if not all(np.isfinite(a).all() for a in (X, V, A, F)):
         raise ArithmeticError("the simulation diverged")
-    # a contact with damping jumps at touch-down, where no stage equation holds exactly; more than that is an error
+    # A contact with damping jumps at touch-down, where no stage equation holds exactly; more is an error.
     if failures > 1e-3 * 2 * size * per_sample:
         raise ArithmeticError(f"{failures} stages did not converge")
     results = []
     for o, delay in enumerate(offsets):
         results.append(
-            _trajectory(model, plant, t, interval, motion, delay * h, X[o], V[o], A[o], F[o], current, motor, h)
+            _trajectory(
+                model, plant, t, interval, motion, delay * h, X[o], V[o], A[o], F[o], current, motor, h
+            )
         )
     return results
 
@@ -664,7 +674,9 @@ def _trajectory(
             force = e["mass"] * (a @ _terminal(e, *(plant.row(n) for n in e["between"])))
         else:
             j = [m["name"] for m, _ in plant.motors].index(e["name"])
-            force = e["thrust_constant"] * e.get("ratio", 1.0) * _actual_current(current[j], motor[j], h, since)
+            force = (
+                e["thrust_constant"] * e.get("ratio", 1.0) * _actual_current(current[j], motor[j], h, since)
+            )
         forces.append((e, across, force))
     forces += [(e, across, F[:, i]) for i, (e, _, _, across) in enumerate(plant.laws)]
     load = {}
@@ -728,9 +740,9 @@ def simulate(
 ) -> dict[str, Array]:
     """The model's outputs at `time`, by name.
 
-    model: `isd-model/1` as read from JSON. time (samples,) [s], uniform. inputs: by name, (samples,) in SI units.
-    step: the longest step [s]. initial: node -> (displacement [m], velocity [m/s]) of free nodes, others at rest at
-    zero. derivatives: input name -> (velocity, acceleration) of a displacement input, (samples,) each.
+    model: `isd-model/1` as read from JSON. time (samples,) [s], uniform. inputs: by name, (samples,), in SI.
+    step: the longest step [s]. initial: node -> (displacement [m], velocity [m/s]) of free nodes, others at
+    rest at zero. derivatives: input name -> (velocity, acceleration) of a displacement input.
     """
     delay = {e["channel"]: e["delay"] for e in model["elements"] if e["type"] == "sensor_delay"}
     delays = tuple(sorted({0.0, *delay.values()}))
@@ -749,7 +761,7 @@ def simulate(
     return table
 
 
-# ------------------------------------------------------------------------------- the event-detecting integrator
+# ----------------------------------------------------------------------------- the event-detecting integrator
 class _Hybrid:
     """The model with very small masses at massless nodes, and each friction contact sticking or slipping."""
 
@@ -821,7 +833,8 @@ class _Hybrid:
 
     def solve(self, t: float, y: Array, moved: Any, push: Any, amps: Any) -> tuple[Array, Array, Array]:
         """Accelerations of the free nodes, forces of the frictions, rates of the states."""
-        n, w, wv, wa = self.n, *moved(t)
+        n = self.n
+        w, wv, wa = moved(t)
         x, v = np.concatenate([y[:n], w]), np.concatenate([y[n : 2 * n], wv])
         z = y[2 * n :]
         balance = push(t) - self.plant.mass[:n, n:] @ wa
@@ -934,7 +947,9 @@ def simulate_events(
 
                 event.terminal, event.direction = True, -1  # type: ignore[attr-defined]
                 events.append(event)
-            run = solve_ivp(rate, (s, t[k + 1]), y, method="Radau", rtol=rtol, atol=atol, events=events or None)
+            run = solve_ivp(
+                rate, (s, t[k + 1]), y, method="Radau", rtol=rtol, atol=atol, events=events or None
+            )
             if not run.success:
                 raise ArithmeticError(run.message)
             s, y = float(run.t[-1]), run.y[:, -1]
@@ -965,7 +980,9 @@ def simulate_events(
         moved_at.append(moved(s))
     Y, A, R = np.array(states), np.array(accelerations), np.array(frictions)
     W = [np.array([m[i] for m in moved_at]).reshape(size, -1) for i in range(3)]
-    x, v, a = (np.concatenate([f, w], axis=1) for f, w in ((Y[:, :n], W[0]), (Y[:, n : 2 * n], W[1]), (A, W[2])))
+    x, v, a = (
+        np.concatenate([f, w], axis=1) for f, w in ((Y[:, :n], W[0]), (Y[:, n : 2 * n], W[1]), (A, W[2]))
+    )
     force, load = {}, {node: np.zeros(size) for node in [*plant.moved, "ground"]}
     for e in rig.elements:
         across = rig.across[id(e)]
@@ -986,6 +1003,6 @@ def simulate_events(
     for node in plant.moved:
         load[node] += model.get("masses", {}).get(node, 0.0) * (a @ plant.row(node))
     nodes = plant.free + plant.moved
-    columns = [{name: s[:, i] for i, name in enumerate(nodes)} for s in (x, v, a)]
-    run_ = Trajectory(t, *columns, force, load)
+    at, rate_of, rise = ({name: s[:, i] for i, name in enumerate(nodes)} for s in (x, v, a))
+    run_ = Trajectory(t, at, rate_of, rise, force, load)
     return {o["name"]: np.array(_channel(o, run_)) for o in model["outputs"]}
