@@ -401,13 +401,14 @@ def record(size, tag, mats, ints, state, u, c, lanes, every, shared, out):
             advance(size, tag, mats, ints, state, ub, cb, lanes)
 
 
-def drive(size, tag, mats, ints, states, cars, noise_seed, road, ways, table, commands, ahead, out, road_out):
-    """One control step of a batch, block by block of `lanes` cars.
+def drive(size, tag, mats, ints, states, cars, counters, road, ways, table, commands, ahead, out):
+    """One control step of a batch, block by block of `lanes` cars; outputs to out (ny, N).
 
-    ints[-6:] = lanes, substeps, column of r in u (or -1), of v, of alpha, ahead (length of the road kept ahead).
-    cars (rows, N): 0 present current [A], 1 drive state [A], 2 gain and 3 pole of the road, 4 last road [m],
-    5 last road rate [m/s], 6 lag pole, 7 saturation [A], 8 delay [steps]; road (N,): noise height;
-    ways (2, N) int: place in the table, its end; commands (N, D): ring of past currents, D = 0 without delay.
+    ints[-5:] = lanes, physics steps per control step, and the columns of u that take the road's height, rate and
+    acceleration (-1: none). cars (9, N): 0 commanded current [A], 1 state of the drive's lag [A], 2 gain [m] and
+    3 pole of the rough road, 4 last height [m], 5 last rate [m/s], 6 pole of the lag (0: none), 7 saturation [A],
+    8 delay [steps]. counters, road (N,): the rough road's counter and height [m]. ways (2, N): next place in `table`
+    and its end. commands (N, D): past currents, newest first. ahead (N, P): the road that has been drawn ahead.
     """
     q = tag.ndim
     lanes, substeps, col_r, col_v, col_a = ints[-5], ints[-4], ints[-3], ints[-2], ints[-1]
@@ -437,8 +438,8 @@ def drive(size, tag, mats, ints, states, cars, noise_seed, road, ways, table, co
         for k in range(substeps):
             for l in range(count):
                 e = first + l
-                noise_seed[e] = noise_seed[e] + _GOLDEN
-                road[e] = cars[3, e] * road[e] + cars[2, e] * noise(noise_seed[e])
+                counters[e] = counters[e] + _GOLDEN
+                road[e] = cars[3, e] * road[e] + cars[2, e] * noise(counters[e])
             for l in range(count):
                 e = first + l
                 r = road[e]
@@ -490,7 +491,7 @@ def drive(size, tag, mats, ints, states, cars, noise_seed, road, ways, table, co
         measure(size, tag, pool, ints, state, u[substeps], c[substeps - 1], lanes, y)
         for i in range(ny):
             for l in range(count):
-                out[first + l, i] = y[i, l]
+                out[i, first + l] = y[i, l]
 
 
 # ------------------------------------------------------------------------------------------- compiling

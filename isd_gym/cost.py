@@ -1,0 +1,50 @@
+"""The one stage cost: the environment's reward, MPC's objective and the score are all this."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .errors import InputError
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """Weighted squares of signals over their reference values; the reward is minus the sum.
+
+    Weights [-] 0.6 and 0.3 are section 4.2's; references are Table 7's passive row, so a passive car costs about 0.9.
+    """
+
+    acceleration: float = 0.6
+    travel: float = 0.3
+    tyre_load: float = 0.0
+    current: float = 0.0
+    acceleration_reference: float = 0.8306  # m/s^2
+    travel_reference: float = 7.6e-3  # m
+    tyre_load_reference: float = 518.0  # N
+    current_reference: float = 5.0  # A
+
+    def __post_init__(self) -> None:
+        for name in ("acceleration", "travel", "tyre_load", "current"):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"the weight of {name} must be >= 0, not {getattr(self, name)!r}")
+            if not getattr(self, f"{name}_reference") > 0.0:
+                raise InputError(f"the reference of {name} must be > 0")
+
+    @property
+    def quadratic(self) -> tuple[float, float, float, float]:
+        """Factors on the squares of acceleration [m/s^2], travel [m], tyre load [N] and current [A]."""
+        return (
+            self.acceleration / self.acceleration_reference**2,
+            self.travel / self.travel_reference**2,
+            self.tyre_load / self.tyre_load_reference**2,
+            self.current / self.current_reference**2,
+        )
+
+    def terms(self, acceleration, travel, tyre_load=0.0, current=0.0):
+        """The four terms of the cost, of floats or arrays."""
+        a, l, f, i = self.quadratic
+        return a * acceleration**2, l * travel**2, f * tyre_load**2, i * current**2
+
+    def __call__(self, acceleration, travel, tyre_load=0.0, current=0.0):
+        a, l, f, i = self.terms(acceleration, travel, tyre_load, current)
+        return a + l + f + i

@@ -1,0 +1,238 @@
+"""Records against a model: what was measured, what a network says about it, and how residuals are weighed.
+
+`Problem` holds the records in the units of the model's channels and simulates many variants of one network structure
+in a single call of the kernel (one lane each). `Whitener` turns coloured residuals into nearly white ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import firwin, lfilter, oaconvolve, welch
+
+from .. import elements as el
+from ..data import Table
+from ..errors import InputError
+from ..network import Network, assemble
+from ..simulate import SI, Plant, delayed, effective_current, upsample
+from ..units import convert
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One measured record, uniformly sampled.
+
+    `inputs` in SI units (n,); `measured` (n, channels) in the channels' units; `slopes`: (velocity, acceleration) of moved nodes.
+    """
+
+    name: str
+    step: float  # [s]
+    inputs: Mapping[str, Array]
+    measured: Array
+    slopes: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    start: float = 0.0  # [s] time of the first sample
+
+    def __len__(self) -> int:
+        return len(self.measured)
+
+    @property
+    def time(self) -> Array:
+        return self.start + self.step * np.arange(len(self))
+
+    def part(self, first: int, stop: int, name: str) -> Record:
+        """Samples first..stop-1 as a record of their own."""
+        cut = slice(first, stop)
+        return Record(
+            name,
+            self.step,
+            {k: v[cut] for k, v in self.inputs.items()},
+            self.measured[cut],
+            {k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
+            self.start + first * self.step,
+        )
+
+
+def bare(network: Network) -> Network:
+    """The network without its motor and sensor effects, which act outside the kernel."""
+    kept = tuple(e for e in network.elements if e.place == "between")
+    return network if len(kept) == len(network.elements) else replace(network, elements=kept)
+
+
+class Problem:
+    """A base model and records to judge it by.
+
+    network: the owner's model. records: estimation first, then held-out ones; `held[i]` says which is which.
+    """
+
+    def __init__(self, network: Network, records: Sequence[Record], held: Sequence[bool], step: float = 2e-3):
+        self.network = network
+        self.records = list(records)
+        self.held = list(held)
+        self.step = step
+        self.channels = [c.name for c in network.outputs]
+        self.factors = np.array([convert(1.0, SI[c.quantity], c.unit) for c in network.outputs])
+        self.free_offset = np.array([c.offset for c in network.outputs])
+        self.filters = {id(r): None for r in self.records}
+
+    @property
+    def estimation(self) -> list[int]:
+        return [i for i, h in enumerate(self.held) if not h]
+
+    @property
+    def validation(self) -> list[int]:
+        return [i for i, h in enumerate(self.held) if h]
+
+    def simulate(
+        self,
+        networks: Sequence[Network],
+        index: int,
+        initial: Array | None = None,
+        *,
+        like: Network | None = None,
+        substeps: int | None = None,
+    ) -> Array:
+        """Outputs (n, channels, lanes) in the channels' units of networks of one structure over record `index`.
+
+        `initial` (states, lanes): initial state in the coordinates of the assembly of `like`, mapped to each lane's own
+        coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
+        """
+        record = self.records[index]
+        every = substeps or max(1, math.ceil(record.step / self.step - 1e-9))
+        first = networks[0]
+        motored = any(e.place == "element" for e in first.elements)
+        plant = Plant([bare(n) for n in networks], record.step / every)
+        h = record.step / every
+        inputs: dict[str, Array] = {}
+        for c in first.inputs:
+            fine = upsample(record.inputs[c.name], every, hold=c.quantity == "current")
+            if motored and c.quantity == "current":
+                columns = []
+                for n in networks:
+                    columns.append(effective_current(n, c.element or "", fine[:, None], h)[:, 0])
+                fine = np.stack(columns, axis=1)
+            inputs[c.name] = fine
+        if motored:
+            width = len(networks)
+            inputs = {k: v if v.ndim == 2 else np.repeat(v[:, None], width, axis=1) for k, v in inputs.items()}
+        slopes = {}
+        for part, name in plant.labels:
+            if part in ("v", "alpha"):
+                pair = record.slopes.get(name)
+                if pair is not None:
+                    slopes[name] = (upsample(pair[0], every), upsample(pair[1], every))
+        start = None
+        if plant.n:
+            start = self._start(plant, initial, like, record)
+        out = plant.run(inputs, every=every, samples=len(record), initial=start, derivatives=slopes)
+        out = out * self.factors[:, None]
+        if any(e.place == "channel" for e in first.elements):
+            for lane, n in enumerate(networks):
+                for e in n.elements:
+                    if e.place == "channel":
+                        j = self.channels.index(e.where[0])
+                        if isinstance(e, el.SensorDelay):
+                            out[:, j, lane] = delayed(out[:, j, lane], e.delay / record.step)
+                        elif isinstance(e, el.SensorGain):
+                            out[:, j, lane] *= e.gain
+                        elif isinstance(e, el.SensorBias):
+                            out[:, j, lane] += e.bias
+        return out
+
+    def _start(self, plant: Plant, initial: Array | None, like: Network | None, record: Record) -> Array:
+        lanes = len(plant.networks)
+        if initial is None or like is None:
+            return np.zeros((plant.n, lanes))
+        reference = motion_rows(like)
+        out = np.empty((plant.n, lanes))
+        cache: dict[int, Array] = {}
+        for lane, asm in enumerate(plant.assemblies):
+            if id(asm) not in cache:
+                own = motion_rows_of(asm)
+                cache[id(asm)] = np.linalg.lstsq(own, reference, rcond=None)[0]
+            out[:, lane] = cache[id(asm)] @ initial[:, lane]
+        return out
+
+
+def motion_rows_of(asm) -> Array:
+    """Displacement and scaled velocity of all nodes as rows over the states: what an initial state means physically."""
+    x = asm.columns("x")
+    return np.vstack([asm.position[:, x], 0.05 * asm.velocity[:, x]])
+
+
+def motion_rows(network: Network) -> Array:
+    return motion_rows_of(assemble(bare(network)))
+
+
+# ------------------------------------------------------------------------------------------- weights
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Autoregressive filters, one a channel: residual -> innovations of unit variance. `taps` (channels, order+1)."""
+
+    taps: tuple[Array, ...]
+
+    def __call__(self, residual: Array) -> Array:
+        """residual (n, channels, ...) -> same shape, whitened along time."""
+        out = np.empty_like(residual)
+        for j, a in enumerate(self.taps):
+            out[:, j] = lfilter(a, [1.0], residual[:, j], axis=0)
+        return out
+
+
+def autoregression(series: Sequence[Array], order: int) -> tuple[Array, float]:
+    """Least-squares AR taps (1, -a1, ...) and innovation standard deviation of several stretches of one series."""
+    gram, rhs, count, total = np.zeros((order, order)), np.zeros(order), 0, 0.0
+    for x in series:
+        lags = np.lib.stride_tricks.sliding_window_view(x, order + 1)[:, ::-1]
+        gram += lags[:, 1:].T @ lags[:, 1:]
+        rhs += lags[:, 1:].T @ lags[:, 0]
+        total += float(lags[:, 0] @ lags[:, 0])
+        count += len(lags)
+    ridge = 1e-9 * np.trace(gram) / order + 1e-300
+    a = np.linalg.solve(gram + ridge * np.eye(order), rhs)
+    variance = max(total - 2 * a @ rhs + a @ gram @ a, 1e-300) / max(count, 1)
+    return np.concatenate([[1.0], -a]), math.sqrt(variance)
+
+
+def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> Whitener:
+    """Filters from residuals [(n, channels), ...] of the best model at hand; `floor` (channels,): least noise."""
+    taps = []
+    for j in range(residuals[0].shape[1]):
+        series = [r[:, j] - r[:, j].mean() for r in residuals]
+        a, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8))
+        taps.append(a / max(sigma, 1e-3 * floor[j], 1e-300))
+    return Whitener(tuple(taps))
+
+
+def noise_of(series: Sequence[Array], step: float) -> float:
+    """Standard deviation of the coloured measurement noise in series (n,), from the upper two thirds of the spectrum.
+
+    An AR(1) spectrum is fitted there (log-least squares) and integrated over all frequencies: below, signal and
+    model error cover the noise.
+    """
+    density, frequency = [], np.zeros(0)
+    for x in series:
+        n = min(512, len(x))
+        frequency, s = welch(x - x.mean(), 1.0 / step, nperseg=n)
+        density.append(s * len(x))
+    s = np.sum(density, axis=0) / sum(len(x) for x in series)
+    w = 2 * np.pi * frequency * step
+    pick = (frequency > 0.3 * frequency[-1]) & (frequency < 0.97 * frequency[-1])
+    logs = np.log(np.maximum(s[pick], 1e-300))
+    best = (math.inf, 0.0)
+    for phi in np.linspace(0.0, 0.9, 46):
+        shape = -np.log(1 + phi**2 - 2 * phi * np.cos(w[pick]))
+        level = float(np.median(logs - shape))
+        error = float(np.mean(np.abs(logs - shape - level)))
+        # total variance of the AR(1): two-sided mean of the density
+        variance = math.exp(level) / step / 2 / (1 - phi**2)
+        if error < best[0] - 1e-12:
+            best = (error, variance)
+    return math.sqrt(best[1])

@@ -1,0 +1,557 @@
+"""`ISDSuspension-v0`: a quarter car with a hydraulic electric inerter on a road, one car or many.
+
+Physics lives in `Batch`; spaces, rewards and episodes live here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+from . import elements as el
+from .batch import CURRENT_LIMIT, SLEW_LIMIT, Batch, nodes_of_device, state_channels
+from .cost import StageCost
+from .errors import InputError
+from .network import Network
+from .road import Road
+
+if TYPE_CHECKING:
+    from .rendering import Renderer
+
+CONTROL_STEP = 5e-3  # s
+
+#: measured signals: name, unit, bound
+MEASURED = (
+    ("body_acceleration", "m/s^2", 200.0),
+    ("suspension_travel", "m", 1.0),
+    ("suspension_travel_rate", "m/s", 50.0),
+    ("device_travel", "m", 1.0),
+    ("device_travel_rate", "m/s", 50.0),
+    ("current", "A", CURRENT_LIMIT),
+)
+STATE_BOUND = 1e3  # m or m/s, of the full observation
+ROAD_BOUND = 10.0  # m, of the preview
+N_MEASURED = len(MEASURED)
+OBSERVATIONS = ("measured", "full", "preview")
+
+
+class Task:
+    """What the single and the vector environment share: spaces, sensors, cost, limits."""
+
+    def __init__(
+        self,
+        count: int,
+        *,
+        network: str | Path | Mapping[str, Any] | Network,
+        road: str | Road,
+        speed: float,
+        observation: str,
+        cost: StageCost | Mapping[str, float] | None,
+        randomize: Mapping[str, Any] | None,
+        control_step: float,
+        preview: float,
+        duration: float,
+    ) -> None:
+        if observation not in OBSERVATIONS:
+            raise InputError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
+        self.network = net = Network.load(network)
+        self.observation = observation
+        self.cost = cost if isinstance(cost, StageCost) else StageCost(**(cost or {}))
+        extra = state_channels(net)
+        self.batch = Batch(
+            count,
+            net,
+            road_=road,
+            speed=speed,
+            control_step=control_step,
+            duration=duration,
+            randomize=randomize,
+            preview=preview if observation == "preview" else 0.0,
+            extra=extra,
+        )
+        high = [bound for _, _, bound in MEASURED]
+        self.labels = [f"{name} [{unit}]" for name, unit, _ in MEASURED]
+        if observation == "full":
+            high += [STATE_BOUND] * len(extra)
+            self.labels += [
+                f"{c.name} [{c.unit}], above the road" if "disp" in c.name else f"{c.name} [{c.unit}]"
+                for c in extra
+            ]
+        elif observation == "preview":
+            points = self.batch.ahead.shape[1] // self.batch.substeps
+            high += [ROAD_BOUND] * points
+            self.labels += [f"road ahead {(i + 1) * control_step:.3f} s [m]" for i in range(points)]
+        self.high = np.array(high, np.float32)
+        self.width = len(high)
+        self.action_space = spaces.Box(-CURRENT_LIMIT, CURRENT_LIMIT, (1,), np.float32)
+        self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
+        self.bounds = np.array([bound for _, _, bound in MEASURED[:-1]])
+        self._heights = np.array([c.quantity == "displacement" for c in extra])
+        names = [name for name, _, _ in MEASURED]
+        self._sensors = [e for e in net.elements if e.place == "channel" and e.where[0] in names]
+        self._histories: dict[str, np.ndarray] = {}
+
+    def observe(self, out: np.ndarray) -> np.ndarray:
+        """Observation (count, width) float32 of the signals `out` (signals, count)."""
+        obs = np.empty((out.shape[1], self.width), np.float32)
+        obs.T[:5] = out[:5]
+        obs[:, 5] = self.batch.cars[0]
+        if self.observation == "full":
+            state = out[6:].T.copy()
+            state[:, self._heights] -= self.batch.road_height[:, None]
+            obs[:, N_MEASURED:] = state
+        elif self.observation == "preview":
+            obs[:, N_MEASURED:] = self.batch.road_ahead()
+        return self._sense(obs) if self._sensors else obs
+
+    def _sense(self, obs: np.ndarray) -> np.ndarray:
+        """Sensor faults of the model: what a faulty channel reports (the physics and the reward do not see it)."""
+        names = [name for name, _, _ in MEASURED]
+        for e in self._sensors:
+            j = names.index(e.where[0])
+            if isinstance(e, el.SensorDelay):
+                steps = e.delay / self.batch.control_step
+                low, part = int(steps), steps - int(steps)
+                past = self._histories.setdefault(e.name, np.zeros((low + 2, len(obs))))
+                past[1:] = past[:-1]
+                past[0] = obs[:, j]
+                obs[:, j] = (1 - part) * past[low] + part * past[low + 1]
+            elif isinstance(e, el.SensorGain):
+                obs[:, j] *= e.gain
+            elif isinstance(e, el.SensorBias):
+                obs[:, j] += e.bias
+        return np.clip(obs, -self.high, self.high)
+
+    def forget(self, i: int) -> None:
+        for past in self._histories.values():
+            past[:, i] = 0.0
+
+    def first_signals(self) -> np.ndarray:
+        """Signals of cars at rest: zero."""
+        return np.zeros_like(self.batch.out)
+
+
+class ISDSuspensionEnv(gym.Env):
+    """A vehicle suspension with a hydraulic electric inerter, driven by its motor's current.
+
+    ## Description
+    The quarter car of Liu, Zhao, Yang, Chen and Shen, "Predictive Control of Vehicle ISD Suspension Based on a
+    Hydraulic Electric Inerter", Shock and Vibration (2019): body and wheel, main spring and tyre, and between body
+    and wheel, in series, a damper and a hydraulic inerter whose fluid drives a linear motor. Dry friction, leakage,
+    oil elasticity and the end stop are part of the device. The goal is a quiet body on a rough road without using
+    up the working space.
+
+    ## Action space
+    `Box(-5, 5, (1,), float32)`: commanded motor current [A]. The drive slews the current by at most 0.5 A per
+    control step of 5 ms (Table 5). A value that is not finite, or of another shape, raises `InputError`.
+
+    ## Observation space
+    `Box(-high, high, (6,), float32)`, what a car can measure:
+
+    | # | signal | unit | bound |
+    |---|---|---|---|
+    | 0 | body acceleration | m/s² | 200 |
+    | 1 | suspension travel, body over wheel | m | 1 |
+    | 2 | its rate | m/s | 50 |
+    | 3 | device travel (the motor's encoder) | m | 1 |
+    | 4 | its rate | m/s | 50 |
+    | 5 | present current | A | 5 |
+
+    `observation="full"` appends displacement above the road [m] and velocity [m/s] of every node;
+    `observation="preview"` appends the road ahead, relative to the height under the wheel [m], one point per control
+    step over `preview` seconds.
+
+    ## Reward
+    `-[0.6 (a / 0.8306 m/s²)² + 0.3 (l / 7.6 mm)²]` per step, of body acceleration a and suspension travel l at the
+    end of the step: section 4.2's weights over Table 7's passive row, about -0.9 for the passive car. Dynamic tyre load
+    and current can be given weights (`cost={"tyre_load": ..., "current": ...}`).
+
+    ## Episode
+    Starts at rest at the beginning of a new road. Truncated after 4000 steps (20 s). Terminated only if the state leaves
+    the bounds of the observation, which does not happen by itself.
+
+    ## Info
+    `tyre_load` [N] (dynamic, positive in compression) and the terms of the cost: `cost_acceleration`, `cost_travel`,
+    `cost_tyre_load`, `cost_current`. `reset` returns the `speed` [m/s].
+
+    ## Arguments
+    `network`: a built-in name, a file (`isd-model/1`) or a `Network`. `road`: paper, A-H, bump, pothole, sweep, a CSV
+    file, `C+bump`. `speed` [m/s]. `observation`: measured, full, preview. `preview` [s]. `cost`: a `StageCost` or its
+    weights. `randomize`: {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}, factors on parameters of
+    the network, drawn at every reset. `control_step` [s]. `render_mode`: human, rgb_array.
+
+    ## Versions
+    v0: first release. `ISDSuspensionEq8-v0` is the same with the paper's equation (8) as printed.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+
+    def __init__(
+        self,
+        network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd",
+        road: str | Road = "paper",
+        speed: float = 20.0,
+        observation: str = "measured",
+        cost: StageCost | Mapping[str, float] | None = None,
+        randomize: Mapping[str, Any] | None = None,
+        control_step: float = CONTROL_STEP,
+        preview: float = 0.25,
+        duration: float = 20.0,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise InputError(f"render_mode must be human or rgb_array, not {render_mode!r}")
+        self.task = Task(
+            1,
+            network=network,
+            road=road,
+            speed=speed,
+            observation=observation,
+            cost=cost,
+            randomize=randomize,
+            control_step=control_step,
+            preview=preview,
+            duration=duration,
+        )
+        self.action_space = self.task.action_space
+        self.observation_space = self.task.observation_space
+        self.render_mode = render_mode
+        self._quadratic = self.task.cost.quadratic
+        self._slow = observation != "measured" or bool(self.task._sensors)
+        self._renderer: Renderer | None = None
+        self._ready = False
+        self._steps = 0
+
+    @property
+    def network(self) -> Network:
+        """The plant."""
+        return self.task.network
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        batch = self.task.batch
+        batch.reset(0, self.np_random)
+        self.task.forget(0)
+        self._ready = True
+        self._steps = 0
+        batch.out[:] = 0.0
+        if self.render_mode == "human":
+            self.render()
+        return self.task.observe(batch.out)[0], {"speed": float(batch.speeds[0])}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        if not self._ready:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        try:
+            (target,) = action.tolist() if isinstance(action, np.ndarray) else action
+            target = float(target)
+        except (TypeError, ValueError):
+            raise InputError(f"the action must have shape (1,), a current in A, not {action!r}") from None
+        if not -CURRENT_LIMIT <= target <= CURRENT_LIMIT:
+            if not math.isfinite(target):
+                raise InputError(f"the action must be finite, not {target}")
+            target = min(max(target, -CURRENT_LIMIT), CURRENT_LIMIT)
+        batch = self.task.batch
+        cars = batch.cars
+        now = cars.item(0)
+        current = now + min(max(target - now, -SLEW_LIMIT), SLEW_LIMIT)
+        cars[0, 0] = current
+        out = batch.step()
+        self._steps += 1
+        a, l, v, d, w, tyre = (signals := out[:6, 0].tolist())
+        qa, ql, qf, qi = self._quadratic
+        cost_a, cost_l, cost_f, cost_i = qa * a * a, ql * l * l, qf * tyre * tyre, qi * current * current
+        ba, bl, bv, bd, bw = 200.0, 1.0, 50.0, 1.0, 50.0
+        broken = not (
+            -ba <= a <= ba and -bl <= l <= bl and -bv <= v <= bv and -bd <= d <= bd and -bw <= w <= bw
+        )
+        if broken or self._slow:
+            obs = self.task.observe(out)[0]
+            if broken:
+                obs = np.clip(np.nan_to_num(obs), -self.task.high, self.task.high)
+        else:
+            signals[5] = current
+            obs = np.array(signals, np.float32)
+        info = {
+            "tyre_load": tyre,
+            "cost_acceleration": cost_a,
+            "cost_travel": cost_l,
+            "cost_tyre_load": cost_f,
+            "cost_current": cost_i,
+        }
+        if self.render_mode == "human":
+            self.render()
+        return obs, -(cost_a + cost_l + cost_f + cost_i), broken, False, info
+
+    def render(self) -> np.ndarray | None:
+        if self.render_mode is None:
+            gym.logger.warn(
+                'render() needs a render_mode, e.g. gymnasium.make("ISDSuspension-v0", render_mode="rgb_array")'
+            )
+            return None
+        from .rendering import Renderer
+
+        if self._renderer is None:
+            self._renderer = Renderer(self.render_mode, fps=self.metadata["render_fps"])
+        return self._renderer.draw(self.snapshot())
+
+    def snapshot(self):
+        """What a picture of the car needs, see `rendering.Snapshot`."""
+        return snapshot(self.task, 0, self._steps)
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
+
+
+class ISDSuspensionVectorEnv(VectorEnv):
+    """Many cars at once, natively: `gymnasium.make_vec("ISDSuspension-v0", 1024)`.
+
+    Car i is exactly the single environment seeded with ``seed + i``. Arguments as `ISDSuspensionEnv`'s, and
+    `autoreset_mode`: next_step (Gymnasium's default), same_step (`final_obs` and `final_info` in `info`), disabled
+    (reset with ``options={"reset_mask": mask}``).
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd",
+        road: str | Road = "paper",
+        speed: float = 20.0,
+        observation: str = "measured",
+        cost: StageCost | Mapping[str, float] | None = None,
+        randomize: Mapping[str, Any] | None = None,
+        control_step: float = CONTROL_STEP,
+        preview: float = 0.25,
+        duration: float = 20.0,
+        max_episode_steps: int = 4000,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+    ) -> None:
+        if not isinstance(num_envs, int) or num_envs < 1:
+            raise InputError(f"num_envs must be a positive whole number, not {num_envs!r}")
+        try:
+            mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else _MODES[autoreset_mode]
+        except KeyError:
+            raise InputError(
+                f"autoreset_mode must be one of {', '.join(_MODES)}, not {autoreset_mode!r}"
+            ) from None
+        self.metadata = {**self.metadata, "autoreset_mode": mode}
+        self.mode = mode
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.max_episode_steps = max_episode_steps
+        self.task = Task(
+            num_envs,
+            network=network,
+            road=road,
+            speed=speed,
+            observation=observation,
+            cost=cost,
+            randomize=randomize,
+            control_step=control_step,
+            preview=preview,
+            duration=duration,
+        )
+        self.single_action_space = self.task.action_space
+        self.single_observation_space = self.task.observation_space
+        self.action_space = gym.vector.utils.batch_space(self.single_action_space, num_envs)
+        self.observation_space = gym.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self._rngs: list[np.random.Generator] = []
+        self.steps = np.zeros(num_envs, np.int64)
+        self._done = np.zeros(num_envs, bool)
+        self._any_done = False
+        self._oldest = 0
+
+    @property
+    def network(self) -> Network:
+        """The plant."""
+        return self.task.network
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        mask = np.ones(self.num_envs, bool)
+        if options and "reset_mask" in options:
+            mask = np.asarray(options["reset_mask"])
+            if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+                raise InputError(f"reset_mask must be {self.num_envs} booleans, at least one of them true")
+        seeds: list[int | None]
+        if seed is None:
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, int | np.integer):
+            seeds = [int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise InputError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        if not self._rngs:
+            self._rngs = [seeding.np_random(s)[0] for s in seeds]
+        else:
+            for i, s in enumerate(seeds):
+                if s is not None:
+                    self._rngs[i] = seeding.np_random(s)[0]
+        batch = self.task.batch
+        self._restart(np.flatnonzero(mask))
+        return self.task.observe(batch.out), {"speed": batch.speeds.copy()}
+
+    def _restart(self, which: np.ndarray) -> None:
+        batch = self.task.batch
+        for i in which:
+            batch.reset(int(i), self._rngs[i])
+            self.task.forget(int(i))
+        batch.out[:, which] = 0.0
+        self.steps[which] = 0
+        self._done[which] = False
+        self._any_done = bool(self._done.any())
+        self._oldest = int(self.steps.max())
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        if not self._rngs:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        target = np.asarray(actions, float)
+        if target.shape != (self.num_envs, 1):
+            raise InputError(
+                f"the actions must have shape ({self.num_envs}, 1), currents in A, not {target.shape}"
+            )
+        target = target[:, 0]
+        # one sum tells whether all are finite: cheaper than a mask
+        if not math.isfinite(target.sum()) and not np.isfinite(target).all():
+            raise InputError(f"action {int(np.argmin(np.isfinite(target)))} is not finite")
+        batch = self.task.batch
+        revived = (
+            np.flatnonzero(self._done) if self._any_done and self.mode is AutoresetMode.NEXT_STEP else None
+        )
+        now = batch.cars[0]
+        change = np.clip(target, -CURRENT_LIMIT, CURRENT_LIMIT)
+        change -= now
+        np.clip(change, -SLEW_LIMIT, SLEW_LIMIT, out=change)
+        now += change
+        out = batch.step()
+        self.steps += 1
+        self._oldest += 1
+        if revived is not None:
+            self._restart(revived)
+        qa, ql, qf, qi = self.task.cost.quadratic
+        a, l, tyre, current = out[0], out[1], out[5], batch.cars[0]
+        cost_a, cost_l, cost_f, cost_i = qa * a * a, ql * l * l, qf * tyre * tyre, qi * current * current
+        reward = -(cost_a + cost_l + cost_f + cost_i)
+        obs = self.task.observe(out)
+        info: dict[str, Any] = {
+            "tyre_load": tyre.copy(),
+            "cost_acceleration": cost_a,
+            "cost_travel": cost_l,
+            "cost_tyre_load": cost_f,
+            "cost_current": cost_i,
+        }
+        terminated = np.zeros(self.num_envs, bool)
+        # NaN fails the comparison and is found below
+        if not bool((np.abs(out[:5]).max(axis=1) <= self.task.bounds).all()):
+            terminated = ~(np.abs(out[:5]) <= self.task.bounds[:, None]).all(axis=0)
+            obs = np.clip(np.nan_to_num(obs), -self.task.high, self.task.high)
+        if self._oldest >= self.max_episode_steps or terminated.any():
+            truncated = (self.steps >= self.max_episode_steps) & ~terminated
+            if revived is not None:
+                terminated[revived] = False
+            self._done = terminated | truncated
+            self._any_done = bool(self._done.any())
+            if self._any_done and self.mode is AutoresetMode.SAME_STEP:
+                obs = self._restart_now(obs, info)
+        else:
+            truncated = np.zeros(self.num_envs, bool)
+        return obs, reward, terminated, truncated, info
+
+    def _restart_now(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+        which = np.flatnonzero(self._done)
+        done = self._done.copy()
+        final = np.empty(self.num_envs, object)
+        for i in which:
+            final[i] = obs[i].copy()
+        info["final_obs"], info["_final_obs"] = final, done
+        info["final_info"] = {
+            k: v.copy() for k, v in info.items() if isinstance(v, np.ndarray) and v.dtype == float
+        }
+        info["_final_info"] = done
+        self._restart(which)
+        fresh = self.task.observe(self.task.batch.out)
+        obs[which] = fresh[which]
+        return obs
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Pictures of all cars, for `render_mode="rgb_array"`."""
+        if self.render_mode != "rgb_array":
+            return None
+        from .rendering import Renderer
+
+        if not hasattr(self, "_renderers"):
+            self._renderers = [Renderer("rgb_array") for _ in range(self.num_envs)]
+        return tuple(
+            r.draw(snapshot(self.task, i, int(self.steps[i]))) for i, r in enumerate(self._renderers)
+        )  # type: ignore[misc]
+
+    def close_extras(self, **kwargs: Any) -> None:
+        for renderer in self.__dict__.pop("_renderers", []):
+            renderer.close()
+
+
+_MODES = {
+    "next_step": AutoresetMode.NEXT_STEP,
+    "same_step": AutoresetMode.SAME_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
+
+
+def snapshot(task: Task, i: int, steps: int):
+    """The state of car i as `rendering.Snapshot`."""
+    from .rendering import Snapshot
+
+    batch, net = task.batch, task.network
+    out = batch.out[:, i]
+    names = [c.name for c in batch.channels]
+    place = {
+        c.removesuffix("_displacement"): out[j] for j, c in enumerate(names) if c.endswith("_displacement")
+    }
+    masses = list(net.masses)
+    first, second = nodes_of_device(net)
+    stop = next(
+        (e.clearance for e in net.elements if isinstance(e, el.BumpStop) and e.between == (first, second)),
+        None,
+    )
+    a, l, tyre = float(out[0]), float(out[1]), float(out[5])
+    height = float(batch.road_height[i])
+    return Snapshot(
+        time=steps * batch.control_step,
+        body=float(place[masses[0]]),
+        wheel=float(place[masses[1]]),
+        piston=float(place[first]) if first in place else None,
+        joint=float(place[second]) if second in place else None,
+        road_profile=np.array([height]),
+        road_step=batch.control_step * float(batch.speeds[i]),
+        speed=float(batch.speeds[i]),
+        current=float(batch.cars[0, i]),
+        current_limit=CURRENT_LIMIT,
+        body_acceleration=a,
+        suspension_travel=l,
+        tyre_load=tyre,
+        device_travel_limit=stop,
+        label=net.name,
+        cost=float(task.cost(a, l, tyre, float(batch.cars[0, i]))),
+    )

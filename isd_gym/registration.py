@@ -1,0 +1,22 @@
+"""The environments, made known to Gymnasium by its plugin entry point; importing this costs nothing."""
+
+from __future__ import annotations
+
+ENVIRONMENTS = {"ISDSuspension-v0": "quarter-car-isd", "ISDSuspensionEq8-v0": "quarter-car-eq8"}
+EPISODE_STEPS = 4000  # 20 s at 5 ms
+
+
+def register() -> None:
+    """Register every environment of the package (called by Gymnasium when it is imported)."""
+    from gymnasium.envs.registration import register as add
+    from gymnasium.envs.registration import registry
+
+    for name, network in ENVIRONMENTS.items():
+        if name not in registry:
+            add(
+                id=name,
+                entry_point="isd_gym.env:ISDSuspensionEnv",
+                vector_entry_point="isd_gym.env:ISDSuspensionVectorEnv",
+                max_episode_steps=EPISODE_STEPS,
+                kwargs={"network": network},
+            )
