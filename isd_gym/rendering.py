@@ -1,11 +1,12 @@
 """The picture of the car corner on its rolling road, and films of it.
 
-`Renderer.draw` paints one or two `Snapshot`s (the second for comparison: same road, same scales). It knows nothing
+`Renderer.draw` paints one or two `Snapshot`s (two for comparison: same road, same scales). It knows nothing
 of the simulation: whoever has the displacements of the nodes can draw.
 
-Signs are those of the model: a displacement is positive upwards, a travel is positive in extension, and a positive
-current pulls the terminals of the device together (force positive in tension). Colours are those of Okabe and Ito
-(Color Universal Design, 2008), which the colour-blind can tell apart; no meaning hangs on colour alone.
+Signs are those of the model: a displacement is positive upwards, a travel is positive in extension, and a
+positive current pulls the terminals of the device together (force positive in tension). Colours are those of
+Okabe and Ito (Color Universal Design, 2008), which the colour-blind can tell apart; no meaning hangs on
+colour alone.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import importlib
 import itertools
 import math
 import os
+import subprocess
 import sys
 import warnings
 from collections import deque
@@ -58,6 +60,7 @@ _WHEEL_RADIUS = 0.32  # [m], what the wheel stands for; the factor on screen is 
 _EXAGGERATION = (6.0, 4.0, 3.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 _HISTORY = 4.0  # [s]
 _SMALLEST = (640, 400)
+ROAD_WINDOW = 5.0  # [m] of road behind and ahead of the wheel: fills a picture of the usual proportions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,7 +72,7 @@ class Snapshot:
     wheel: float  # [m]
     piston: float | None = None  # [m], node between oil spring and inerter; None: the model has none
     joint: float | None = None  # [m], node between inerter and damper; None: a car without the device
-    road_profile: NDArray[np.float64]  # [m], shape (n,): road height, from behind the wheel to ahead of it
+    road_profile: NDArray[np.float64]  # [m], shape (n,): road height, from behind the wheel to ahead
     road_step: float  # [m], distance of two samples of the profile
     road_behind: float | None = (
         None  # [m], from the first sample to the wheel; None: the wheel is in the middle
@@ -95,9 +98,9 @@ class Snapshot:
             if not math.isfinite(value):
                 raise InputError(f"snapshot: {field.name} is {value}, not a finite number")
         road = np.asarray(self.road_profile, dtype=np.float64)
-        if road.ndim != 1 or road.size < 2 or not np.isfinite(road).all():
+        if road.ndim != 1 or road.size == 0 or not np.isfinite(road).all():
             raise InputError(
-                f"snapshot: road_profile must be two or more finite heights, got shape {road.shape}"
+                f"snapshot: road_profile must be a row of finite heights, got shape {road.shape}"
             )
         object.__setattr__(self, "road_profile", road)
         for name in ("road_step", "current_limit", "device_travel_limit"):
@@ -118,14 +121,14 @@ class Snapshot:
 class Renderer:
     """Draws the car corner (`cars=1`) or two of them side by side (`cars=2`).
 
-    `mode="rgb_array"`: `draw` returns the frame and needs no display. `mode="human"`: `draw` shows it in a window and
-    keeps the pace of the simulated time; calls that come faster than `fps` frames per simulated second are recorded
-    in the plots but not painted, so a 5 ms control loop may call it at every step. `closed` turns True when the
-    viewer shuts the window.
+    In mode "rgb_array" `draw` returns the frame and needs no display. In mode "human" it shows the frame in a
+    window and keeps the pace of the simulated time; calls that come faster than `fps` (at most 60) per
+    simulated second enter the plots but are not painted, so a 5 ms control loop may call it at every step.
+    `closed` turns True when the viewer shuts the window (its button, Escape or q).
 
-    The scales are fixed while time runs, and only ever widen when the motion leaves them; a snapshot earlier than the
-    last one starts afresh. Raises `InputError` where pygame is missing, where there is no display to open a window on,
-    and for a size below 640x400.
+    The scales stand still while time runs and only ever widen, when the motion leaves them; a snapshot earlier
+    than the last one starts afresh. Raises `InputError` where pygame is missing, where a window finds no
+    display, and for a size [px] below 640x400.
     """
 
     def __init__(
@@ -147,6 +150,7 @@ class Renderer:
             raise InputError(f"fps must be positive, got {fps}")
         self.mode, self.width, self.height, self.cars, self.fps = mode, width, height, cars, fps
         self.closed = False
+        self._now = self._painted = -math.inf  # [s] of simulated time
         self._pg = _pygame()
         self._unit = min(width / 640, height / 400)  # everything is laid out for 640x400
         self._window: Any = None
@@ -173,16 +177,16 @@ class Renderer:
         now = snapshots[0].time
         if now < self._now:
             self._restart()
-        self._now = now
         for history, snapshot in zip(self._history, snapshots, strict=True):
             history.add(snapshot)
-        if self.mode == "human" and (self.closed or now < self._painted + (1 - 1e-6) / self.fps):
+        since, self._now = now - self._painted, now
+        if self.mode == "human" and (self.closed or since < (1 - 1e-6) / min(self.fps, 60.0)):
             return None
         self._painted = now
         self._paint(snapshots)
         if self.mode == "rgb_array":
             return self._canvas.pixels()
-        self._show()
+        self._show(since)
         return None
 
     def close(self) -> None:
@@ -196,7 +200,7 @@ class Renderer:
 
     def _open_window(self) -> None:
         advice = "cannot open a window: {}; use render_mode='rgb_array', or write a film"
-        # Without a display SDL may fall back on a driver that shows nothing; only who asks for one should get it.
+        # Without a display SDL may take a driver that shows nothing; only who asks for one should get it.
         if (
             sys.platform.startswith("linux")
             and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
@@ -210,7 +214,7 @@ class Renderer:
         self._pg.display.set_caption("isd-gym")
         self._clock = self._pg.time.Clock()
 
-    def _show(self) -> None:
+    def _show(self, since: float) -> None:
         for event in self._pg.event.get():
             if event.type == self._pg.QUIT or (
                 event.type == self._pg.KEYDOWN and event.key in (self._pg.K_ESCAPE, self._pg.K_q)
@@ -219,13 +223,14 @@ class Renderer:
                 return
         self._window.blit(self._canvas.frame, (0, 0))
         self._pg.display.flip()
-        self._clock.tick(self.fps)
+        if since < 1.0:
+            self._clock.tick(1.0 / since)
 
     # --- picture ----------------------------------------------------------------------------------
 
     def _restart(self) -> None:
         self._now = self._painted = -math.inf
-        self._history = [_History() for _ in range(self.cars)]
+        self._history: list[_History] = [_History() for _ in range(self.cars)]
         self._factor = 0  # index into _EXAGGERATION
         self._plots = {"body_acceleration": _Scale(1.0, 2), "suspension_travel": _Scale(10.0, 1)}
 
@@ -283,7 +288,7 @@ class _History:
 
 
 class _Scale:
-    """Half range of a plot: three units, ticks at two; a unit is 1, 2 or 4 times a power of ten, and only grows."""
+    """Range of a plot: three units either way, ticks at two; the unit is 1, 2 or 4 times a power of ten."""
 
     def __init__(self, unit: float, digits: int) -> None:
         self.unit, self.digits = unit, digits  # digits behind the point of the RMS
@@ -299,7 +304,7 @@ class _Scale:
 
 
 class _Canvas:
-    """Shapes are drawn at twice the size and scaled down, which smooths their edges; text is set at the final size."""
+    """Shapes are drawn at twice the size and scaled down, so they are smooth; text is set as it is."""
 
     def __init__(self, pg: Any, width: int, height: int, unit: float) -> None:
         self.pg, self.unit = pg, unit
@@ -381,9 +386,9 @@ class _Canvas:
         """Set `words` with their middle at height `y`, smaller or cut to fit `room`; returns the width."""
         surface = self._typeset(words, size, colour, face)
         if room is not None:
-            for size in (0.9 * size, 0.8 * size):
-                if surface.get_width() > room:
-                    surface = self._typeset(words, size, colour, face)
+            if surface.get_width() > room:
+                size *= 0.85
+                surface = self._typeset(words, size, colour, face)
             while surface.get_width() > room and len(words) > 1:
                 words = words.rstrip("…")[:-1].rstrip(" ,;:-") + "…"
                 surface = self._typeset(words, size, colour, face)
@@ -456,7 +461,7 @@ class _Scene:
         place = np.arange(road.size) * step - behind
         self.road = np.interp((self.road_x - self.x) / metre, place, road)
         self.contact = float(np.interp(0.0, place, road))
-        # The camera follows the road at large: a mean that fades towards the edges, so that it moves smoothly.
+        # The camera follows the road at large: a mean that fades towards the edges, so it moves smoothly.
         weight = np.hanning(self.road.size + 2)[1:-1]
         self.reference = float(self.road @ weight / weight.sum())
 
@@ -542,14 +547,14 @@ class _Scene:
         metre, every = _METRE * u, 2.0
         offset = (shot.speed * shot.time) % every
         first = math.floor((self.left - self.x) / metre / every) * every - offset
-        for place in np.arange(first, (right - self.x) / metre + every, every):
+        for place in np.arange(first, (right - self.x) / metre + every, every).tolist():
             x = self.x + place * metre
             y = float(np.interp(x, self.road_x, road_y)) + 4 * u
             c.polygon(GROUND_MARK, [(x, y), (x + 7 * u, y), (x - 1 * u, y + 11 * u), (x - 8 * u, y + 11 * u)])
         c.polygon(INK, np.vstack([surface - [0, 0.6 * u], surface[::-1] + [0, 2.2 * u]]))
 
     def _tyre(self, hub: float, contact: float) -> None:
-        """The tyre touches the road as long as it carries load; the road is painted over what it is pressed in by."""
+        """Touches the road as long as it carries load; the road is painted over what is pressed in."""
         c, u, shot = self.canvas, self.u, self.shot
         radius = _TYRE * u
         gap = contact - hub
@@ -578,7 +583,7 @@ class _Scene:
             )
 
     def _device(self, seat: float, joint: float) -> None:
-        """Oil spring, then the main cylinder (rod: piston, barrel: joint) with the motor's cylinder at its side."""
+        """Oil spring, main cylinder (rod: piston, barrel: joint), and the motor's cylinder at its side."""
         c, u, x, shot = self.canvas, self.u, self.x, self.shot
         travel = shot.device_travel
         assert travel is not None
@@ -588,7 +593,7 @@ class _Scene:
         else:
             _coil(c, x, seat, node, 9 * u, 4, 2.2 * u, stub=1.5 * u, near=_mix(ORANGE, INK, 0.25), far=OIL)
             if self.roomy:
-                self._tag("oil spring", x + 15 * u, seat + 5 * u, "left")
+                self._tag("oil spring", x + 15 * u, seat + 6.5 * u, "left")
 
         # Main cylinder
         foot, bore = 6 * u, (2 * _DEVICE_STROKE + 8) * u
@@ -599,8 +604,8 @@ class _Scene:
         c.rect(STEEL, x - 2 * u, node, 4 * u, piston - node)
         c.rect(INK, x - 11.4 * u, piston - 2.5 * u, 22.8 * u, 5 * u)
 
-        # The motor's (deputy) cylinder. Oil that the rising piston pushes out at the top moves the mover to the
-        # right, so extension reads to the right, as on a number line; its ends are the end stop (paper, Table 1).
+        # The motor's (deputy) cylinder. Oil that the rising piston pushes out at the top moves the mover to
+        # the right, so extension reads to the right; its ends are the end stop (paper, Table 1).
         left, width, high = x + 24 * u, 68 * u, 19 * u
         middle = top + bore / 2
         pipe = 3.5 * u
@@ -657,9 +662,9 @@ class _Scene:
                 words, dial, y + 9 * u, size=9.5, colour=VERMILLION if touching else MUTED, anchor="center"
             )
         if self.roomy:
-            words = ("inerter", "and motor") if shot.current_limit is not None else ("inerter",)
-            for row, word in enumerate(words):
-                self._tag(word, left + width + 7 * u, middle + (12 * row - 6 * (len(words) - 1)) * u, "left")
+            rows = ("inerter", "and motor") if shot.current_limit is not None else ("inerter",)
+            for row, word in enumerate(rows):
+                self._tag(word, left + width + 7 * u, middle + (12 * row - 6 * (len(rows) - 1)) * u, "left")
         self._name("piston", x + 7 * u, node)
         self._name("joint", x + 7 * u, joint)
         if shot.current_limit is not None:
@@ -859,13 +864,15 @@ def _plot(
     data: Sequence[NDArray[np.float64]],
     column: int,
 ) -> None:
-    """One live plot: title and RMS of what is shown, then the axes in the box from (x0 + 26, y0 + 14) to (x1, y1)."""
+    """One live plot: its title with the RMS of what is shown, below it the curves."""
     u = c.unit
     c.text(title, x0, y0, size=11 if len(data) == 1 else 10)
     place = x1 - c.text(unit, x1, y0, size=10, colour=MUTED, anchor="right") - 4 * u
     for rows, colour in reversed(list(zip(data, CAR_COLOURS, strict=False))):
-        rms = _number(float(np.sqrt(np.mean(rows[:, column] ** 2))), scale.digits, sign=False)
-        place -= c.text(rms, place, y0, size=10, face="Bold", colour=colour, anchor="right") + 6 * u
+        rms = float(np.sqrt(np.mean(rows[:, column] ** 2)))
+        digits = max(0, min(scale.digits, 2 - math.floor(math.log10(max(rms, 1e-9)))))
+        words = _number(rms, digits, sign=False)
+        place -= c.text(words, place, y0, size=10, face="Bold", colour=colour, anchor="right") + 6 * u
     c.text("RMS", place + 2 * u, y0, size=10, colour=MUTED, anchor="right")
     left, top = x0 + 26 * u, y0 + 14 * u
     right, bottom = x1, y1
@@ -900,8 +907,9 @@ def _plot(
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
     """Write frames, each of shape (height, width, 3), as an MP4 or a GIF, by the suffix of `path`.
 
-    The file appears whole or not at all. Raises `InputError` for another suffix, no frames, frames of unequal size,
-    more than 50 frames per second in a GIF (no viewer plays them faster) and where imageio is missing.
+    The file appears whole or not at all. Raises `InputError` for another suffix, no frames, frames of unequal
+    size, more than 50 frames per second in a GIF (viewers play none faster), and an MP4 without
+    imageio-ffmpeg.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -937,31 +945,38 @@ def _checked(frames: Iterable[NDArray[np.uint8]], path: Path) -> Iterator[NDArra
 
 
 def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
-    imageio = _extra("imageio.v2", "writing an MP4", "imageio")
-    _extra("imageio_ffmpeg", "writing an MP4", "imageio-ffmpeg")
+    encoder = _extra("imageio_ffmpeg", "writing an MP4", "imageio-ffmpeg").get_ffmpeg_exe()
     first = next(frames)
-    odd = tuple((0, size % 2) for size in first.shape[:2])  # the codec wants even sides
-    with imageio.get_writer(
-        path,
-        format="FFMPEG",
-        fps=fps,
-        codec="libx264",
-        quality=8,
-        macro_block_size=1,
-        ffmpeg_params=["-movflags", "+faststart"],
-        ffmpeg_log_level="error",
-    ) as writer:
-        for frame in itertools.chain([first], frames):
-            writer.append_data(
-                np.pad(frame, (*odd, (0, 0)), mode="edge") if any(o[1] for o in odd) else frame
-            )
+    height, width = (size + size % 2 for size in first.shape[:2])  # the codec wants even sides
+    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps:.6f} -i -"
+    target = "-an -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart"
+    command = [encoder, "-y", "-loglevel", "error", *source.split(), *target.split(), str(path)]
+    # In a session of its own, Ctrl-C reaches the encoder through us alone, and no half film is finished.
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    ) as process:
+        assert process.stdin is not None and process.stderr is not None
+        try:
+            for frame in itertools.chain([first], frames):
+                edge = ((0, height - frame.shape[0]), (0, width - frame.shape[1]), (0, 0))
+                process.stdin.write(np.pad(frame, edge, mode="edge").tobytes())
+            process.stdin.close()
+            complaint = process.stderr.read()
+        except BrokenPipeError:
+            complaint = process.stderr.read() or b"it stopped early"
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode != 0 or not path.stat().st_size:
+        lines = complaint.decode(errors="replace").strip().splitlines()
+        raise InputError(f"the film could not be encoded: {lines[-1] if lines else 'the encoder failed'}")
 
 
 def _write_gif(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
     from PIL import Image  # matplotlib needs it too
 
-    # One palette for the whole film, from its beginning and the colours of the picture: what stands still stays the
-    # same pixels, which keeps the file small and free of flicker.
+    # One palette for the whole film, from its beginning and the colours of the picture: what stands still
+    # keeps its pixels, so the file is small and free of flicker.
     opening = list(itertools.islice(frames, 64))
     samples = opening[:: max(1, len(opening) // 8)]
     ramps = [

@@ -1,0 +1,392 @@
+"""The picture: what moves does so in the right direction, by the right amount, and hides no word."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from isd_gym import rendering
+from isd_gym.errors import InputError
+from isd_gym.rendering import Renderer, Snapshot, write_video
+
+pygame = rendering._pygame()
+LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals
+PIXELS_PER_METRE = (
+    6.0 * 38.0 / 0.32
+)  # at 640x400, exaggerated six times: the wheel's 0.32 m are drawn as 38 px
+FLOOR = 400 - 58  # row of a flat road at 640x400
+
+
+def snapshot(**changes: Any) -> Snapshot:
+    base: dict[str, Any] = {
+        "time": 0.0, "body": 0.0, "wheel": 0.0, "piston": 0.0, "joint": 0.0,
+        "road_profile": np.zeros(201), "road_step": 0.05, "speed": 20.0,
+        "current": 0.0, "current_limit": 5.0, "body_acceleration": 0.0, "suspension_travel": 0.0,
+        "tyre_load": 0.0, "static_tyre_load": 3826.0, "device_travel_limit": LIMIT,
+        "cost": 0.9, "label": "MPC",
+    }  # fmt: skip
+    return Snapshot(**{**base, **changes})
+
+
+def passive(**changes: Any) -> Snapshot:
+    nothing = {"piston": None, "joint": None, "current_limit": None, "device_travel_limit": None}
+    return snapshot(**{**nothing, "label": "passive", **changes})
+
+
+def frame(*shots: Snapshot, width: int = 640, height: int = 400) -> np.ndarray:
+    picture = Renderer("rgb_array", width=width, height=height, cars=len(shots)).draw(*shots)
+    assert picture is not None
+    return picture
+
+
+def where(
+    picture: np.ndarray, colour: tuple[int, int, int], tolerance: int = 6
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels of (nearly) this colour."""
+    rows, columns = np.nonzero((np.abs(picture.astype(int) - colour) <= tolerance).all(axis=2))
+    return rows, columns
+
+
+def scene(picture: np.ndarray) -> np.ndarray:
+    """The part of a single car's 640x400 picture that is not the panel."""
+    return picture[:, :371]
+
+
+def body_top(picture: np.ndarray) -> int:
+    return int(where(picture, rendering.BLUE)[0].min())
+
+
+@pytest.mark.parametrize(("cars", "width", "height"), [(1, 640, 400), (2, 960, 600), (1, 721, 455)])
+def test_a_frame_has_the_size_that_was_asked_for(cars: int, width: int, height: int) -> None:
+    picture = frame(*[snapshot()] * cars, width=width, height=height)
+    assert picture.shape == (height, width, 3)
+    assert picture.dtype == np.uint8
+    picture[0, 0] = 0  # it belongs to the caller
+
+
+def test_the_body_moves_up_by_the_stated_factor() -> None:
+    rise = 0.02
+    still, risen = frame(snapshot()), frame(snapshot(body=rise, piston=rise))
+    moved = body_top(scene(still)) - body_top(scene(risen))
+    assert moved == pytest.approx(rise * PIXELS_PER_METRE, abs=1.0)
+
+
+def test_a_road_that_rises_under_everything_changes_nothing() -> None:
+    """Only displacements against the road at large are seen, so a long climb does not leave the picture."""
+    high = 3.0
+    lifted = snapshot(body=high, wheel=high, piston=high, joint=high, road_profile=np.full(201, high))
+    assert np.array_equal(frame(lifted), frame(snapshot()))
+
+
+def test_the_picture_widens_its_scale_before_the_body_leaves_it() -> None:
+    far = 0.4
+    top = body_top(scene(frame(snapshot(body=far, piston=far, joint=far))))
+    assert 0 <= top < body_top(scene(frame(snapshot())))
+    deep = frame(snapshot(body=-far, piston=-far, joint=-far))
+    assert body_top(scene(deep)) > body_top(scene(frame(snapshot())))
+
+
+def test_the_scale_stays_wide_until_the_time_begins_anew() -> None:
+    renderer = Renderer("rgb_array", width=640, height=400)
+    fresh = renderer.draw(snapshot())
+    renderer.draw(snapshot(time=0.1, body=0.2, piston=0.2, joint=0.2))
+    later = renderer.draw(snapshot(time=0.2, body=0.02, piston=0.02))
+    again = renderer.draw(snapshot())
+    assert fresh is not None and later is not None and again is not None
+    rise = body_top(scene(fresh)) - body_top(scene(later))
+    assert 0 < rise < 0.5 * 0.02 * PIXELS_PER_METRE
+    assert np.array_equal(again, fresh)
+
+
+def test_two_cars_share_the_scale() -> None:
+    calm = passive(body=0.02)
+    wild = passive(body=0.15)
+    alone, beside = frame(calm, calm), frame(calm, wild)
+    half = alone.shape[1] * 3 // 10
+    assert body_top(beside[:, :half]) > body_top(alone[:, :half])
+
+
+def arrows(picture: np.ndarray, colour: tuple[int, int, int]) -> list[int]:
+    """Widths of the thrust arrows, row by row from the uppermost, beside the main cylinder."""
+    column = scene(picture)[:, 150:172]
+    rows, _ = where(column, colour)
+    return [int((rows == row).sum()) for row in np.unique(rows)]
+
+
+def test_thrust_arrows_show_direction_and_size() -> None:
+    """Positive current is tension (F1 of equation 6): it pulls the terminals together, heads face to face."""
+    pull = arrows(frame(snapshot(current=5.0)), rendering.PULL)
+    push = arrows(frame(snapshot(current=-5.0)), rendering.PUSH)
+    weak = arrows(frame(snapshot(current=1.0)), rendering.PULL)
+    assert arrows(frame(snapshot(current=-5.0)), rendering.PULL) == []
+    assert arrows(frame(snapshot(current=0.0)), rendering.PULL) == []
+    assert len(weak) < 0.6 * len(pull)
+    half = len(pull) // 2
+    # The head is the widest part of an arrow; in the upper one it is below the shaft when the motor pulls.
+    assert int(np.argmax(pull[:half])) > half / 2
+    assert int(np.argmax(push[: len(push) // 2])) < len(push) / 4
+
+
+def test_the_current_bar_points_to_its_side() -> None:
+    for current, colour, side in ((4.0, rendering.PULL, 1), (-4.0, rendering.PUSH, -1)):
+        _, columns = where(frame(snapshot(current=current))[48:64, 372:], colour)
+        middle = (14 + 254) / 2  # of the panel
+        assert side * (columns.mean() - middle) == pytest.approx(0.4 * 120, abs=4)
+        assert np.ptp(columns) == pytest.approx(0.8 * 120, abs=4)
+
+
+def test_a_stop_that_is_hit_is_marked_on_its_side() -> None:
+    assert where(frame(snapshot(joint=0.01)), rendering.VERMILLION)[1].size == 0
+    for travel in (-LIMIT, LIMIT):
+        picture = frame(snapshot(joint=-travel, suspension_travel=0.0))[:, :300]
+        rows, columns = where(picture, rendering.VERMILLION)
+        stop = columns[rows < rows.min() + 15]  # the stop stands above the gauge's words
+        assert (stop.mean() > 186 + 24 + 34) == (travel > 0)
+        assert np.ptp(stop) < 8
+
+
+def test_the_tyre_squashes_and_lifts() -> None:
+    def rubber(shot: Snapshot) -> int:
+        """Height [px] of the tyre between rim and road, with the line of the road."""
+        return int((frame(shot)[FLOOR - 15 : FLOOR + 6, 186].sum(axis=1) < 3 * 75).sum())
+
+    # In contact, tyre and road line are one dark piece; off the road, the sky shows between them.
+    def pieces(shot: Snapshot) -> int:
+        dark = frame(shot)[FLOOR - 15 : FLOOR + 6, 186].sum(axis=1) < 3 * 75
+        return int(np.count_nonzero(np.diff(dark.astype(int)) == 1) + dark[0])
+
+    lift = 0.025
+    hop = {"wheel": lift, "joint": lift, "piston": lift, "body": lift}
+    assert pieces(snapshot()) == 1
+    assert pieces(snapshot(**hop, tyre_load=-2000.0)) == 1
+    assert pieces(snapshot(**hop, tyre_load=-3900.0)) == 2
+    squashed = snapshot(wheel=-0.01, joint=-0.01, tyre_load=1920.0)
+    assert rubber(snapshot()) - rubber(squashed) == pytest.approx(0.01 * PIXELS_PER_METRE, abs=1.5)
+
+
+def test_the_ground_passes_with_the_speed() -> None:
+    step = 0.035  # [s]: 0.7 m at 20 m/s, 28 px
+    before, after = (frame(snapshot(time=t))[FLOOR + 10, :371] for t in (1.0, 1.0 + step))
+    moved = np.abs(after[10:300].astype(int) - before[10 + 28 : 300 + 28]).max()
+    unmoved = np.abs(after[10:300].astype(int) - before[10:300]).max()
+    assert moved <= 12 < unmoved
+
+
+def test_the_road_ahead_is_at_the_right() -> None:
+    road = np.zeros(201)
+    road[140:160] = 0.02  # 2 to 3 m ahead: 80 to 120 px to the right of the wheel at 186
+    dark = frame(snapshot(road_profile=road))[:, :371].sum(axis=2) < 3 * 75
+    surface = np.array([np.nonzero(dark[250:, x])[0].max() for x in range(371)])
+    raised = np.nonzero(surface < np.median(surface) - 8)[0]
+    assert raised.min() == pytest.approx(186 + 80, abs=4)
+    assert raised.max() == pytest.approx(186 + 120, abs=4)
+
+
+def test_curves_are_where_the_values_are() -> None:
+    renderer = Renderer("rgb_array", width=640, height=400)
+    for k in range(101):
+        picture = renderer.draw(snapshot(time=0.02 * k, body_acceleration=2.0, suspension_travel=-0.02))
+    assert picture is not None
+    rows, columns = where(picture[:, 420:], rendering.BLUE, 40)
+    upper, lower = rows[(rows > 130) & (rows < 240)], rows[rows > 260]
+    grid = np.nonzero((picture[:, 430] == picture[150, 430]).all(axis=1))[0]
+    top, foot = grid[grid < 245].min(), grid[grid < 245].max()
+    assert (upper.mean() - top) / (foot - top) == pytest.approx(1 / 6, abs=0.02)  # +2 in a range of -3 to 3
+    top, foot = grid[grid > 255].min(), grid[grid > 255].max()
+    assert (lower.mean() - top) / (foot - top) == pytest.approx(
+        5 / 6, abs=0.02
+    )  # -20 mm in a range of -30 to 30
+    assert columns[rows > 260].min() + 420 == pytest.approx(626 - 107, abs=4)  # two of four seconds
+
+
+@pytest.mark.parametrize("size", [(640, 400), (960, 600), (1280, 500), (700, 800)])
+@pytest.mark.parametrize("cars", [1, 2])
+def test_words_never_touch_nor_leave_the_picture(
+    size: tuple[int, int], cars: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed: list[Any] = []
+    finish = rendering._Canvas.finish
+
+    def remember(canvas: Any) -> None:
+        placed[:] = [surface.get_rect(topleft=place) for surface, place in canvas._texts]
+        finish(canvas)
+
+    monkeypatch.setattr(rendering._Canvas, "finish", remember)
+    long = "friction-aware MPC, horizon 20, with road preview"
+    poses = [
+        snapshot(label=long, time=999.99, cost=12.345, current=-4.44, body_acceleration=-12.0),
+        snapshot(label=long, time=999.99, joint=LIMIT, wheel=-0.015, tyre_load=-12345.0, cost=0.1),
+        snapshot(time=999.99, joint=-LIMIT, wheel=0.012, current=5.0, body_acceleration=28.0, speed=100.0),
+        snapshot(piston=None), passive(cost=804.86, suspension_travel=-0.5),
+    ]  # fmt: skip
+    for pose in poses:
+        frame(*[pose] * cars, width=size[0], height=size[1])
+        assert len(placed) > 15
+        box = pygame.Rect((0, 0), size)
+        assert all(box.contains(words) for words in placed)
+        # The boxes of the letters' full height may graze each other; the words themselves then do not.
+        tight = [words.inflate(0, -0.3 * words.height) for words in placed]
+        assert not [pair for pair in itertools.combinations(tight, 2) if pair[0].colliderect(pair[1])]
+
+
+def test_a_renderer_says_what_it_cannot_do() -> None:
+    for arguments, words in (
+        ({"mode": "ansi"}, "human"),
+        ({"cars": 3}, "cars"),
+        ({"width": 320, "height": 200}, "too small"),
+        ({"fps": 0.0}, "fps"),
+    ):
+        with pytest.raises(InputError, match=words):
+            Renderer(**{"mode": "rgb_array", **arguments})  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="draws 1 car"):
+        Renderer("rgb_array").draw(snapshot(), snapshot())
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("body", np.nan), ("current", np.inf), ("road_step", 0.0), ("current_limit", -5.0),
+     ("road_profile", np.zeros((2, 2))), ("road_profile", np.array([0.0, np.nan])), ("joint", None)],
+)  # fmt: skip
+def test_a_bad_snapshot_names_its_field(field: str, value: Any) -> None:
+    with pytest.raises(InputError, match=field) as caught:
+        snapshot(**{field: value})
+    assert "\n" not in str(caught.value)
+
+
+def test_without_pygame_the_answer_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(InputError) as caught:
+        Renderer("rgb_array")
+    assert str(caught.value) == 'drawing needs pygame: pip install "isd-gym[render]"'
+
+
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="a display is told by the environment on Linux"
+)
+def test_without_a_display_the_answer_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match="no display; use render_mode='rgb_array'"):
+        Renderer("human")
+    monkeypatch.setenv("DISPLAY", ":987")  # set, and nothing behind it
+    monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
+    with pytest.raises(InputError, match="cannot open a window") as caught:
+        Renderer("human")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_window_keeps_pace_and_can_be_shut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    painted: list[float] = []
+    paint = Renderer._paint
+
+    def count(renderer: Renderer, shots: tuple[Snapshot, ...]) -> None:
+        painted.append(shots[0].time)
+        paint(renderer, shots)
+
+    monkeypatch.setattr(Renderer, "_paint", count)
+    renderer = Renderer("human", width=640, height=400, fps=50)
+    for k in range(25):
+        assert renderer.draw(snapshot(time=0.005 * k)) is None
+    assert painted == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12])
+    assert not renderer.closed
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    renderer.draw(snapshot(time=0.2))
+    assert renderer.closed
+    assert renderer.draw(snapshot(time=0.3)) is None
+    assert len(painted) == 8
+    renderer.close()
+
+
+def film(count: int = 5, height: int = 64, width: int = 96) -> list[np.ndarray]:
+    frames = [np.full((height, width, 3), 230, np.uint8) for _ in range(count)]
+    for k, picture in enumerate(frames):
+        picture[:, 10 * k : 10 * k + 10] = rendering.VERMILLION
+    return frames
+
+
+@pytest.mark.parametrize("shape", [(64, 96), (65, 97)])
+def test_an_mp4_holds_the_frames(tmp_path: Path, shape: tuple[int, int]) -> None:
+    encoder = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    path = tmp_path / "car.mp4"
+    frames = film(6, *shape)
+    write_video(path, iter(frames), 25)
+    command = [encoder, "-loglevel", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    raw = subprocess.run(command, capture_output=True, check=True).stdout
+    back = np.frombuffer(raw, np.uint8).reshape(6, shape[0] + shape[0] % 2, shape[1] + shape[1] % 2, 3)
+    assert np.abs(back[:, : shape[0], : shape[1]].astype(int) - frames).mean() < 10
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_gif_holds_the_frames_and_their_time(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    path = tmp_path / "car.gif"
+    frames = film(7)
+    write_video(path, iter(frames), 30)
+    duration = 0
+    with image.open(path) as read:
+        assert read.n_frames == 7
+        for k in range(7):
+            read.seek(k)
+            duration += read.info["duration"]
+            assert np.abs(np.asarray(read.convert("RGB")).astype(int) - frames[k]).max() < 30
+    assert duration == pytest.approx(1000 * 7 / 30, abs=10)
+
+
+def test_a_film_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
+    def breaks() -> Any:
+        yield from film(3)
+        raise KeyboardInterrupt
+
+    for name in ("car.gif", "car.mp4"):
+        (tmp_path / name).write_text("older")
+        with pytest.raises(KeyboardInterrupt):
+            write_video(tmp_path / name, breaks(), 25)
+        assert (tmp_path / name).read_text() == "older"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_film_that_cannot_be_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = film(2)
+    for name, pictures, fps, words in (
+        ("car.avi", frames, 25, "end the name in .mp4 or .gif"),
+        ("car.gif", [], 25, "no frames"),
+        ("car.mp4", [], 25, "no frames"),
+        ("car.gif", frames, 60, "50 frames per second"),
+        ("car.mp4", frames, -1, "fps"),
+        ("car.gif", [frames[0], frames[1][:-1]], 25, "frame 1"),
+        ("car.gif", [frames[0].astype(float)], 25, "frame 0"),
+        ("no/car.gif", frames, 25, "no folder"),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            write_video(tmp_path / name, pictures, fps)
+        assert "\n" not in str(caught.value)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError) as caught:
+        write_video(tmp_path / "car.mp4", frames, 25)
+    assert str(caught.value) == 'writing an MP4 needs imageio-ffmpeg: pip install "isd-gym[render]"'
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_time_may_start_anywhere_and_the_plots_forget() -> None:
+    renderer = Renderer("rgb_array", width=640, height=400)
+    start = snapshot(time=100.0)
+    first = renderer.draw(start)
+    renderer.draw(replace(start, time=101.0, body_acceleration=2.5))
+    for time in (110.0, 110.02):
+        last = renderer.draw(replace(start, time=time))
+    assert first is not None and last is not None
+    curve = last[134:244, 412:626]
+    assert where(curve, rendering.BLUE, 40)[1].size > 0
+    assert (
+        where(curve[: len(curve) // 3], rendering.BLUE, 40)[1].size == 0
+    )  # the peak of nine seconds ago is gone
