@@ -13,9 +13,9 @@ Coulomb's law, and no velocity is regularised, so a stuck contact does not creep
 instants of sticking and slipping as events, the stuck contact's force being a Lagrange multiplier.
 
 Sign of forces, inputs and outputs: DESIGN section 4. Displacement and force inputs are linear between
-samples, currents are held (zero order). Where inertia acts on a moved node, its motion is the cubic spline of
-the samples, or the quintic Hermite spline of displacement, velocity and acceleration where `derivatives` has
-them.
+samples, currents are held (zero order) and were zero before the record. Where inertia acts on a moved node,
+its motion is the cubic spline of the samples, or the quintic Hermite spline of displacement, velocity and
+acceleration where `derivatives` has them.
 """
 
 from __future__ import annotations
@@ -415,7 +415,7 @@ def _integrate(
     rhs, V1, q, da, f, z1 = np.zeros(n), np.zeros(n), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
     J, r, drive = np.zeros((m, m)), np.zeros(m), np.zeros(n)
     w, wv, wa = np.zeros(p), np.zeros(p), np.zeros(p)
-    lagged = current[:, 0].copy()
+    lagged = np.zeros(q_motor)
     v_old = v.copy()
     failures = 0
     steps = (samples - 1) * per_sample
@@ -443,7 +443,7 @@ def _integrate(
                 drive[push_at[j]] += value
             for j in range(q_motor):
                 at = step - 1 - int(motor[j, 0])
-                command = current[j, at // per_sample] if at >= 0 else current[j, 0]
+                command = current[j, at // per_sample] if at >= 0 else 0.0
                 actual = command + (lagged[j] - command) * (motor[j, 1] if s == 0 else motor[j, 2])
                 if s == 1:
                     lagged[j] = actual
@@ -704,13 +704,13 @@ def _actual_current(command: Array, motor: list[float], h: float, since: Array) 
     delay, _, decay, limit = motor
     per_sample = round((since[-1] - since[-2]) / h)
     actual = np.empty(len(since))
-    value, at = command[0], 0
+    value, at = command[0] if delay == 0 and decay == 0 else 0.0, 0
     for k, target in enumerate(np.round(since / h).astype(int)):
         while at < target:
             source = at - int(delay)
             # as far as the command stays the same
             span = min(target - at, per_sample - source % per_sample)
-            held = command[max(source, 0) // per_sample]
+            held = command[source // per_sample] if source >= 0 else 0.0
             value = held + (value - held) * decay**span
             at += span
         actual[k] = value

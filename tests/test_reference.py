@@ -1,0 +1,331 @@
+"""The reference simulator: analytic limits, convergence, its two integrators against each other, energy."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import reference
+from numpy.typing import NDArray
+from reference import simulate, simulate_events, trajectories
+
+Array = NDArray[Any]
+
+
+def element(name: str, kind: str, first: str, second: str, **parameters: Any) -> dict[str, Any]:
+    return {"name": name, "type": kind, "between": [first, second], **parameters}
+
+
+def model(masses: dict[str, float], *elements: Any, inputs: Any = (), outputs: Any = ()) -> dict[str, Any]:
+    return {"masses": masses, "elements": list(elements), "inputs": list(inputs), "outputs": list(outputs)}
+
+
+def moved(node: str, name: str = "motion") -> dict[str, str]:
+    return {"name": name, "quantity": "displacement", "at": node, "unit": "m"}
+
+
+def out(quantity: str, **where: Any) -> dict[str, Any]:
+    return {"name": quantity, "quantity": quantity, **where}
+
+
+def gap(measured: Array, true: Array) -> float:
+    return float(np.sqrt(np.mean((measured - true) ** 2)) / np.std(true))
+
+
+def car(*extra: Any, seal: float = 500.0) -> dict[str, Any]:
+    return model(
+        {"body": 345.0, "wheel": 45.0},
+        element("main_spring", "linear_stiffness", "body", "wheel", stiffness=22000.0),
+        element("tyre", "linear_stiffness", "wheel", "road", stiffness=192000.0),
+        element("oil", "linear_stiffness", "body", "piston", stiffness=709000.0),
+        element("inerter", "inertance", "piston", "joint", inertance=95.0),
+        element("leak", "linear_damping", "piston", "joint", damping=1293.0),
+        element("seal", "coulomb_friction", "piston", "joint", level=seal),
+        element("motor", "motor", "piston", "joint", thrust_constant=60.0, ratio=4.056),
+        element("damper", "linear_damping", "joint", "wheel", damping=1500.0),
+        *extra,
+        inputs=[
+            moved("road", "road"),
+            {"name": "current", "quantity": "current", "element": "motor", "unit": "A"},
+        ],
+        outputs=[
+            out("acceleration", at="body"),
+            {"name": "travel", "quantity": "displacement", "between": ["body", "wheel"]},
+            {"name": "tyre_force", "quantity": "force", "element": "tyre"},
+            {"name": "device_speed", "quantity": "velocity", "between": ["piston", "joint"]},
+            {"name": "device_travel", "quantity": "displacement", "between": ["piston", "joint"]},
+        ],
+    )
+
+
+def drive(
+    duration: float, interval: float, size: float = 1.0
+) -> tuple[Array, dict[str, Array], dict[str, Any]]:
+    """A road of sines with its derivatives, and a current in steps: the device both sticks and slides."""
+    t = np.arange(round(duration / interval) + 1) * interval
+    x, v, a = np.zeros((3, len(t)))
+    for f, level, phase in ((1.3, 0.02, 0.0), (3.1, 0.01, 2.0), (9.0, 0.004, 0.5)):
+        w = 2 * np.pi * f
+        x += size * level * np.sin(w * t + phase)
+        v += size * level * w * np.cos(w * t + phase)
+        a -= size * level * w**2 * np.sin(w * t + phase)
+    steps = np.random.default_rng(7).uniform(-4, 4, len(t))
+    current = steps[(np.arange(len(t)) // round(0.1 / interval))]
+    return t, {"road": x, "current": size * current}, {"road": (v, a)}
+
+
+def test_shares_nothing_with_the_package() -> None:
+    tree = ast.parse(Path(reference.__file__).read_text())
+    names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    names |= {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    assert names and not any(name.split(".")[0] in ("isd_gym", "baselines", "agents") for name in names)
+
+
+def test_free_decay_of_one_mass_is_the_damped_oscillation() -> None:
+    m, c, k = 3.0, 2.0, 500.0
+    rig = model(
+        {"m": m},
+        element("k", "linear_stiffness", "m", "ground", stiffness=k),
+        element("c", "linear_damping", "m", "ground", damping=c),
+        outputs=[out("displacement", at="m"), out("velocity", at="m"), out("acceleration", at="m")],
+    )
+    t = np.arange(2001) * 1e-3
+    y = simulate(rig, t, {}, initial={"m": (0.02, 0.3)})
+    decay, w = c / (2 * m), np.sqrt(k / m - (c / (2 * m)) ** 2)
+    b = (0.3 + decay * 0.02) / w
+    x = np.exp(-decay * t) * (0.02 * np.cos(w * t) + b * np.sin(w * t))
+    np.testing.assert_allclose(y["displacement"], x, atol=2e-9)
+    np.testing.assert_allclose(y["acceleration"], -(c * y["velocity"] + k * x) / m, atol=1e-6)
+
+
+def test_coulomb_friction_takes_four_levels_over_stiffness_each_cycle() -> None:
+    m, k, level, start = 2.0, 800.0, 1.5, 0.05
+    rig = model(
+        {"m": m},
+        element("k", "linear_stiffness", "m", "ground", stiffness=k),
+        element("f", "coulomb_friction", "m", "ground", level=level),
+        outputs=[out("displacement", at="m"), {"name": "friction", "quantity": "force", "element": "f"}],
+    )
+    period = 2 * np.pi * np.sqrt(m / k)
+    cycles = 9  # at rest after start / (4 level / k) = 6.67 cycles
+    y = simulate(rig, np.arange(cycles + 1) * period, {}, initial={"m": (start, 0.0)})
+    expected = start - 4 * level / k * np.arange(7)
+    np.testing.assert_allclose(y["displacement"][:7], expected, atol=2e-6)
+    # A half cycle more ends within the band where the spring cannot break the contact loose; there it stays.
+    resting = -(expected[-1] - 2 * level / k)
+    np.testing.assert_allclose(y["displacement"][7:], resting, atol=2e-6)
+    np.testing.assert_allclose(y["friction"][8:], -k * resting, rtol=2e-3)
+
+
+def test_massless_nodes_are_first_order_with_a_damper_and_algebraic_without() -> None:
+    k, c = 4000.0, 50.0
+    relax = model(
+        {},
+        element("k", "linear_stiffness", "top", "mid", stiffness=k),
+        element("c", "linear_damping", "mid", "ground", damping=c),
+        inputs=[moved("top")],
+        outputs=[{"name": "force", "quantity": "force", "at": "top"}],
+    )
+    t = np.arange(501) * 1e-3
+    y = simulate(relax, t, {"motion": 0.2 * t})  # a ramp: the force creeps up to c times the speed
+    np.testing.assert_allclose(y["force"], c * 0.2 * (1 - np.exp(-k / c * t)), atol=1e-5)
+    springs = model(
+        {},
+        element("a", "linear_stiffness", "top", "mid", stiffness=k),
+        element("b", "series_compliance", "mid", "ground", stiffness=3 * k),
+        inputs=[moved("top")],
+        outputs=[{"name": "force", "quantity": "force", "at": "top"}, out("displacement", at="mid")],
+    )
+    x = 0.01 * np.cos(20 * t)
+    y = simulate(springs, t, {"motion": x})
+    np.testing.assert_allclose(y["force"], 0.75 * k * x, rtol=1e-9)
+    np.testing.assert_allclose(y["displacement"], 0.25 * x, rtol=1e-9)
+
+
+def test_load_cell_of_a_fully_prescribed_rig_reads_equation_6() -> None:
+    t, inputs, derivatives = drive(1.0, 2e-3)
+    b, f, k, c, mass = 95.0, 500.0, 709e3, 1293.0, 20.0
+    laws = (
+        element("b", "inertance", "top", "ground", inertance=b),
+        element("n", "terminal_inertia", "ground", "top", mass=mass),  # its second terminal is what moves
+        element("k", "linear_stiffness", "top", "ground", stiffness=k),
+        element("c", "linear_damping", "ground", "top", damping=c),
+        element("f", "coulomb_friction", "top", "ground", level=f),
+    )
+    rig = model({}, *laws, inputs=[moved("top")], outputs=[{"name": "F", "quantity": "force", "at": "top"}])
+    x, (v, a) = inputs["road"], derivatives["road"]
+    y = simulate(rig, t, {"motion": x}, derivatives={"motion": (v, a)})["F"]
+    expected = (b - mass) * a + f * np.sign(v) + k * x + c * v
+    assert np.abs(y - expected)[np.abs(v) > 1e-3].max() < 1e-3
+    # Without the derivatives, inertia works on the spline of the samples.
+    y = simulate(rig, t, {"motion": x})["F"]
+    inner = (np.abs(v) > 1e-2) & (t > 0.05) & (t < 0.95)
+    assert np.abs(y - expected)[inner].max() < 2e-4 * np.abs(expected).max()
+
+
+def test_slow_triangle_through_the_oil_spring_is_the_square_wave_of_figure_6() -> None:
+    rig = model(
+        {},
+        element("oil", "linear_stiffness", "top", "piston", stiffness=709e3),
+        element("inerter", "inertance", "piston", "ground", inertance=95.0),
+        element("leak", "linear_damping", "piston", "ground", damping=1293.0),
+        element("seal", "coulomb_friction", "piston", "ground", level=500.0),
+        inputs=[moved("top")],
+        outputs=[{"name": "force", "quantity": "force", "at": "top"}],
+    )
+    t = np.arange(5001) * 2e-3
+    x = np.interp(t, [0.0, 2.5, 7.5, 10.0], [0.0, 0.01, -0.01, 0.0])
+    force = simulate(rig, t, {"motion": x}, step=2e-5)["force"]
+    level = 500.0 + 1293.0 * 0.004
+    assert np.median(force[(t > 1) & (t < 2.4)]) == pytest.approx(level, rel=1e-3)
+    assert np.median(force[(t > 4) & (t < 7.4)]) == pytest.approx(-level, rel=1e-3)
+
+
+def test_lag_delay_saturation_and_sensors() -> None:
+    effects = [
+        {"type": "actuator_delay", "element": "motor", "delay": 0.012},
+        {"type": "actuator_lag", "element": "motor", "time_constant": 0.03},
+        {"type": "thrust_saturation", "element": "motor", "current": 4.0},
+        {"type": "sensor_gain", "channel": "late", "gain": 1.1},
+        {"type": "sensor_bias", "channel": "late", "bias": 5.0},
+        {"type": "sensor_delay", "channel": "late", "delay": 0.0143},
+    ]
+    rig = model(
+        {"m": 10.0},
+        element("motor", "motor", "m", "ground", thrust_constant=20.0, ratio=2.0),
+        *effects,
+        inputs=[{"name": "current", "quantity": "current", "element": "motor"}],
+        outputs=[{"name": n, "quantity": "force", "element": "motor"} for n in ("force", "late")]
+        + [out("acceleration", at="m"), out("velocity", at="m")],
+    )
+    t = np.arange(200) * 2e-3
+    y = simulate(rig, t, {"current": np.full(len(t), 6.0)})
+
+    def thrust(s: Array) -> Array:
+        return 40.0 * 4.0 * np.tanh(6.0 * (1 - np.exp(-np.maximum(s - 0.012, 0.0) / 0.03)) / 4.0)
+
+    np.testing.assert_allclose(y["force"], thrust(t), atol=1e-6)
+    np.testing.assert_allclose(y["late"], 1.1 * thrust(t - 0.0143) + 5.0, atol=1e-6)
+    np.testing.assert_allclose(y["acceleration"], -thrust(t) / 10.0, atol=1e-6)
+    fine = np.linspace(0, t[-1], 40001)
+    assert y["velocity"][-1] == pytest.approx(-np.trapezoid(thrust(fine), fine) / 10.0, rel=1e-6)
+
+
+def test_order_is_two_where_all_is_smooth() -> None:
+    t, inputs, derivatives = drive(0.5, 5e-3)
+    rig = car(
+        element("cubic", "cubic_stiffness", "body", "wheel", stiffness=1e7),
+        element(
+            "hysteresis", "hysteresis", "joint", "wheel", level=200.0, stiffness=5e4, shape=0.5, exponent=2.0
+        ),
+        element("cogging", "cogging_force", "piston", "joint", amplitude=80.0, pitch=0.0059, phase=1.0),
+        element("gas", "gas_spring", "body", "wheel", force=1500.0, length=0.15, exponent=1.3),
+        element("n", "terminal_inertia", "piston", "joint", mass=22.7),
+        seal=0.0,
+    )
+    rig["elements"].append({"type": "thrust_saturation", "element": "motor", "current": 4.0})
+    runs = [simulate(rig, t, inputs, derivatives=derivatives, step=5e-3 / n) for n in (20, 40, 80, 800)]
+    for channel in ("acceleration", "travel", "tyre_force"):
+        errors = [gap(run[channel], runs[-1][channel]) for run in runs[:3]]
+        orders = np.log2(np.divide(errors[:2], errors[1:]))
+        assert np.all((orders > 1.8) & (orders < 2.3)), (channel, errors)
+
+
+def test_step_halving_converges_through_stick_and_slip() -> None:
+    t, inputs, derivatives = drive(3.0, 2e-3)
+    runs = [
+        simulate(car(), t, inputs, derivatives=derivatives, step=step) for step in (4e-5, 2e-5, 1e-5, 2.5e-6)
+    ]
+    for channel in runs[0]:
+        errors = [gap(run[channel], runs[-1][channel]) for run in runs[:3]]
+        assert errors[2] < 1e-4 and errors[2] < 0.5 * errors[0], (channel, errors)
+
+
+EXTRAS = [
+    None,
+    element("x", "coulomb_friction", "joint", "wheel", level=80.0),
+    element(
+        "x", "stribeck_friction", "body", "wheel", level=80.0, static_level=150.0, stribeck_velocity=0.03
+    ),
+    element(
+        "x", "bump_stop", "body", "wheel", clearance=0.005, stiffness=1e5, damping=100.0, side="compression"
+    ),
+    element("x", "tyre_lift_off", "wheel", "road", stiffness=192e3, load=500.0),
+]
+
+
+@pytest.mark.parametrize("extra", EXTRAS, ids=lambda e: e["type"] if e else "car")
+def test_two_integrators_agree_sticking_and_sliding(extra: dict[str, Any] | None) -> None:
+    rig = car(*([extra] if extra else []))
+    t, inputs, derivatives = drive(0.4, 5e-3, size=0.6)
+    fast = simulate(rig, t, inputs, derivatives=derivatives)
+    slow = simulate_events(rig, t, inputs, derivatives=derivatives)
+    stuck = np.mean(np.abs(slow["device_speed"]) < 1e-6)
+    assert 0.1 < stuck < 0.9
+    for channel in fast:
+        assert gap(fast[channel], slow[channel]) < 1e-3, channel
+
+
+def test_backlash_in_series_is_a_dead_zone_then_a_spring() -> None:
+    rig = model(
+        {},
+        element("play", "backlash", "top", "mid", gap=0.004, stiffness=1e6),
+        element("spring", "linear_stiffness", "mid", "ground", stiffness=2e4),
+        inputs=[moved("top")],
+        outputs=[{"name": "force", "quantity": "force", "at": "top"}],
+    )
+    t = np.arange(400) * 1e-3
+    x = 0.01 * np.sin(12 * t)
+    force = simulate(rig, t, {"motion": x}, step=1e-4)["force"]
+    stiffness = 1 / (1 / 1e6 + 1 / 2e4)
+    expected = stiffness * (x - np.clip(x, -0.002, 0.002))
+    np.testing.assert_allclose(force, expected, atol=1e-6)
+
+
+def test_energy_put_in_is_stored_or_dissipated() -> None:
+    t, inputs, _ = drive(2.0, 2e-4)
+    x = inputs["road"] - inputs["road"][0]
+    rig = car(
+        element("stop", "bump_stop", "piston", "joint", clearance=0.008, stiffness=1e6),
+        element("strut", "coulomb_friction", "body", "wheel", level=60.0),
+        element("cubic", "cubic_stiffness", "body", "wheel", stiffness=1e7),
+    )
+    run = trajectories(rig, t, {"road": x, "current": inputs["current"]})[0]
+    ends = {e["name"]: e["between"] for e in rig["elements"]}
+
+    def across(name: str, what: dict[str, Array]) -> Array:
+        first, second = ends[name]
+        return what[first] - what[second]
+
+    def work(power: Array) -> float:
+        return float(np.trapezoid(power, t))
+
+    def absorbed(name: str) -> float:
+        return work(run.force[name] * across(name, run.velocity))
+
+    into = work(run.load["road"] * run.velocity["road"]) - absorbed("motor")
+    lost = sum(absorbed(name) for name in ("leak", "seal", "damper", "strut"))
+    d = across("cubic", run.displacement)[-1]
+    over = max(abs(across("stop", run.displacement)[-1]) - 0.008, 0.0)
+    stored = 0.5 * (345.0 * run.velocity["body"][-1] ** 2 + 45.0 * run.velocity["wheel"][-1] ** 2)
+    stored += 0.5 * 95.0 * across("inerter", run.velocity)[-1] ** 2 + 0.25 * 1e7 * d**4 + 0.5 * 1e6 * over**2
+    for name, k in (("main_spring", 22e3), ("tyre", 192e3), ("oil", 709e3)):
+        stored += 0.5 * k * across(name, run.displacement)[-1] ** 2
+    assert np.abs(run.force["stop"]).max() > 100.0  # the stop took part
+    assert lost > 10.0
+    assert into == pytest.approx(stored + lost, rel=1e-3)
+
+
+def test_bad_models_and_data_are_refused() -> None:
+    t = np.arange(10) * 1e-3
+    with pytest.raises(ValueError, match="unknown type 'rope'"):
+        simulate(model({"m": 1.0}, element("e", "rope", "m", "ground")), t, {})
+    with pytest.raises(ValueError, match="not determine"):
+        simulate(model({"m": 1.0}, element("e", "coulomb_friction", "m", "loose", level=1.0)), t, {})
+    with pytest.raises(ValueError, match="no data for input 'road'"):
+        simulate(car(), t, {"current": np.zeros(10)})
+    with pytest.raises(ValueError, match="not uniform"):
+        simulate(car(), t**2, {})
