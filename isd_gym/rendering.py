@@ -126,9 +126,9 @@ class Renderer:
     simulated second enter the plots but are not painted, so a 5 ms control loop may call it at every step.
     `closed` turns True when the viewer shuts the window (its button, Escape or q).
 
-    The scales stand still while time runs and only ever widen, when the motion leaves them; a snapshot earlier
-    than the last one starts afresh. Raises `InputError` where pygame is missing, where a window finds no
-    display, and for a size [px] below 640x400.
+    The scales stand still while time runs and only ever widen, when the motion leaves them; a snapshot that
+    is earlier than the last one starts afresh. Raises `InputError` where pygame is missing, where a window
+    finds no display, and for a size [px] below 640x400.
     """
 
     def __init__(

@@ -152,6 +152,35 @@ def test_a_stop_that_is_hit_is_marked_on_its_side() -> None:
         assert np.ptp(stop) < 8
 
 
+def test_the_mover_goes_right_when_the_device_extends() -> None:
+    """Oil pushed out above the piston enters the motor's cylinder at its left end."""
+    travel = 0.01
+    out, back = (scene(frame(snapshot(joint=-d)))[:, 225:263] for d in (travel, -travel))
+
+    def mover(part: np.ndarray) -> float:
+        rows = np.nonzero((part.sum(axis=2) < 3 * 60).sum(axis=1) >= 12)[0]  # only the mover is that wide
+        return float(np.nonzero(part[int(np.median(rows))].sum(axis=1) < 3 * 60)[0].mean())
+
+    assert mover(out) - mover(back) == pytest.approx(2 * travel / LIMIT * 23, abs=1.5)
+
+
+def test_the_words_state_the_scales(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    text = rendering._Canvas.text
+
+    def listen(canvas: Any, words: str, *place: float, **style: Any) -> float:
+        said.append(words)
+        return text(canvas, words, *place, **style)
+
+    monkeypatch.setattr(rendering._Canvas, "text", listen)
+    frame(snapshot(suspension_travel=0.029, body_acceleration=-2.9))
+    assert {"−2", "+2", "−20", "+20", "20 mm, vertical ×6"} <= set(said)
+    said.clear()
+    frame(snapshot(suspension_travel=0.031, body_acceleration=-3.1, body=0.05, piston=0.05))
+    assert {"−4", "+4", "−40", "+40"} <= set(said)
+    assert [words for words in said if "vertical" in words] == ["50 mm, vertical ×3"]
+
+
 def test_the_tyre_squashes_and_lifts() -> None:
     def rubber(shot: Snapshot) -> int:
         """Height [px] of the tyre between rim and road, with the line of the road."""
