@@ -135,11 +135,9 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     free = list(structure.free)
     options: dict[str, Any] = dict(h.options)
     data = dict(values)
-    if h.effect in SERIES:
-        network = split(network, h.where)
-        node = network.nodes_added  # type: ignore[attr-defined]
-        raise InputError(node)
     where = h.where
+    if h.effect in SERIES:
+        network, where = split(network, h.where, name)
     if h.effect == "stribeck_friction":
         for e in network.elements:
             if isinstance(e, el.CoulombFriction) and set(e.where) == set(where):
@@ -160,3 +158,225 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
 def drop(network: Network, name: str) -> Network:
     kept = {k: v for k, v in network.uncertainty.items() if not k.startswith(f"{name}.")}
     return replace(network, elements=tuple(e for e in network.elements if e.name != name), uncertainty=kept)
+
+
+def split(network: Network, pair: tuple[str, ...], stem: str) -> tuple[Network, tuple[str, str]]:
+    """Everything between the pair moved behind a new node next to its first terminal; the gap is what is returned.
+
+    A moved terminal goes first, so that the rig still moves it.
+    """
+    first, second = pair
+    if second in network.moved_nodes and first not in network.moved_nodes:
+        first, second = second, first
+    node = network.free_name(f"{first}_{stem}" if first != GROUND else f"{second}_{stem}")
+    keep = first
+    moved = []
+    for e in network.elements:
+        if e.place == "between" and set(e.where) == {first, second}:
+            e = replace(e, where=tuple(node if n == keep else n for n in e.where))
+        moved.append(e)
+    # two terminals in the owner's order, so that the sign of elongation stays
+    gap = (keep, node)
+    return _Opened.of(network, tuple(moved)), gap
+
+
+class _Opened:
+    """A network is checked on construction; this one is only whole once the series element closes the gap."""
+
+    @staticmethod
+    def of(network: Network, moved: tuple[el.Element, ...]) -> Network:
+        out = object.__new__(Network)
+        for f in fields(Network):
+            object.__setattr__(out, f.name, getattr(network, f.name))
+        object.__setattr__(out, "elements", moved)
+        return out
+
+
+# ----------------------------------------------------------------------------------- where effects can stand
+
+
+def pairs(network: Network) -> list[tuple[str, str]]:
+    """Pairs of nodes where something can stand: those joined already, masses among one another, a lone mass and ground."""
+    out: dict[frozenset[str], tuple[str, str]] = {}
+    for e in network.elements:
+        if e.place == "between" and not isinstance(e, el.SeriesCompliance | el.Backlash):
+            out.setdefault(frozenset(e.where), e.between)
+    masses = list(network.masses)
+    for i, a in enumerate(masses):
+        for b in masses[i + 1 :]:
+            out.setdefault(frozenset((a, b)), (a, b))
+    if len(masses) == 1 and not network.moved_nodes:
+        out.setdefault(frozenset((masses[0], GROUND)), (masses[0], GROUND))
+    return list(out.values())
+
+
+def standing(network: Network, pair: tuple[str, ...]) -> list[el.Element]:
+    return [e for e in network.elements if e.place == "between" and set(e.where) == set(pair)]
+
+
+def hypotheses(network: Network) -> Iterator[Hypothesis]:
+    """Every effect at every place where it is not a mere change of a parameter that is there already."""
+    motors = [e for e in network.elements if isinstance(e, el.Motor)]
+    driven = {c.element for c in network.inputs if c.quantity == "current"}
+    devices = {
+        frozenset(e.where) for e in network.elements if isinstance(e, el.Motor | el.Inertance)
+    } or {frozenset(p) for p in pairs(network)}
+    for pair in pairs(network):
+        here = {e.type for e in standing(network, pair)}
+        moved = any(n in network.moved_nodes for n in pair)
+        elastic = bool({"linear_stiffness", "series_compliance"} & here)
+        for kind in ("linear_stiffness", "linear_damping", "inertance"):
+            if kind in here or (kind == "linear_stiffness" and elastic):
+                continue
+            yield Hypothesis(kind, pair)
+        if not {"coulomb_friction", "stribeck_friction"} & here:
+            yield Hypothesis("coulomb_friction", pair)
+        if "stribeck_friction" not in here:
+            yield Hypothesis("stribeck_friction", pair)
+        for kind in ("quadratic_damping", "asymmetric_damping", "cubic_stiffness", "gas_spring", "hysteresis"):
+            if kind not in here:
+                yield Hypothesis(kind, pair)
+        if "bump_stop" not in here:
+            for side in ("both", "extension", "compression"):
+                yield Hypothesis("bump_stop", pair, (("side", side),))
+        if frozenset(pair) in devices:
+            if "cogging_force" not in here:
+                yield Hypothesis("cogging_force", pair)
+            if "terminal_inertia" not in here:
+                for terminal in ("first", "second"):
+                    if pair[0 if terminal == "first" else 1] != GROUND:
+                        yield Hypothesis("terminal_inertia", pair, (("terminal", terminal),))
+        if moved and "linear_stiffness" in here and "tyre_lift_off" not in here and set(pair) & set(network.masses):
+            yield Hypothesis("tyre_lift_off", pair)
+        if here - {"linear_stiffness"}:  # a spring in series with a lone spring is a softer spring
+            yield Hypothesis("series_compliance", pair)
+        if here:
+            yield Hypothesis("backlash", pair)
+    for m in motors:
+        if m.name in driven:
+            here = {e.type for e in network.elements if e.place == "element" and e.where[0] == m.name}
+            for kind in ("thrust_saturation", "actuator_lag", "actuator_delay"):
+                if kind not in here:
+                    yield Hypothesis(kind, (m.name,))
+    for c in network.outputs:
+        here = {e.type for e in network.elements if e.place == "channel" and e.where[0] == c.name}
+        for kind in ("sensor_gain", "sensor_bias", "sensor_delay"):
+            if kind not in here and not (kind == "sensor_bias" and c.offset):
+                yield Hypothesis(kind, (c.name,))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What happens between a pair of nodes in the simulation at hand: elongation d [m], its rate v and acceleration a."""
+
+    d: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Start values to try. `ways`: value sets whose responses are projected together; `grows`: what scales with amplitude."""
+
+    values: dict[str, float]
+    ways: tuple[dict[str, float], ...]
+    grows: tuple[str, ...]
+    inverse: bool = False  # amplitude is 1 / value
+    signed: bool = False
+
+
+def probes(h: Hypothesis, network: Network, motion: Motion | None, force: float, current: float, spread: float) -> list[Probe]:
+    """Places in the parameter space of a hypothesis to try, sized by the motion and force [N] of the data."""
+
+    def one(values: dict[str, float], *grows: str, **more: Any) -> Probe:
+        return Probe(values, (values,), grows, **more)
+
+    kind = h.effect
+    if kind == "sensor_gain":
+        return [one({"gain": 1.05}, signed=True)]
+    if kind == "sensor_bias":
+        return [one({"bias": 0.1 * spread}, "bias", signed=True)]
+    if kind in ("sensor_delay", "actuator_delay"):
+        return [one({"delay": t}, "delay") for t in (0.002, 0.01)]
+    if kind == "actuator_lag":
+        return [one({"time_constant": t}, "time_constant") for t in (0.002, 0.01)]
+    if kind == "thrust_saturation":
+        return [one({"current": s * current}) for s in (0.7, 1.2, 2.0, 4.0)]
+    assert motion is not None
+    d, v, a = motion.d, motion.v, motion.a
+    rms = lambda x: max(float(np.sqrt(np.mean(np.square(x)))), 1e-12)  # noqa: E731
+    reach = max(float(np.abs(d).max()), 1e-9)
+    e = 0.05 * force
+    if kind == "coulomb_friction":
+        return [one({"level": e}, "level")]
+    if kind == "stribeck_friction":
+        out = []
+        level = next((x.level for x in standing(network, h.where) if isinstance(x, el.CoulombFriction)), 0.0)
+        for q in (0.3, 1.0):
+            vs = q * rms(v)
+            out.append(one({"level": level + e * 0.3, "static_level": level + 1.3 * e, "stribeck_velocity": vs}, signed=bool(level)))
+        return out
+    if kind == "linear_damping":
+        return [one({"damping": e / rms(v)}, "damping")]
+    if kind == "linear_stiffness":
+        return [one({"stiffness": e / rms(d)}, "stiffness")]
+    if kind == "inertance":
+        return [one({"inertance": e / rms(a)}, "inertance")]
+    if kind == "quadratic_damping":
+        return [one({"damping": e / rms(v * v)}, "damping")]
+    if kind == "asymmetric_damping":
+        c = e / rms(v)
+        return [Probe({"extension": c, "compression": c}, ({"extension": c, "compression": 0.0}, {"extension": 0.0, "compression": c}), ("extension", "compression"), signed=True)]
+    if kind == "cubic_stiffness":
+        return [one({"stiffness": e / rms(d**3)}, "stiffness", signed=True)]
+    if kind == "gas_spring":
+        return [one({"force": e * s * reach / (1.3 * rms(d)), "length": s * reach}, "force") for s in (1.5, 4.0, 12.0)]
+    if kind == "hysteresis":
+        return [one({"level": e, "stiffness": e / (s * rms(d))}, "level", "stiffness") for s in (0.03, 0.15, 0.6)]
+    if kind == "bump_stop":
+        side = dict(h.options)["side"]
+        x = np.abs(d) if side == "both" else np.maximum(d if side == "extension" else -d, 0.0)
+        out = []
+        for q in (0.5, 0.75, 0.9, 0.97, 0.995):
+            gap = float(np.quantile(x, q)) if side == "both" else float(np.quantile(x, 0.5 + 0.5 * q))
+            over = np.maximum(x - gap, 0.0)
+            if gap > 0 and over.max() > 1e-3 * reach:
+                out.append(one({"clearance": gap, "stiffness": e / rms(over)}, "stiffness"))
+        return out
+    if kind == "backlash":
+        return [one({"gap": s * rms(d)}, "gap") for s in (0.02, 0.2)]
+    if kind == "series_compliance":
+        return [one({"stiffness": force / (0.02 * rms(d))}, "stiffness", inverse=True)]
+    if kind == "terminal_inertia":
+        return [one({"mass": e / rms(a)}, "mass")]
+    if kind == "tyre_lift_off":
+        spring = next(x for x in standing(network, h.where) if x.type == "linear_stiffness")
+        pull = spring.stiffness * d  # type: ignore[attr-defined]
+        return [one({"stiffness": spring.stiffness, "load": float(np.quantile(pull, q))}) for q in (0.8, 0.93, 0.985) if np.quantile(pull, q) > 0]  # type: ignore[attr-defined]
+    if kind == "cogging_force":
+        span = float(np.ptp(d))
+        longest, shortest = min(2 * span, 0.05), max(1e-3, span / 60)
+        # neighbouring pitches shift by a quarter period over the span
+        cycles = np.arange(1 / longest, 1 / shortest, 0.25 / span)
+        out = []
+        for f in cycles:
+            p = 1 / f
+            out.append(
+                Probe(
+                    {"amplitude": e, "pitch": p, "phase": 0.0},
+                    ({"amplitude": e, "pitch": p, "phase": 0.0}, {"amplitude": e, "pitch": p, "phase": math.pi / 2}),
+                    ("amplitude",),
+                    signed=True,
+                )
+            )
+        return out
+    return generic(h, force, rms(d), rms(v))
+
+
+def generic(h: Hypothesis, force: float, d: float, v: float) -> list[Probe]:
+    """An effect added by a user: the geometric middle of its plausible ranges."""
+    values = {}
+    for f in el.parameter_fields(el.TYPES[h.effect]):
+        low, high = f.metadata["range"]
+        values[f.name] = math.sqrt(low * high) if low > 0 else 0.5 * (low + high)
+    return [Probe(values, (values,), ())]

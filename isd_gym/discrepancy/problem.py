@@ -17,7 +17,7 @@ from scipy.signal import firwin, lfilter, oaconvolve, welch
 from .. import elements as el
 from ..data import Table
 from ..errors import InputError
-from ..network import Network, assemble
+from ..network import Assembly, Network, assemble
 from ..simulate import SI, Plant, delayed, effective_current, upsample
 from ..units import convert
 
@@ -148,25 +148,24 @@ class Problem:
         lanes = len(plant.networks)
         if initial is None or like is None:
             return np.zeros((plant.n, lanes))
-        reference = motion_rows(like)
-        out = np.empty((plant.n, lanes))
-        cache: dict[int, Array] = {}
-        for lane, asm in enumerate(plant.assemblies):
-            if id(asm) not in cache:
-                own = motion_rows_of(asm)
-                cache[id(asm)] = np.linalg.lstsq(own, reference, rcond=None)[0]
-            out[:, lane] = cache[id(asm)] @ initial[:, lane]
-        return out
+        source = assemble(bare(like))
+        return np.stack([carry(source, asm, initial[:, k]) for k, asm in enumerate(plant.assemblies)], axis=1)
 
 
-def motion_rows_of(asm) -> Array:
-    """Displacement and scaled velocity of all nodes as rows over the states: what an initial state means physically."""
+def motion_rows_of(asm: Assembly, nodes: Sequence[str] | None = None) -> Array:
+    """Displacement and scaled velocity of nodes as rows over the states: what an initial state means physically."""
     x = asm.columns("x")
-    return np.vstack([asm.position[:, x], 0.05 * asm.velocity[:, x]])
+    every = [n for n in asm.network.nodes if n not in asm.network.moved_nodes]
+    pick = [every.index(n) for n in (every if nodes is None else nodes)]
+    return np.vstack([asm.position[pick, x], 0.05 * asm.velocity[pick, x]])
 
 
-def motion_rows(network: Network) -> Array:
-    return motion_rows_of(assemble(bare(network)))
+def carry(source: Assembly, target: Assembly, initial: Array) -> Array:
+    """The initial state of one network in the coordinates of another: the nodes that both have move alike."""
+    both = [n for n in source.network.nodes if n in target.network.nodes and n not in source.network.moved_nodes]
+    if not both or not target.size[0]:
+        return np.zeros(target.size[0])
+    return np.linalg.lstsq(motion_rows_of(target, both), motion_rows_of(source, both) @ initial, rcond=None)[0]
 
 
 # ------------------------------------------------------------------------------------------- weights

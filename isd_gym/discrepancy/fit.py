@@ -1,0 +1,243 @@
+"""Simulation-error fit: Gauss-Newton with the stated uncertainty of the base parameters as prior (MAP).
+
+The Jacobian comes from lanes: the base point and one variant a parameter run in the same call of the kernel. Initial
+states and free offsets of every record are fitted along.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..network import Network, assemble
+from .hypotheses import Structure
+from .problem import Problem, Whitener, bare, motion_rows_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Fit:
+    """What a structure says when fitted: `x` (free parameters, transformed), per-record initial states and outputs."""
+
+    structure: Structure
+    x: Array
+    initial: dict[int, Array]
+    offset: dict[int, Array]
+    outputs: dict[int, Array]  # record -> (n, channels), offsets included
+    cost: float  # sum of squares of whitened residuals over estimation records
+    prior: float
+    hessian: Array | None = None  # of the structure's parameters, initial states and offsets eliminated
+    jacobian: dict[int, Array] | None = None  # whitened, (n * channels, parameters), nuisances projected out
+    white: dict[int, Array] | None = None
+
+    @property
+    def network(self) -> Network:
+        return self.structure.at(self.x)
+
+
+class Fitter:
+    def __init__(self, problem: Problem, weights: Whitener):
+        self.problem = problem
+        self.weights = weights
+
+    # -- initial states ---------------------------------------------------------------------------------
+    def state_scale(self, network: Network, index: int) -> tuple[Array, Array]:
+        """(reference rows over the states, prior standard deviation of each row): wide, from the data's own motion."""
+        asm = assemble(bare(network))
+        rows = motion_rows_of(asm)
+        record = self.problem.records[index]
+        spans = [0.0]
+        for c in network.inputs:
+            if c.quantity == "displacement":
+                spans.append(float(np.ptp(record.inputs[c.name])))
+        for j, c in enumerate(network.outputs):
+            y = record.measured[:, j] / self.problem.factors[j]
+            if c.quantity == "displacement":
+                spans.append(float(np.ptp(y)))
+            elif c.quantity == "velocity":
+                spans.append(float(np.ptp(y)) / 6.0)
+            elif c.quantity == "acceleration":
+                spans.append(float(np.ptp(y)) / 36.0)
+        span = max(spans) or 0.01
+        return rows, np.full(len(rows), 2.0 * span)
+
+    def simulate_point(self, structure: Structure, x: Array, index: int, initial: Array) -> Array:
+        net = structure.at(x)
+        return self.problem.simulate([net], index, initial[:, None], like=net)[:, :, 0]
+
+    def lanes(self, structure: Structure, x: Array, index: int, initial: Array, with_parameters: bool = True):
+        """(outputs at the point (n, ny), derivatives (n, ny, parameters), by initial state (n, ny, states))."""
+        p = len(x) if with_parameters else 0
+        n0 = len(initial)
+        nets = [structure.at(x)]
+        steps = np.empty(p)
+        for k in range(p):
+            f = structure.free[k]
+            h = 2e-3 if f.log else 1e-3 * max(abs(x[k]), 0.03 * f.sigma, 1e-12)
+            if x[k] + h > f.high:
+                h = -h
+            steps[k] = h
+            shifted = x.copy()
+            shifted[k] += h
+            nets.append(structure.at(shifted))
+        rows, scale = self.state_scale(nets[0], index)
+        state_step = np.array([1e-3 * float(scale[0]) / max(np.abs(rows[:, i]).max(), 1e-9) for i in range(n0)])
+        start = np.repeat(initial[:, None], 1 + p + n0, axis=1)
+        for i in range(n0):
+            nets.append(nets[0])
+            start[i, 1 + p + i] += state_step[i]
+        out = self.problem.simulate(nets, index, start, like=nets[0])
+        point = out[:, :, 0]
+        dp = (out[:, :, 1 : 1 + p] - point[:, :, None]) / steps
+        ds = (out[:, :, 1 + p :] - point[:, :, None]) / state_step
+        return point, dp, ds
+
+    # -- fitting ----------------------------------------------------------------------------------------
+    def fit(
+        self,
+        structure: Structure,
+        x: Array | None = None,
+        initial: dict[int, Array] | None = None,
+        offset: dict[int, Array] | None = None,
+        *,
+        iterations: int = 8,
+        records: list[int] | None = None,
+        tolerance: float = 1e-4,
+        keep: bool = False,
+        frozen: bool = False,
+        quit_above: float = math.inf,
+    ) -> Fit:
+        """Fit the structure to the given records (the estimation records by default).
+
+        `frozen`: only initial states and offsets move. `quit_above`: give up where two steps leave the cost above it.
+        """
+        problem = self.problem
+        records = problem.estimation if records is None else records
+        x = structure.start if x is None else x.copy()
+        n0 = assemble(bare(structure.at(x))).size[0]
+        initial = {i: (initial[i].copy() if initial and i in initial and len(initial[i]) == n0 else np.zeros(n0)) for i in records}
+        ny = len(problem.channels)
+        offset = {i: (offset[i].copy() if offset and i in offset else np.zeros(ny)) for i in records}
+        mean = np.array([f.mean for f in structure.free])
+        sigma = np.array([f.sigma for f in structure.free])
+        low = np.array([f.low for f in structure.free])
+        high = np.array([f.high for f in structure.free])
+        p = 0 if frozen else len(x)
+        damping = 1e-4
+        best: tuple[float, Any] = (math.inf, None)
+        point = self._linearise(structure, x, initial, offset, records, p)
+        cost = point[0] + self._prior(structure, x, initial, mean, sigma)
+        for iteration in range(iterations):
+            total, H, g, nuisance, outs = point
+            H, g = H.copy(), g.copy()
+            H[np.arange(p), np.arange(p)] += 1.0 / sigma[:p] ** 2
+            g[:p] += (mean[:p] - x[:p]) / sigma[:p] ** 2
+            improved = False
+            for _ in range(6):
+                D = np.diag(H).copy()
+                if p:
+                    A = H + np.diag(damping * D)
+                    free = np.ones(p, bool)
+                    for _ in range(3):  # steps that leave the limits are held there
+                        step = np.zeros(p)
+                        idx = np.flatnonzero(free)
+                        if len(idx):
+                            step[idx] = np.linalg.solve(A[np.ix_(idx, idx)], g[idx])
+                        out = (x + step < low - 1e-12) & (x <= low + 1e-9) | (x + step > high + 1e-12) & (x >= high - 1e-9)
+                        if not np.any(out & free):
+                            break
+                        free &= ~out
+                    limit = np.where([f.log for f in structure.free], 1.5, 3.0 * np.maximum(np.abs(x), sigma))
+                    step = np.clip(step, -limit, limit)
+                    trial = np.clip(x + step, low, high)
+                    step = trial - x
+                else:
+                    step, trial = np.zeros(0), x
+                ti, to = {}, {}
+                for i in records:
+                    B, C, rhs = nuisance[i]
+                    move = np.linalg.solve(C, rhs - B @ step)
+                    ti[i] = initial[i] + move[:n0]
+                    to[i] = offset[i].copy()
+                    to[i][problem.free_offset] += move[n0:]
+                new = self._linearise(structure, trial, ti, to, records, p)
+                new_cost = new[0] + self._prior(structure, trial, ti, mean, sigma)
+                if np.isfinite(new_cost) and new_cost < cost:
+                    improved = True
+                    break
+                damping = max(damping * 10, 1e-3)
+                if not np.isfinite(new_cost) or damping > 1e4:
+                    damping = max(damping, 1.0)
+            if not improved:
+                break
+            gain = (cost - new_cost) / max(cost, 1e-300)
+            x, initial, offset, point, cost = trial, ti, to, new, new_cost
+            damping = max(damping * 0.2, 1e-6)
+            if gain < tolerance:
+                break
+            if iteration >= 2 and cost > quit_above:
+                break
+        total, H, g, nuisance, outs = point
+        prior = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
+        return Fit(structure, x, initial, offset, outs, total, prior, H if p else None)
+
+    def _prior(self, structure: Structure, x: Array, initial: dict[int, Array], mean: Array, sigma: Array) -> float:
+        out = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
+        for i, x0 in initial.items():
+            if len(x0):
+                rows, scale = self._scales(structure, x, i)
+                out += float(np.sum((rows @ x0 / scale) ** 2))
+        return out
+
+    def _scales(self, structure: Structure, x: Array, index: int) -> tuple[Array, Array]:
+        return self.state_scale(structure.at(x), index)
+
+    def _linearise(self, structure, x, initial, offset, records, p):
+        """Normal equations with the per-record nuisances (initial state, offsets) eliminated."""
+        problem = self.problem
+        H, g, total = np.zeros((p, p)), np.zeros(p), 0.0
+        nuisance, outs = {}, {}
+        for i in records:
+            record = problem.records[i]
+            try:
+                y, dp, ds = self.lanes(structure, x, i, initial[i], with_parameters=p > 0)
+            except (InputError, np.linalg.LinAlgError):
+                return math.inf, H, g, {}, {}
+            y = y + offset[i]
+            outs[i] = y
+            if not (np.isfinite(y).all() and np.isfinite(dp).all() and np.isfinite(ds).all()):
+                return math.inf, H, g, {}, {}
+            free = np.flatnonzero(problem.free_offset)
+            const = np.zeros((len(record), y.shape[1], len(free)))
+            for k, j in enumerate(free):
+                const[:, j, k] = 1.0
+            stack = np.concatenate([(record.measured - y)[:, :, None], dp, ds, const], axis=2)
+            W = self.weights(stack).reshape(-1, stack.shape[2])
+            G = W.T @ W
+            total += G[0, 0]
+            a, b = slice(1, 1 + p), slice(1 + p, None)
+            C = G[b, b].copy()
+            rhs = G[b, 0].copy()
+            n0 = len(initial[i])
+            if n0:
+                rows, scale = self._scales(structure, x, i)
+                R = rows / scale[:, None]
+                C[:n0, :n0] += R.T @ R
+                rhs[:n0] -= R.T @ R @ initial[i]
+            C[np.arange(len(C)), np.arange(len(C))] *= 1 + 1e-9
+            B = G[b, a]
+            if len(C):
+                S = np.linalg.solve(C, np.column_stack([B, rhs]))
+                H += G[a, a] - B.T @ S[:, :p]
+                g += G[a, 0] - B.T @ S[:, p]
+            else:
+                H += G[a, a]
+                g += G[a, 0]
+            nuisance[i] = (B, C if len(C) else np.zeros((0, 0)), rhs)
+        return total, H, g, nuisance, outs
