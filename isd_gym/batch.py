@@ -18,7 +18,7 @@ from .network import GROUND, Channel, Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
 
-LANES = 64
+LANES = 128  # cars that share an instruction stream; their state fits the first-level cache
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_LIMIT = 0.5  # A per control step, Table 5
 NO_SATURATION = 1e9
@@ -117,8 +117,7 @@ class Batch:
         self.channels = [*signal_channels(network), *extra]
         networks: Network | list[Network] = [bare] * self.lanes if self._spread else bare
         self.plant = plant = Plant(networks, physics_step, lanes=self.lanes, extra=self.channels)
-        self._entries = (len(plant.mats) - 1) // (self.lanes if self._spread else 1)
-        self.mats = np.tile(plant.mats, self.blocks) if self._spread else plant.mats
+        self.mats = np.tile(plant.mats, (self.blocks, 1)) if self._spread else plant.mats
         columns = {part: -1 for part in ("r", "v", "alpha")}
         for j, (part, name) in enumerate(plant.labels):
             if part in columns and name == plant.networks[0].inputs[self._road_input()].name:
@@ -129,7 +128,7 @@ class Batch:
             )
         self.ints = np.concatenate([plant.ints, [self.lanes, self.substeps, *columns.values()]])
         self._blank = plant.state()
-        self.states = np.tile(self._blank, self.blocks)
+        self.states = np.tile(self._blank, (self.blocks, 1))
         self.cars = np.zeros((9, count))
         self.cars[7] = NO_SATURATION
         lag, delay, saturation = (
@@ -194,8 +193,7 @@ class Batch:
         self._place(i, fixed)
         block, lane = divmod(i, self.lanes)
         size = len(self._blank)
-        state = self.states[block * size : (block + 1) * size]
-        state.reshape(-1, self.lanes)[:, lane] = self._blank.reshape(-1, self.lanes)[:, lane]
+        self.states[block * size : (block + 1) * size, lane] = self._blank[:, lane]
         if self.ahead.shape[1]:
             from .kernel import road_noise
 
@@ -234,8 +232,7 @@ class Batch:
         flat = np.concatenate([b.ravel() for b in (*part.blocks, part.params, part.quiet, *part.outputs)])
         block, lane = divmod(i, self.lanes)
         size = len(self.plant.mats)
-        pool = self.mats[block * size + 1 : (block + 1) * size].reshape(self._entries, self.lanes)
-        pool[:, lane] = flat
+        self.mats[block * size + 1 : (block + 1) * size, lane] = flat
 
     # ----------------------------------------------------------------------------------------- step
 

@@ -9,7 +9,7 @@ solved by Gauss-Seidel sweeps.
 Cars are *lanes*: the last axis of every array, so that one instruction works on many of them; a single car is one
 lane. No operation is reordered between lanes, so a car in a batch is the same car alone, to the last bit.
 The number of states is a constant of the compiled code (the number of axes of the argument `size`), and so is
-whether lanes have matrices of their own (the axes of `tag`); all other sizes are arguments. Compiled code is cached
+whether lanes have matrices of their own or there is but one (axes of `tag`: 1, 2, else 0); all other sizes are arguments. Compiled code is cached
 on disk under a key made of the sources, so an upgrade never runs yesterday's physics.
 """
 
@@ -125,253 +125,286 @@ def road_noise(seed, gain, pole, start, out):
 # --------------------------------------------------------------------------------------------- kernel
 
 
-@nb.njit(inline="always")
-def take(pool, start, rows, columns, lanes):
-    return pool[start : start + rows * columns * lanes].reshape(rows, columns, lanes)
-
-
-def solve(q, l, kinds, P, GD, GS, d_free, s_free, f, z, d, s, h):
-    """Forces of all laws of one lane at the end of the step."""
+def solve(q, l, kinds, P, GD, GS, d_free, s_free, f, z, d, s, z_next, h):
+    """Forces of all laws of one lane at the end of the step, by Gauss-Seidel over the laws, a secant in each."""
     a = l * q
     nl = kinds.shape[0]
-    for _ in range(100):
+    for _ in range(200):
         change = 0.0
         for j in range(nl):
             di, si = d_free[j, l], s_free[j, l]
             for i in range(nl):
                 if i != j:
-                    di += GD[j, i, a] * f[i, l]
-                    si += GS[j, i, a] * f[i, l]
-            gd, gs, old = GD[j, j, a], GS[j, j, a], f[j, l]
+                    di += GD[j * nl + i, a] * f[i, l]
+                    si += GS[j * nl + i, a] * f[i, l]
+            gd, gs, old = GD[j * nl + j, a], GS[j * nl + j, a], f[j, l]
+            new = old
             if kinds[j] < 0:
                 # the bound is that of the rate at the start of the step: a falling (Stribeck) curve taken at
                 # its end would have several solutions
-                level = law_bound(-1 - kinds[j], P[j, :, a], d[j, l], s[j, l])
+                level = law_bound(
+                    -1 - kinds[j], P[j * LAW_PARAMETERS : (j + 1) * LAW_PARAMETERS, a], d[j, l], s[j, l]
+                )
                 if gs < 0.0:
                     new = min(max(-si / gs, -level), level)
                 else:  # prescribed motion: nothing yields
                     new = level if si > 0.0 else (-level if si < 0.0 else 0.0)
             else:
-                new = old
-                f0 = old
-                r0 = law_force(kinds[j], P[j, :, a], di + gd * f0, si + gs * f0, d[j, l], z[j, l], h)[0] - f0
-                f1 = f0 + r0
-                new = f1
-                if gd != 0.0 or gs != 0.0:
-                    for _ in range(40):
-                        r1 = (
-                            law_force(kinds[j], P[j, :, a], di + gd * f1, si + gs * f1, d[j, l], z[j, l], h)[
-                                0
-                            ]
-                            - f1
-                        )
-                        new = f1 + r1
-                        if abs(r1) <= 1e-10 * (1.0 + abs(f1)):
-                            break
-                        slope = (r1 - r0) / (f1 - f0) if f1 != f0 else -1.0
-                        step = -r1 / slope if slope < -1e-2 else r1
-                        f0, r0 = f1, r1
-                        f1 = f1 + step
-                        new = f1
+                last_f, last_r = new, 0.0
+                for trial in range(50):
+                    force, z_next[j, l] = law_force(
+                        kinds[j],
+                        P[j * LAW_PARAMETERS : (j + 1) * LAW_PARAMETERS, a],
+                        di + gd * new,
+                        si + gs * new,
+                        d[j, l],
+                        z[j, l],
+                        h,
+                    )
+                    r = force - new
+                    if abs(r) <= 1e-9 * (1.0 + abs(new)):
+                        break
+                    # the residual falls at least as fast as -1 for a law that resists motion
+                    slope = (r - last_r) / (new - last_f) if trial > 0 and new != last_f else -1.0
+                    last_f, last_r = new, r
+                    new += -r / slope if slope < -0.05 else r
             f[j, l] = new
             change = max(change, abs(new - old) / (1.0 + abs(new)))
-        if change <= 1e-9 or nl == 1:
+        if change <= 1e-8 or nl == 1:
             break
     for j in range(nl):
         di, si = d_free[j, l], s_free[j, l]
         for i in range(nl):
-            di += GD[j, i, a] * f[i, l]
-            si += GS[j, i, a] * f[i, l]
-        if kinds[j] >= 0:
-            z[j, l] = law_force(kinds[j], P[j, :, a], di, si, d[j, l], z[j, l], h)[1]
+            di += GD[j * nl + i, a] * f[i, l]
+            si += GS[j * nl + i, a] * f[i, l]
+        z[j, l] = z_next[j, l]
         d[j, l], s[j, l] = di, si
 
 
 def advance(size, tag, mats, ints, state, u, c, lanes):
     """Run ``u.shape[0] - 1`` steps in place. u (K+1, m, lanes), c (K, nc, lanes)."""
-    n, q = size.ndim, tag.ndim
+    n, q = size.ndim, 1 if tag.ndim == 1 else 0
+    lanes = 1 if tag.ndim == 2 else lanes
     m, nc, nl, fast = ints[0], ints[1], ints[2], ints[3]
     kinds, differ = ints[5 : 5 + nl], ints[5 + nl : 5 + 2 * nl]
-    la = lanes if q else 1
-    h = mats[0]
+    h = mats[0, 0]
     o = 1
-    A = take(mats, o, n, n, la)
-    o += n * n * la
-    U0 = take(mats, o, n, m, la)
-    o += n * m * la
-    U1 = take(mats, o, n, m, la)
-    o += n * m * la
-    B = take(mats, o, n, nc, la)
-    o += n * nc * la
-    G0 = take(mats, o, n, nl, la)
-    o += n * nl * la
-    G1 = take(mats, o, n, nl, la)
-    o += n * nl * la
-    D = take(mats, o, nl, n, la)
-    o += nl * n * la
-    DU = take(mats, o, nl, m, la)
-    o += nl * m * la
-    DC = take(mats, o, nl, nc, la)
-    o += nl * nc * la
-    S = take(mats, o, nl, n, la)
-    o += nl * n * la
-    SU = take(mats, o, nl, m, la)
-    o += nl * m * la
-    SC = take(mats, o, nl, nc, la)
-    o += nl * nc * la
-    GD = take(mats, o, nl, nl, la)
-    o += nl * nl * la
-    GS = take(mats, o, nl, nl, la)
-    o += nl * nl * la
-    P = take(mats, o, nl, LAW_PARAMETERS, la)
-    o += nl * LAW_PARAMETERS * la
-    quiet = take(mats, o, nl, 1, la)
-    x = state[: n * lanes].reshape(n, lanes)
-    w = n * lanes
-    f = state[w : w + nl * lanes].reshape(nl, lanes)
-    w += nl * lanes
-    z = state[w : w + nl * lanes].reshape(nl, lanes)
-    w += nl * lanes
-    d = state[w : w + nl * lanes].reshape(nl, lanes)
-    w += nl * lanes
-    s = state[w : w + nl * lanes].reshape(nl, lanes)
-    w += nl * lanes
-    y = state[w : w + n * lanes].reshape(n, lanes)
-    w += n * lanes
-    df = state[w : w + nl * lanes].reshape(nl, lanes)
-    w += nl * lanes
-    sf = state[w : w + nl * lanes].reshape(nl, lanes)
+    A = mats[o : o + n * n]
+    o += n * n
+    U0 = mats[o : o + n * m]
+    o += n * m
+    U1 = mats[o : o + n * m]
+    o += n * m
+    B = mats[o : o + n * nc]
+    o += n * nc
+    G0 = mats[o : o + n * nl]
+    o += n * nl
+    G1 = mats[o : o + n * nl]
+    o += n * nl
+    D = mats[o : o + nl * n]
+    o += nl * n
+    DU = mats[o : o + nl * m]
+    o += nl * m
+    DC = mats[o : o + nl * nc]
+    o += nl * nc
+    S = mats[o : o + nl * n]
+    o += nl * n
+    SU = mats[o : o + nl * m]
+    o += nl * m
+    SC = mats[o : o + nl * nc]
+    o += nl * nc
+    GD = mats[o : o + nl * nl]
+    o += nl * nl
+    GS = mats[o : o + nl * nl]
+    o += nl * nl
+    P = mats[o : o + nl * LAW_PARAMETERS]
+    o += nl * LAW_PARAMETERS
+    quiet = mats[o : o + nl]
+    x = state[:n]
+    w = n
+    f = state[w : w + nl]
+    w += nl
+    z = state[w : w + nl]
+    w += nl
+    d = state[w : w + nl]
+    w += nl
+    s = state[w : w + nl]
+    w += nl
+    y = state[w : w + n]
+    w += n
+    df = state[w : w + nl]
+    w += nl
+    sf = state[w : w + nl]
+    w += nl
+    z_next = state[w : w + nl]
+    dry = -1  # the one friction of the quiet way
+    for j in range(nl):
+        if kinds[j] < 0:
+            dry = j
+    # m and nc are at least 1 (padded with zeros), so the first of each rides in the innermost loop
     for k in range(u.shape[0] - 1):
         for i in range(n):
             for l in range(lanes):
-                t = 0.0
+                t = (
+                    U0[i * m, l * q] * u[k, 0, l]
+                    + U1[i * m, l * q] * u[k + 1, 0, l]
+                    + B[i * nc, l * q] * c[k, 0, l]
+                )
                 for j in range(n):
-                    t += A[i, j, l * q] * x[j, l]
+                    t += A[i * n + j, l * q] * x[j, l]
                 y[i, l] = t
-        for j in range(m):
+        for j in range(1, m):
             for i in range(n):
                 for l in range(lanes):
-                    y[i, l] += U0[i, j, l * q] * u[k, j, l] + U1[i, j, l * q] * u[k + 1, j, l]
-        for j in range(nc):
+                    y[i, l] += U0[i * m + j, l * q] * u[k, j, l] + U1[i * m + j, l * q] * u[k + 1, j, l]
+        for j in range(1, nc):
             for i in range(n):
                 for l in range(lanes):
-                    y[i, l] += B[i, j, l * q] * c[k, j, l]
-        for j in range(nl):
-            if kinds[j] >= 0 and fast == 0:
-                for i in range(n):
-                    for l in range(lanes):
-                        y[i, l] += G0[i, j, l * q] * f[j, l]
+                    y[i, l] += B[i * nc + j, l * q] * c[k, j, l]
+        if fast == 0:
+            for j in range(nl):
+                if kinds[j] >= 0:
+                    for i in range(n):
+                        for l in range(lanes):
+                            y[i, l] += G0[i * nl + j, l * q] * f[j, l]
         busy = fast == 0
         for j in range(nl):
-            for l in range(lanes):
-                t = 0.0
-                for i in range(n):
-                    t += D[j, i, l * q] * y[i, l]
-                df[j, l] = t
-            for l in range(lanes):
-                t = 0.0
-                for i in range(n):
-                    t += S[j, i, l * q] * y[i, l]
-                sf[j, l] = t
-            for i in range(m):
+            if fast == 0 or kinds[j] >= 0:
                 for l in range(lanes):
-                    df[j, l] += DU[j, i, l * q] * u[k + 1, i, l]
-                    sf[j, l] += SU[j, i, l * q] * u[k + 1, i, l]
-            for i in range(nc):
-                for l in range(lanes):
-                    df[j, l] += DC[j, i, l * q] * c[k, i, l]
-                    sf[j, l] += SC[j, i, l * q] * c[k, i, l]
-            if differ[j]:
-                for l in range(lanes):
-                    sf[j, l] -= d[j, l] / h
-            if fast and kinds[j] >= 0:
-                for l in range(lanes):
-                    if abs(df[j, l]) > quiet[j, 0, l * q] or f[j, l] != 0.0:
-                        busy = True
-        if not busy:
-            for j in range(nl):
-                if kinds[j] < 0:
+                    t = DU[j * m, l * q] * u[k + 1, 0, l] + DC[j * nc, l * q] * c[k, 0, l]
+                    for i in range(n):
+                        t += D[j * n + i, l * q] * y[i, l]
+                    df[j, l] = t
+                for i in range(1, m):
                     for l in range(lanes):
-                        g, level = GS[j, j, l * q], P[j, 0, l * q]
-                        t = -sf[j, l] / g
-                        t = level if t > level else t
-                        t = -level if t < -level else t
-                        f[j, l] = t
-                    for i in range(nl):
-                        for l in range(lanes):
-                            d[i, l] = df[i, l] + GD[i, j, l * q] * f[j, l]
-                            s[i, l] = sf[i, l] + GS[i, j, l * q] * f[j, l]
+                        df[j, l] += DU[j * m + i, l * q] * u[k + 1, i, l]
+                for i in range(1, nc):
+                    for l in range(lanes):
+                        df[j, l] += DC[j * nc + i, l * q] * c[k, i, l]
+                if fast:
+                    touched = 0
+                    for l in range(lanes):
+                        touched += (abs(df[j, l]) > quiet[j, l * q]) | (f[j, l] != 0.0)
+                    busy = busy or touched > 0
+        for j in range(nl):
+            if busy or kinds[j] < 0:
+                for l in range(lanes):
+                    t = SU[j * m, l * q] * u[k + 1, 0, l] + SC[j * nc, l * q] * c[k, 0, l]
                     for i in range(n):
+                        t += S[j * n + i, l * q] * y[i, l]
+                    sf[j, l] = t
+                for i in range(1, m):
+                    for l in range(lanes):
+                        sf[j, l] += SU[j * m + i, l * q] * u[k + 1, i, l]
+                for i in range(1, nc):
+                    for l in range(lanes):
+                        sf[j, l] += SC[j * nc + i, l * q] * c[k, i, l]
+                if differ[j]:
+                    for l in range(lanes):
+                        sf[j, l] -= d[j, l] / h
+        if not busy:
+            if dry >= 0:
+                for l in range(lanes):
+                    level = P[dry * LAW_PARAMETERS, l * q]
+                    t = -sf[dry, l] / GS[dry * nl + dry, l * q]
+                    t = level if t > level else t
+                    f[dry, l] = -level if t < -level else t
+                for j in range(nl):
+                    if kinds[j] >= 0:
                         for l in range(lanes):
-                            y[i, l] += G1[i, j, l * q] * f[j, l]
-        else:
-            for l in range(lanes):
-                at_rest = fast == 1  # a quiet car goes the quiet way, whatever its neighbours do
+                            d[j, l] = df[j, l] + GD[j * nl + dry, l * q] * f[dry, l]
+                for i in range(n):
+                    for l in range(lanes):
+                        x[i, l] = y[i, l] + G1[i * nl + dry, l * q] * f[dry, l]
+            else:
                 for j in range(nl):
-                    if kinds[j] >= 0 and (abs(df[j, l]) > quiet[j, 0, l * q] or f[j, l] != 0.0):
-                        at_rest = False
-                if at_rest:
+                    for l in range(lanes):
+                        d[j, l] = df[j, l]
+                for i in range(n):
+                    for l in range(lanes):
+                        x[i, l] = y[i, l]
+            continue
+        for l in range(lanes):
+            at_rest = fast == 1  # a quiet car goes the quiet way, whatever its neighbours do
+            for j in range(nl):
+                if kinds[j] >= 0 and (abs(df[j, l]) > quiet[j, l * q] or f[j, l] != 0.0):
+                    at_rest = False
+            if at_rest:
+                t = 0.0
+                if dry >= 0:
+                    level = P[dry * LAW_PARAMETERS, l * q]
+                    t = -sf[dry, l] / GS[dry * nl + dry, l * q]
+                    t = level if t > level else t
+                    t = -level if t < -level else t
+                    f[dry, l] = t
                     for j in range(nl):
-                        if kinds[j] < 0:
-                            g, level = GS[j, j, l * q], P[j, 0, l * q]
-                            t = -sf[j, l] / g
-                            t = level if t > level else t
-                            t = -level if t < -level else t
-                            f[j, l] = t
-                            for i in range(nl):
-                                d[i, l] = df[i, l] + GD[i, j, l * q] * t
-                                s[i, l] = sf[i, l] + GS[i, j, l * q] * t
-                            for i in range(n):
-                                y[i, l] += G1[i, j, l * q] * t
-                    continue
-                if fast:  # the force at the start of the step was left out above
-                    for j in range(nl):
-                        if kinds[j] >= 0 and f[j, l] != 0.0:
-                            for i in range(n):
-                                t = G0[i, j, l * q] * f[j, l]
-                                y[i, l] += t
-                                for r in range(nl):
-                                    df[r, l] += D[r, i, l * q] * t
-                                    sf[r, l] += S[r, i, l * q] * t
-                solve(q, l, kinds, P, GD, GS, df, sf, f, z, d, s, h)
-                for j in range(nl):
+                        if kinds[j] >= 0:
+                            d[j, l] = df[j, l] + GD[j * nl + dry, l * q] * t
                     for i in range(n):
-                        y[i, l] += G1[i, j, l * q] * f[j, l]
-        for i in range(n):
-            for l in range(lanes):
-                x[i, l] = y[i, l]
+                        x[i, l] = y[i, l] + G1[i * nl + dry, l * q] * t
+                else:
+                    for j in range(nl):
+                        d[j, l] = df[j, l]
+                    for i in range(n):
+                        x[i, l] = y[i, l]
+                continue
+            if fast:  # the quiet way leaves out what it does not need
+                for j in range(nl):
+                    if kinds[j] < 0:
+                        t = DU[j * m, l * q] * u[k + 1, 0, l] + DC[j * nc, l * q] * c[k, 0, l]
+                        for i in range(1, m):
+                            t += DU[j * m + i, l * q] * u[k + 1, i, l]
+                        for i in range(1, nc):
+                            t += DC[j * nc + i, l * q] * c[k, i, l]
+                        for i in range(n):
+                            t += D[j * n + i, l * q] * y[i, l]
+                        df[j, l] = t
+                for j in range(nl):
+                    if kinds[j] >= 0 and f[j, l] != 0.0:
+                        for i in range(n):
+                            t = G0[i * nl + j, l * q] * f[j, l]
+                            y[i, l] += t
+                            for r in range(nl):
+                                df[r, l] += D[r * n + i, l * q] * t
+                                sf[r, l] += S[r * n + i, l * q] * t
+            solve(q, l, kinds, P, GD, GS, df, sf, f, z, d, s, z_next, h)
+            for i in range(n):
+                t = y[i, l]
+                for j in range(nl):
+                    t += G1[i * nl + j, l * q] * f[j, l]
+                x[i, l] = t
 
 
 def measure(size, tag, mats, ints, state, u, c, lanes, out):
     """Outputs now: out (ny, lanes) from u (m, lanes) and c (nc, lanes)."""
-    n, q = size.ndim, tag.ndim
+    n, q = size.ndim, 1 if tag.ndim == 1 else 0
+    lanes = 1 if tag.ndim == 2 else lanes
     m, nc, nl, ny = ints[0], ints[1], ints[2], ints[4]
-    la = lanes if q else 1
-    o = mats.shape[0] - ny * (n + m + nc + nl) * la
-    X = take(mats, o, ny, n, la)
-    o += ny * n * la
-    U = take(mats, o, ny, m, la)
-    o += ny * m * la
-    C = take(mats, o, ny, nc, la)
-    o += ny * nc * la
-    F = take(mats, o, ny, nl, la)
-    x = state[: n * lanes].reshape(n, lanes)
-    f = state[n * lanes : (n + nl) * lanes].reshape(nl, lanes)
+    o = mats.shape[0] - ny * (n + m + nc + nl)
+    X = mats[o : o + ny * n]
+    o += ny * n
+    U = mats[o : o + ny * m]
+    o += ny * m
+    C = mats[o : o + ny * nc]
+    o += ny * nc
+    F = mats[o : o + ny * nl]
+    x = state[:n]
+    f = state[n : n + nl]
     for i in range(ny):
         for l in range(lanes):
             t = 0.0
             for j in range(n):
-                t += X[i, j, l * q] * x[j, l]
+                t += X[i * n + j, l * q] * x[j, l]
             out[i, l] = t
         for j in range(m):
             for l in range(lanes):
-                out[i, l] += U[i, j, l * q] * u[j, l]
+                out[i, l] += U[i * m + j, l * q] * u[j, l]
         for j in range(nc):
             for l in range(lanes):
-                out[i, l] += C[i, j, l * q] * c[j, l]
+                out[i, l] += C[i * nc + j, l * q] * c[j, l]
         for j in range(nl):
             for l in range(lanes):
-                out[i, l] += F[i, j, l * q] * f[j, l]
+                out[i, l] += F[i * nl + j, l * q] * f[j, l]
 
 
 def record(size, tag, mats, ints, state, u, c, lanes, every, shared, out):
@@ -410,17 +443,17 @@ def drive(size, tag, mats, ints, states, cars, counters, road, ways, table, comm
     8 delay [steps]. counters, road (N,): the rough road's counter and height [m]. ways (2, N): next place in `table`
     and its end. commands (N, D): past currents, newest first. ahead (N, P): the road that has been drawn ahead.
     """
-    q = tag.ndim
+    q = 1 if tag.ndim == 1 else 0
     lanes, substeps, col_r, col_v, col_a = ints[-5], ints[-4], ints[-3], ints[-2], ints[-1]
     m, nc, ny = ints[0], ints[1], ints[4]
     total = cars.shape[1]
     blocks = (total + lanes - 1) // lanes
     per_state = states.shape[0] // blocks
-    per_mats = mats.shape[0] // blocks if q else 0
     size_mats = mats.shape[0] // blocks if q else mats.shape[0]
+    per_mats = size_mats if q else 0
     u, c = np.zeros((substeps + 1, m, lanes)), np.zeros((substeps, nc, lanes))
     y = np.empty((ny, lanes))
-    h = mats[0]
+    h = mats[0, 0]
     look = ahead.shape[1]
     for b in range(blocks):
         first = b * lanes

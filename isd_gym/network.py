@@ -348,8 +348,13 @@ class Network:
         return replace(self, elements=tuple(listed))
 
     def without_element(self, name: str) -> Network:
+        """A copy without an element, and without the uncertainty of its parameters."""
         self.element(name)
-        return replace(self, elements=tuple(e for e in self.elements if e.name != name))
+        return replace(
+            self,
+            elements=tuple(e for e in self.elements if e.name != name),
+            uncertainty={k: v for k, v in self.uncertainty.items() if k.rpartition(".")[0] != name},
+        )
 
     def free_name(self, stem: str) -> str:
         """`stem`, or stem_2, stem_3, ...: a name no element or node has yet."""

@@ -99,14 +99,22 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     )
     O = asm.outputs
     return Discrete(
-        blocks=(Ad, early[:, :m], late[:, :m], hold[:, m : m + nc], G0, G1, D, DU, DC, S, SU, SC, GD, GS),
+        blocks=(
+            *(Ad, _pad(early[:, :m]), _pad(late[:, :m]), _pad(hold[:, m : m + nc]), G0, G1),
+            *(D, _pad(DU), _pad(DC), S, _pad(SU), _pad(SC), GD, GS),
+        ),
         params=params,
         quiet=np.maximum(quiet - held, 0.0),
-        outputs=(O[:, x], O[:, u], O[:, c], O[:, f]),
+        outputs=(O[:, x], _pad(O[:, u]), _pad(O[:, c]), O[:, f]),
         kinds=kinds,
         differ=tuple(int(d) for d in differ),
         fast=int(fast),
     )
+
+
+def _pad(block: np.ndarray) -> np.ndarray:
+    """At least one column: the kernel always reads the first input and the first current."""
+    return block if block.shape[1] else np.zeros((len(block), 1))
 
 
 class Plant:
@@ -163,35 +171,34 @@ class Plant:
                 b.shape for b in first.blocks
             ]:
                 raise InputError("the lanes' networks differ in structure, not only in parameters")
-        n, m, nc = self.assemblies[0].size[0], len(self.u_columns), len(self.currents)
+        n, m, nc = self.assemblies[0].size[0], max(len(self.u_columns), 1), max(len(self.currents), 1)
         nl, ny = len(first.kinds), len(self.channels)
         flat = [
             np.concatenate([b.ravel() for b in (*p.blocks, p.params, p.quiet, *p.outputs)]) for p in parts
         ]
         fast = min(p.fast for p in parts)
-        self.mats = np.concatenate([[self.step], np.stack(flat, axis=1).ravel()])
+        rows = np.stack(flat, axis=1)
+        self.mats = np.vstack([np.full((1, rows.shape[1]), self.step), rows])
         self.ints = np.array([m, nc, nl, fast, ny, *first.kinds, *first.differ], np.int64)
         self.size = np.zeros((0,) * n)
-        self.tag = np.zeros((0,) * int(several))
+        self.tag = np.zeros((0,) * (2 if self.lanes == 1 else int(several)))
         self.n, self.n_laws, self.n_outputs = n, nl, ny
 
     def state(self, initial: np.ndarray | None = None) -> np.ndarray:
         """A fresh kernel state; `initial` (n,) or (n, lanes) in the coordinates of the assembly."""
         n, nl, lanes = self.n, self.n_laws, self.lanes
-        state = np.zeros((2 * n + 6 * nl) * lanes)
+        state = np.zeros((2 * n + 7 * nl, lanes))
         if initial is not None and n:
-            state[: n * lanes].reshape(n, lanes)[:] = np.asarray(initial, float).reshape(n, -1)
+            state[:n] = np.asarray(initial, float).reshape(n, -1)
             self._start_laws(state)
         return state
 
     def _start_laws(self, state: np.ndarray) -> None:
         """Elongations, rates and smooth forces that belong to the initial state, moved nodes at rest."""
-        n, nl, lanes = self.n, self.n_laws, self.lanes
-        x = state[: n * lanes].reshape(n, lanes)
-        f, z, d, s = (
-            state[(n + i * nl) * lanes : (n + (i + 1) * nl) * lanes].reshape(nl, lanes) for i in range(4)
-        )
-        for lane in range(lanes):
+        n, nl = self.n, self.n_laws
+        x = state[:n]
+        f, z, d, s = (state[n + i * nl : n + (i + 1) * nl] for i in range(4))
+        for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
             cols = asm.columns("x")
             d[:, lane] = asm.elongation[:, cols] @ x[:, lane]
@@ -223,7 +230,7 @@ class Plant:
             values = np.asarray(values, float)
             return values[:, None] if values.ndim == 1 else values
 
-        u = np.zeros((total, len(self.labels), width))
+        u = np.zeros((total, max(len(self.labels), 1), width))
         for j, (part, name) in enumerate(self.labels):
             if part in ("r", "F"):
                 u[:, j] = wide(inputs[name])
@@ -233,7 +240,7 @@ class Plant:
                 r = wide(inputs[name])
                 v = np.gradient(r, self.step, axis=0)
                 u[:, j] = v if part == "v" else np.gradient(v, self.step, axis=0)
-        c = np.zeros((max(total - 1, 1), len(self.currents), width))
+        c = np.zeros((max(total - 1, 1), max(len(self.currents), 1), width))
         for j, channel in enumerate(self.currents):
             values = effective_current(
                 self.networks[0], channel.element or "", wide(inputs[channel.name]), self.step
