@@ -317,10 +317,38 @@ def _law(code, p, d, v, z, hg, t):
 
 @numba.njit(cache=True)
 def _stage(codes, params, xa_d, q, G, z, hg, t, u, f, z_new, J, r):
-    """Solve u = q - G f(u) for the laws' speeds u by Newton's method; True where it converged."""
+    """Solve u = q - G f(u) for the laws' speeds u; True where it converged.
+
+    Newton's method; where it hops between sticking and slipping, law by law by bisection, then Newton again.
+    """
     m = len(codes)
-    best = np.inf
-    for iteration in range(60):
+    for iteration in range(100):
+        if iteration % 20 == 19:
+            for _ in range(30):
+                for i in range(m):
+                    aim = q[i]
+                    for j in range(m):
+                        if j != i:
+                            aim -= G[i, j] * f[j]
+                    reach = 1e-6
+                    while True:  # u + G f(u) grows with u: bracket the root around `aim`
+                        below, _, _ = _law(
+                            codes[i], params[i], xa_d[i] + hg * (aim - reach), aim - reach, z[i], hg, t
+                        )
+                        above, _, _ = _law(
+                            codes[i], params[i], xa_d[i] + hg * (aim + reach), aim + reach, z[i], hg, t
+                        )
+                        if (G[i, i] * below <= reach and G[i, i] * above >= -reach) or reach > 1e3:
+                            break
+                        reach *= 4.0
+                    low, high = aim - reach, aim + reach
+                    for _ in range(80):
+                        u[i] = 0.5 * (low + high)
+                        f[i], _, _ = _law(codes[i], params[i], xa_d[i] + hg * u[i], u[i], z[i], hg, t)
+                        if u[i] + G[i, i] * f[i] > aim:
+                            high = u[i]
+                        else:
+                            low = u[i]
         scale = 1e-9
         for i in range(m):
             f[i], J[i, i], z_new[i] = _law(codes[i], params[i], xa_d[i] + hg * u[i], u[i], z[i], hg, t)
@@ -333,10 +361,9 @@ def _stage(codes, params, xa_d, q, G, z, hg, t, u, f, z_new, J, r):
             worst = max(worst, abs(r[i]))
         if worst <= 1e-11 * scale:
             return True
-        best = min(best, worst)
         if m == 1:
             step = r[0] / (1.0 + G[0, 0] * J[0, 0])
-            u[0] += step if iteration < 20 else 0.5 * step
+            u[0] += step
             continue
         slopes = np.empty(m)
         for i in range(m):
@@ -365,7 +392,7 @@ def _stage(codes, params, xa_d, q, G, z, hg, t, u, f, z_new, J, r):
                 r[i] -= J[i, j] * r[j]
             r[i] /= J[i, i]
         for i in range(m):
-            u[i] += r[i] if iteration < 20 else 0.5 * r[i]
+            u[i] += r[i]
     return False
 
 
@@ -604,14 +631,16 @@ def trajectories(
             )
         )
 
-    # The first sample: massless nodes find their balance, stuck contacts their force, in steps of no length.
+    # The first sample: massless nodes find their balance, stuck contacts their force, in two steps of 1 us.
     x, v = _initial(plant, initial)
     z = np.zeros(len(codes))
     rigid = params.copy()
     contact = np.isin(codes, (FRICTION, TIMED))
     rigid[contact, 3:] *= 1e6
     start = [np.zeros((len(offsets), 2, n)) for _ in range(3)] + [np.zeros((len(offsets), 2, len(codes)))]
-    run(2, 2, 1e-9, rigid, x, v, z, start)
+    run(2, 2, 1e-6, rigid, x, v, z, start)
+    for signal, rate in ((start[0], start[1]), (start[1], start[2])):
+        signal[0, 1] -= 2e-6 * rate[0, 1]
     x, v = start[0][0, 1].copy(), start[1][0, 1].copy()
     z[contact] = start[3][0, 1, contact] / np.maximum(params[contact, 3], 1e-300)
     offsets = np.array([round(d / h) for d in delays], dtype=np.int64)
@@ -719,8 +748,13 @@ def _actual_current(command: Array, motor: list[float], h: float, since: Array) 
 
 def _channel(output: Mapping[str, Any], run: Trajectory) -> Array:
     quantity = output["quantity"]
+    if quantity == "force" and "element" in output:
+        # A list: elements side by side, whose forces one cell reads together.
+        names = output["element"]
+        names = [names] if isinstance(names, str) else names
+        return np.sum([run.force[name] for name in names], axis=0)
     if quantity == "force":
-        return run.force[output["element"]] if "element" in output else run.load[output["at"]]
+        return run.load[output["at"]]
     signal = getattr(run, quantity)
     zero = np.zeros_like(run.time)
     if "at" in output:

