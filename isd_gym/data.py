@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy import linalg, optimize, signal
 
@@ -546,7 +547,7 @@ def check(table: Table, *, inputs: Mapping[str, str], outputs: Mapping[str, str]
     if any(f.level == "error" for f in found):
         return found  # without a time base nothing else can be judged
     time = table.uniform().time
-    noisy: list[str] = []
+    chance: dict[str, float] = {}
     moving: dict[str, bool] = {}
     for name, quantity in channels.items():
         x = values[name]
@@ -564,16 +565,19 @@ def check(table: Table, *, inputs: Mapping[str, str], outputs: Mapping[str, str]
         found += _check_magnitude(name, quantity, x, table.step)
         noise, resolution = _grain(x)
         if noise > resolution:
-            noisy.append(name)
+            chance[name] = min(1.0, resolution / (2.5 * noise))  # that two samples of it are equal, at rest
         if name in outputs or quantity not in ("current", "force"):  # drives saturate and hold by design
-            found += _check_held(name, quantity, x, time, noise, resolution, name in inputs)
-            found += _check_spikes(name, quantity, x, time, noise)
-        if name in outputs:  # white noise has sqrt(2) here, a signal at a seventh of the sampling rate 0.87
-            moving[name] = bool(np.std(np.diff(x)) < 0.9 * np.std(x))
+            held = _check_held(name, quantity, x, time, noise, resolution, name in inputs)
+            found += held
+            if all(f.level == "note" for f in held):  # what follows a frozen stretch looks like a jump
+                grain = max(3 * noise, resolution)
+                found += _check_spikes(name, quantity, x, time, grain, name in inputs and noise <= resolution)
+        if name in outputs:
+            moving[name] = _moves(x, [values[n] for n in inputs])
     for name in (n for n, moves in moving.items() if not moves):
-        text = "holds little but noise, or is sampled too slowly: no excitation?"
-        found.append(Finding("warning" if any(moving.values()) else "error", name, text))
-    found += _check_copies({n: x for n, x in values.items() if np.all(np.isfinite(x))}, noisy, time)
+        level: Level = "warning" if any(moving.values()) else "error"
+        found.append(Finding(level, name, "holds nothing but noise: no excitation, or not connected?"))
+    found += _check_copies({n: x for n, x in values.items() if np.all(np.isfinite(x))}, chance, time)
     return sorted(found, key=lambda f: ("error", "warning", "note").index(f.level))
 
 
@@ -637,13 +641,43 @@ def _check_magnitude(name: str, quantity: str, x: np.ndarray, step: float) -> li
     return []
 
 
+def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
+    """Whether a channel holds more than noise: it is slow, or its spectrum is not flat, or it follows an input."""
+    if np.std(np.diff(x)) < 0.9 * np.std(x):  # white noise has sqrt(2), AR(1) noise of 0.6 still 0.89
+        return True
+    if np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2:  # a train of impacts is white, but not Gaussian
+        return True
+    options: dict[str, Any] = {"nperseg": min(128, len(x) // 8), "detrend": "linear"}
+    power = signal.welch(x, **options)[1][1:-1]
+    if np.exp(np.mean(np.log(power + 1e-300))) < 0.6 * np.mean(power):  # white 1, AR(1) noise of 0.6 0.64
+        return True
+    least = 0.05 + 3 * options["nperseg"] / len(x)
+    drives = [u for u in drives if np.all(np.isfinite(u)) and np.ptp(u) > 0]
+    return any(np.mean(signal.coherence(u, x, **options)[1][2:-1]) > least for u in drives)
+
+
+def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First index and length of each run of equal samples."""
+    starts = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
+    return starts, np.diff(np.r_[starts, len(x)])
+
+
 def _grain(x: np.ndarray) -> tuple[float, float]:
-    """Standard deviation of the noise, from eighth differences (a signal below a tenth of the sampling rate hardly
-    survives them; 100 dB below the signal it counts as none), and resolution of a channel."""
-    noise = float(np.median(np.abs(np.diff(x, 8)))) / (0.6745 * math.sqrt(math.comb(16, 8)))
+    """Noise (standard deviation; 0 if 70 dB below the signal) and resolution of a channel.
+
+    From eighth differences, which a signal below a tenth of the sampling rate hardly survives, where the channel does
+    not rest, and in windows of 50: noise is there all the time, friction and impacts are not.
+    """
+    lengths = _runs(x)[1]
+    moving = sliding_window_view(np.repeat(lengths < 5, lengths), 9).all(axis=1)
+    jagged = np.abs(np.diff(x, 8))[moving]
     gaps = np.diff(np.unique(x))
-    gaps = gaps[gaps > 1e-9 * np.ptp(x)]
-    return (noise if noise > 1e-5 * np.std(x) else 0.0), float(np.quantile(gaps, 0.1))
+    resolution = float(np.quantile(gaps[gaps > 1e-9 * np.ptp(x)], 0.1))
+    if len(jagged) < 50:
+        return 0.0, resolution
+    windows = jagged[: len(jagged) // 50 * 50].reshape(-1, 50)
+    noise = float(np.quantile(np.median(windows, axis=1), 0.05)) / (0.55 * math.sqrt(math.comb(16, 8)))
+    return (noise if noise > 3e-4 * np.std(x) else 0.0), resolution
 
 
 def _check_held(
@@ -655,56 +689,52 @@ def _check_held(
     simulation) may well rest: only stopping dead in mid-motion is remarked on, and it is no error.
     """
     n, step = len(x), time[1] - time[0]
-    starts = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
-    lengths = np.diff(np.r_[starts, n])
+    starts, lengths = _runs(x)
     usual = int(np.bincount(lengths).argmax())
-    if usual > 1 and np.mean(lengths == usual) > 0.6:
-        slow = Finding(
-            "warning", name, f"holds each value for {usual} samples: sampled more slowly than the table"
-        )
-        return [] if is_input else [slow]
+    stairs = usual > 1 and np.mean(lengths == usual) > 0.6 and len(np.unique(x)) > 20
+    if stairs and np.median(np.abs(np.diff(x[starts]))) > 1.5 * resolution:  # else an encoder at constant speed
+        text = f"holds each value for {usual} samples: sampled more slowly than the table"
+        return [Finding("warning", name, text)]
     found = []
     clipped: list[float] = []
+    ends = ((x.max(), "largest"), (x.min(), "smallest"))
+    level: Level
     if noise > resolution:
-        for value, what in ((x.max(), "largest"), (x.min(), "smallest")):
-            at = x == value
-            beside = np.sum(np.abs(x - value) < noise) - at.sum()
-            if at.sum() >= 5 and at.sum() > 10 * (
-                0.5 + beside * resolution / noise
-            ):  # ten times its neighbours
-                text = f"is clipped: {at.sum()} samples sit exactly at the {what} value, {value:.6g}"
-                found.append(Finding("error", name, text, _spans(at, time)))
-                clipped.append(value)
         equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, resolution / (2.5 * noise)), 1.0 / n)
         least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
+        for value, what in ends:
+            count = np.sum(x == value)
+            beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise  # at a value next to it
+            if count >= max(least, 5 + 10 * beside):
+                text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
+                found.append(Finding("error", name, text, _spans(x == value, time)))
+                clipped.append(value)
         held = (lengths >= least) & ~np.isin(x[starts], clipped)
         severe = lengths[held].sum() > 0.01 * n or (held.any() and lengths[held].max() * step > 0.1)
-        level: Level = "error" if severe else "warning"
+        level = "error" if severe else "warning"
     else:
-        speed = np.abs(np.diff(x, prepend=x[0]))[
-            starts
-        ]  # into the rest, against the curvature just before it
+        into = np.abs(np.diff(x, prepend=x[0]))[starts]  # the last step, against the curvature just before it
         second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
         curved = np.array([np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts])
-        held = (lengths >= 5) & (speed > 4 * (curved + resolution))
-        for value, what in ((x.max(), "largest"), (x.min(), "smallest")):
+        held = (lengths >= 5) & (into > 4 * (curved + resolution))
+        level = "warning" if quantity == "displacement" and not is_input else "note"  # no mass stops dead
+        for value, what in ends:
             if np.sum(held & (x[starts] == value)) > 1:
-                clipped.append(value)
                 text = f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
-                found.append(Finding("note" if is_input or quantity == "force" else "warning", name, text))
+                found.append(Finding(level, name, text))
+                clipped.append(value)
         held &= (lengths * step > 0.1) & ~np.isin(x[starts], clipped)
-        level = "note" if is_input or quantity == "force" else "warning"
     if held.any():
         flags = np.repeat(held, lengths)
-        first = starts[held][0]
-        text = (
-            f"does not change for {flags.sum()} samples, first {lengths[held][0]} at t = {time[first]:.6g} s"
-        )
-        found.append(Finding(level, name, f"{text}: frozen, or dropped out?", _spans(flags, time)))
+        where = _spans(flags, time)
+        text = f"does not change for {flags.sum()} samples, first at t = {where[0][0]:.6g} s: frozen, dropped out?"
+        found.append(Finding(level, name, text, where))
     return found
 
 
-def _check_spikes(name: str, quantity: str, x: np.ndarray, time: np.ndarray, noise: float) -> list[Finding]:
+def _check_spikes(
+    name: str, quantity: str, x: np.ndarray, time: np.ndarray, grain: float, is_command: bool
+) -> list[Finding]:
     """One to three samples far off their neighbours on both sides; and a displacement that jumps.
 
     "Far": four times any step within ten samples on either side, twelve times the noise, and four times what 97 % of
@@ -712,30 +742,32 @@ def _check_spikes(name: str, quantity: str, x: np.ndarray, time: np.ndarray, noi
     """
     n, around = len(x), 10
     d = np.abs(np.diff(x))
-    largest = np.lib.stride_tricks.sliding_window_view(d, around).max(axis=1)  # [i]: of d[i] ... d[i + 9]
+    largest = sliding_window_view(d, around).max(axis=1)  # [i]: of d[i] ... d[i + 9]
     usual = float(np.quantile(d, 0.97))
     flags = np.zeros(n, bool)
-    for width in (1, 2, 3):
+    # a command may well be a short pulse, and so may a force or an acceleration: an impact
+    for width in (1,) if is_command or quantity in ("force", "acceleration") else (1, 2, 3):
         s = np.arange(around + 1, n - width - around)
         local = np.maximum(largest[s - 1 - around], largest[s + width])
         before, after = x[s - 1], x[s + width]
         off = np.array([x[s + k] - before - (after - before) * (k + 1) / (width + 1) for k in range(width)])
         least = np.where(np.abs(np.sign(off).sum(axis=0)) == width, np.abs(off).min(axis=0), 0.0)
         back = np.abs(after - before) <= (width + 1) * local
-        hit = s[back & (least > 4 * np.maximum(local, 3 * noise)) & (least > 4 * usual)]
+        hit = s[back & (least > 4 * np.maximum(local, grain)) & (least > 4 * usual)]
         for k in range(width):
             flags[hit + k] = True
     found = []
     if flags.any():
         text = f"{flags.sum()} samples are spikes or dropouts, first at t = {time[np.argmax(flags)]:.6g} s"
-        level: Level = "error" if flags.mean() > 0.005 else "warning"
+        sure = (
+            quantity in ("displacement", "velocity") and flags.mean() > 0.005
+        )  # an impact is a spike as well
+        level: Level = "error" if sure else "warning"
         found.append(Finding(level, name, text, _spans(flags, time)))
     if quantity == "displacement":
         s = np.arange(around, n - 1 - around)
         local = np.maximum(largest[s - around], largest[s + 1])
-        at = s[
-            (d[s] > 5 * np.maximum(local, 3 * noise)) & (local > 0)
-        ]  # a commanded step has rest on both sides
+        at = s[(d[s] > 5 * np.maximum(local, grain)) & (local > 0)]  # a commanded step has rest on both sides
         if len(at):
             text = f"jumps by {d[at[0]]:.3g} m in one sample after t = {time[at[0]]:.6g} s: samples lost?"
             where = tuple((float(time[i]), float(time[i + 1])) for i in at[:20])
@@ -743,24 +775,28 @@ def _check_spikes(name: str, quantity: str, x: np.ndarray, time: np.ndarray, noi
     return found
 
 
-def _check_copies(values: dict[str, np.ndarray], noisy: list[str], time: np.ndarray) -> list[Finding]:
-    """Columns that are the same, and stretches of the record that occur twice (told by the noise, which cannot)."""
+def _check_copies(values: dict[str, np.ndarray], chance: dict[str, float], time: np.ndarray) -> list[Finding]:
+    """Columns that are the same, and samples that occur twice, which the channels with noise (those with a `chance`)
+    cannot do by themselves."""
     found = []
     names = [n for n, x in values.items() if np.ptp(x) > 0]
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             if np.array_equal(values[first], values[second]):
                 found.append(Finding("error", second, f"is the same column as '{first}'"))
-    rows = np.column_stack([values[n] for n in noisy]) if len(noisy) > 1 else np.empty((0, 0))
-    if len(rows):
-        order = np.lexsort(rows.T)
-        same = np.all(rows[order[1:]] == rows[order[:-1]], axis=1)
-        shift, count = np.unique(np.abs(order[1:] - order[:-1])[same], return_counts=True)
-        if len(shift) and count.max() >= 5:
-            by = int(shift[count.argmax()])
-            flags = np.zeros(len(rows), bool)
-            flags[by:] = np.all(rows[by:] == rows[:-by], axis=1)
-            at = time[np.argmax(flags)]
-            text = f"{flags.sum()} samples, first at t = {at:.6g} s, repeat those {by * (time[1] - time[0]):.4g} s earlier"
-            found.append(Finding("error" if flags.sum() >= 20 else "warning", "", text, _spans(flags, time)))
+    rows = np.column_stack([values[n] for n in chance] or [np.arange(len(time))])
+    order = np.lexsort(rows.T)
+    same = np.all(rows[order[1:]] == rows[order[:-1]], axis=1)
+    shift, count = np.unique(np.abs(order[1:] - order[:-1])[same], return_counts=True)
+    if len(chance) > 1 and len(shift):
+        by = int(shift[count.argmax()])
+        flags = np.zeros(len(rows), bool)
+        flags[by:] = np.all(rows[by:] == rows[:-by], axis=1)
+        twice = np.sum(
+            np.all(rows[2 * by :] == rows[: -2 * by], axis=1)
+        )  # a periodic simulation repeats on and on
+        if flags.sum() >= max(5, 3 * twice, 10 * len(rows) * math.prod(chance.values())):
+            where = _spans(flags, time)
+            text = f"{flags.sum()} samples, first at t = {where[0][0]:.6g} s, repeat those {by * (time[1] - time[0]):.4g} s"
+            found.append(Finding("error" if flags.sum() >= 20 else "warning", "", f"{text} earlier", where))
     return found

@@ -1,0 +1,29 @@
+"""The baselines, offered to `isd-gym score` by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from isd_gym.cost import StageCost
+from isd_gym.network import Network
+from isd_gym.scoring import Entry
+
+
+def open_policy(
+    name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
+) -> Entry | None:
+    """The baseline called `name`, or None."""
+    from . import CONTROLLERS, make
+
+    if name not in CONTROLLERS:
+        return None
+    return Entry(name, lambda: make(name, model=model, cost=cost, control_step=control_step, **options))
+
+
+def names() -> list[str]:
+    from . import CONTROLLERS
+
+    return sorted(CONTROLLERS)
+
+
+open_policy.names = names  # type: ignore[attr-defined]

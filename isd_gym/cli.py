@@ -1,0 +1,288 @@
+"""The command `isd-gym`. Heavy imports wait until a command needs them, so that --help answers at once."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .errors import InputError
+
+app = typer.Typer(
+    name="isd-gym",
+    help="A vehicle suspension with a hydraulic electric inerter: score and train controllers, simulate networks, "
+    "and find the physics that a model lacks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
+]
+
+
+def _write_json(path: Path | None, data: dict[str, Any]) -> None:
+    if path is not None:
+        from .files import write_text
+
+        write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on stderr, one line a task; silent where stderr is no terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(
+        TextColumn("{task.description:<24}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+    tasks: dict[str, Any] = {}
+
+    def update(name: str, share: float) -> None:
+        if name not in tasks:
+            tasks[name] = bar.add_task(name, total=1.0)
+        bar.update(tasks[name], completed=share)
+
+    with bar:
+        yield update
+
+
+def _warm_up(update: Callable[[str, float], None]) -> None:
+    """Compile the kernel, or load it, with a line that says so."""
+    import numpy as np
+
+    from .env import ISDSuspensionVectorEnv
+
+    update("preparing the kernel", 0.0)
+    env = ISDSuspensionVectorEnv(2)
+    env.reset(seed=0)
+    env.step(np.zeros((2, 1)))
+    update("preparing the kernel", 1.0)
+
+
+@app.command()
+def score(
+    policies: Annotated[
+        list[str],
+        typer.Argument(
+            help="passive, isd-passive, skyhook, lqg, mpc, ..., a shipped policy (ppo, sac), or a policy's folder or .zip."
+        ),
+    ],
+    road: Annotated[
+        str,
+        typer.Option(help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, a CSV file, C+bump."),
+    ] = "paper",
+    speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
+    episodes: Annotated[int, typer.Option(help="Roads to drive, the same for all.", min=1)] = 32,
+    seed: Annotated[int, typer.Option(help="Episode i has the road of seed + i.", min=0)] = 0,
+    duration: Annotated[float, typer.Option(help="Length of an episode [s].")] = 20.0,
+    network: Annotated[
+        str, typer.Option(help="The plant: a built-in network or a model file.")
+    ] = "quarter-car-isd",
+    model: Annotated[
+        str | None, typer.Option(help="The network the controllers believe in; the plant unless given.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write plots and a page to this folder.", metavar="DIR")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Score policies on the same roads, paired, against the conventional passive car.
+
+    Prints RMS of body acceleration, suspension travel and dynamic tyre load with the change against passive and its
+    95 % interval, the cost J, and where the paper and the physical limits stand.
+
+    Example: isd-gym score passive isd-passive mpc
+    """
+    from .network import Network
+    from .policies import find, passive
+    from .road import road as find_road
+    from .scoring import score as run
+
+    plant = Network.load(network)
+    ground = find_road(road)
+    belief = Network.load(model) if model else None
+    entries = [find(name, plant, model=belief) for name in policies]
+    with _progress() as update:
+        _warm_up(update)
+        result = run(
+            entries,
+            plant,
+            reference=passive(plant),
+            road=ground,
+            speed=speed,
+            episodes=episodes,
+            seed=seed,
+            duration=duration,
+            clairvoyant=_reachable(plant, ground, speed, episodes, seed, duration),
+            progress=update,
+        )
+    _write_json(json_file, result.to_dict())
+    if report is not None:
+        from .plots import score_report
+
+        page = score_report(result, report)
+        typer.echo(f"report: {page}", err=True)
+    _print_score(result)
+
+
+def _reachable(plant: Any, road: Any, speed: float, episodes: int, seed: int, duration: float) -> Any:
+    """Least known cost of these very episodes, where it is known; else None."""
+    for point in entry_points(group="isd_gym.references", name="clairvoyant"):
+        return point.load()(plant, road, speed, episodes, seed, duration)
+    return None
+
+
+def _print_score(result: Any) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from .scoring import PAPER
+
+    console = Console(width=None if sys.stdout.isatty() else 110)
+
+    def table(title: str | None, *heads: str) -> Table:
+        made = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+        for i, head in enumerate(heads):
+            made.add_column(head, justify="left" if i == 0 else "right", no_wrap=True)
+        return made
+
+    def cell(q: dict[str, Any], digits: int, scale: float = 1.0) -> str:
+        text = f"{q['value'] * scale:.{digits}f}"
+        if "change" in q and (q["low"], q["high"]) != (0.0, 0.0):
+            text += f" {100 * q['change']:+.1f} %\n[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+        return text
+
+    shares = any(row["share_of_reachable_gain"] is not None for row in result.policies)
+    main_heads = ["policy", "cost J", "acceleration\nm/s²", "travel\nmm", "tyre load\nN"]
+    first = table(
+        f"{result.network}, road '{result.road}', {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
+        f"seeds {result.seed} to {result.seed + result.episodes - 1}; RMS, change against passive, 95 % interval",
+        *main_heads,
+        *(["of the gain\nreachable"] if shares else []),
+    )
+    second = table(
+        None,
+        *("policy", "W_k\nm/s²", "peak acc.\nm/s²", "peak travel\nmm", "current\nA", "energy\nJ"),
+        *("limits\npassed", "fallbacks", "ms per step\nmedian", "\n99.9 %"),
+    )
+    for row in result.policies:
+        cells = [
+            row["policy"],
+            cell(row["cost"], 3),
+            cell(row["body_acceleration_rms"], 3),
+            cell(row["suspension_travel_rms"], 2, 1e3),
+            cell(row["tyre_load_rms"], 0),
+        ]
+        if shares:
+            cells.append(f"{100 * row['share_of_reachable_gain']:.0f} %")
+        first.add_row(*cells)
+        second.add_row(
+            row["policy"],
+            f"{row['weighted_acceleration_rms']['value']:.3f}",
+            f"{row['peak_body_acceleration']['value']:.2f}",
+            f"{1e3 * row['peak_suspension_travel']['value']:.1f}",
+            f"{row['current_rms']['value']:.2f}",
+            f"{row['energy']['value']:.0f}",
+            str(sum(row["limit_violations"].values())),
+            str(row["fallbacks"]),
+            f"{1e3 * row['control_time']['median']:.3f}",
+            f"{1e3 * row['control_time']['p99_9']:.3f}",
+        )
+    console.print(first)
+    console.print(second)
+    for name, (before, after) in PAPER.items():
+        parts = [
+            f"{what} {b * s:.{d}f} -> {a * s:.{d}f} ({100 * (a / b - 1):+.1f} %)"
+            for what, b, a, s, d in zip(
+                ("acceleration", "travel [mm]", "tyre load"),
+                before,
+                after,
+                (1, 1e3, 1),
+                (3, 2, 0),
+                strict=True,
+            )
+        ]
+        console.print(f"The paper's {name}: " + ", ".join(parts), style="dim", highlight=False)
+    for line in result.references.values():
+        console.print(line, style="dim", highlight=False)
+
+
+@app.command()
+def simulate(
+    model: Annotated[str, typer.Argument(help="A model file (isd-model/1) or a built-in network.")],
+    data: Annotated[
+        Path, typer.Argument(help="A table with time and the model's inputs: CSV, Parquet, .mat, .mf4.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="Where the outputs go; the suffix says the format.", metavar="FILE")
+    ],
+    step: Annotated[float, typer.Option(help="Largest physics step [s].")] = 1e-3,
+) -> None:
+    """Simulate a model for the inputs of a table; writes its outputs at the same times.
+
+    Example: isd-gym simulate force-rig test.csv --out force.csv
+    """
+    from .data import Table, read_table, write_table
+    from .network import Network
+    from .simulate import simulate as run
+
+    network = Network.load(model)
+    table = read_table(data)
+    outputs = run(network, table.time, table.columns, step=step)
+    units = {c.name: c.unit for c in network.outputs}
+    write_table(out, Table(time=table.time, columns=outputs, source=network.name, units=units))
+    typer.echo(f"{len(table.time)} samples of {', '.join(outputs)} in {out}")
+
+
+@app.command()
+def networks(name: Annotated[str | None, typer.Argument(help="Print this one.")] = None) -> None:
+    """List the built-in networks, or print one as JSON to start your own from."""
+    from .network import Network, builtin_networks
+
+    if name is not None:
+        typer.echo(Network.load(name).dumps(), nl=False)
+        return
+    for built in builtin_networks():
+        typer.echo(f"{built:<22} {Network.load(built).description}")
+
+
+def _plug_in() -> None:
+    """Commands of the packages above this one (train, reproduce, ...): entry points `isd_gym.commands`."""
+    wanted = next((a for a in sys.argv[1:] if not a.startswith("-")), None)
+    for point in sorted(entry_points(group="isd_gym.commands"), key=lambda p: p.name):
+        # loaded only when asked for, or when all commands are listed
+        if wanted in (None, point.name):
+            app.command(name=point.name)(point.load())
+
+
+def main() -> None:
+    """Run the command line; bad input is one line on stderr and exit status 2."""
+    try:
+        _plug_in()
+        app()
+    except InputError as error:
+        typer.echo(f"isd-gym: {error}", err=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        typer.echo("isd-gym: stopped", err=True)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

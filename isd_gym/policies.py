@@ -1,0 +1,76 @@
+"""Policies by name: what the packages above this one offer for scoring, found by the entry points `isd_gym.policies`.
+
+Each entry point is a function ``open(name, model, cost, control_step, options) -> Entry | None``; None means "not mine".
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import Any
+
+from .cost import StageCost
+from .errors import InputError
+from .network import Network
+from .scoring import Entry
+
+GROUP = "isd_gym.policies"
+
+
+class Idle:
+    """No current."""
+
+    fallbacks = 0
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def reset(self) -> None:
+        pass
+
+    def act(self, observation) -> float:
+        return 0.0
+
+    def reset_batch(self, count: int) -> None:
+        pass
+
+    def act_batch(self, observations):
+        return 0.0
+
+
+def conventional(network: Network) -> Network:
+    """The conventional passive car (spring and damper in parallel) with the network's own masses and coefficients."""
+    car = Network.load("quarter-car-passive")
+    own = network.parameters
+    return car.with_parameters({k: own[k] for k in car.parameters if k in own})
+
+
+def passive(network: Network) -> Entry:
+    """What every policy is compared with."""
+    return Entry("passive", lambda: Idle("passive"), conventional(network))
+
+
+def find(
+    name: str,
+    network: Network,
+    *,
+    model: Network | None = None,
+    cost: StageCost | None = None,
+    control_step: float = 5e-3,
+    **options: Any,
+) -> Entry:
+    """The policy of that name: passive, isd-passive, a baseline, or a trained policy's folder (or .zip).
+
+    `model` is what a controller believes in, by default the plant `network`. Raises `InputError` listing what there is.
+    """
+    if name == "passive":
+        return passive(network)
+    if name == "isd-passive":
+        return Entry(name, lambda: Idle(name))
+    known = ["passive", "isd-passive"]
+    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
+        opener = point.load()
+        entry = opener(name, model or network, cost or StageCost(), control_step, options)
+        if entry is not None:
+            return entry
+        known += getattr(opener, "names", list)()
+    raise InputError(f"no policy '{name}': neither a policy folder nor one of {', '.join(known)}")

@@ -1,0 +1,322 @@
+"""Scoring policies: the same environment, the same roads, paired differences (DESIGN: `isd-score/1`)."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from . import elements as el
+from .cost import StageCost
+from .errors import InputError
+from .network import Network
+
+SCHEMA = "isd-score/1"
+RESISTANCE = 3.8  # Ohm, Table 1
+LIMITS = {
+    "body_acceleration": 5.0,
+    "suspension_travel": 0.08,
+    "current": 5.0,
+    "current_change": 0.5,
+}  # Table 5
+RESAMPLES = 4000
+#: Tables 7 and 8: passive, active RMS of acceleration [m/s^2], travel [m], tyre load [N]
+PAPER = {
+    "Table 7 (simulation)": ((0.8306, 7.6e-3, 518.0), (0.6565, 6.3e-3, 515.0)),
+    "Table 8 (bench)": ((1.0030, 7.9580e-3, 915.9), (0.8416, 7.2479e-3, 941.0)),
+}
+
+
+class Controller(Protocol):
+    """What can be scored. `act` gives the commanded current [A] for an observation (6,), see the environment.
+
+    Optional: `reset_batch(n)` and `act_batch(observations (n, 6)) -> (n,)` for many cars at once, `fallbacks` (a count),
+    `observation` ("measured", "full" or "preview": what it wants to see).
+    """
+
+    name: str
+
+    def reset(self) -> None: ...
+
+    def act(self, observation: np.ndarray) -> float: ...
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A policy to score: its name, how to make a controller, and the plant if it is not everybody's."""
+
+    name: str
+    make: Callable[[], Controller]
+    network: Network | None = None
+
+
+@dataclass
+class Run:
+    """Signals of one policy over all episodes, each (steps, episodes); times of single decisions [s]."""
+
+    body_acceleration: np.ndarray
+    suspension_travel: np.ndarray
+    tyre_load: np.ndarray
+    device_travel_rate: np.ndarray
+    current: np.ndarray
+    thrust: float  # N/A at the terminals
+    control_step: float
+    times: np.ndarray
+    fallbacks: int
+
+    def cost(self, cost: StageCost) -> np.ndarray:
+        """Mean stage cost of each episode (episodes,)."""
+        return cost(self.body_acceleration, self.suspension_travel, self.tyre_load, self.current).mean(axis=0)
+
+
+def frequency_weighting(frequency: np.ndarray) -> np.ndarray:
+    """Magnitude of W_k, vertical vibration of a seated person, at `frequency` [Hz] (ISO 2631-1:1997, annex A)."""
+    s = 2j * np.pi * np.asarray(frequency, float)
+
+    def second_order(f: float, q: float) -> np.ndarray:
+        w = 2 * np.pi * f
+        return s**2 + s * w / q + w**2
+
+    w2, w3 = 2 * np.pi * 100.0, 2 * np.pi * 12.5
+    high = s**2 / second_order(0.4, np.sqrt(0.5))
+    low = w2**2 / second_order(100.0, np.sqrt(0.5))
+    transition = (1 + s / w3) * w3**2 / second_order(12.5, 0.63)
+    step = second_order(2.37, 0.91) / second_order(3.35, 0.91)
+    return np.abs(high * low * transition * step)
+
+
+def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
+    """W_k-weighted RMS [m/s^2] along the first axis of `acceleration` sampled every `step` [s]."""
+    n = len(acceleration)
+    spectrum = np.fft.rfft(acceleration, axis=0)
+    gain = frequency_weighting(np.fft.rfftfreq(n, step)).reshape(-1, *[1] * (acceleration.ndim - 1))
+    return np.sqrt(np.mean(np.fft.irfft(spectrum * gain, n, axis=0) ** 2, axis=0))
+
+
+def drive(
+    entry: Entry,
+    network: Network,
+    *,
+    road: Any = "paper",
+    speed: float = 20.0,
+    episodes: int = 32,
+    seed: int = 0,
+    duration: float = 20.0,
+    cost: StageCost | None = None,
+    randomize: dict[str, Any] | None = None,
+    progress: Callable[[float], None] | None = None,
+    corrupt: Callable[[np.ndarray, int], np.ndarray] | None = None,
+) -> Run:
+    """Drive one policy over all episodes; episode i has the road of environment seed ``seed + i``.
+
+    `corrupt(observations, step)` may alter what the controller sees (sensor noise, delay).
+    """
+    from .env import CONTROL_STEP, ISDSuspensionVectorEnv
+
+    plant = entry.network or network
+    first = entry.make()
+    env = ISDSuspensionVectorEnv(
+        episodes,
+        network=plant,
+        road=road,
+        speed=speed,
+        observation=getattr(first, "observation", "measured"),
+        cost=cost,
+        randomize=randomize,
+        duration=duration,
+        autoreset_mode="disabled",
+    )
+    steps = round(duration / CONTROL_STEP)
+    signals = np.empty((5, steps, episodes))
+    batched = hasattr(first, "act_batch")
+    controllers = [first] if batched else [first, *(entry.make() for _ in range(episodes - 1))]
+    if batched:
+        first.reset_batch(episodes)  # type: ignore[attr-defined]
+    else:
+        for c in controllers:
+            c.reset()
+    obs, _ = env.reset(seed=seed)
+    actions = np.empty((episodes, 1))
+    times: list[float] = []
+    seen = []
+    for k in range(steps):
+        if corrupt is not None:
+            obs = corrupt(obs, k)
+        if batched:
+            if k < 1500:
+                seen.append(obs[0].copy())
+            actions[:, 0] = first.act_batch(obs)  # type: ignore[attr-defined]
+        else:
+            for i, c in enumerate(controllers):
+                begin = clock.perf_counter()
+                actions[i, 0] = c.act(obs[i])
+                times.append(clock.perf_counter() - begin)
+        obs, _, terminated, _, info = env.step(actions)
+        if terminated.any():
+            raise InputError(f"'{entry.name}' broke the car in episode {int(np.argmax(terminated))}")
+        out = env.task.batch.out
+        signals[0, k], signals[1, k], signals[2, k], signals[3, k] = out[0], out[1], out[5], out[4]
+        signals[4, k] = env.task.batch.current
+        if progress is not None and (k % 100 == 99 or k == steps - 1):
+            progress((k + 1) / steps)
+    fallbacks = sum(int(getattr(c, "fallbacks", 0)) for c in controllers)
+    if batched:  # one decision at a time, as a controller on a car would make it
+        timed = entry.make()
+        timed.reset()
+        for row in seen:
+            begin = clock.perf_counter()
+            timed.act(row)
+            times.append(clock.perf_counter() - begin)
+    motor = next((e for e in plant.elements if isinstance(e, el.Motor)), None)
+    return Run(
+        *signals,
+        thrust=motor.thrust_constant * motor.ratio if motor else 0.0,
+        control_step=CONTROL_STEP,
+        times=np.array(times),
+        fallbacks=fallbacks,
+    )
+
+
+def _measures(run: Run, cost: StageCost) -> dict[str, tuple[np.ndarray, str]]:
+    """Mean squares (or means, for cost and energy) by episode, and the unit of the value."""
+    dt = run.control_step
+    power = RESISTANCE * run.current**2 - run.thrust * run.current * run.device_travel_rate
+    return {
+        "cost": (run.cost(cost), "-"),
+        "body_acceleration_rms": (np.mean(run.body_acceleration**2, axis=0), "m/s^2"),
+        "suspension_travel_rms": (np.mean(run.suspension_travel**2, axis=0), "m"),
+        "tyre_load_rms": (np.mean(run.tyre_load**2, axis=0), "N"),
+        "weighted_acceleration_rms": (weighted_rms(run.body_acceleration, dt) ** 2, "m/s^2"),
+        "current_rms": (np.mean(run.current**2, axis=0), "A"),
+        "energy": (np.sum(power, axis=0) * dt, "J"),
+        "peak_body_acceleration": (np.abs(run.body_acceleration).max(axis=0), "m/s^2"),
+        "peak_suspension_travel": (np.abs(run.suspension_travel).max(axis=0), "m"),
+    }
+
+
+def _pool(name: str, values: np.ndarray) -> np.ndarray:
+    """Value over episodes (last axis): root of the mean square, mean, or greatest."""
+    if name.endswith("_rms"):
+        return np.sqrt(values.mean(axis=-1))
+    return values.max(axis=-1) if name.startswith("peak") else values.mean(axis=-1)
+
+
+@dataclass
+class Score:
+    """The outcome of `score`; `to_dict` is `isd-score/1`. `runs` keeps the signals for reports."""
+
+    road: str
+    speed: float
+    network: str
+    episodes: int
+    duration: float
+    seed: int
+    policies: list[dict[str, Any]]
+    runs: dict[str, Run] = field(repr=False, default_factory=dict)
+    references: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "road": self.road,
+            "speed": {"value": self.speed, "unit": "m/s"},
+            "network": self.network,
+            "episodes": self.episodes,
+            "duration": {"value": self.duration, "unit": "s"},
+            "seed": self.seed,
+            "policies": self.policies,
+            "references": self.references,
+        }
+
+
+def score(
+    entries: Sequence[Entry],
+    network: Network | str = "quarter-car-isd",
+    *,
+    reference: Entry,
+    road: Any = "paper",
+    speed: float = 20.0,
+    episodes: int = 32,
+    seed: int = 0,
+    duration: float = 20.0,
+    cost: StageCost | None = None,
+    randomize: dict[str, Any] | None = None,
+    clairvoyant: np.ndarray | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Score:
+    """Score policies against `reference` (the conventional passive car) on the same roads.
+
+    Changes are paired: episodes are drawn with replacement, the same ones for both, and the 95 % interval is that of
+    the ratio of the pooled values. `clairvoyant`: the least cost known for each episode (episodes,), for the share of the
+    reachable gain.
+    """
+    if episodes < 1:
+        raise InputError(f"episodes must be at least 1, not {episodes}")
+    if not duration > 0:
+        raise InputError(f"duration must be positive, not {duration}")
+    network = Network.load(network)
+    cost = cost or StageCost()
+    names = [e.name for e in entries]
+    if len(set(names)) != len(names):
+        raise InputError("a policy is named twice")
+    todo = list(entries) if reference.name in names else [reference, *entries]
+    runs: dict[str, Run] = {}
+    for entry in todo:
+        runs[entry.name] = drive(
+            entry,
+            network,
+            road=road,
+            speed=speed,
+            episodes=episodes,
+            seed=seed,
+            duration=duration,
+            cost=cost,
+            randomize=randomize,
+            progress=None if progress is None else (lambda share, n=entry.name: progress(n, share)),  # type: ignore[misc]
+        )
+    base = _measures(runs[reference.name], cost)
+    draws = np.random.default_rng(0).integers(episodes, size=(RESAMPLES, episodes))
+    rows = []
+    for entry in todo:
+        run = runs[entry.name]
+        row: dict[str, Any] = {"policy": entry.name}
+        for name, (values, unit) in _measures(run, cost).items():
+            quantity: dict[str, Any] = {"value": float(_pool(name, values)), "unit": unit}
+            ground = base[name][0]
+            if np.all(ground > 0):
+                ratio = _pool(name, values[draws]) / _pool(name, ground[draws]) - 1.0
+                low, high = np.quantile(ratio, [0.025, 0.975])
+                change = float(_pool(name, values) / _pool(name, ground) - 1.0)
+                quantity |= {"change": change, "low": float(low), "high": float(high)}
+            row[name] = quantity
+        slew = np.abs(np.diff(run.current, axis=0, prepend=0.0))
+        row["limit_violations"] = {
+            "body_acceleration": int(np.sum(np.abs(run.body_acceleration) > LIMITS["body_acceleration"])),
+            "suspension_travel": int(np.sum(np.abs(run.suspension_travel) > LIMITS["suspension_travel"])),
+            "current": int(np.sum(np.abs(run.current) > LIMITS["current"] + 1e-9)),
+            "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
+        }
+        row["fallbacks"] = run.fallbacks
+        row["control_time"] = {
+            "median": float(np.median(run.times)),
+            "p99_9": float(np.quantile(run.times, 0.999)),
+        }
+        row["share_of_reachable_gain"] = None
+        if clairvoyant is not None:
+            passive, own = runs[reference.name].cost(cost).mean(), run.cost(cost).mean()
+            row["share_of_reachable_gain"] = float((passive - own) / (passive - np.mean(clairvoyant)))
+        rows.append(row)
+    kept = [r for r in rows if r["policy"] in names] if reference.name in names else rows
+    return Score(
+        road=getattr(road, "name", str(road)),
+        speed=speed,
+        network=network.name,
+        episodes=episodes,
+        duration=duration,
+        seed=seed,
+        policies=kept,
+        runs=runs,
+    )
