@@ -27,7 +27,7 @@ class _AfterGymnasium:
 
             register()
 
-        spec.loader.exec_module = exec_module
+        spec.loader.exec_module = exec_module  # type: ignore[method-assign]
         return spec
 
 

@@ -6,9 +6,10 @@ Physics lives in `Batch`; spaces, rewards and episodes live here.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -24,7 +25,7 @@ from .network import Network
 from .road import Road
 
 if TYPE_CHECKING:
-    from .rendering import Renderer
+    from .rendering import Renderer, Snapshot
 
 CONTROL_STEP = 5e-3  # s
 
@@ -39,6 +40,8 @@ MEASURED = (
 )
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
+GRAVITY = 9.81  # m/s^2
+PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
 N_MEASURED = len(MEASURED)
 OBSERVATIONS = ("measured", "full", "preview")
 
@@ -59,6 +62,7 @@ class Task:
         control_step: float,
         preview: float,
         duration: float,
+        picture: bool = False,
     ) -> None:
         if observation not in OBSERVATIONS:
             raise InputError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
@@ -66,6 +70,11 @@ class Task:
         self.observation = observation
         self.cost = cost if isinstance(cost, StageCost) else StageCost(**(cost or {}))
         extra = state_channels(net)
+        self.points = round(preview / control_step) if observation == "preview" else 0
+        look = preview if self.points else 0.0
+        if picture:  # the road in front of the car is part of the picture
+            look = max(look, PICTURE_WINDOW / min(speed, *(randomize or {}).get("speed", (speed,))))
+            look = control_step * math.ceil(look / control_step)
         self.batch = Batch(
             count,
             net,
@@ -74,7 +83,7 @@ class Task:
             control_step=control_step,
             duration=duration,
             randomize=randomize,
-            preview=preview if observation == "preview" else 0.0,
+            preview=look,
             extra=extra,
         )
         high = [bound for _, _, bound in MEASURED]
@@ -86,9 +95,8 @@ class Task:
                 for c in extra
             ]
         elif observation == "preview":
-            points = self.batch.ahead.shape[1] // self.batch.substeps
-            high += [ROAD_BOUND] * points
-            self.labels += [f"road ahead {(i + 1) * control_step:.3f} s [m]" for i in range(points)]
+            high += [ROAD_BOUND] * self.points
+            self.labels += [f"road ahead {(i + 1) * control_step:.3f} s [m]" for i in range(self.points)]
         self.high = np.array(high, np.float32)
         self.width = len(high)
         self.action_space = spaces.Box(-CURRENT_LIMIT, CURRENT_LIMIT, (1,), np.float32)
@@ -109,7 +117,7 @@ class Task:
             state[:, self._heights] -= self.batch.road_height[:, None]
             obs[:, N_MEASURED:] = state
         elif self.observation == "preview":
-            obs[:, N_MEASURED:] = self.batch.road_ahead()
+            obs[:, N_MEASURED:] = self.batch.road_ahead()[:, : self.points]
         return self._sense(obs) if self._sensors else obs
 
     def _sense(self, obs: np.ndarray) -> np.ndarray:
@@ -192,7 +200,7 @@ class ISDSuspensionEnv(gym.Env):
     v0: first release. `ISDSuspensionEq8-v0` is the same with the paper's equation (8) as printed.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
         self,
@@ -220,6 +228,7 @@ class ISDSuspensionEnv(gym.Env):
             control_step=control_step,
             preview=preview,
             duration=duration,
+            picture=render_mode is not None,
         )
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
@@ -229,6 +238,8 @@ class ISDSuspensionEnv(gym.Env):
         self._renderer: Renderer | None = None
         self._ready = False
         self._steps = 0
+        self._total_cost = 0.0
+        self._trail: deque[float] = deque(maxlen=1 + math.ceil(PICTURE_WINDOW / (speed * control_step)))
 
     @property
     def network(self) -> Network:
@@ -244,6 +255,9 @@ class ISDSuspensionEnv(gym.Env):
         self.task.forget(0)
         self._ready = True
         self._steps = 0
+        self._total_cost = 0.0
+        self._trail.clear()
+        self._trail.append(0.0)
         batch.out[:] = 0.0
         if self.render_mode == "human":
             self.render()
@@ -289,9 +303,13 @@ class ISDSuspensionEnv(gym.Env):
             "cost_tyre_load": cost_f,
             "cost_current": cost_i,
         }
-        if self.render_mode == "human":
-            self.render()
-        return obs, -(cost_a + cost_l + cost_f + cost_i), broken, False, info
+        cost = cost_a + cost_l + cost_f + cost_i
+        if self.render_mode is not None:
+            self._total_cost += cost
+            self._trail.append(float(batch.cars[4, 0]))
+            if self.render_mode == "human":
+                self.render()
+        return obs, -cost, broken, False, info
 
     def render(self) -> np.ndarray | None:
         if self.render_mode is None:
@@ -302,12 +320,14 @@ class ISDSuspensionEnv(gym.Env):
         from .rendering import Renderer
 
         if self._renderer is None:
-            self._renderer = Renderer(self.render_mode, fps=self.metadata["render_fps"])
+            self._renderer = Renderer(self.render_mode, fps=self.metadata["render_fps"])  # type: ignore[arg-type]
         return self._renderer.draw(self.snapshot())
 
-    def snapshot(self):
-        """What a picture of the car needs, see `rendering.Snapshot`."""
-        return snapshot(self.task, 0, self._steps)
+    def snapshot(self) -> Snapshot:
+        """What a picture of the car needs."""
+        return snapshot(
+            self.task, 0, self._steps, np.array(self._trail), self._total_cost / max(self._steps, 1)
+        )
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -326,7 +346,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
     (reset with ``options={"reset_mask": mask}``).
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(
         self,
@@ -344,6 +364,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
+        if render_mode is not None:
+            raise InputError("a batch has no picture: use gymnasium.make with render_mode, one car at a time")
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs must be a positive whole number, not {num_envs!r}")
         try:
@@ -355,7 +377,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.mode = mode
         self.num_envs = num_envs
-        self.render_mode = render_mode
+        self.render_mode = None
         self.max_episode_steps = max_episode_steps
         self.task = Task(
             num_envs,
@@ -495,22 +517,6 @@ class ISDSuspensionVectorEnv(VectorEnv):
         obs[which] = fresh[which]
         return obs
 
-    def render(self) -> tuple[np.ndarray, ...] | None:
-        """Pictures of all cars, for `render_mode="rgb_array"`."""
-        if self.render_mode != "rgb_array":
-            return None
-        from .rendering import Renderer
-
-        if not hasattr(self, "_renderers"):
-            self._renderers = [Renderer("rgb_array") for _ in range(self.num_envs)]
-        return tuple(
-            r.draw(snapshot(self.task, i, int(self.steps[i]))) for i, r in enumerate(self._renderers)
-        )  # type: ignore[misc]
-
-    def close_extras(self, **kwargs: Any) -> None:
-        for renderer in self.__dict__.pop("_renderers", []):
-            renderer.close()
-
 
 _MODES = {
     "next_step": AutoresetMode.NEXT_STEP,
@@ -519,39 +525,38 @@ _MODES = {
 }
 
 
-def snapshot(task: Task, i: int, steps: int):
-    """The state of car i as `rendering.Snapshot`."""
+def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, cost: float) -> Snapshot:
+    """Car i as a picture shows it; `trail` [m] is the road it has come over, a height per control step."""
     from .rendering import Snapshot
 
     batch, net = task.batch, task.network
     out = batch.out[:, i]
-    names = [c.name for c in batch.channels]
     place = {
-        c.removesuffix("_displacement"): out[j] for j, c in enumerate(names) if c.endswith("_displacement")
+        c.name.removesuffix("_displacement"): float(out[j])
+        for j, c in enumerate(batch.channels)
+        if c.name.endswith("_displacement")
     }
     masses = list(net.masses)
     first, second = nodes_of_device(net)
-    stop = next(
-        (e.clearance for e in net.elements if isinstance(e, el.BumpStop) and e.between == (first, second)),
-        None,
-    )
-    a, l, tyre = float(out[0]), float(out[1]), float(out[5])
-    height = float(batch.road_height[i])
+    stops = [e for e in net.elements if isinstance(e, el.BumpStop) and e.between == (first, second)]
+    height, step = float(batch.road_height[i]), batch.control_step * float(batch.speeds[i])
     return Snapshot(
         time=steps * batch.control_step,
-        body=float(place[masses[0]]),
-        wheel=float(place[masses[1]]),
-        piston=float(place[first]) if first in place else None,
-        joint=float(place[second]) if second in place else None,
-        road_profile=np.array([height]),
-        road_step=batch.control_step * float(batch.speeds[i]),
+        body=place[masses[0]],
+        wheel=place[masses[1]],
+        piston=place.get(str(first)) if first not in masses else None,
+        joint=place.get(str(second)) if second not in masses else None,
+        road_profile=np.concatenate([trail, height + batch.road_ahead()[i]]),
+        road_step=step,
+        road_behind=(len(trail) - 1) * step,
         speed=float(batch.speeds[i]),
         current=float(batch.cars[0, i]),
-        current_limit=CURRENT_LIMIT,
-        body_acceleration=a,
-        suspension_travel=l,
-        tyre_load=tyre,
-        device_travel_limit=stop,
+        current_limit=CURRENT_LIMIT if first is not None else None,
+        body_acceleration=float(out[0]),
+        suspension_travel=float(out[1]),
+        tyre_load=float(out[5]),
+        static_tyre_load=GRAVITY * sum(net.masses.values()),
+        device_travel_limit=stops[0].clearance if stops else None,
         label=net.name,
-        cost=float(task.cost(a, l, tyre, float(batch.cars[0, i]))),
+        cost=cost,
     )

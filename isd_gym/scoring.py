@@ -154,7 +154,7 @@ def drive(
                 begin = clock.perf_counter()
                 actions[i, 0] = c.act(obs[i])
                 times.append(clock.perf_counter() - begin)
-        obs, _, terminated, _, info = env.step(actions)
+        obs, _, terminated, _, _ = env.step(actions)
         if terminated.any():
             raise InputError(f"'{entry.name}' broke the car in episode {int(np.argmax(terminated))}")
         out = env.task.batch.out
@@ -172,7 +172,11 @@ def drive(
             times.append(clock.perf_counter() - begin)
     motor = next((e for e in plant.elements if isinstance(e, el.Motor)), None)
     return Run(
-        *signals,
+        signals[0],
+        signals[1],
+        signals[2],
+        signals[3],
+        signals[4],
         thrust=motor.thrust_constant * motor.ratio if motor else 0.0,
         control_step=CONTROL_STEP,
         times=np.array(times),

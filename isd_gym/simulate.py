@@ -279,7 +279,7 @@ def effective_current(network: Network, motor: str, command: np.ndarray, step: f
 
 def delayed(values: np.ndarray, steps: float) -> np.ndarray:
     """`values` (n, ...) later by a number of samples, in between by linear interpolation, the first value before."""
-    low = int(math.floor(steps))
+    low = math.floor(steps)
     part = steps - low
     n = len(values)
     index = np.arange(n)
