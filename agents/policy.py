@@ -1,0 +1,297 @@
+"""A policy folder: weights as safetensors and `policy.json`; loads and runs with numpy alone, and never runs code.
+
+    from agents.policy import Policy
+
+    policy = Policy.load("runs/sac/policy")
+    policy.reset()
+    action = policy.act(observation)  # current [A], shape (1,)
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.errors import InputError
+from isd_gym.files import whole, write_text
+from isd_gym.network import Network
+
+from .memory import Memory, Recall
+
+SCHEMA = "isd-policy/1"
+JSON_NAME, WEIGHTS_NAME = "policy.json", "weights.safetensors"
+FEATURE_LIMIT = 10.0  # features beyond ten times their scale tell the policy nothing more
+CURRENT_SIGNAL = 5  # of the observation
+SHIPPED = Path(__file__).parent / "policies"
+
+
+@dataclass(frozen=True)
+class Head:
+    """From a number in [-1, 1] to the commanded current [A].
+
+    mode `target`: the share of `limit` [A]; `increment`: the present current plus the share of `slew` [A].
+    """
+
+    mode: str = "target"
+    limit: float = CURRENT_LIMIT
+    slew: float = SLEW_LIMIT
+
+    def __post_init__(self) -> None:
+        if self.mode not in ("target", "increment"):
+            raise InputError(f"action mode must be target or increment, not {self.mode!r}")
+        if not (0 < self.limit < math.inf and 0 < self.slew < math.inf):
+            raise InputError("the action's limit and slew must be > 0")
+
+    def current(self, share: np.ndarray, observations: np.ndarray) -> np.ndarray:
+        """Commanded current (count, 1) [A] of `share` (count, 1) and `observations` (count, signals)."""
+        if self.mode == "target":
+            return share * np.float32(self.limit)
+        now = observations[:, CURRENT_SIGNAL : CURRENT_SIGNAL + 1]
+        return np.clip(now + share * np.float32(self.slew), -self.limit, self.limit)
+
+
+# ---------------------------------------------------------------------------------------- safetensors
+
+_DTYPES = {"F32": np.dtype("<f4"), "F64": np.dtype("<f8")}
+
+
+def write_safetensors(tensors: Mapping[str, np.ndarray]) -> bytes:
+    """The tensors (float32) in the safetensors format: length of the header, JSON header, bytes."""
+    header, parts, offset = {}, [], 0
+    for name, value in sorted(tensors.items()):
+        data = np.ascontiguousarray(value, "<f4").tobytes()
+        header[name] = {
+            "dtype": "F32",
+            "shape": list(np.shape(value)),
+            "data_offsets": [offset, offset + len(data)],
+        }
+        parts.append(data)
+        offset += len(data)
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return struct.pack("<Q", len(text)) + text + b"".join(parts)
+
+
+def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarray]:
+    """The tensors of a safetensors file as float arrays; `InputError` if it is not one."""
+    try:
+        (length,) = struct.unpack_from("<Q", data)
+        header = json.loads(data[8 : 8 + length])
+        body = memoryview(data)[8 + length :]
+        out = {}
+        for name, entry in header.items():
+            if name != "__metadata__":
+                begin, end = entry["data_offsets"]
+                out[name] = np.frombuffer(body[begin:end], _DTYPES[entry["dtype"]]).reshape(entry["shape"])
+        return out
+    except (struct.error, ValueError, KeyError, TypeError, AttributeError, OverflowError):
+        raise InputError(f"{where}: not a safetensors file of floats") from None
+
+
+# --------------------------------------------------------------------------------------------- policy
+
+
+def _tanh(x: np.ndarray) -> np.ndarray:
+    return np.tanh(x, out=x)
+
+
+def _relu(x: np.ndarray) -> np.ndarray:
+    return np.maximum(x, 0.0, out=x)
+
+
+ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
+OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash theirs
+
+
+class Policy:
+    """A multilayer perceptron on features of the observations. Same interface as every controller of `baselines`.
+
+    weights: [(W (out, in), b (out,)), ...]. mean, scale (features,): (feature - mean) / scale, clipped at `clip`.
+    info: the rest of policy.json (origin, training, score).
+    """
+
+    #: times the policy could not answer and something else stood in: never
+    fallbacks = 0
+
+    def __init__(
+        self,
+        weights: list[tuple[np.ndarray, np.ndarray]],
+        *,
+        memory: Memory | None = None,
+        head: Head | None = None,
+        activation: str = "tanh",
+        output: str = "clip",
+        mean: np.ndarray | None = None,
+        scale: np.ndarray | None = None,
+        clip: float = FEATURE_LIMIT,
+        name: str = "policy",
+        network: Network | None = None,
+        info: Mapping[str, Any] | None = None,
+    ) -> None:
+        if activation not in ACTIVATIONS:
+            raise InputError(f"activation must be one of {', '.join(ACTIVATIONS)}, not {activation!r}")
+        if output not in OUTPUTS:
+            raise InputError(f"output must be one of {', '.join(OUTPUTS)}, not {output!r}")
+        if not weights:
+            raise InputError("the policy has no layers")
+        self.memory, self.head = memory or Memory(), head or Head()
+        self.activation, self.output, self.clip, self.name = activation, output, float(clip), name
+        #: the network it was trained on
+        self.model = network
+        self.info = dict(info or {})
+        self.weights = [
+            (np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights
+        ]
+        for i, (w, b) in enumerate(self.weights):
+            before = self.weights[i - 1][0].shape[0] if i else w.shape[-1]
+            if w.ndim != 2 or b.shape != w.shape[:1] or w.shape[1] != before:
+                raise InputError(f"layer {i} of the weights does not fit: {w.shape} and {b.shape}")
+            if not (np.isfinite(w).all() and np.isfinite(b).all()):
+                raise InputError(f"layer {i} of the weights is not finite")
+        if self.weights[-1][0].shape[0] != 1:
+            raise InputError(f"the policy has {self.weights[-1][0].shape[0]} outputs, the car has one current")
+        features = self.weights[0][0].shape[1]
+        self.mean = np.zeros(features, np.float32) if mean is None else np.array(mean, np.float32)
+        self.scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
+        if self.mean.shape != (features,) or self.scale.shape != (features,) or not (self.scale > 0).all():
+            raise InputError(f"the normalisation needs {features} means and positive scales")
+        self.signals = (features - len(self.memory.leak)) // (1 + self.memory.order)
+        if self.memory.width(self.signals) != features:
+            raise InputError(f"the policy has {features} inputs, its memory gives {self.memory.width(self.signals)}")
+        self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
+        self._act = ACTIVATIONS[activation]
+        self._recall: Recall | None = None
+
+    # -------------------------------------------------------------------------------------- running
+
+    def reset(self) -> None:
+        """Forget the past: a new episode begins (of every car, after `act_batch`)."""
+        self._recall = None
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Commanded current (1,) float32 [A] for the next control step, of an observation (signals,)."""
+        return self.act_batch(np.asarray(observation, np.float32)[None])[0]
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Commanded currents (count, 1) float32 [A], of observations (count, signals); car i has its own memory."""
+        obs = np.asarray(observations, np.float32)
+        recall = self._recall
+        if recall is None or len(recall.features) != len(obs):
+            if obs.ndim != 2 or obs.shape[1] != self.signals:
+                raise InputError(
+                    f"policy '{self.name}' wants observations of {self.signals} signals, not shape {obs.shape[1:]}"
+                )
+            recall = self._recall = self.memory.start(obs)
+            features = recall.features
+        else:
+            features = recall.see(obs)
+        return self.head.current(self.share(features), obs)
+
+    def share(self, features: np.ndarray) -> np.ndarray:
+        """The network itself: features (count, features) -> (count, 1) in [-1, 1]."""
+        x = np.clip((features - self.mean) / self.scale, -self.clip, self.clip)
+        for w, b in self._transposed[:-1]:
+            x = self._act(x @ w + b)
+        w, b = self._transposed[-1]
+        y = x @ w + b
+        return np.tanh(y) if self.output == "tanh" else np.clip(y, -1.0, 1.0)
+
+    def check(self, network: Network | str | Path) -> None:
+        """`InputError` unless `network` has the signals of the one that the policy was made for."""
+        net = Network.load(network)
+        if self.model is not None and [c.to_dict() for c in net.inputs] != [
+            c.to_dict() for c in self.model.inputs
+        ]:
+            raise InputError(
+                f"policy '{self.name}' was made for network '{self.model.name}'; '{net.name}' has other inputs"
+            )
+
+    # ---------------------------------------------------------------------------------------- files
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `policy.json` and the weights into `folder`; returns it. An old policy there is replaced."""
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        tensors = {"normalisation.mean": self.mean, "normalisation.scale": self.scale}
+        for i, (w, b) in enumerate(self.weights):
+            tensors |= {f"layer.{i}.weight": w, f"layer.{i}.bias": b}
+        blob = write_safetensors(tensors)
+        head = {
+            "schema": SCHEMA,
+            "name": self.name,
+            "weights": {"file": WEIGHTS_NAME, "sha256": hashlib.sha256(blob).hexdigest()},
+            "actor": {
+                "layers": [list(w.shape) for w, _ in self.weights],
+                "activation": self.activation,
+                "output": self.output,
+                "clip": self.clip if math.isfinite(self.clip) else None,
+            },
+            "memory": self.memory.to_dict(),
+            "action": asdict(self.head),
+            "network": self.model.to_dict() if self.model is not None else None,
+        }
+        # weights first: a folder whose json is there is whole
+        with whole(folder / WEIGHTS_NAME) as path:
+            path.write_bytes(blob)
+        write_text(folder / JSON_NAME, json.dumps({**head, **self.info}, indent=1) + "\n")
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Policy:
+        """Read a policy folder, or a shipped policy by its name (ppo, sac); `InputError` if anything is amiss."""
+        given, folder = folder, Path(folder)
+        if not folder.exists() and (SHIPPED / str(given) / JSON_NAME).is_file():
+            folder = SHIPPED / str(given)
+        if folder.suffix == ".zip":
+            raise InputError(f"'{given}' is a pickle, which can run code: convert it once with `isd-gym convert`")
+        data = _read(folder, JSON_NAME)
+        try:
+            head = json.loads(data)
+            if not isinstance(head, dict) or head.get("schema") != SCHEMA:
+                raise InputError(f"policy '{given}': {JSON_NAME} is not of schema '{SCHEMA}'")
+            blob = _read(folder, WEIGHTS_NAME)
+            if hashlib.sha256(blob).hexdigest() != head["weights"]["sha256"]:
+                raise InputError(f"policy '{given}': {WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}")
+            tensors = read_safetensors(blob, f"policy '{given}', {WEIGHTS_NAME}")
+            actor = head["actor"]
+            weights = [
+                (tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"]) for i in range(len(actor["layers"]))
+            ]
+            network = head.get("network")
+            own = ("schema", "name", "weights", "actor", "memory", "action", "network")
+            return cls(
+                weights,
+                memory=Memory.from_dict(head["memory"]),
+                head=Head(**head["action"]),
+                activation=actor["activation"],
+                output=actor["output"],
+                clip=math.inf if actor["clip"] is None else actor["clip"],
+                mean=tensors["normalisation.mean"],
+                scale=tensors["normalisation.scale"],
+                name=str(head["name"]),
+                network=Network.load(network) if network else None,
+                info={k: v for k, v in head.items() if k not in own},
+            )
+        except InputError as error:
+            text = str(error)
+            raise InputError(text if text.startswith("policy '") else f"policy '{given}': {text}") from None
+        except (UnicodeDecodeError, json.JSONDecodeError):
+            raise InputError(f"policy '{given}': {JSON_NAME} is not JSON") from None
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"policy '{given}': {JSON_NAME} lacks or garbles {error}") from None
+
+
+def _read(folder: Path, name: str) -> bytes:
+    try:
+        return (folder / name).read_bytes()
+    except OSError:
+        raise InputError(f"policy '{folder}': no {name} there") from None

@@ -1,0 +1,115 @@
+"""The batched environment as Stable-Baselines3's own `VecEnv`: no wrapper of single environments, no loop over cars.
+
+    from stable_baselines3 import PPO
+    from isd_gym.sb3 import make_vec_env
+
+    PPO("MlpPolicy", make_vec_env(64)).learn(1_000_000)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from .env import ISDSuspensionVectorEnv
+from .errors import InputError
+
+
+class BatchedVecEnv(VecEnv):
+    """`count` cars for Stable-Baselines3.
+
+    Observations (count, width) float32 in SI units; actions (count, 1), the current [A], or with ``rescale`` (the
+    default) as a share of its limits in [-1, 1], which is what Stable-Baselines3 recommends. Car i of ``seed(s)`` is
+    the single environment of seed ``s + i``. ``stagger`` spreads the ends of the first episodes over the cars, so
+    that they do not all restart in one step.
+    """
+
+    def __init__(
+        self,
+        env_id: str = "ISDSuspension-v0",
+        count: int = 64,
+        *,
+        rescale: bool = True,
+        stagger: bool = False,
+        **options: Any,
+    ) -> None:
+        env = gym.make_vec(env_id, count, autoreset_mode="same_step", **options)
+        if not isinstance(env.unwrapped, ISDSuspensionVectorEnv):
+            raise InputError(f"'{env_id}' is not one of this package's environments")
+        self.env: ISDSuspensionVectorEnv = env.unwrapped
+        box = self.env.single_action_space
+        assert isinstance(box, spaces.Box)
+        self._gain = box.high if rescale else None
+        action_space = spaces.Box(-1.0, 1.0, box.shape, np.float32) if rescale else box
+        self._seeds: list[int | None] = [None] * count  # before super().__init__, which resets them
+        self.render_mode = self.env.render_mode
+        super().__init__(count, self.env.single_observation_space, action_space)
+        self._stagger = stagger
+        self._nothing: list[dict[str, Any]] = [{} for _ in range(count)]
+
+    def reset(self) -> VecEnvObs:
+        given = any(s is not None for s in self._seeds)
+        obs, _ = self.env.reset(seed=list(self._seeds) if given else None)
+        self._reset_seeds()
+        self._reset_options()
+        if self._stagger:
+            share = np.arange(self.num_envs) / self.num_envs
+            self.env.steps[:] = (share * self.env.max_episode_steps).astype(np.int64)
+            self.env._oldest = int(self.env.steps.max())
+        return obs
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self._actions = actions if self._gain is None else actions * self._gain
+
+    def step_wait(self) -> VecEnvStepReturn:
+        obs, rewards, terminated, truncated, info = self.env.step(self._actions)
+        done = terminated | truncated
+        infos = self._nothing
+        if "final_obs" in info:
+            infos = list(self._nothing)
+            for i in np.flatnonzero(done):
+                infos[i] = {
+                    "terminal_observation": info["final_obs"][i],
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                }
+        return obs, rewards.astype(np.float32), done, infos
+
+    def close(self) -> None:
+        self.env.close()
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        if seed is None:
+            seed = int(np.random.default_rng().integers(2**31))
+        self._seeds = [seed + i for i in range(self.num_envs)]
+        return self._seeds
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        value = getattr(self.env, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        raise InputError("the cars of a batch share their attributes: give options to make_vec_env instead")
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
+    ) -> list[Any]:
+        raise InputError(f"the cars of a batch have no methods of their own (env_method '{method_name}')")
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        return list(self.env.render() or [None] * self.num_envs)
+
+
+def make_vec_env(count: int = 64, *, env_id: str = "ISDSuspension-v0", **options: Any) -> BatchedVecEnv:
+    """`BatchedVecEnv` of `count` cars; `options` go to the environment (network, road, speed, randomize, ...)."""
+    return BatchedVecEnv(env_id, count, **options)
