@@ -378,13 +378,13 @@ class Backlash(Element):
 class Hysteresis(Element):
     type = "hysteresis"
     equation = "F = z, dz/dt = k [v - (s |v| z + (1-s) v |z|) |z|^(n-1) / F_y^n]"
-    source = "Bouc (1967), Wen (1976); s = 1, n = 1 is Dahl's law"
+    source = "Bouc (1967), Wen (1976), with beta = gamma (s = 1/2); s = 1, n = 1 is Dahl's law"
     signature = "loops in the force-travel plane whose corners are round, whatever the rate"
     law = staticmethod(_bouc_wen)
     level: float = parameter("N", 5.0, 5000.0)
     stiffness: float = parameter("N/m", 1e3, 1e7)
     exponent: float = parameter("-", 0.5, 4.0, default=1.0, open_end=True, fixed=True)
-    shape: float = parameter("-", 0.0, 1.0, default=1.0, fixed=True)
+    shape: float = parameter("-", 0.0, 1.0, default=0.5, fixed=True)
 
 
 @register

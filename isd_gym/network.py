@@ -54,8 +54,13 @@ class Channel:
     unit: str
     at: str | None = None
     between: tuple[str, str] | None = None
-    element: str | None = None
+    element: str | tuple[str, ...] | None = None  # several: the sum of their forces
     offset: bool = False
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """The elements the channel belongs to."""
+        return (self.element,) if isinstance(self.element, str) else self.element or ()
 
     def to_dict(self) -> dict[str, Any]:
         out: dict[str, Any] = {"name": self.name, "quantity": self.quantity}
@@ -64,7 +69,7 @@ class Channel:
         if self.between is not None:
             out["between"] = list(self.between)
         if self.element is not None:
-            out["element"] = self.element
+            out["element"] = self.element if isinstance(self.element, str) else list(self.element)
         out["unit"] = self.unit
         if self.offset:
             out["offset"] = "free"
@@ -209,8 +214,9 @@ class Network:
                         raise InputError(f"{kind} '{c.name}': no node '{node}'")
                 if c.at == GROUND:
                     raise InputError(f"{kind} '{c.name}': the ground does not move")
-                if c.element is not None and c.element not in by_name:
-                    raise InputError(f"{kind} '{c.name}': no element '{c.element}'")
+                for name in c.elements:
+                    if name not in by_name:
+                        raise InputError(f"{kind} '{c.name}': no element '{name}'")
         for c in self.inputs:
             self._check_input(c, motors)
         for c in self.outputs:
@@ -244,8 +250,9 @@ class Network:
                 raise InputError(f'output \'{c.name}\': a force is that of an "element" or "at" a moved node')
             if c.at is not None and c.at not in self.moved_nodes:
                 raise InputError(f"output '{c.name}': force at '{c.at}', which is not a moved node")
-            if c.element is not None and by_name[c.element].place != "between":
-                raise InputError(f"output '{c.name}': '{c.element}' has no force of its own")
+            for name in c.elements:
+                if by_name[name].place != "between":
+                    raise InputError(f"output '{c.name}': '{name}' has no force of its own")
         elif c.quantity in ("displacement", "velocity", "acceleration"):
             if (c.between is None) == (c.at is None):
                 raise InputError(f'output \'{c.name}\': a {c.quantity} is "at" a node or "between" two')
@@ -437,15 +444,26 @@ def _read_channel(data: Any, kind: str, index: int) -> Channel:
         raise InputError(f"{where}: {error}") from None
     if data.get("offset", "none") not in ("free", "none"):
         raise InputError(f'{where}: "offset" must be "free" or "none", not {data["offset"]!r}')
-    for key in ("at", "element"):
-        if key in data and not isinstance(data[key], str):
-            raise InputError(f'{where}: "{key}" must be a name, not {data[key]!r}')
+    if "at" in data and not isinstance(data["at"], str):
+        raise InputError(f'{where}: "at" must be the name of a node, not {data["at"]!r}')
+    element = data.get("element")
+    if (
+        isinstance(element, list)
+        and element
+        and kind == "outputs"
+        and all(isinstance(e, str) for e in element)
+    ):
+        element = tuple(element)
+    elif element is not None and not isinstance(element, str):
+        raise InputError(
+            f'{where}: "element" must be a name (or, of an output, a list of names), not {element!r}'
+        )
     return Channel(
         name=name,
         quantity=quantity,
         unit=data["unit"],
         at=data.get("at"),
-        element=data.get("element"),
+        element=element,
         between=_nodes_of(data["between"], where) if "between" in data else None,
         offset=data.get("offset") == "free",
     )
@@ -633,7 +651,9 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
     for channel in (*network.outputs, *extra):
         where = f"output '{channel.name}'"
         if channel.element is not None:
-            row, difference = force_of(network.element(channel.element), where), False
+            row, difference = np.zeros(width), False
+            for name in channel.elements:
+                row = row + force_of(network.element(name), where)
         elif channel.quantity == "force":
             row, difference = np.zeros(width), False
             for e in between:

@@ -258,18 +258,21 @@ class Plant:
 
 
 def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
-    """What the drive makes of a commanded current (n, lanes) held over each step: delay, lag, saturation."""
+    """What the drive makes of a commanded current (n, lanes) held over each step: delay, lag, saturation.
+
+    There was no current before the record.
+    """
     from scipy.signal import lfilter
 
     out = np.asarray(command, float)
     for e in network.elements:
         if isinstance(e, el.ActuatorDelay) and e.where[0] == motor:
-            out = delayed(out, e.delay / step)
+            out = delayed(out, e.delay / step, before=0.0)
     for e in network.elements:
         if isinstance(e, el.ActuatorLag) and e.where[0] == motor and e.time_constant > 0:
             pole = math.exp(-step / e.time_constant)
             share = (1.0 - pole) * e.time_constant / step  # mean of the decay over one step
-            state, _ = lfilter([0.0, 1.0 - pole], [1.0, -pole], out, axis=0, zi=pole * out[:1] * 1.0)
+            state, _ = lfilter([0.0, 1.0 - pole], [1.0, -pole], out, axis=0, zi=0.0 * out[:1])
             out = out + (state - out) * share
     for e in network.elements:
         if isinstance(e, el.ThrustSaturation) and e.where[0] == motor:
@@ -277,14 +280,13 @@ def effective_current(network: Network, motor: str, command: np.ndarray, step: f
     return out
 
 
-def delayed(values: np.ndarray, steps: float) -> np.ndarray:
-    """`values` (n, ...) later by a number of samples, in between by linear interpolation, the first value before."""
+def delayed(values: np.ndarray, steps: float, before: float | None = None) -> np.ndarray:
+    """`values` (n, ...) later by a number of samples, linear in between; `before` them, or the first one."""
     low = math.floor(steps)
     part = steps - low
-    n = len(values)
-    index = np.arange(n)
-    near, far = np.maximum(index - low, 0), np.maximum(index - low - 1, 0)
-    return values[near] if part == 0.0 else (1.0 - part) * values[near] + part * values[far]
+    first = np.repeat(values[:1] if before is None else np.full_like(values[:1], before), low + 1, axis=0)
+    longer = np.concatenate([first, values])[: len(values) + 1]
+    return longer[1:] if part == 0.0 else (1.0 - part) * longer[1:] + part * longer[:-1]
 
 
 def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> dict[str, np.ndarray]:
