@@ -1,0 +1,285 @@
+"""The environments as Gymnasium and Stable-Baselines3 users meet them."""
+
+import pickle
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from isd_gym.cost import StageCost
+from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+
+IDS = ["ISDSuspension-v0", "ISDSuspensionEq8-v0"]
+
+
+def rollout(env, seed, steps=300):
+    rng = np.random.default_rng(seed)
+    obs, _ = env.reset(seed=seed)
+    out = [obs]
+    for _ in range(steps):
+        obs, reward, *_ = env.step(rng.uniform(-5, 5, 1).astype(np.float32))
+        out.append(np.append(obs, reward))
+    return out
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_found_without_importing_the_package(name):
+    code = f"import gymnasium, sys; e = gymnasium.make('{name}'); e.reset(seed=0); print(e.unwrapped.network.name)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd="/")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("quarter-car")
+
+
+@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("observation", ["measured", "full", "preview"])
+def test_gymnasium_check_env(name, observation):
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        check_env(gym.make(name, observation=observation).unwrapped, skip_render_check=True)
+    # the action is a current in ampere by contract; that it is not [-1, 1] is the one thing the checker remarks
+    assert all("range=[-1, 1]" in str(w.message) for w in seen), [str(w.message) for w in seen]
+
+
+def test_stable_baselines_check_env():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # the contract's action is a current in A; Stable-Baselines3 asks for [-1, 1], as its adapter and this wrapper give
+        checker.check_env(
+            gym.wrappers.RescaleAction(gym.make("ISDSuspension-v0"), np.float32(-1), np.float32(1))
+        )
+
+
+def test_twin_rollouts_and_global_state():
+    np.random.seed(7)  # noqa: NPY002
+    before = pickle.dumps(np.random.get_state())  # noqa: NPY002
+    a, b = (rollout(gym.make("ISDSuspension-v0"), 5) for _ in range(2))
+    for x, y in zip(a, b, strict=True):
+        np.testing.assert_array_equal(x, y)
+    assert pickle.dumps(np.random.get_state()) == before  # noqa: NPY002
+    other = rollout(gym.make("ISDSuspension-v0"), 6)
+    assert not np.array_equal(a[-1], other[-1])
+
+
+def test_reset_without_seed_goes_on_from_the_generator():
+    env = gym.make("ISDSuspension-v0")
+    env.reset(seed=3)
+    first = env.step(np.zeros(1, np.float32))[0]
+    env.reset()
+    second = env.step(np.zeros(1, np.float32))[0]
+    env.reset(seed=3)
+    assert not np.array_equal(first, second)
+    np.testing.assert_array_equal(first, env.step(np.zeros(1, np.float32))[0])
+
+
+def test_pickling_in_mid_episode():
+    env = ISDSuspensionEnv()
+    env.reset(seed=1)
+    for _ in range(50):
+        env.step(np.full(1, 3.0, np.float32))
+    copy = pickle.loads(pickle.dumps(env))
+    for _ in range(50):
+        np.testing.assert_array_equal(
+            env.step(np.ones(1, np.float32))[0], copy.step(np.ones(1, np.float32))[0]
+        )
+
+
+def test_time_limit_truncates_and_nothing_terminates():
+    env = gym.make("ISDSuspension-v0", road="E")
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for k in range(4000):
+        _, _, terminated, truncated, _ = env.step(rng.choice([-5.0, 5.0], 1).astype(np.float32))
+        assert not terminated
+        assert truncated == (k == 3999)
+
+
+def test_reward_is_minus_the_stage_cost_of_section_4_2():
+    env = gym.make("ISDSuspension-v0")
+    env.reset(seed=0)
+    for _ in range(100):
+        obs, reward, _, _, info = env.step(np.full(1, 2.0, np.float32))
+        by_hand = 0.6 * (float(obs[0]) / 0.8306) ** 2 + 0.3 * (float(obs[1]) / 7.6e-3) ** 2
+        assert reward == pytest.approx(-by_hand, rel=1e-5)
+        assert reward == pytest.approx(-sum(v for k, v in info.items() if k.startswith("cost_")))
+
+
+def test_passive_car_earns_about_minus_0_9():
+    env = ISDSuspensionVectorEnv(64)
+    env.reset(seed=0)
+    total = np.mean([env.step(np.zeros((64, 1)))[1].mean() for _ in range(4000)])
+    assert total == pytest.approx(-0.9, abs=0.03)
+
+
+def test_weights_for_tyre_load_and_current():
+    env = gym.make("ISDSuspension-v0", cost={"tyre_load": 0.1, "current": 0.2})
+    env.reset(seed=0)
+    for _ in range(20):
+        _, reward, _, _, info = env.step(np.full(1, 5.0, np.float32))
+    assert info["cost_current"] == pytest.approx(0.2)
+    assert info["cost_tyre_load"] == pytest.approx(0.1 * (info["tyre_load"] / 518) ** 2)
+    with pytest.raises(InputError, match="weight of current"):
+        StageCost(current=-1.0)
+
+
+def test_current_is_slewed_by_half_an_ampere_per_step():
+    env = gym.make("ISDSuspension-v0")
+    env.reset(seed=0)
+    seen = [float(env.step(np.array([a], np.float32))[0][5]) for a in [5.0] * 12 + [-5.0] * 3 + [4.2]]
+    np.testing.assert_allclose(seen, [*np.arange(0.5, 5.1, 0.5), 5.0, 5.0, 4.5, 4.0, 3.5, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.array([np.nan], np.float32), "finite"),
+        (np.array([np.inf], np.float32), "finite"),
+        (np.zeros(2, np.float32), "shape"),
+        (np.zeros((1, 1), np.float32), "shape"),
+        (np.float32(0.0), "shape"),
+        (None, "shape"),
+    ],
+)
+def test_bad_actions_change_nothing(action, message):
+    env, twin = ISDSuspensionEnv(), ISDSuspensionEnv()
+    env.reset(seed=0), twin.reset(seed=0)
+    with pytest.raises(InputError, match=message):
+        env.step(action)
+    np.testing.assert_array_equal(env.step(np.ones(1, np.float32))[0], twin.step(np.ones(1, np.float32))[0])
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"road": "moon"}, "no road 'moon'"),
+        ({"speed": 0.0}, "speed must be a positive"),
+        ({"network": "force-rig"}, "is no car"),
+        ({"observation": "all"}, "observation must be one of"),
+        ({"randomize": {"roof.mass": (0.8, 1.2)}}, "no parameter 'roof.mass'"),
+        ({"randomize": {"body.mass": (1.2, 0.8)}}, "needs 0 < low <= high"),
+        ({"control_step": 0.0017}, "not a whole multiple"),
+        ({"render_mode": "ascii"}, "render_mode must be"),
+    ],
+)
+def test_bad_options(kwargs, message):
+    with pytest.raises(InputError, match=message):
+        ISDSuspensionEnv(**kwargs)
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {},
+        {"road": "C+bump", "speed": 15.0},
+        {
+            "randomize": {
+                "body.mass": (0.8, 1.2),
+                "seal.level": (0.5, 1.5),
+                "speed": (10, 30),
+                "road": ["A", "bump"],
+            }
+        },
+        {"observation": "preview"},
+        {"observation": "full"},
+        {"network": "quarter-car-eq8"},
+    ],
+)
+def test_env_i_of_a_batch_is_the_single_env_of_its_seed(kwargs):
+    """To the last bit, over the end of an episode, whatever the neighbours do."""
+    count, steps = 5, 700
+    batch = gym.make_vec(
+        "ISDSuspension-v0", count, max_episode_steps=450, autoreset_mode="same_step", **kwargs
+    )
+    singles = [gym.make("ISDSuspension-v0", max_episode_steps=450, **kwargs) for _ in range(count)]
+    obs, _ = batch.reset(seed=10)
+    for i, env in enumerate(singles):
+        np.testing.assert_array_equal(obs[i], env.reset(seed=10 + i)[0])
+    rng = np.random.default_rng(0)
+    for _ in range(steps):
+        actions = rng.uniform(-5, 5, (count, 1)).astype(np.float32)
+        actions[0] = 5.0  # one sits on its end stop
+        obs, rewards, _, truncated, _ = batch.step(actions)
+        for i, env in enumerate(singles):
+            one, reward, _, over, _ = env.step(actions[i])
+            assert (reward, over) == (rewards[i], truncated[i])
+            np.testing.assert_array_equal(env.reset()[0] if over else one, obs[i])
+
+
+def test_autoreset_as_gymnasium_has_it():
+    env = gym.make_vec("ISDSuspension-v0", 3, max_episode_steps=5)
+    assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+    env.reset(seed=0)
+    truncated = [env.step(np.zeros((3, 1), np.float32))[3].all() for _ in range(13)]
+    # after a truncated step one more that resets, then five of the new episode
+    assert [k for k, t in enumerate(truncated) if t] == [4, 10]
+    env = gym.make_vec("ISDSuspension-v0", 3, max_episode_steps=5, autoreset_mode="same_step")
+    env.reset(seed=0)
+    for _ in range(5):
+        obs, *_, info = env.step(np.ones((3, 1), np.float32))
+    assert not obs.any() and info["_final_obs"].all() and info["final_obs"][0][5] == pytest.approx(1.0)
+
+
+def test_reset_mask_when_autoreset_is_disabled():
+    env = ISDSuspensionVectorEnv(3, autoreset_mode="disabled")
+    env.reset(seed=0)
+    env.step(np.ones((3, 1)))
+    obs, _ = env.reset(options={"reset_mask": np.array([True, False, True])})
+    assert not obs[0].any() and not obs[2].any()
+
+
+def test_batch_refuses_bad_actions():
+    env = ISDSuspensionVectorEnv(3)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="action 1 is not finite"):
+        env.step(np.array([[0.0], [np.nan], [0.0]]))
+    with pytest.raises(InputError, match="shape"):
+        env.step(np.zeros(3))
+
+
+def test_preview_shows_the_road_that_comes():
+    env = ISDSuspensionEnv(observation="preview", preview=0.1, road="bump")
+    env.reset(seed=0)
+    batch = env.task.batch
+    heights, views = [], []
+    for _ in range(300):
+        obs, *_ = env.step(np.zeros(1, np.float32))
+        heights.append(batch.road_height[0])
+        views.append(obs[6:] + heights[-1])
+    assert max(heights) > 0.04
+    for k in range(0, 270):
+        np.testing.assert_allclose(views[k], heights[k + 1 : k + 21], atol=1e-6)
+
+
+def test_model_file_with_found_effects_runs_as_env(tmp_path):
+    from isd_gym.network import Network
+
+    net = Network.load("quarter-car-isd")
+    for extra in (
+        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 80.0},
+        {"name": "lag", "type": "actuator_lag", "element": "motor", "time_constant": 0.01},
+        {"name": "late", "type": "actuator_delay", "element": "motor", "delay": 0.007},
+        {"name": "soft", "type": "thrust_saturation", "element": "motor", "current": 4.0},
+        {"name": "gain", "type": "sensor_gain", "channel": "body_acceleration", "gain": 1.5},
+    ):
+        net = net.with_element(extra)
+    net.save(tmp_path / "model.json")
+    env = gym.make("ISDSuspension-v0", network=str(tmp_path / "model.json"))
+    env.reset(seed=0)
+    for _ in range(200):
+        obs, _, terminated, _, info = env.step(np.full(1, 4.0, np.float32))
+        assert not terminated
+    true = np.sqrt(info["cost_acceleration"] / 0.6) * 0.8306
+    assert abs(obs[0]) == pytest.approx(1.5 * true, rel=1e-5)
+
+
+def test_ppo_learns_on_it_in_three_lines():
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = gym.make("ISDSuspension-v0")
+    model = sb3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0)
+    model.learn(128)
+    assert env.action_space.contains(model.predict(env.reset(seed=0)[0])[0])

@@ -1,0 +1,268 @@
+"""The kernel against physics: analytic limits, energy, its own order, and an integrator that shares nothing with it."""
+
+import numpy as np
+import pytest
+import reference
+from scipy.signal import lsim, sawtooth
+
+from isd_gym.network import Channel, Network, linearise
+from isd_gym.road import paper_road
+from isd_gym.simulate import Plant, simulate
+
+STEP = 1e-3
+
+
+def a_road(duration, seed=0, scale=1.0):
+    z = paper_road().heights(duration, rng=np.random.default_rng(seed), step=STEP)
+    return np.arange(len(z)) * STEP, scale * z
+
+
+def rms(x):
+    return np.sqrt(np.mean(np.square(x)))
+
+
+def currents(time, amplitude, seed=0):
+    """A current held for 5 ms at a time."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(np.clip(np.cumsum(rng.normal(0, 0.3, len(time) // 5 + 1)), -amplitude, amplitude), 5)[
+        : len(time)
+    ]
+
+
+CASES = {
+    "sticking": ({}, 0.0, 1.0),
+    "sliding": ({}, 5.0, 1.0),
+    "rough, on the end stop": ({}, 5.0, 4.0),
+    "equation 8": ("quarter-car-eq8", 3.0, 1.0),
+    "quadratic damping": ({"type": "quadratic_damping", "between": ["piston", "joint"], "damping": 8000.0}, 4.0, 1.0),
+    "asymmetric damper": (
+        {"type": "asymmetric_damping", "between": ["joint", "wheel"], "extension": 400.0, "compression": -700.0}, 4.0, 1.0
+    ),
+    "cubic spring": ({"type": "cubic_stiffness", "between": ["body", "wheel"], "stiffness": 2e7}, 4.0, 1.0),
+    "gas spring": ({"type": "gas_spring", "between": ["body", "wheel"], "force": 800.0, "length": 0.08}, 4.0, 1.0),
+    "bump stop": ({"type": "bump_stop", "between": ["body", "wheel"], "clearance": 0.01, "stiffness": 1e5}, 4.0, 1.0),
+    "hysteresis": ({"type": "hysteresis", "between": ["body", "wheel"], "level": 200.0, "stiffness": 5e4}, 4.0, 1.0),
+    "two frictions": ({"type": "coulomb_friction", "between": ["body", "wheel"], "level": 100.0}, 4.0, 1.0),
+    "Stribeck": (
+        {"type": "stribeck_friction", "between": ["body", "wheel"], "level": 60.0, "static_level": 110.0, "stribeck_velocity": 0.05},
+        4.0, 1.0,
+    ),
+    "cogging": ({"type": "cogging_force", "between": ["piston", "joint"], "amplitude": 80.0, "pitch": 0.006, "phase": 1.0}, 4.0, 1.0),
+    "tyre damping": ({"type": "linear_damping", "between": ["wheel", "road"], "damping": 300.0}, 4.0, 1.0),
+    "lift-off": ({"type": "tyre_lift_off", "between": ["wheel", "road"], "stiffness": 192000.0, "load": 900.0}, 4.0, 1.0),
+    "lag": ({"type": "actuator_lag", "element": "motor", "time_constant": 0.01}, 4.0, 1.0),
+    "saturation": ({"type": "thrust_saturation", "element": "motor", "current": 3.0}, 4.0, 1.0),
+    "delay": ({"type": "actuator_delay", "element": "motor", "delay": 0.0123}, 4.0, 1.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_outputs_agree_with_the_independent_reference(case):
+    """RMS of every output within 0.1 % at the shipped step, sticking and sliding."""
+    what, amplitude, scale = CASES[case]
+    net = Network.load(what if isinstance(what, str) else "quarter-car-isd")
+    if isinstance(what, dict) and what:
+        net = net.with_element({"name": "more", **what})
+    time, road = a_road(8.0, scale=scale)
+    inputs = {"road": road, "current": currents(time, amplitude)}
+    ours = simulate(net, time, inputs)
+    theirs = reference.simulate(net.to_dict(), time, inputs)
+    for name in ours:
+        assert rms(ours[name]) == pytest.approx(rms(theirs[name]), rel=1e-3), name
+
+
+def test_linear_network_is_exact():
+    """Without laws the kernel is scipy's own integration of the state space, inputs linear between samples."""
+    net = Network.load("quarter-car-passive")
+    time, road = a_road(3.0)
+    space = linearise(net)
+    _, y, _ = lsim((space.A, space.B, space.C, space.D), road, time)
+    ours = simulate(net, time, {"road": road})
+    for j, name in enumerate(ours):
+        np.testing.assert_allclose(ours[name], y[:, j], rtol=1e-7, atol=1e-9 * np.abs(y[:, j]).max())
+
+
+def test_long_run_on_the_papers_road_is_the_analytic_value():
+    from isd_gym.policies import Idle
+    from isd_gym.scoring import Entry, drive
+
+    run = drive(
+        Entry("passive", lambda: Idle("passive")),
+        Network.load("quarter-car-passive"),
+        episodes=256,
+        duration=40.0,
+    )
+    keep = slice(1000, None)  # past the start from rest
+    assert rms(run.body_acceleration[keep]) == pytest.approx(0.828, rel=0.01)
+    assert rms(run.suspension_travel[keep]) == pytest.approx(7.16e-3, rel=0.01)
+    assert rms(run.tyre_load[keep]) == pytest.approx(516, rel=0.01)
+
+
+def test_triangle_test_shows_figure_6():
+    """0.1 Hz, 10 mm: a square wave of +-505 N from the series rig; 7.1 kN from equation (6) as printed."""
+    time = np.arange(0, 20, STEP)
+    x = 0.01 * sawtooth(2 * np.pi * 0.1 * time, 0.5)
+    force = simulate("force-rig", time, {"displacement": x})["force"][10_000:]
+    plateau = np.abs(force)[np.abs(np.abs(x[10_000:]) - 0.004) < 0.003]
+    assert np.median(plateau) == pytest.approx(505, rel=0.01)
+    assert plateau.std() < 5
+    slow = np.abs(np.gradient(np.gradient(x))) < 1e-12
+    assert np.abs(simulate("force-rig-eq6", time, {"displacement": x})["force"][slow]).max() == pytest.approx(
+        7.6e3, rel=0.01
+    )
+    elastic = 709e3 * 0.01
+    assert elastic == pytest.approx(7.1e3, rel=0.01)
+
+
+def test_coulomb_decay_loses_4f_over_k_each_cycle():
+    k, f, m = 1e4, 20.0, 100.0
+    net = Network.from_dict(
+        {
+            "schema": "isd-model/1",
+            "name": "slider",
+            "masses": {"mass": m},
+            "elements": [
+                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": k},
+                {"name": "rub", "type": "coulomb_friction", "between": ["mass", "ground"], "level": f},
+            ],
+            "outputs": [{"name": "x", "quantity": "displacement", "at": "mass", "unit": "m"}],
+        }
+    )
+    period = 2 * np.pi * np.sqrt(m / k)
+    time = np.arange(0, 4.25 * period, STEP)
+    x = simulate(net, time, {}, initial=np.array([0.05, 0.0]))["x"]
+    peaks = [x[int(i * period / STEP) - 5 : int(i * period / STEP) + 6].max() for i in range(1, 5)]
+    np.testing.assert_allclose(peaks, 0.05 - 4 * f / k * np.arange(1, 5), rtol=2e-3)
+    still = simulate(net, time, {}, initial=np.array([0.0019, 0.0]))["x"]
+    np.testing.assert_array_equal(still, still[0])  # k x < f: it stays for ever
+
+
+def test_energy_balance():
+    """What road and motor put in is stored or dissipated, to 0.1 % of what went in."""
+    net = Network.load("quarter-car-isd")
+    time, road = a_road(10.0, scale=2.0)
+    command = currents(time, 5.0)
+    extra = [Channel(f"F_{e.name}", "force", "N", element=e.name) for e in net.elements]
+    pairs = {e.name: e.between for e in net.elements}
+    extra += [Channel(f"d_{n}", "displacement", "m", between=p) for n, p in pairs.items()]
+    extra += [Channel(f"v_{m}", "velocity", "m/s", at=m) for m in net.masses]
+    extra.append(Channel("v_device", "velocity", "m/s", between=("piston", "joint")))
+    out = simulate(net, time, {"road": road, "current": command}, step=2e-4, extra=extra)
+
+    def work(name):  # on the element, by its terminals
+        f, d = out[f"F_{name}"], out[f"d_{name}"]
+        return np.sum(0.5 * (f[1:] + f[:-1]) * np.diff(d))
+
+    tyre = out["F_tyre"]
+    by_road = -np.sum(0.5 * (tyre[1:] + tyre[:-1]) * np.diff(road))
+    thrust = 60.0 * 4.056 * command
+    by_motor = -np.sum(thrust[:-1] * np.diff(out["d_motor"]))
+    kinetic = sum(0.5 * m * out[f"v_{n}"][-1] ** 2 for n, m in net.masses.items())
+    kinetic += 0.5 * 95.0 * out["v_device"][-1] ** 2
+    p = net.parameters
+    elastic = sum(0.5 * p[f"{n}.stiffness"] * out[f"d_{n}"][-1] ** 2 for n in ("main_spring", "tyre", "oil"))
+    spent = sum(work(n) for n in ("leak", "seal", "damper", "end_stop"))
+    assert all(work(n) > 0 for n in ("leak", "seal", "damper"))
+    scale = abs(by_road) + abs(by_motor)
+    assert by_road + by_motor == pytest.approx(kinetic + elastic + spent, abs=1e-3 * scale)
+
+
+def test_second_order_for_smooth_laws():
+    net = Network.load("quarter-car-passive").with_element(
+        {"name": "q", "type": "quadratic_damping", "between": ["body", "wheel"], "damping": 4000.0}
+    )
+    time = np.arange(0, 3.0, 8e-3)
+    inputs = {"road": 0.02 * np.sin(2 * np.pi * 1.5 * time) ** 3}
+    runs = {h: simulate(net, time, inputs, step=h)["suspension_travel"] for h in (8e-3, 4e-3, 2e-3, 1.25e-4)}
+    errors = [rms(runs[h] - runs[1.25e-4]) for h in (8e-3, 4e-3, 2e-3)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert np.all(orders > 1.8), orders
+
+
+def test_friction_converges_as_the_step_shrinks():
+    time, road = a_road(4.0)
+    inputs = {"road": road, "current": currents(time, 5.0)}
+    fine = simulate("quarter-car-isd", time, inputs, step=STEP / 32)["device_travel"]
+    errors = [
+        rms(simulate("quarter-car-isd", time, inputs, step=h)["device_travel"] - fine)
+        for h in (STEP, STEP / 4)
+    ]
+    assert errors[1] < 0.4 * errors[0] < 0.02 * rms(fine)
+
+
+def test_lanes_are_independent_networks():
+    net = Network.load("quarter-car-isd")
+    nets = [net.with_parameters({"body.mass": 300.0 + 20 * i}) for i in range(5)]
+    time, road = a_road(2.0)
+    inputs = {"road": road, "current": currents(time, 4.0)}
+    together = Plant(nets).run(inputs, samples=len(time))
+    for i, one in enumerate(nets):
+        alone = simulate(one, time, inputs)
+        for j, name in enumerate(alone):
+            np.testing.assert_array_equal(together[:, j, i], alone[name])
+
+
+def test_sensor_faults_act_on_their_channel_only():
+    net = Network.load("quarter-car-isd")
+    time, road = a_road(1.0)
+    inputs = {"road": road, "current": np.zeros_like(time)}
+    true = simulate(net, time, inputs)
+    for fault in (
+        {"type": "sensor_gain", "gain": 1.2},
+        {"type": "sensor_bias", "bias": 0.3},
+        {"type": "sensor_delay", "delay": 4e-3},
+    ):
+        seen = simulate(
+            net.with_element({"name": "s", "channel": "body_acceleration", **fault}), time, inputs
+        )
+        np.testing.assert_array_equal(seen["tyre_force"], true["tyre_force"])
+        a = true["body_acceleration"]
+        expected = {
+            "sensor_gain": 1.2 * a,
+            "sensor_bias": a + 0.3,
+            "sensor_delay": np.concatenate([np.full(4, a[0]), a[:-4]]),
+        }
+        np.testing.assert_allclose(seen["body_acceleration"], expected[fault["type"]], atol=1e-12)
+
+
+def test_an_element_of_ones_own_needs_nothing_but_its_class():
+    from isd_gym import elements as el
+
+    class Magnet(el.Element):
+        """Attraction that falls off with distance."""
+
+        type = "test_magnet"
+        equation = "F = F0 exp(-|d|/L) d/L"
+        source = "this test"
+        signature = "none"
+        law = staticmethod(lambda p, d, v, d_last, z, h: (p[0] * np.exp(-abs(d) / p[1]) * d / p[1], z))
+        force: float = el.parameter("N", 1.0, 1e3)
+        length: float = el.parameter("m", 1e-3, 1.0)
+
+    try:
+        el.register(Magnet)
+        net = Network.load("quarter-car-isd").with_element(
+            {"name": "m", "type": "test_magnet", "between": ["body", "wheel"], "force": 300.0, "length": 0.01}
+        )
+        time, road = a_road(1.0)
+        inputs = {"road": road, "current": np.zeros_like(time)}
+        a, b = simulate(net, time, inputs), simulate("quarter-car-isd", time, inputs)
+        assert rms(a["suspension_travel"] - b["suspension_travel"]) > 0.01 * rms(b["suspension_travel"])
+    finally:
+        el.TYPES.pop("test_magnet")
+
+
+def test_simulate_refuses_bad_input():
+    from isd_gym.errors import InputError
+
+    time = np.arange(100) * STEP
+    with pytest.raises(InputError, match="input 'current' is missing"):
+        simulate("quarter-car-isd", time, {"road": 0 * time})
+    with pytest.raises(InputError, match="'road' must hold 100 finite samples"):
+        simulate("quarter-car-isd", time, {"road": np.full(100, np.nan), "current": 0 * time})
+    with pytest.raises(InputError, match="uniformly sampled"):
+        simulate(
+            "quarter-car-isd",
+            np.sort(np.random.default_rng(0).random(100)),
+            {"road": 0 * time, "current": 0 * time},
+        )

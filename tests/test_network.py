@@ -1,0 +1,215 @@
+"""Models: reading, refusing, writing; and the equations assembled from them, against hand-derived ones."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from isd_gym import elements as el
+from isd_gym.errors import InputError
+from isd_gym.network import Network, assemble, builtin_networks, linearise
+
+KAPPA, SPEED = 5e-7, 20.0
+
+
+def rms_on_the_papers_road(space):
+    """RMS of every output for white dz_r/dt of two-sided intensity (2 pi)^2 kappa u, by integration over frequency."""
+    f = np.logspace(-3, 4, 60_000)
+    H = space.response(f)[:, :, space.inputs.index("road")]
+    psd = 2 * (2 * np.pi) ** 2 * KAPPA * SPEED * np.abs(H) ** 2 / (2 * np.pi * f[:, None]) ** 2
+    return dict(zip(space.outputs, np.sqrt(np.trapezoid(psd, f, axis=0)), strict=True))
+
+
+def car(name="quarter-car-isd"):
+    return Network.load(name).to_dict()
+
+
+@pytest.mark.parametrize("name", builtin_networks())
+def test_builtin_round_trip(name):
+    net = Network.load(name)
+    assert Network.from_dict(json.loads(net.dumps())) == net
+
+
+def test_passive_car_matches_the_analytic_figures():
+    rms = rms_on_the_papers_road(linearise("quarter-car-passive"))
+    assert rms["body_acceleration"] == pytest.approx(0.828, rel=0.01)
+    assert rms["suspension_travel"] == pytest.approx(7.16e-3, rel=0.01)
+    assert rms["tyre_force"] == pytest.approx(516, rel=0.01)
+
+
+def test_equation_8_without_friction_matches_its_analytic_figures():
+    rms = rms_on_the_papers_road(linearise("quarter-car-eq8", damping={"seal": 0.0}))
+    assert rms["body_acceleration"] == pytest.approx(0.827, rel=0.01)
+    assert rms["suspension_travel"] == pytest.approx(7.24e-3, rel=0.01)
+    assert rms["tyre_force"] == pytest.approx(534.5, rel=0.01)
+
+
+def test_assembly_equals_equation_8_written_by_hand():
+    """Equation (8): z_b eliminated by hand in the frequency domain."""
+    p = Network.load("quarter-car-eq8").parameters
+    f = np.logspace(-1, 2, 40)
+    s = 2j * np.pi * f
+    Ze = p["oil.stiffness"] + p["leak.damping"] * s + p["inerter.inertance"] * s**2
+    Zc = p["damper.damping"] * s
+    series = Ze * Zc / (Ze + Zc)  # force per travel of device and damper in series
+    Y = p["main_spring.stiffness"] + series
+    ms, mu, kt = p["body.mass"], p["wheel.mass"], p["tyre.stiffness"]
+    # [ms s^2 + Y, -Y; -Y, mu s^2 + Y + kt] [zs, zu] = [0, kt zr]
+    det = (ms * s**2 + Y) * (mu * s**2 + Y + kt) - Y**2
+    zs, zu = kt * Y / det, kt * (ms * s**2 + Y) / det
+    H = linearise("quarter-car-eq8", damping={"seal": 0.0}).response(f)
+    np.testing.assert_allclose(H[:, 0, 0], s**2 * zs, rtol=1e-9)
+    np.testing.assert_allclose(H[:, 1, 0], zs - zu, rtol=1e-9)
+    np.testing.assert_allclose(H[:, 2, 0], kt * (zu - 1), rtol=1e-8)
+
+
+def test_series_network_equals_impedances_in_series():
+    p = Network.load("quarter-car-isd").parameters
+    f = np.logspace(-1, 2, 40)
+    s = 2j * np.pi * f
+    device = p["leak.damping"] * s + p["inerter.inertance"] * s**2
+    Y = p["main_spring.stiffness"] + 1 / (1 / p["oil.stiffness"] + 1 / device + 1 / (p["damper.damping"] * s))
+    ms, mu, kt = p["body.mass"], p["wheel.mass"], p["tyre.stiffness"]
+    det = (ms * s**2 + Y) * (mu * s**2 + Y + kt) - Y**2
+    H = linearise("quarter-car-isd", damping={"seal": 0.0}).response(f)
+    np.testing.assert_allclose(H[:, 0, 0], s**2 * kt * Y / det, rtol=1e-8)
+
+
+def test_no_inertance_leaves_spring_and_dampers_in_series():
+    """b -> 0: the device is its leak; the piston-joint direction loses its momentum and a state with it."""
+    net = Network.load("quarter-car-isd").without_element("seal").without_element("end_stop")
+    bare = net.without_element("inerter")
+    small = net.with_parameters({"inerter.inertance": 1e-6})
+    f = np.logspace(-1, 1.5, 20)
+    assert assemble(bare).size[0] == assemble(net).size[0] - 1
+    np.testing.assert_allclose(
+        linearise(bare).response(f), linearise(small).response(f), rtol=1e-6, atol=1e-9
+    )
+
+
+def test_states_of_the_default_car():
+    assert assemble(Network.load("quarter-car-isd")).size[0] == 7
+
+
+def test_force_at_a_moved_node_is_equation_6():
+    f = np.array([0.5, 3.0, 10.0])
+    w = 2 * np.pi * f
+    space = linearise("force-rig-eq6", damping={"seal": 0.0})
+    H = space.response(f)[:, 0, :]
+    total = H[:, 0] + 1j * w * H[:, 1] - w**2 * H[:, 2]
+    np.testing.assert_allclose(total, 709e3 + 1293j * w - 95 * w**2, rtol=1e-12)
+
+
+def test_terminal_inertia_is_the_term_equation_4_drops():
+    """F = m n [n (a2 - a1) + a1] of equation (3), against the reciprocal inerter plus the absolute term."""
+    net = car("force-rig-eq6")
+    net["elements"] = [e for e in net["elements"] if e["name"] == "inerter"]
+    net["uncertainty"] = {}
+    net["elements"].append(
+        {
+            "name": "term",
+            "type": "terminal_inertia",
+            "between": ["top", "ground"],
+            "mass": 23.0,
+            "terminal": "first",
+        }
+    )
+    space = linearise(Network.from_dict(net))
+    np.testing.assert_allclose(space.D[0], [0.0, 95.0 + 23.0])
+    assert space.inputs == ("displacement", "displacement''")
+
+
+BAD = {
+    "unknown key": (lambda m: m.update(colour="red"), "unknown key 'colour'"),
+    "unknown element key": (
+        lambda m: m["elements"][0].update(stifness=1.0),
+        "main_spring.*unknown key 'stifness'",
+    ),
+    "unknown type": (lambda m: m["elements"][0].update(type="spring"), "main_spring.*unknown type 'spring'"),
+    "missing parameter": (lambda m: m["elements"][0].pop("stiffness"), "main_spring.*'stiffness' is missing"),
+    "negative mass": (lambda m: m["masses"].update(body=-1.0), "'body' must be a positive number of kg"),
+    "negative damping": (lambda m: m["elements"][4].update(damping=-1.0), "leak.*damping must be >= 0"),
+    "text for a number": (
+        lambda m: m["elements"][0].update(stiffness="22 kN/m"),
+        "main_spring.*must be a number",
+    ),
+    "not finite": (lambda m: m["elements"][0].update(stiffness=float("nan")), "main_spring.*finite"),
+    "unknown node": (lambda m: m["outputs"][0].update(at="roof"), "body_acceleration.*no node 'roof'"),
+    "unknown unit": (
+        lambda m: m["outputs"][0].update(unit="furlong"),
+        "body_acceleration.*unknown unit 'furlong'",
+    ),
+    "wrong unit": (lambda m: m["outputs"][0].update(unit="mm"), "body_acceleration.*cannot be turned into"),
+    "floating node": (
+        lambda m: m["elements"][8].update(between=["joint", "nowhere"]),
+        "node 'nowhere' floats",
+    ),
+    "same node": (lambda m: m["elements"][0].update(between=["body", "body"]), "main_spring.*itself"),
+    "twice": (lambda m: m["elements"][1].update(name="main_spring"), "two elements are called 'main_spring'"),
+    "wrong schema": (lambda m: m.update(schema="isd-model/9"), "schema is 'isd-model/9'"),
+    "massless acceleration": (
+        lambda m: m["outputs"].append(
+            {"name": "x", "quantity": "acceleration", "at": "joint", "unit": "m/s^2"}
+        ),
+        "acceleration of a massless node",
+    ),
+    "current without motor": (lambda m: m["inputs"][1].update(element="oil"), "current.*name of a motor"),
+    "uncertainty of nothing": (
+        lambda m: m["uncertainty"].update({"roof.mass": 0.1}),
+        "no parameter 'roof.mass'",
+    ),
+    "effect of no motor": (
+        lambda m: m["elements"].append(
+            {"name": "lag", "type": "actuator_lag", "element": "oil", "time_constant": 0.01}
+        ),
+        "lag.*no motor 'oil'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_models_are_one_line(case):
+    change, message = BAD[case]
+    model = copy.deepcopy(car())
+    change(model)
+    with pytest.raises(InputError, match=message) as caught:
+        assemble(Network.from_dict(model))
+    assert "\n" not in str(caught.value)
+
+
+def test_singular_massless_part_names_the_nodes():
+    model = car("quarter-car-passive")
+    a, b = ["body", "hook"], ["hook", "wheel"]
+    law = {"type": "quadratic_damping", "damping": 100.0}
+    model["elements"] += [{"name": "a", "between": a, **law}, {"name": "b", "between": b, **law}]
+    with pytest.raises(InputError, match="nothing holds 'hook'"):
+        assemble(Network.from_dict(model))
+
+
+def test_unreadable_files(tmp_path):
+    (tmp_path / "x.json").write_text('{"schema": ')
+    with pytest.raises(InputError, match="not JSON, line 1"):
+        Network.load(tmp_path / "x.json")
+    with pytest.raises(InputError, match="neither a file nor one of force-rig"):
+        Network.load("no-such-car")
+
+
+def test_changed_copies_leave_the_original():
+    net = Network.load("quarter-car-isd")
+    heavier = net.with_parameters({"body.mass": 400.0, "oil.stiffness": 5e5})
+    assert (heavier.masses["body"], heavier.element("oil").stiffness) == (400.0, 5e5)
+    assert (net.masses["body"], net.element("oil").stiffness) == (345.0, 709e3)
+    more = net.with_element(
+        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 50.0}
+    )
+    assert len(more.elements) == len(net.elements) + 1
+    assert net.unit_of("oil.stiffness") == "N/m"
+
+
+def test_every_element_type_documents_itself():
+    for cls in el.TYPES.values():
+        assert cls.equation and cls.source and cls.signature, cls.type
+        for f in el.parameter_fields(cls):
+            low, high = f.metadata["range"]
+            assert low < high and f.metadata["unit"], (cls.type, f.name)
