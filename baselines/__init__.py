@@ -1,0 +1,128 @@
+"""Controllers to measure a policy by: passive, skyhook, LQG, the paper's MPC, a friction-aware MPC.
+
+``make("mpc")`` gives one that believes in the default car; `CONTROLLERS` names them all. Every controller sees the
+environment's observation and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+
+from .controller import Controller, Idle
+
+if TYPE_CHECKING:
+    from isd_gym.scoring import Entry
+
+Factory = Callable[..., Controller]
+
+
+def _idle(name: str) -> Factory:
+    return lambda model, cost, control_step: Idle(model, name)
+
+
+def _skyhook(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .simple import Skyhook
+
+    return Skyhook(model, cost, control_step, name="skyhook", **options)
+
+
+def _add(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .simple import AccelerationDriven
+
+    return AccelerationDriven(model, cost, control_step, name="add", **options)
+
+
+def _lqg(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .lqg import Lqg
+
+    return Lqg(model, cost, control_step, **_settings("lqg", "LqgSettings", options))
+
+
+def _lqr_full(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .lqg import FullStateLqr
+
+    return FullStateLqr(model, cost, control_step, **_settings("lqg", "LqgSettings", options))
+
+
+def _mpc(
+    model: Network, cost: StageCost, control_step: float, *, start: str = "", **options: Any
+) -> Controller:
+    from . import mpc
+
+    base = mpc.PAPER if start else mpc.MpcSettings()
+    return mpc.Mpc(model, cost, control_step, **_settings("mpc", base, options), name=start or "mpc")
+
+
+def _settings(module: str, base: Any, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Keyword `settings` of a controller with single fields replaced; `InputError` for a field that is not there."""
+    import dataclasses
+    import importlib
+
+    if isinstance(base, str):
+        base = getattr(importlib.import_module(f".{module}", __package__), base)()
+    base = options.get("settings", base)
+    known = {f.name for f in dataclasses.fields(base)}
+    unknown = [k for k in options if k not in known and k != "settings"]
+    if unknown:
+        raise InputError(f"no option '{unknown[0]}': there are {', '.join(sorted(known))}")
+    return {"settings": dataclasses.replace(base, **{k: v for k, v in options.items() if k != "settings"})}
+
+
+#: name -> factory(model, cost, control_step, **options)
+CONTROLLERS: dict[str, Factory] = {
+    "passive": _idle("passive"),  # the plant is another: the conventional car
+    "isd-passive": _idle("isd-passive"),
+    "skyhook": _skyhook,
+    "add": _add,
+    "lqg": _lqg,
+    "lqr-full": _lqr_full,
+    "mpc-paper": partial(_mpc, start="mpc-paper"),
+    "mpc": _mpc,
+}
+#: the plant of a controller that has its own
+PLANTS = {"passive": "quarter-car-passive"}
+
+
+def make(
+    name: str,
+    model: Network | str | Path | Mapping[str, Any] | None = None,
+    cost: StageCost | None = None,
+    control_step: float = 5e-3,
+    **options: Any,
+) -> Controller:
+    """The controller of that name, believing in `model` (by default the car it is scored on).
+
+    `options` replace single settings (``make("mpc", solver="daqp", horizon=30)``). Raises `InputError` for a name or an
+    option that is not there.
+    """
+    if name not in CONTROLLERS:
+        raise InputError(f"no controller '{name}': there are {', '.join(CONTROLLERS)}")
+    network = Network.load(PLANTS.get(name, "quarter-car-isd") if model is None else model)
+    return CONTROLLERS[name](network, cost or StageCost(), control_step, **options)
+
+
+def policy(
+    name: str, model: Network, cost: StageCost, control_step: float, options: Mapping[str, Any]
+) -> Entry | None:
+    """A baseline as an entry to score (`isd_gym.policies`); None for a name that is not a baseline's."""
+    from isd_gym.scoring import Entry
+
+    if name not in CONTROLLERS:
+        return None
+    return Entry(name, lambda: make(name, model, cost, control_step, **options))
+
+
+def _names() -> list[str]:
+    return [name for name in CONTROLLERS if name not in ("passive", "isd-passive")]
+
+
+policy.names = _names  # type: ignore[attr-defined]
+
+__all__ = ["CONTROLLERS", "PLANTS", "Controller", "make", "policy"]

@@ -1,0 +1,103 @@
+"""What every baseline is: a belief, a memory, and a current for an observation."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+
+from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.env import MEASURED
+from isd_gym.network import Network
+
+BOUNDS = np.array([bound for _, _, bound in MEASURED])
+CURRENT = 5  # place of the present current in the observation
+
+
+class Controller(ABC):
+    """Observation (6,) in, commanded current [A] out.
+
+    `name`; `model`: the network it believes in, whatever the plant is; `fallbacks`: how often it could not do what it is
+    meant to and did something safe instead. Whatever comes in, the command is finite, at most 5 A, and at most 0.5 A
+    from the present current (Table 5).
+    """
+
+    observation: ClassVar[str] = "measured"
+
+    def __init__(self, name: str, model: Network) -> None:
+        self.name, self.model = name, model
+        self.fallbacks = 0
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget everything: a new road begins at rest. The count of fallbacks stays."""
+
+    @abstractmethod
+    def act(self, observation: np.ndarray) -> float:
+        """Commanded current [A] for one observation (6,)."""
+
+
+class BatchController(Controller):
+    """A controller of many cars at once; one car is a batch of one. Subclasses give `_start` and `_command`."""
+
+    def reset(self) -> None:
+        self.reset_batch(1)
+
+    def reset_batch(self, count: int) -> None:
+        """Forget everything and drive `count` cars."""
+        self._last = np.zeros(count)
+        self._start(count)
+
+    def act(self, observation: np.ndarray) -> float:
+        return float(self.act_batch(np.asarray(observation)[None])[0])
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Commanded currents [A] (n,) for observations (n, 6), car i with its own memory."""
+        obs = clean(observations, self._last)
+        self._last = limit(self._command(obs), obs[CURRENT])
+        return self._last
+
+    @abstractmethod
+    def _start(self, count: int) -> None: ...
+
+    @abstractmethod
+    def _command(self, obs: np.ndarray) -> np.ndarray:
+        """Wanted currents (n,) for clean observations (6+, n)."""
+
+    # the memory of a controller is plain arrays: `copy.deepcopy` and pickle need no help
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
+
+
+def clean(observations: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Observations (n, 6+) as columns (6+, n) float64; a broken number becomes 0, a broken current the last command."""
+    obs = np.array(np.asarray(observations).T, float)
+    if not np.isfinite(obs.sum()):
+        broken = ~np.isfinite(obs)
+        obs[broken] = 0.0
+        obs[CURRENT] = np.where(broken[CURRENT], last, obs[CURRENT])
+    bounds = BOUNDS[:, None]
+    np.clip(obs[:6], -bounds, bounds, out=obs[:6])
+    return obs
+
+
+def limit(wanted: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Table 5: |I| <= 5 A and |dI| <= 0.5 A; a command that is not a number holds the present current."""
+    wanted = np.where(np.isfinite(wanted), wanted, present)
+    step = np.clip(wanted - present, -SLEW_LIMIT, SLEW_LIMIT)
+    return np.clip(present + step, -CURRENT_LIMIT, CURRENT_LIMIT)
+
+
+class Idle(BatchController):
+    """No current."""
+
+    def __init__(self, model: Network, name: str = "isd-passive", **_: Any) -> None:
+        super().__init__(name, model)
+        self.reset()
+
+    def _start(self, count: int) -> None:
+        pass
+
+    def _command(self, obs: np.ndarray) -> np.ndarray:
+        return np.zeros(obs.shape[1])

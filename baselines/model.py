@@ -1,0 +1,359 @@
+"""What a controller believes: the network as a discrete prediction model, and the linear-quadratic tools on it.
+
+Positions are taken relative to the road (``x~ = x - T r`` with the rigid shift T), so the road enters as white
+velocity only and the model of equation (9) has no integrator that nothing can see.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from isd_gym import elements as el
+from isd_gym.batch import CURRENT_LIMIT, signal_channels, state_channels
+from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
+from isd_gym.network import Network, assemble
+from isd_gym.road import paper_road
+
+N_SENSORS = 5  # the measured signals that the physics determines; the sixth is the present current
+TYRE = 5  # row of the tyre load among the signals
+#: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
+ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20.0
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Standard deviations a Kalman filter assumes; small, as the environment's sensors are clean."""
+
+    body_acceleration: float = 0.02  # m/s^2
+    suspension_travel: float = 2e-5  # m
+    suspension_travel_rate: float = 2e-3  # m/s
+    device_travel: float = 2e-5  # m
+    device_travel_rate: float = 2e-3  # m/s
+
+    @property
+    def covariance(self) -> np.ndarray:
+        values = [
+            self.body_acceleration,
+            self.suspension_travel,
+            self.suspension_travel_rate,
+            self.device_travel,
+            self.device_travel_rate,
+        ]
+        return np.diag(np.square(values))
+
+
+@dataclass(frozen=True)
+class Model:
+    """One control step of a car: ``x+ = A x + B I + G f + w``, ``y = C x + D I + F f``, ``v = S x + SI I + SF f``.
+
+    x (n,): state, positions above the road. I [A]: current held over the step. f (nl,) [N]: forces of the `laws` that
+    were kept apart (friction, stops). w: road, covariance `W` over one step. y (6,): the signals of `signal_channels`.
+    v (nl,) [m/s] and e (nl,) [m] (rows `E`): rates and elongations of the laws. P: response of x to a road that moves
+    linearly by 1 m over the step (preview).
+    """
+
+    network: Network
+    step: float
+    A: np.ndarray
+    B: np.ndarray
+    G: np.ndarray
+    W: np.ndarray
+    P: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    F: np.ndarray
+    S: np.ndarray
+    SI: np.ndarray
+    SF: np.ndarray
+    E: np.ndarray
+    laws: tuple[el.Element, ...]
+    thrust: float  # N/A at the terminals of the motor; 0 without one
+    motor_rate: np.ndarray  # row that gives the device's rate
+    nodes: (
+        np.ndarray
+    )  # rows that give displacement and velocity of every node, as the full observation has them
+
+    @property
+    def n(self) -> int:
+        return len(self.A)
+
+    @property
+    def friction(self) -> list[int]:
+        """Which of the laws are dry friction."""
+        return [j for j, e in enumerate(self.laws) if e.bound is not None]
+
+    def levels(self, rate: float = 0.05) -> np.ndarray:
+        """Friction level [N] of each law at a sliding rate [m/s]; 0 for laws that are not dry friction."""
+        out = np.zeros(len(self.laws))
+        for j in self.friction:
+            e = self.laws[j]
+            out[j] = e.bound(np.array(e.law_parameters()), 0.0, rate)  # type: ignore[misc]
+        return out
+
+
+def equivalent_damping(level: float, rate_rms: float) -> float:
+    """Damping [N s/m] that loses what friction of `level` [N] loses at a Gaussian rate of `rate_rms` [m/s].
+
+    The quasi-linearisation of section 4.2: the least-squares gain of f sgn(v) on v is f sqrt(2/pi)/sigma.
+    """
+    return level * math.sqrt(2 / math.pi) / rate_rms
+
+
+def prediction_model(
+    network: Network,
+    step: float,
+    *,
+    damping: Mapping[str, float] | None = None,
+    road_intensity: float = ROAD_INTENSITY,
+) -> Model:
+    """The model of a car network at a control `step` [s].
+
+    Dry friction and stops are kept as laws, unless `damping` [N s/m] names them: then they are linear dampers, inside
+    A and C. Every other law counts by its slope at rest. Raises `InputError` for a network that is no car.
+    """
+    damping = dict(damping or {})
+    bare = Network(
+        network.name,
+        network.masses,
+        tuple(e for e in network.elements if e.place == "between"),
+        network.inputs,
+    )
+    channels = [*signal_channels(network), *state_channels(network)]
+    asm = assemble(bare, channels)
+    cols = {part: asm.columns(part) for part in ("x", "r", "v", "I", "f")}
+    if cols["r"].stop - cols["r"].start != 1:
+        raise InputError(f"network '{network.name}': a controller's car stands on one road")
+    kept, slopes_k, slopes_c = [], np.zeros(len(asm.laws)), np.zeros(len(asm.laws))
+    for j, e in enumerate(asm.laws):
+        if e.name in damping:
+            slopes_c[j] = damping[e.name]
+        elif (e.bound is not None or isinstance(e, el.BumpStop)) and not asm.by_difference[j]:
+            kept.append(j)
+        elif e.law is not None:
+            p, d = np.array(e.law_parameters()), 1e-7
+            slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, 1e-9)[0] - e.law(p, -d, 0.0, 0.0, 0.0, 1e-9)[0]) / (
+                2 * d
+            )
+            slopes_c[j] = (e.law(p, 0.0, d, 0.0, 0.0, 1e-9)[0] - e.law(p, 0.0, -d, 0.0, 0.0, 1e-9)[0]) / (
+                2 * d
+            )
+    rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
+    f_all = cols["f"]
+    gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f_all], rows)
+    apart = [f_all.start + j for j in kept]
+    gain[:, f_all] = 0.0
+
+    def close(block: np.ndarray) -> np.ndarray:
+        return block + block[:, f_all] @ gain
+
+    rate, out = close(asm.rate), close(asm.outputs)
+    E, R = close(asm.elongation)[kept], close(asm.elongation_rate)[kept]
+    x, r, v = cols["x"], cols["r"], cols["v"]
+    # the shift of the state when road and car rise together by 1 m: nothing changes, nothing is felt
+    left = np.vstack([rate[:, x], out[:6, x], E[:, x], R[:, x]])
+    right = np.vstack([rate[:, r], out[:6, r], E[:, r], R[:, r]])
+    T = np.linalg.lstsq(left, -right, rcond=None)[0]
+    if np.abs(left @ T + right).max() > 1e-6 * np.abs(right).max():
+        raise InputError(f"network '{network.name}' is tied to the ground: a controller's car moves freely")
+    A = rate[:, x]
+    white = rate[:, v] - T
+    motor = next((e for e in bare.elements if isinstance(e, el.Motor)), None)
+    current = rate[:, cols["I"]] if motor is not None else np.zeros((len(A), 1))
+    n, k = len(A), len(kept)
+    inputs = np.hstack([current, rate[:, apart], white])
+    big = np.zeros((n + inputs.shape[1],) * 2)
+    big[:n, :n], big[:n, n:] = A * step, inputs * step
+    phi = expm(big)
+    # covariance of the road's white velocity over one step (Van Loan)
+    loan = expm(np.block([[-A, road_intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * step)
+    W = loan[n:, n:].T @ loan[:n, n:]
+
+    def through(block: np.ndarray) -> np.ndarray:
+        return block[:, cols["I"]][:, :1] if motor is not None else np.zeros((len(block), 1))
+
+    return Model(
+        network=network,
+        step=step,
+        A=phi[:n, :n],
+        B=phi[:n, n],
+        G=phi[:n, n + 1 : n + 1 + k],
+        W=0.5 * (W + W.T),
+        P=phi[:n, n + 1 + k] / step,
+        C=out[:6, x],
+        D=through(out)[:6, 0],
+        F=out[:6, apart],
+        S=R[:, x],
+        SI=through(R)[:, 0],
+        SF=R[:, apart],
+        E=E[:, x],
+        laws=tuple(asm.laws[j] for j in kept),
+        thrust=motor.thrust_constant * motor.ratio if motor is not None else 0.0,
+        motor_rate=out[4, x],
+        nodes=out[6:, x],
+    )
+
+
+# ------------------------------------------------------------------------------------ linear-quadratic
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Quadratic weights of a design: the stage cost, and what shapes it.
+
+    move [1/A^2] on the change of current per step; effort [1/A^2] on the current; centring [-] on the device's travel
+    over its stop (24.65 mm), which nothing else holds in the middle.
+    """
+
+    cost: StageCost
+    move: float = 0.0
+    effort: float = 0.0
+    centring: float = 0.01
+
+    @property
+    def signals(self) -> np.ndarray:
+        """Diagonal (6,) on the signals."""
+        a, l, f, _ = self.cost.quadratic
+        return np.array([a, l, 0.0, self.centring / 0.02465**2, 0.0, f])
+
+    @property
+    def current(self) -> float:
+        return self.cost.quadratic[3] + self.effort
+
+
+def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    """LQR without friction: (gain K (n,) of ``I = -K x``, value matrix V (n, n))."""
+    q = weights.signals[:, None]
+    C, D = model.C @ model.A, model.C @ model.B + model.D  # signals at the end of the step
+    Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
+    N = (C.T @ (q[:, 0] * D))[:, None]
+    V = solve_discrete_are(model.A, model.B[:, None], Q, R, s=N)
+    K = np.linalg.solve(R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T)[0]
+    return K, V
+
+
+def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    """LQR of the change of current, state (x, I before): (gain (n+1,), value matrix (n+1, n+1))."""
+    n = model.n
+    A = np.zeros((n + 1, n + 1))
+    A[:n, :n], A[:n, n], A[n, n] = model.A, model.B, 1.0
+    B = np.append(model.B, 1.0)[:, None]
+    C = np.column_stack([model.C @ model.A, model.C @ model.B + model.D])
+    D = (model.C @ model.B + model.D)[:, None]
+    q = weights.signals[:, None]
+    Q, R, N = C.T @ (q * C), D.T @ (q * D), C.T @ (q * D)
+    Q[n, n] += weights.current
+    R += weights.current + weights.move
+    N[n] += weights.current
+    V = solve_discrete_are(A, B, Q, R, s=N)
+    K = np.linalg.solve(R + B.T @ V @ B, B.T @ V @ A + N.T)[0]
+    return K, V
+
+
+def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
+    """Steady gain L (n, 5) of ``x += L (y - C x - D I)`` on the measured signals; `noise`: added to the road's."""
+    C = model.C[:N_SENSORS]
+    W = model.W + (0.0 if noise is None else noise)
+    # rounding may leave W indefinite by a hair; a whisper of noise on every state keeps the equation well posed
+    W = W + 1e-12 * np.eye(model.n) * max(np.trace(W), 1e-12)
+    V = solve_discrete_are(model.A.T, C.T, W, sensors.covariance)
+    return np.linalg.solve(C @ V @ C.T + sensors.covariance, C @ V).T
+
+
+def closed_loop_spread(model: Model, K: np.ndarray, noise: np.ndarray | None = None) -> np.ndarray:
+    """Stationary covariance (n, n) of the state under ``I = -K x``."""
+    W = model.W + (0.0 if noise is None else noise)
+    return stationary(model.A - np.outer(model.B, K), W)
+
+
+def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:
+    """Covariance of ``x+ = A x + w`` after 2^doublings steps (80 s at 5 ms): a free device wanders, and that is finite."""
+    A, S = A.copy(), W.copy()
+    for _ in range(doublings):
+        S = S + A @ S @ A.T
+        A = A @ A
+    return S
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A model whose friction is dampers, and the dampers [N s/m] and rate RMS [m/s] it was made with."""
+
+    model: Model
+    damping: dict[str, float]
+    rate_rms: dict[str, float]
+    friction_noise: np.ndarray  # covariance of the state per step, of what friction is beyond the dampers
+
+
+def statistical_linearisation(
+    network: Network,
+    step: float,
+    weights: Weights,
+    *,
+    road_intensity: float = ROAD_INTENSITY,
+    iterations: int = 60,
+) -> Linearised:
+    """Friction as dampers whose level and closed-loop rate agree (section 4.2, equation 9).
+
+    The rate RMS is that of the linear car under its own linear-quadratic regulator of the current's change; half steps
+    towards it until it no longer changes. A car that would rather stick ends at a large damping (RMS at least 1 mm/s).
+    """
+    free = prediction_model(network, step, road_intensity=road_intensity)
+    names = [free.laws[j].name for j in free.friction]
+    stops = {e.name: 0.0 for e in free.laws if e.bound is None}
+    rms = {name: 0.1 for name in names}
+    levels = {}
+    for _ in range(iterations):
+        for j in free.friction:
+            name = free.laws[j].name
+            levels[name] = float(free.levels(rms[name])[j])
+        damping = {name: equivalent_damping(levels[name], rms[name]) for name in names}
+        model = prediction_model(network, step, damping=damping | stops, road_intensity=road_intensity)
+        if not names or model.thrust == 0.0:
+            break
+        K, _ = move_regulator(model, weights)
+        A = np.zeros((model.n + 1,) * 2)
+        A[:-1, :-1], A[:-1, -1], A[-1, -1] = model.A, model.B, 1.0
+        B = np.append(model.B, 1.0)
+        W = np.zeros_like(A)
+        W[:-1, :-1] = model.W
+        spread = stationary(A - np.outer(B, K), W)
+        change = 0.0
+        for j in free.friction:
+            row = np.append(free.S[j], 0.0)
+            new = max(math.sqrt(max(row @ spread @ row, 0.0)), 1e-3)
+            name = free.laws[j].name
+            change = max(change, abs(math.log(new / rms[name])))
+            rms[name] = math.sqrt(rms[name] * new)
+        if change < 1e-4:
+            break
+    noise = np.zeros((free.n, free.n))
+    for j in free.friction:
+        residual = levels[free.laws[j].name] * math.sqrt(1 - 2 / math.pi)
+        noise += residual**2 * np.outer(free.G[:, j], free.G[:, j])
+    return Linearised(model, damping, rms, noise)
+
+
+def tyre_aware(cost: StageCost, tyre_load: float) -> StageCost:
+    """The cost with the weight of the tyre load at least `tyre_load` [-]."""
+    return replace(cost, tyre_load=max(cost.tyre_load, tyre_load))
+
+
+__all__ = [
+    "CURRENT_LIMIT",
+    "Linearised",
+    "Model",
+    "Sensors",
+    "Weights",
+    "equivalent_damping",
+    "kalman_gain",
+    "move_regulator",
+    "prediction_model",
+    "regulator",
+    "statistical_linearisation",
+]

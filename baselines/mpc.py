@@ -1,0 +1,273 @@
+"""The paper's model predictive control (section 4.2), from measured signals alone, under the limits of Table 5.
+
+Equation (9): the car with its friction as a damper (statistical linearisation), a Kalman filter for its state and the
+road, and at every step a small quadratic program for the changes of current over the horizon, of which the first is
+used. The objective is the stage cost at every step of the horizon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import erf
+
+from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+
+from .controller import CURRENT, Controller, clean, limit
+from .lqg import Estimator
+from .model import (
+    ROAD_INTENSITY,
+    Model,
+    Sensors,
+    Weights,
+    equivalent_damping,
+    move_regulator,
+    prediction_model,
+    stationary,
+    statistical_linearisation,
+)
+from .qp import Program, program
+
+ACCELERATION_LIMIT = 5.0  # m/s^2, Table 5
+TRAVEL_LIMIT = 0.08  # m, Table 5
+SLACK_LINEAR, SLACK_QUADRATIC = 1e2, 1e3  # per limit passed: far above the stage cost at the limits
+
+
+@dataclass(frozen=True)
+class MpcSettings:
+    """How the paper's controller is filled in where the paper is silent.
+
+    horizon [steps]. moves: lengths [steps] of the pieces over which the change of current is constant; it is zero after
+    them. move [1/A^2], tyre_load [-], centring [-]: weights beside the stage cost. terminal: cost-to-go of the linear
+    regulator after the horizon. friction: "equivalent" leaves it at the damper of equation (9); "planned" adds what the
+    friction is beyond the damper along the last plan, known in advance as its rates are, averaged over what the road
+    may add to them (`spread` [-] scales that). solver: see `qp`.
+    """
+
+    horizon: int = 20
+    moves: tuple[int, ...] = (1, 1, 2, 3, 5, 8)
+    move: float = 0.01
+    tyre_load: float = 0.0
+    centring: float = 0.02
+    terminal: bool = True
+    friction: str = "planned"
+    spread: float = 1.0
+    friction_noise: float = 300.0  # N
+    solver: str = "osqp"
+    sensors: Sensors = field(default_factory=Sensors)
+    road_intensity: float = ROAD_INTENSITY
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1 or not self.moves or min(self.moves) < 1 or sum(self.moves) > self.horizon:
+            raise InputError(
+                f"moves {self.moves} must be positive lengths that fit into the horizon of {self.horizon}"
+            )
+        if self.friction not in ("equivalent", "planned"):
+            raise InputError(f"friction must be equivalent or planned, not {self.friction!r}")
+
+
+#: horizons as a toolbox would default: 10 steps of which 2 may move, no cost-to-go, a tenth of the move weight's unit
+PAPER = MpcSettings(
+    horizon=10, moves=(1, 1), move=0.1 / CURRENT_LIMIT**2, terminal=False, friction="equivalent", centring=0.0
+)
+
+
+class Mpc(Controller):
+    """The quadratic program of one car. `plan` (horizon,): the currents [A] it means to command."""
+
+    def __init__(
+        self,
+        model: Network,
+        cost: StageCost | None = None,
+        control_step: float = 5e-3,
+        settings: MpcSettings | None = None,
+        name: str = "mpc",
+    ) -> None:
+        super().__init__(name, model)
+        self.settings = s = settings or MpcSettings()
+        cost = cost or StageCost()
+        self.weights = w = Weights(
+            replace(cost, tyre_load=cost.tyre_load + s.tyre_load), move=s.move, centring=s.centring
+        )
+        design = replace(w, centring=max(w.centring, 1e-3))  # a regulator must hold the device somewhere
+        self.linear = statistical_linearisation(model, control_step, design, road_intensity=s.road_intensity)
+        linear = self.linear.model
+        free = prediction_model(model, control_step, road_intensity=s.road_intensity)
+        self.planned = s.friction == "planned" and bool(free.friction) and free.thrust > 0.0
+        if s.friction == "planned":
+            self.estimator = Estimator(free, s.sensors, s.friction_noise)
+        else:
+            self.estimator = Estimator(linear, s.sensors, 0.0, self.linear.friction_noise)
+        self._passive = free.thrust == 0.0
+        if not self._passive:
+            self._condense(linear, free, design)
+        self.reset()
+
+    # -------------------------------------------------------------------------------------- offline
+
+    def _condense(self, m: Model, free: Model, design: Weights) -> None:
+        """Everything over the horizon as a matrix on (state, present current, friction beyond the damper, moves)."""
+        s, N, n = self.settings, self.settings.horizon, m.n
+        pieces = len(s.moves)
+        spread_out = np.zeros((N, pieces))  # change of current per step, by move
+        start = 0
+        for j, length in enumerate(s.moves):
+            spread_out[start : start + length, j] = 1.0
+            start += length
+        self._steps = spread_out
+        self._currents = np.cumsum(spread_out, axis=0)
+        # the plan one step later, in the same pieces
+        later = np.vstack([spread_out[1:], np.zeros((1, pieces))])
+        self._later = np.linalg.lstsq(spread_out, later, rcond=None)[0]
+        nf = len(free.friction) if self.planned else 0
+        G, S = free.G[:, free.friction], free.S[free.friction]
+        self._damping = np.array([self.linear.damping[free.laws[j].name] for j in free.friction])
+        self._levels = free.levels()[free.friction]
+        # columns: x (n), present current (1), friction (N * nf), moves
+        width = n + 1 + N * nf + pieces
+        x = np.zeros((n, width))
+        x[:, :n] = np.eye(n)
+        signals, rates = np.empty((N, 6, width)), np.empty((N, len(free.friction), width))
+        for k in range(N):
+            current = np.zeros(width)
+            current[n] = 1.0
+            current[n + 1 + N * nf :] = self._currents[k]
+            x = m.A @ x + np.outer(m.B, current)
+            for j in range(nf):
+                x[:, n + 1 + k * nf + j] += G[:, j]
+            signals[k] = m.C @ x + np.outer(m.D, current)
+            rates[k] = S @ x
+        u = slice(n + 1 + N * nf, width)
+        given = slice(0, u.start)
+        q = self.weights.signals
+        H = np.einsum("kiu,i,kiw->uw", signals[:, :, u], q, signals)
+        effort = np.zeros((N, width))
+        effort[:, n], effort[:, u] = 1.0, self._currents
+        H += self.weights.current * effort[:, u].T @ effort
+        H[:, u] += s.move * spread_out.T @ spread_out
+        if s.terminal:
+            _, V = move_regulator(m, design)
+            end = np.vstack([x, effort[-1]])
+            H += end[:, u].T @ V @ end
+        P = 2 * H[:, u]
+        self._P = 0.5 * (P + P.T)
+        self._linear_term = 2 * H[:, given]
+        self._inverse = np.linalg.inv(self._P)
+        ends = np.cumsum(s.moves) - 1
+        self._rows = np.vstack([np.eye(pieces), self._currents[ends]])
+        self._program: Program = program(s.solver, self._P, self._rows)
+        # acceleration and travel are softly limited: two slacks more, in a program that is seldom needed
+        self._soft_given = signals[:, :2, given].transpose(1, 0, 2).reshape(2 * N, -1)
+        self._soft_moves = signals[:, :2, u].transpose(1, 0, 2).reshape(2 * N, -1)
+        self._soft_limits = np.repeat([ACCELERATION_LIMIT, TRAVEL_LIMIT], N)
+        slack = np.zeros((2 * N, 2))
+        slack[:N, 0], slack[N:, 1] = ACCELERATION_LIMIT, TRAVEL_LIMIT
+        P_soft = np.zeros((pieces + 2,) * 2)
+        P_soft[:pieces, :pieces] = self._P
+        P_soft[pieces:, pieces:] = 2 * SLACK_QUADRATIC * np.eye(2)
+        hard = np.hstack([self._rows, np.zeros((len(self._rows), 2))])
+        self._soft_program: Program = program(
+            s.solver,
+            P_soft,
+            np.vstack(
+                [
+                    hard,
+                    np.hstack([self._soft_moves, -slack]),
+                    np.hstack([self._soft_moves, slack]),
+                    np.hstack([np.zeros((2, pieces)), np.eye(2)]),
+                ]
+            ),
+        )
+        self._rates_given, self._rates_moves = rates[:, :, given], rates[:, :, u]
+        # how much the road adds to the rates k steps ahead, without feedback
+        V, deviations = np.zeros((n, n)), np.empty((N, len(free.friction)))
+        for k in range(N):
+            V = m.A @ V @ m.A.T + m.W
+            deviations[k] = np.sqrt(np.einsum("ji,ik,jk->j", S, V, S))
+        self._deviations = np.maximum(s.spread * deviations, 1e-4)
+        self._nf = nf
+
+    # --------------------------------------------------------------------------------------- online
+
+    def reset(self) -> None:
+        self.estimator.reset(1)
+        self._last = np.zeros(1)
+        self.status = "idle"
+        if not self._passive:
+            self._moves = np.zeros(len(self.settings.moves))
+            self._rates = np.zeros((self.settings.horizon, len(self._levels)))
+            self._planned_ahead = False
+
+    def act(self, observation: np.ndarray) -> float:
+        obs = clean(np.asarray(observation)[None], self._last)
+        x = self.estimator.update(obs)[:, 0]
+        present = float(obs[CURRENT, 0])
+        if self._passive:
+            return 0.0
+        wanted = present + self._solve(x, present)[0]
+        self._last = limit(np.array([wanted]), obs[CURRENT])
+        return float(self._last[0])
+
+    @property
+    def plan(self) -> np.ndarray:
+        """Planned currents [A] over the horizon, relative to the present one."""
+        return self._currents @ self._moves
+
+    def _solve(self, x: np.ndarray, present: float) -> np.ndarray:
+        """Moves (pieces,) [A per step] for a state and a current; a fallback is counted, never raised."""
+        given = np.append(x, present)
+        if self._nf:
+            beyond = (
+                self._levels * erf(self._rates / (np.sqrt(2) * self._deviations))
+                - self._damping * self._rates
+            )
+            given = np.append(given, beyond.ravel())
+        q = self._linear_term @ given
+        guess = self._later @ self._moves
+        pieces = len(guess)
+        low, high = np.full(len(self._rows), -SLEW_LIMIT), np.full(len(self._rows), SLEW_LIMIT)
+        low[pieces:], high[pieces:] = -CURRENT_LIMIT - present, CURRENT_LIMIT - present
+        moves = -self._inverse @ q  # the optimum without limits; often it is within them
+        self.status = "solved"
+        if not self._within(moves, low, high):
+            outcome = self._program.solve(q, low, high, guess)
+            self.status = outcome.status
+            moves = outcome.x
+        if moves is not None:
+            ahead = self._soft_given @ given
+            if np.any(np.abs(ahead + self._soft_moves @ moves) > self._soft_limits):
+                outcome = self._soft_program.solve(
+                    np.append(q, [SLACK_LINEAR, SLACK_LINEAR]),
+                    np.concatenate(
+                        [low, np.full_like(ahead, -np.inf), -self._soft_limits - ahead, [0.0, 0.0]]
+                    ),
+                    np.concatenate(
+                        [high, self._soft_limits - ahead, np.full_like(ahead, np.inf), [np.inf, np.inf]]
+                    ),
+                    np.append(guess, [0.0, 0.0]),
+                )
+                self.status = outcome.status
+                moves = None if outcome.x is None else outcome.x[:pieces]
+        if moves is None:
+            # the rest of the last plan; without one, towards no current
+            self.fallbacks += 1
+            moves = guess if self._planned_ahead else np.zeros(pieces)
+            if not self._planned_ahead:
+                moves[0] = -np.clip(present, -SLEW_LIMIT, SLEW_LIMIT)
+        self._planned_ahead = self.status != "idle" and moves is not None
+        self._moves = moves
+        if self._nf:
+            rates = self._rates_given @ given + self._rates_moves @ moves
+            self._rates = np.vstack([rates[1:], rates[-1:]])
+        return moves
+
+    def _within(self, moves: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+        rows = self._rows @ moves
+        return bool(np.all(rows >= low) and np.all(rows <= high))
+
+
+__all__ = ["PAPER", "Mpc", "MpcSettings", "equivalent_damping", "stationary"]

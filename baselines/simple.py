@@ -1,0 +1,142 @@
+"""Skyhook and acceleration-driven damping, in the form a motor in series with a damper gives them.
+
+Both say what force F the strut should carry between body and wheel. The strut is the device in series with a damper
+c, so the device must run at ``w = travel rate - F / c``; an inner loop drives it there by inverse dynamics,
+
+    K I = F_now - k_p d - c_p w_now - f sgn(w) - b (w - w_now) / tau,
+
+with F_now from the measured body acceleration, and b, c_p, k_p, f of what stands parallel to the motor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from isd_gym import elements as el
+from isd_gym.cost import StageCost
+from isd_gym.network import Network
+
+from .controller import BatchController
+
+
+@dataclass(frozen=True)
+class Strut:
+    """The strut of a car between body and wheel: what stands parallel to the motor, and the damper in series with it."""
+
+    body_mass: float  # kg
+    spring: float  # N/m, between body and wheel, beside the strut
+    thrust: float  # N/A at the terminals, 0 without a motor
+    stiffness: float  # N/m, parallel to the motor
+    damping: float  # N s/m, parallel to the motor
+    inertance: float  # kg, parallel to the motor
+    friction: float  # N, parallel to the motor
+    series: float  # N s/m, in series with the motor; infinite where there is none
+
+    @classmethod
+    def of(cls, network: Network) -> Strut:
+        body, wheel = list(network.masses)[:2]
+        between = [e for e in network.elements if e.place == "between"]
+        motor = next((e for e in between if isinstance(e, el.Motor)), None)
+        spring = sum(e.linear()[0] for e in between if set(e.between) == {body, wheel})
+        if motor is None:
+            return cls(network.masses[body], spring, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf)
+        parallel = [e for e in between if set(e.between) == set(motor.between)]
+        k, c, b = np.sum([e.linear() for e in parallel], axis=0)
+        level = sum(e.bound(np.array(e.law_parameters()), 0.0, 0.05) for e in parallel if e.bound is not None)
+        series = [
+            e.linear()[1]
+            for e in between
+            if e not in parallel and e.linear()[1] > 0 and set(e.between) & set(motor.between) - {body, wheel}
+        ]
+        return cls(
+            body_mass=network.masses[body],
+            spring=spring,
+            thrust=motor.thrust_constant * motor.ratio,
+            stiffness=float(k),
+            damping=float(c),
+            inertance=float(b),
+            friction=float(level),
+            series=series[0] if series else np.inf,
+        )
+
+
+@dataclass(frozen=True)
+class StrutSettings:
+    """body [N s/m]: skyhook damping, or the difference of the two dampings of ADD. travel [N s/m]: damping on the
+    suspension's rate. forget [1/s]: high pass of the integrated acceleration. tau [s]: of the inner loop. width [m/s]:
+    the friction's sign is smoothed below it. softness [m^2/s^3]: the switch of ADD is smoothed below it."""
+
+    body: float
+    travel: float
+    forget: float = 0.5
+    tau: float = 0.02
+    width: float = 0.02
+    softness: float = 0.02
+
+
+class ForceControl(BatchController):
+    """The inner loop; subclasses say which force the strut should carry."""
+
+    default = StrutSettings(0.0, 1500.0)
+
+    def __init__(
+        self,
+        model: Network,
+        cost: StageCost | None = None,
+        control_step: float = 5e-3,
+        settings: StrutSettings | None = None,
+        name: str = "",
+        **_: Any,
+    ) -> None:
+        super().__init__(name or type(self).__name__.lower(), model)
+        self.settings = settings or self.default
+        self.step, self.strut = control_step, Strut.of(model)
+        self.reset()
+
+    def _start(self, count: int) -> None:
+        self.velocity = np.zeros(count)  # of the body, high-passed [m/s]
+
+    def _command(self, obs: np.ndarray) -> np.ndarray:
+        s, z = self.strut, self.settings
+        acceleration, travel, rate, device, device_rate = obs[:5]
+        self.velocity = (self.velocity + self.step * acceleration) * (1.0 - z.forget * self.step)
+        if s.thrust == 0.0:
+            return np.zeros(obs.shape[1])
+        wanted = self.force(acceleration, rate)
+        goal = rate - wanted / s.series if np.isfinite(s.series) else rate
+        now = -s.body_mass * acceleration - s.spring * travel
+        thrust = (
+            now
+            - s.stiffness * device
+            - s.damping * device_rate
+            - s.friction * np.tanh(goal / z.width)
+            - s.inertance * (goal - device_rate) / z.tau
+        )
+        return thrust / s.thrust
+
+    def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Force [N] the strut should carry, positive in tension."""
+        raise NotImplementedError
+
+
+class Skyhook(ForceControl):
+    """F = c_body v_body + c_travel (v_body - v_wheel): a damper to the sky (Karnopp), and one to the wheel."""
+
+    default = StrutSettings(body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012)
+
+    def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        return self.settings.body * self.velocity + self.settings.travel * rate
+
+
+class AccelerationDriven(ForceControl):
+    """Acceleration-driven damping (Savaresi et al., 2005): firm where the body's acceleration and the travel's rate have
+    the same sign, soft else."""
+
+    default = StrutSettings(body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06)
+
+    def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        z = self.settings
+        return (z.travel + 0.5 * z.body * np.tanh(acceleration * rate / z.softness)) * rate
