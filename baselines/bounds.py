@@ -1,0 +1,301 @@
+"""Two limits that put every score in place: what no causal controller can pass, and what is reachable on one road.
+
+The **causal bound** is the linear-quadratic optimum of the body and wheel with any force whatever between them: full
+state, no friction, no limits, a road of white velocity. Every suspension is a special case, so none is better on average.
+The mean squares that controllers can reach form a convex set, hence the Riccati solutions of all weights are its
+whole border and `best_acceleration` finds the best third of a triple by duality, exactly.
+
+The **clairvoyant optimum** knows the road of the whole episode. It is the least cost over the 4000 currents of an
+episode in the real network, friction, end stop and all limits of Table 5 included. See `clairvoyant`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import null_space, solve_continuous_are, solve_continuous_lyapunov
+from scipy.optimize import minimize
+
+from isd_gym import elements as el
+from isd_gym.batch import signal_channels
+from isd_gym.errors import InputError
+from isd_gym.network import Channel, Network, linearise
+from isd_gym.road import REFERENCE_FREQUENCY, Road
+from isd_gym.road import road as find_road
+
+# ============================================================================================ the causal bound
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A car on a rough road as ``dx/dt = A x + B F + G w``, positions above the road, F [A] or [N], w white.
+
+    States that no output can ever see are left out.
+
+    y (3,) = C x + D F: body acceleration [m/s^2], suspension travel [m], tyre load [N]. `intensity`: two-sided [m^2/s].
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    G: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    intensity: float
+    seen: np.ndarray  # (states of the assembly, kept ones)
+    lift: (
+        np.ndarray
+    )  # state of the assembly when car and road are lifted by 1 m: x = seen.T @ (x_assembly - lift r)
+
+
+@dataclass(frozen=True)
+class LQPoint:
+    """One point of the surface: RMS of acceleration [m/s^2], travel [m], tyre load [N] and input [N] (ideal) or [A].
+
+    `weights` (3,): on the squares of the three, in SI; `gain`: of ``F = -gain @ x``; `cost`: the Riccati value
+    ``trace(P G G') intensity``, which the weighted mean square of a rollout must equal.
+    """
+
+    acceleration: float
+    travel: float
+    tyre_load: float
+    effort: float
+    cost: float
+    weights: np.ndarray
+    gain: np.ndarray
+
+    @property
+    def triple(self) -> np.ndarray:
+        return np.array([self.acceleration, self.travel, self.tyre_load])
+
+
+def ideal(network: Network | str | Path) -> Network:
+    """The car with all that stands between body and wheel taken out, and a force actuator of 1 N/A put in.
+
+    Raises `InputError` where there is another mass than body and wheel: the bound would not hold.
+    """
+    network = Network.load(network)
+    signal_channels(network)  # complains if it is no car
+    if len(network.masses) != 2:
+        raise InputError(
+            f"network '{network.name}': the causal bound is that of two masses, not {len(network.masses)}"
+        )
+    body, wheel = network.masses
+    fixed = {*network.moved_nodes, "ground"}
+    kept, frontier = {wheel}, [*fixed]  # what hangs on road or ground stays
+    links: dict[str, set[str]] = {}
+    for e in network.elements:
+        if e.place == "between":
+            a, b = e.where
+            links.setdefault(a, set()).add(b)
+            links.setdefault(b, set()).add(a)
+    while frontier:
+        node = frontier.pop()
+        if node not in kept:
+            kept.add(node)
+            if node != body:
+                frontier += links.get(node, set()) - {wheel}
+    stay = tuple(
+        e
+        for e in network.elements
+        if e.place == "between" and (set(e.where) <= kept) and set(e.where) != {body, wheel}
+    )
+    actuator = el.Motor("actuator", (body, wheel), thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
+    road = next(c for c in network.inputs if c.quantity == "displacement")
+    return Network(
+        f"{network.name}-ideal",
+        network.masses,
+        (*stay, actuator),
+        (road, Channel("current", "current", "A", element="actuator")),
+    )
+
+
+def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str | Road = "paper") -> Linear:
+    """The network without friction and stops, other laws by their slope at rest, on a rough road.
+
+    Raises `InputError` for a road without roughness, or a car tied to the ground.
+    """
+    network = Network.load(network)
+    ground = find_road(road)
+    if not ground.roughness > 0:
+        raise InputError(f"road '{ground.name}' is not random: the causal bound needs a rough road")
+    moving = [
+        e
+        for e in network.elements
+        if e.place == "between" and e.bound is None and not isinstance(e, el.BumpStop | el.TyreLiftOff)
+    ]
+    bare = Network(network.name, network.masses, tuple(moving), network.inputs)
+    channels = [
+        c for c in signal_channels(bare) if c.name in ("body_acceleration", "suspension_travel", "tyre_load")
+    ]
+    ss = linearise(bare, outputs=channels)
+    name = next(c.name for c in network.inputs if c.quantity == "displacement")
+    column = {n: j for j, n in enumerate(ss.inputs)}
+    n = len(ss.A)
+    r = column[name]
+    left, right = np.vstack([ss.A, ss.C]), np.concatenate([ss.B[:, r], ss.D[:, r]])
+    T = np.linalg.lstsq(left, -right, rcond=None)[0]  # state of a car lifted by 1 m together with the road
+    if np.abs(left @ T + right).max() > 1e-6 * np.abs(right).max():
+        raise InputError(
+            f"network '{network.name}' is tied to the ground: its travel has no stationary value"
+        )
+    rate = column.get(f"{name}'")
+    G = (ss.B[:, rate] if rate is not None else 0.0) - T
+    if (rate is not None and np.any(ss.D[:, rate])) or f"{name}''" in column:
+        raise InputError(
+            f"network '{network.name}': white road velocity acts on the tyre load through a damper; it has no RMS"
+        )
+    current = next((c.name for c in network.inputs if c.quantity == "current"), None)
+    B = ss.B[:, [column[current]]] if current is not None else np.zeros((n, 1))
+    D = ss.D[:, column[current]] if current is not None else np.zeros(3)
+    # a free device may drift unseen (its travel costs nothing): those states are left out
+    unseen = null_space(left)
+    seen = null_space(unseen.T) if unseen.size else np.eye(n)
+    A, B, G, C = seen.T @ ss.A @ seen, seen.T @ B, seen.T @ G, ss.C @ seen
+    n = len(A)
+    if ground.cutoff > 0:  # coloured: the road's height is a state more
+        pole = 2 * math.pi * ground.cutoff * speed
+        A = np.block([[A, -pole * G[:, None]], [np.zeros((1, n)), np.array([[-pole]])]])
+        B, G, C = np.vstack([B, [[0.0]]]), np.append(G, 1.0), np.hstack([C, np.zeros((3, 1))])
+    intensity = (2 * math.pi) ** 2 * 0.5 * ground.roughness * REFERENCE_FREQUENCY**2 * speed
+    return Linear(A, B, G, C, D, intensity, seen, T)
+
+
+def stationary(car: Linear, gain: np.ndarray | None = None) -> tuple[np.ndarray, float]:
+    """RMS (3,) of acceleration, travel and tyre load under ``F = -gain @ x`` (0 if None), and RMS of F."""
+    k = np.zeros(len(car.A)) if gain is None else gain
+    X = solve_continuous_lyapunov(car.A - np.outer(car.B[:, 0], k), -car.intensity * np.outer(car.G, car.G))
+    Y = car.C - np.outer(car.D, k)
+    return np.sqrt(np.einsum("ij,jk,ik->i", Y, X, Y)), math.sqrt(max(k @ X @ k, 0.0))
+
+
+def _solve(car: Linear, weights: np.ndarray, effort: float) -> LQPoint:
+    w = np.asarray(weights, float)
+    Q, N = car.C.T @ (w[:, None] * car.C), (car.C.T @ (w * car.D))[:, None]
+    R = np.array([[car.D @ (w * car.D) + effort]])
+    if not R[0, 0] > 0:
+        raise InputError("the force costs nothing: give an effort > 0")
+    # balanced by hand: unit weight on the first output keeps the Riccati solver far from its limits
+    scale = R[0, 0]
+    P = solve_continuous_are(car.A, car.B, Q / scale, R / scale, s=N / scale) * scale
+    gain = ((car.B.T @ P + N.T) / scale)[0]
+    rms, force = stationary(car, gain)
+    return LQPoint(
+        float(rms[0]), float(rms[1]), float(rms[2]), force, float(car.G @ P @ car.G) * car.intensity, w, gain
+    )
+
+
+def lq_bound(
+    network: Network | str | Path = "quarter-car-isd",
+    *,
+    speed: float = 20.0,
+    road: str | Road = "paper",
+    weights: Sequence[float] = (1.0, 1.0, 1.0),
+    effort: float | None = None,
+) -> LQPoint:
+    """The causal linear-quadratic optimum for `weights` on (a/a0)^2, (l/l0)^2, (F/F0)^2; the passive car's RMS are a0, l0, F0.
+
+    Without `effort` the force between body and wheel is free: the bound. With it, the network's own motor must do,
+    and `effort` [1/A^2] weighs the square of its current (the friction and all limits are still left out).
+    """
+    base = reference(network, speed=speed, road=road)
+    w = np.asarray(weights, float)
+    if w.shape != (3,) or not np.all(w >= 0) or not w[0] > 0:
+        raise InputError(f"weights must be three numbers >= 0, the first > 0, not {weights!r}")
+    plant = ideal(network) if effort is None else network
+    return _solve(linear_car(plant, speed=speed, road=road), w / base**2, effort or 0.0)
+
+
+def reference(
+    network: Network | str | Path = "quarter-car-isd", *, speed: float = 20.0, road: str | Road = "paper"
+) -> np.ndarray:
+    """RMS (3,) of the conventional passive car in expectation: acceleration [m/s^2], travel [m], tyre load [N]."""
+    from isd_gym.policies import conventional
+
+    return stationary(linear_car(conventional(Network.load(network)), speed=speed, road=road))[0]
+
+
+@dataclass(frozen=True)
+class Best:
+    """The best acceleration at a given travel and tyre load; changes are fractions against `reference`."""
+
+    acceleration_change: float
+    travel_change: float
+    tyre_change: float
+    point: LQPoint
+    reference: np.ndarray
+
+
+def best_acceleration(
+    travel_change: float | None,
+    tyre_change: float | None,
+    *,
+    network: Network | str | Path = "quarter-car-isd",
+    speed: float = 20.0,
+    road: str | Road = "paper",
+    against: Sequence[float] | None = None,
+) -> Best:
+    """Least acceleration of any causal controller whose travel and tyre load change by no more than given.
+
+    Changes are fractions (-0.17: 17 % less; None: no matter) against the conventional passive car in expectation, or
+    against the triple `against` (Table 7's passive row, say). Raises `InputError` where no controller reaches them.
+    """
+    base = reference(network, speed=speed, road=road) if against is None else np.asarray(against, float)
+    car = linear_car(ideal(network), speed=speed, road=road)
+    allowed = [1 + c if c is not None else None for c in (travel_change, tyre_change)]
+    if any(a is not None and not a > 0 for a in allowed):
+        raise InputError("changes must be above -1")
+    limit = np.array([a if a is not None else np.inf for a in allowed])
+    bound = np.isfinite(limit)
+
+    def at(q: np.ndarray) -> LQPoint:
+        multipliers = np.where(bound, np.exp(q), 1e-8)
+        return _solve(car, np.array([1.0, *multipliers]) / base**2, 0.0)
+
+    def negative_dual(q: np.ndarray) -> tuple[float, np.ndarray]:
+        point = at(q)
+        squares = (point.triple / base) ** 2
+        excess = np.where(bound, squares[1:] - np.where(bound, limit, 0.0) ** 2, 0.0)
+        return -(squares[0] + np.exp(q) @ excess), -np.exp(q) * excess
+
+    ends = [(-16.0, 9.0)] * 2
+    found = min(
+        (
+            minimize(
+                negative_dual,
+                s,
+                jac=True,
+                method="L-BFGS-B",
+                bounds=ends,
+                options={"ftol": 1e-14, "gtol": 1e-9},
+            )
+            for s in ((-0.5, -0.3), (-4.0, 0.0))
+        ),
+        key=lambda o: o.fun,
+    )
+    point = at(found.x)
+    change = point.triple / base - 1
+    if np.any((found.x > 8.5) & bound) or np.any((change[1:] > limit - 1 + 1e-3) & bound):
+        raise InputError(
+            f"no causal controller reaches travel {100 * (limit[0] - 1):+.1f} % with tyre load {100 * (limit[1] - 1):+.1f} %"
+        )
+    return Best(float(change[0]), float(change[1]), float(change[2]), point, base)
+
+
+def lq_front(
+    tyre_change: float | None = 0.0,
+    travel_changes: Sequence[float] | None = None,
+    **options,
+) -> np.ndarray:
+    """Border of (travel change, acceleration change), shape (k, 2), at a given tyre load change; unreachable ones left out."""
+    rows = []
+    for change in np.linspace(-0.35, 0.3, 27) if travel_changes is None else travel_changes:
+        try:
+            best = best_acceleration(float(change), tyre_change, **options)
+        except InputError:
+            continue
+        rows.append((change, best.acceleration_change))
+    return np.array(rows).reshape(-1, 2)
