@@ -30,7 +30,12 @@ def noise_level(x: ArrayLike, step: float) -> tuple[float, float]:
         return 0.0, 0.0
     size = min(512, len(x) // 4)
     frequency, power = signal.welch(
-        x / scale, window="blackmanharris", nperseg=size, noverlap=3 * size // 4, detrend="linear"
+        x / scale,
+        window="blackmanharris",
+        nperseg=size,
+        noverlap=3 * size // 4,
+        detrend="linear",
+        average="median",
     )
     band = (frequency >= 1 / 16) & (frequency < 0.5 - 1.5 / size)
     omega, power = 2 * np.pi * frequency[band], np.maximum(power[band], 1e-32)
@@ -60,9 +65,9 @@ def smooth_derivatives(
     """
     x = np.array(x, float)
     sigma, lag1 = noise_level(x, step) if noise is None else noise
-    if len(x) < 64 or not np.all(np.isfinite(x)) or not 0 <= lag1 < 1 and not -1 < lag1 < 1:
+    if x.ndim != 1 or len(x) < 64 or not np.all(np.isfinite(x)) or not -1 < lag1 < 1:
         raise InputError(
-            "smoothing: 64 or more finite samples and a lag-one correlation within (-1, 1) are needed"
+            "smoothing: 64 or more finite samples and a lag-one correlation within (-1, 1) needed"
         )
     if sigma > 1e-12 * np.std(x):
         fits = (_spline(x, sigma, lag1, order) for order in (3, 4))
@@ -92,7 +97,7 @@ def _spline(x: np.ndarray, sigma: float, lag1: float, order: int) -> tuple[float
     n = len(x)
     row = np.array([math.comb(order, k) * (-1.0) ** k for k in range(order + 1)])
     penalty = _gram(row, n)
-    weight = np.zeros_like(penalty)  # inverse covariance of AR(1) noise of unit variance, times 1 - lag1^2
+    weight = np.zeros_like(penalty)  # the inverse covariance of AR(1) noise of unit variance
     weight[-2:] = _gram(np.array([-lag1, 1.0]), n)
     weight[-1, 0] += 1 - lag1**2
     weight /= 1 - lag1**2

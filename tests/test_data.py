@@ -1,0 +1,602 @@
+"""Tables in and out, the data gate, and the signal tools, on records whose truth is known."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import io, signal
+
+from isd_gym.data import (
+    Finding,
+    Table,
+    check,
+    integral_consistency,
+    noise_level,
+    read_table,
+    smooth_derivatives,
+    write_table,
+)
+from isd_gym.errors import InputError
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+STEP = 0.002
+INPUTS = {"road": "displacement", "current": "current"}
+OUTPUTS = {"acceleration": "acceleration", "travel": "displacement", "tyre": "force"}
+
+
+def ar1(rng: np.random.Generator, n: int, lag1: float) -> np.ndarray:
+    """AR(1) noise of unit variance (n,)."""
+    white = rng.standard_normal(n + 300)
+    return signal.lfilter([np.sqrt(1 - lag1**2)], [1, -lag1], white)[300:]
+
+
+def car(seed: int = 0, seconds: float = 12.0, snr_db: float = 32.0, step: float = STEP) -> Table:
+    """The passive quarter car of Table 6 on a random road (scipy's lsim), with noise on what is measured, and a
+    saturated current in a zero-order hold, which the gate must leave alone."""
+    rng = np.random.default_rng(seed)
+    ms, mu, k, c, kt = 345.0, 45.0, 22000.0, 1500.0, 192000.0
+    a = np.array([[0, 1, 0, 0], [-k, -c, k, c], [0, 0, 0, 1], [k, c, -k - kt, -c]], float)
+    a[1] /= ms
+    a[3] /= mu
+    b = np.array([[0], [0], [0], [kt / mu]])
+    measured = np.array([a[1], [1, 0, -1, 0], [0, 0, kt, 0]])
+    time = step * np.arange(round(seconds / step))
+    road = signal.lfilter(
+        [1], [1, -np.exp(-0.3 * step)], rng.standard_normal(len(time)) * np.sqrt(step) * 0.02
+    )
+    road = signal.sosfiltfilt(signal.butter(2, 40 * 2 * step, output="sos"), road)
+    _, y, _ = signal.lsim((a, b, measured, np.array([[0], [0], [-kt]])), road, time)
+    y = y + np.column_stack([ar1(rng, len(time), 0.4) for _ in range(3)]) * y.std(0) * 10 ** (-snr_db / 20)
+    hold = round(0.006 / step)
+    current = np.clip(3 * ar1(rng, len(time) // hold + 1, 0.97), -5, 5).repeat(hold)[: len(time)]
+    columns = dict(zip(("road", "current", *OUTPUTS), (road, current, *y.T), strict=True))
+    return Table(time, columns, "car", {"tyre": "N"})
+
+
+def replaced(table: Table, **columns: np.ndarray) -> Table:
+    return Table(table.time, table.columns | columns, table.source, table.units)
+
+
+def judged(table: Table) -> list[Finding]:
+    return check(table, inputs=INPUTS, outputs=OUTPUTS)
+
+
+def serious(findings: list[Finding]) -> list[str]:
+    return [str(f) for f in findings if f.level != "note"]
+
+
+# ------------------------------------------------------------------------------------------------------- tables
+def test_table_is_frozen_and_checks_its_columns() -> None:
+    table = Table(np.arange(3), {"a": np.array([1, 2, 3])})
+    with pytest.raises(ValueError, match="read-only"):
+        table["a"][0] = 5
+    with pytest.raises(InputError, match="'b' has shape"):
+        Table(np.arange(3), {"b": np.arange(4)})
+    with pytest.raises(InputError, match="did you mean 'travel'"):
+        Table(np.arange(3), {"travel": np.arange(3)})["travl"]
+    with pytest.raises(InputError, match="no time step"):
+        _ = Table(np.zeros(1), {}).step
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".parquet", ".mat", ".mf4"])
+def test_what_is_written_is_read_back_to_the_last_bit(tmp_path: Path, suffix: str) -> None:
+    table = car(seconds=1)
+    write_table(tmp_path / f"record{suffix}", table)
+    again = read_table(tmp_path / f"record{suffix}")
+    assert list(again.columns) == list(table.columns)
+    assert np.array_equal(again.time, table.time)
+    assert all(np.array_equal(again[n], table[n]) for n in table.columns)
+    assert [p.name for p in tmp_path.iterdir()] == [f"record{suffix}"]
+    if suffix in (".parquet", ".mat", ".mf4"):
+        assert again.units == {"tyre": "N"}
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.floats(allow_nan=False, width=64), min_size=1, max_size=30),
+    st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), (" ", ".")]),
+    st.sampled_from(["plain", "brackets", "row"]),
+    st.sampled_from(["", "\ufeff", "# bench 4\nproject;x\n"]),
+)
+def test_any_dialect_of_csv_gives_the_same_numbers(
+    tmp_path_factory: pytest.TempPathFactory,
+    values: list[float],
+    dialect: tuple[str, str],
+    units: str,
+    preamble: str,
+) -> None:
+    delimiter, decimal = dialect
+    head = {"plain": ["time", "f"], "brackets": ["time[s]", "f[kN]"], "row": ["time", "f"]}[units]
+    rows = [head] + ([["s", "kN"]] if units == "row" else [])
+    rows += [
+        [repr(0.001 * i).replace(".", decimal), repr(v).replace(".", decimal)] for i, v in enumerate(values)
+    ]
+    path = tmp_path_factory.mktemp("csv") / "x.csv"
+    path.write_text(preamble + "\n".join(delimiter.join(r) for r in rows), encoding="utf-8")
+    table = read_table(path, expected={"f": "kN"}, units={"f": "kN"})
+    assert np.array_equal(table["f"], values)
+    if units != "plain":
+        assert read_table(path).units["f"] == "kN"
+
+
+def test_channels_are_renamed_and_converted(tmp_path: Path) -> None:
+    path = tmp_path / "bench.csv"
+    path.write_text(
+        "Time [ms];Weg (mm);Kraft [kN];a [g];remark\n0;1,5;2,5;1;start\n2;-3;0;-0,5;\n4;0;1;0;end\n",
+        encoding="utf-8",
+    )
+    table = read_table(
+        path,
+        rename={"Time": "time", "Weg": "travel", "Kraft": "force", "a": "acceleration"},
+        expected={"travel": "m", "force": "N", "acceleration": "m/s^2"},
+    )
+    assert table.time == pytest.approx([0, 0.002, 0.004])
+    assert table["travel"] == pytest.approx([0.0015, -0.003, 0])
+    assert table["force"] == pytest.approx([2500, 0, 1000])
+    assert table["acceleration"] == pytest.approx([9.80665, -4.903325, 0])
+    assert table.units == {"travel": "m", "force": "N", "acceleration": "m/s^2"}
+    assert "remark" not in read_table(path, rename={"Time": "time"}).columns
+    # the model's own unit may be another than SI, and what the user says goes before what the file says
+    assert read_table(path, rename={"Weg": "x"}, expected={"x": "mm"})["x"] == pytest.approx([1.5, -3, 0])
+    assert read_table(path, units={"Weg": "cm"}, expected={"Weg": "m"})["Weg"][1] == pytest.approx(-0.03)
+    assert (
+        check(read_table(path, rename={"Weg": "x"}), inputs={}, outputs={"x": "displacement"})[0].level
+        == "error"
+    )
+
+
+BAD_FILES: dict[str, tuple[str | bytes, str]] = {
+    "empty.csv": ("", "is empty"),
+    "binary.csv": (b"\x00\x01\x02", "not a text table"),
+    "bare.csv": ("0,1\n1,2\n", "no header"),
+    "words.csv": ("time,travel\na,b\n", "no columns of numbers"),
+    "ragged.csv": ("time,travel\n0,1\n1,2,3\n2,3\n", "line 3 has 3 fields, the header has 2"),
+    "text.csv": ("time,travel\n0,1\n1,oops\n2,3\n", "line 3, column 'travel': 'oops' is not a number"),
+    "twice.csv": ("time,travel,travel\n0,1,1\n1,2,2\n", "names 'travel' twice"),
+    "lacking.csv": ("time,travl\n0,1\n1,2\n", "no column 'travel'; did you mean 'travl'"),
+    "timeless.csv": ("index,travel\n0,1\n1,2\n", "no column 'time'"),
+    "weight.csv": ("time,travel [kg]\n0,1\n1,2\n", "column 'travel': unknown unit 'kg'"),
+    "wrong.csv": ("time,travel [N]\n0,1\n1,2\n", "column 'travel': unit 'N' cannot be turned into 'm'"),
+    "broken.parquet": (b"PAR1 and no more", "cannot be read"),
+    "broken.mat": (b"MATLAB no more" * 20, "cannot be read|not a MATLAB file"),
+    "broken.mf4": (b"MDF     4.10    " * 8, "is not an MDF file"),
+    "record.xlsx": ("", "cannot tell the format from suffix '.xlsx'"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_is_answered_in_one_line(tmp_path: Path, name: str) -> None:
+    content, answer = BAD_FILES[name]
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(InputError, match=answer) as caught:
+        read_table(path, expected={"travel": "m"})
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_missing_files_folders_and_renames_are_told(tmp_path: Path) -> None:
+    for path, answer in ((tmp_path / "no.csv", "no such file"), (tmp_path, "suffix")):
+        with pytest.raises(InputError, match=answer):
+            read_table(path)
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(InputError, match="is a folder"):
+        read_table(tmp_path / "a.csv")
+    write_table(tmp_path / "b.csv", car(seconds=1))
+    with pytest.raises(InputError, match="no column 'trvel' to rename; did you mean 'travel'"):
+        read_table(tmp_path / "b.csv", rename={"trvel": "x"})
+    with pytest.raises(InputError, match="no folder"):
+        write_table(tmp_path / "none" / "b.csv", car(seconds=1))
+    with pytest.raises(InputError, match="cannot write suffix"):
+        write_table(tmp_path / "b.xlsx", car(seconds=1))
+    with pytest.raises(InputError, match="no name for a MATLAB variable"):
+        write_table(tmp_path / "b.mat", Table(np.arange(3), {"2nd": np.arange(3)}))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "b.csv"]
+
+
+def test_empty_cells_are_missing_samples(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("time,a\n0,1\n1,\n2,NaN\n3,4\n")
+    assert np.array_equal(read_table(tmp_path / "x.csv")["a"], [1, np.nan, np.nan, 4], equal_nan=True)
+
+
+@pytest.mark.parametrize(("suffix", "module"), [(".parquet", "pyarrow"), (".mf4", "asammdf")])
+def test_an_extra_that_is_missing_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str
+) -> None:
+    write_table(tmp_path / f"x{suffix}", car(seconds=1))
+    for name in [m for m in sys.modules if m.split(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    for use in (
+        lambda: read_table(tmp_path / f"x{suffix}"),
+        lambda: write_table(tmp_path / f"x{suffix}", car()),
+    ):
+        with pytest.raises(InputError, match=r'pip install "isd-gym\[io\]"'):
+            use()
+
+
+def test_mat_structs_are_read_and_objects_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.mat"
+    time = np.arange(5.0)
+    io.savemat(
+        path, {"log": {"time": time, "x": time**2, "rate": 1000.0}, "note": "bench", "long": np.zeros(9)}
+    )
+    assert list(read_table(path).columns) == ["x"]
+    assert np.array_equal(read_table(path, expected={"x": "m"})["x"], time**2)
+    with pytest.raises(InputError, match="has shape"):
+        read_table(path, expected={"x": "m", "long": "N"})
+    cell = np.empty(5, object)
+    cell[:] = "a"
+    io.savemat(path, {"time": time, "x": cell})
+    with pytest.raises(InputError, match="refused"):
+        read_table(path, expected={"x": "m"})
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
+    with pytest.raises(InputError, match="'-v7'"):
+        read_table(path)
+
+
+def test_mdf_rasters_units_and_formulas(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    path, fast, slow = tmp_path / "x.mf4", np.arange(200) * 0.001, np.arange(100) * 0.002
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append([asammdf.Signal(fast * 1e3, fast, name="x", unit="mm")])
+        mdf.append([asammdf.Signal(2 * slow, slow, name="f", unit="kN")])
+        mdf.append([asammdf.Signal(2 * slow, slow, name="g", unit="N")])
+        mdf.append([asammdf.Signal(2 * slow, slow, name="g", unit="N")])
+        formula = {"formula": "X1*2+1"}
+        mdf.append([asammdf.Signal(slow, slow, name="algebra", unit="N", conversion=formula)])
+        mdf.save(path)
+    assert read_table(path, expected={"x": "m"})["x"] == pytest.approx(fast)
+    with pytest.raises(InputError, match=r"different rasters .*0\.001 s x 200.*0\.002 s x 100"):
+        read_table(path, expected={"x": "m", "f": "N"})
+    both = read_table(path, expected={"x": "m", "f": "N"}, resample=True)
+    assert both.time[-1] == pytest.approx(slow[-1]) and both.step == pytest.approx(0.001)
+    assert both["f"] == pytest.approx(2000 * both.time)
+    for name, answer in (("g", "2 times"), ("algebra", "formula"), ("y", "no channel 'y'")):
+        with pytest.raises(InputError, match=answer):
+            read_table(path, expected={name: "N"})
+
+
+# ----------------------------------------------------------------------------------------------------- the gate
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("snr_db", [20.0, 26.0, 40.0, 60.0, 300.0])
+def test_clean_records_pass(seed: int, snr_db: float) -> None:
+    assert judged(car(seed, snr_db=snr_db)) == []
+
+
+@pytest.mark.parametrize("step", [0.0005, 0.001, 0.005, 0.01])
+def test_clean_records_pass_at_any_usual_rate(step: float) -> None:
+    assert serious(judged(car(step=step, seconds=2400 * step))) == []
+
+
+@pytest.mark.parametrize("levels", [200, 2000, 20000])
+@pytest.mark.parametrize("snr_db", [26.0, 50.0, 300.0])
+def test_encoders_and_rounded_files_pass(levels: int, snr_db: float) -> None:
+    table = car(snr_db=snr_db)
+    grid = {n: np.ptp(table[n]) / levels for n in table.columns}
+    coarse = {n: np.round(table[n] / grid[n]) * grid[n] for n in table.columns}
+    assert serious(judged(replaced(table, **coarse))) == []
+    rounded = {n: np.array([float(f"{v:.5g}") for v in table[n]]) for n in table.columns}
+    assert serious(judged(replaced(table, **rounded))) == []
+
+
+def test_friction_rests_and_rig_tests_pass() -> None:
+    """Commands without noise, and what friction does: square-wave force, corners, long rests, free decay."""
+    rng = np.random.default_rng(1)
+    time = STEP * np.arange(6250)
+    for command in (
+        0.01 * np.sin(2 * np.pi * np.repeat([2.0, 4, 6, 8, 10], 1250) * time),
+        0.01 * signal.sawtooth(2 * np.pi * 0.3 * time, 0.5),
+        0.01 * signal.chirp(time, 0.1, 12, 10),
+        np.where((time > 3) & (time < 3.2), 0.025 * (1 - np.cos(2 * np.pi * (time - 3) / 0.2)), 0),
+        np.zeros_like(time),
+    ):
+        speed = np.gradient(command, STEP)
+        force = (
+            700 * np.sign(np.round(speed, 9)) + 2e4 * command + 1000 * speed + 15 * ar1(rng, len(time), 0.5)
+        )
+        force += 500 * np.exp(-time) * np.cos(12 * time)
+        table = Table(time, {"x": command, "force": force})
+        found = check(table, inputs={"x": "displacement"}, outputs={"force": "force"})
+        assert serious(found) == []
+    decay = Table(time, {"x": 0.02 * np.exp(-time) * np.cos(12 * time)})
+    assert check(decay, inputs={}, outputs={"x": "displacement"}) == []
+
+
+def spoil(x: np.ndarray, how: str) -> np.ndarray:
+    x, n = np.array(x), len(x)
+    at = np.random.default_rng(5).choice(np.arange(100, n - 100, 60), 8, replace=False)
+    if how == "clipped":
+        top = np.quantile(np.abs(x - np.median(x)), 0.95)
+        x = np.clip(x, np.median(x) - top, np.median(x) + top)
+    elif how == "clipped above":
+        x = np.minimum(x, np.quantile(x, 0.99))
+    elif how == "frozen":
+        x[n // 3 : n // 3 + 300] = x[n // 3]
+    elif how == "dead from two thirds on":
+        x[2 * n // 3 :] = x[2 * n // 3]
+    elif how == "dropouts":
+        for i in at:
+            x[i : i + 15] = np.median(x) - 2 * np.std(x)
+    elif how == "spikes":
+        x[at] += np.where(at % 2, 6, -6) * np.std(x)
+    elif how == "not finite":
+        x[at] = np.nan
+    elif how == "infinite":
+        x[at[0]] = np.inf
+    elif how == "constant":
+        x[:] = x[0]
+    elif how == "held":
+        x = x[::5].repeat(5)[:n]
+    elif how == "only noise":
+        x = 1e-3 * np.std(x) * np.random.default_rng(6).standard_normal(n)
+    elif how == "in thousandths":
+        x = 1e3 * x
+    return x
+
+
+SPOILT = {
+    "clipped": ("error", "is clipped"),
+    "clipped above": ("error", "is clipped: .* largest"),
+    "frozen": ("error", "does not change for 300 samples"),
+    "dead from two thirds on": ("error", "does not change for"),
+    "dropouts": ("error", "does not change for 120 samples"),
+    "spikes": ("warning", "8 samples are spikes"),
+    "not finite": ("error", "8 samples are not finite"),
+    "infinite": ("error", "1 samples are not finite"),
+    "constant": ("error", "is constant"),
+    "held": ("warning", "holds each value for 5 samples"),
+    "only noise": ("warning", "nothing but noise"),
+    "in thousandths": ("error", "cannot be: a wrong unit"),
+}
+
+
+@pytest.mark.parametrize("channel", OUTPUTS)
+@pytest.mark.parametrize("how", SPOILT)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_spoilt_channel_is_found_and_named(channel: str, how: str, seed: int) -> None:
+    if (channel, how) == ("tyre", "in thousandths"):
+        pytest.skip("400 kN are heavy, not impossible")
+    table = car(seed, snr_db=[26.0, 36.0][seed])
+    level, message = SPOILT[how]
+    found = [f for f in judged(replaced(table, **{channel: spoil(table[channel], how)})) if f.level != "note"]
+    assert {f.channel for f in found} == {channel}
+    assert found[0].level == level
+    with pytest.raises(InputError, match=message):
+        raise InputError(found[0].message)
+    spans = np.array(found[0].where).reshape(-1, 2)
+    assert np.all((spans >= table.time[0]) & (spans <= table.time[-1] + STEP)) and "\n" not in str(found[0])
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from(list(OUTPUTS)),
+    st.floats(20, 60),
+    st.floats(0.7, 0.98),
+    st.integers(60, 900),
+)
+def test_clipping_and_freezing_are_found_wherever_they_are(
+    seed: int, channel: str, snr_db: float, share: float, length: int
+) -> None:
+    table = car(seed, seconds=6, snr_db=snr_db)
+    assert serious(judged(table)) == []
+    x = np.array(table[channel])
+    limit = np.quantile(np.abs(x - x.mean()), share)
+    clipped = judged(replaced(table, **{channel: np.clip(x, x.mean() - limit, x.mean() + limit)}))
+    assert clipped[0].channel == channel and "clipped" in clipped[0].message
+    start = seed % (len(x) - length)
+    x[start : start + length] = x[start]
+    frozen = judged(replaced(table, **{channel: x}))
+    assert frozen[0].channel == channel and frozen[0].level == "error"
+    ((first, last),) = frozen[0].where
+    assert first == pytest.approx(start * STEP) and last == pytest.approx((start + length - 1) * STEP)
+
+
+def jittered(time: np.ndarray, share: float) -> np.ndarray:
+    return time + share * STEP * np.random.default_rng(0).uniform(-1, 1, len(time))
+
+
+TIMES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
+    "repeats": (
+        lambda t: np.where(np.arange(len(t)) == 500, t[499], t),
+        r"repeats after t = 0.998 s \(1 times\)",
+    ),
+    "backwards": (lambda t: np.r_[t[:900], t[:-900]], "runs backwards"),
+    "gap": (
+        lambda t: np.r_[t[:700], t[700:] + 0.5],
+        r"1 gaps in time, the first of 0.502 s after t = 1.398 s",
+    ),
+    "missing": (
+        lambda t: np.r_[t, t[-1] + STEP * np.arange(1, 9)][np.arange(len(t)) * 1001 // 1000],
+        "gaps in time",
+    ),
+    "not finite": (lambda t: np.where(np.arange(len(t)) == 5, np.nan, t), "not finite"),
+    "jitter": (lambda t: np.sort(jittered(t, 0.4)), "not uniform"),
+    "drift": (lambda t: t * (1 + 0.05 * t / t[-1]), "not uniform"),
+    "milliseconds": (lambda t: 1e3 * t, "another unit"),
+    "microseconds": (lambda t: 1e6 * t, "another unit"),
+}
+
+
+@pytest.mark.parametrize("how", TIMES)
+def test_a_bad_time_base_is_an_error(how: str) -> None:
+    table = car()
+    change, message = TIMES[how]
+    found = judged(Table(change(table.time), table.columns))
+    assert found[0].level == "error" and found[0].channel == "time"
+    with pytest.raises(InputError, match=message):
+        raise InputError(found[0].message)
+
+
+def test_small_jitter_and_rounded_stamps_pass_and_become_uniform() -> None:
+    table = car()
+    measured = Table(np.round(table.time * 1.000004, 9), table.columns)  # the 0.002000008 s of a real drive
+    assert judged(measured) == []
+    for time in (jittered(table.time, 0.05), np.float32(table.time)):
+        noted = Table(time, table.columns)
+        assert serious(judged(noted)) == []
+        assert np.ptp(np.diff(noted.uniform().time)) < 1e-12
+    odd = car(step=0.0025)
+    assert serious(judged(Table(np.round(odd.time, 3), odd.columns))) == []
+
+
+def test_records_without_content_are_refused() -> None:
+    table = car()
+    short = Table(table.time[:150], {n: x[:150] for n, x in table.columns.items()})
+    assert "too short: 150 samples" in judged(short)[0].message
+    noise = {n: spoil(table[n], "only noise") for n in OUTPUTS}
+    found = judged(replaced(table, **noise))
+    assert {f.channel for f in found if f.level == "error"} == set(OUTPUTS)
+    flat = {n: np.full(len(table), 1.0) for n in ("road", "current")}
+    assert {(f.level, f.channel) for f in judged(replaced(table, **flat))} >= {
+        ("note", "road"),
+        ("note", "current"),
+    }
+
+
+def test_units_and_swaps_that_cannot_be_are_told() -> None:
+    table = car()
+    swapped = judged(replaced(table, acceleration=table["tyre"], tyre=table["acceleration"]))
+    assert swapped[0].channel == "acceleration" and "columns swapped" in swapped[0].message
+    swapped = judged(replaced(table, acceleration=table["travel"], travel=50 * table["acceleration"]))
+    assert swapped[0].channel == "travel" and swapped[0].level == "error"
+    assert "gravity" in judged(replaced(table, acceleration=table["acceleration"] + 9.81))[0].message
+    assert "wrong unit" in judged(replaced(table, travel=table["travel"] * 1e-6))[0].message
+    in_mm = Table(table.time, table.columns | {"travel": 1e3 * table["travel"]}, units={"travel": "mm"})
+    assert judged(in_mm) == []
+    with pytest.raises(InputError, match="unknown quantity 'weight'"):
+        check(table, inputs={}, outputs={"tyre": "weight"})
+    with pytest.raises(InputError, match="no column 'tire'; did you mean 'tyre'"):
+        check(table, inputs={}, outputs={"tire": "force"})
+
+
+def test_lost_and_repeated_samples_are_seen_though_time_runs_on() -> None:
+    table = car(snr_db=40)
+    n = len(table)
+
+    def rows(index: np.ndarray) -> Table:
+        return Table(STEP * np.arange(len(index)), {k: x[index] for k, x in table.columns.items()})
+
+    lost = judged(rows(np.r_[:2000, 2300:n]))
+    assert lost[0].level == "error" and "samples lost" in lost[0].message
+    assert lost[0].where[0][0] == pytest.approx(1999 * STEP)
+    twice = judged(rows(np.r_[:2000, 1500:n]))
+    assert any("500 samples, first at t = 4 s, repeat those 1 s earlier" in f.message for f in twice)
+    doubled = judged(rows(np.sort(np.r_[:n, 500:5500:50])))
+    assert any("100 samples, first at" in f.message and f.level == "error" for f in doubled)
+    same = judged(replaced(table, tyre=table["acceleration"]))
+    assert ("error", "tyre", "is the same column as 'acceleration'") in [
+        (f.level, f.channel, f.message) for f in same
+    ]
+
+
+def shared_records() -> list[Path]:
+    return sorted(SHARED.glob("blind/case*/*.csv")) + sorted(SHARED.glob("real/*/*.csv"))
+
+
+@pytest.mark.skipif(not shared_records(), reason="the shared records are not here")
+def test_the_shared_records_pass() -> None:
+    for path in shared_records():
+        model = json.loads((path.parent / "model.json").read_text())
+        inputs, outputs = ({c["name"]: c["quantity"] for c in model[k]} for k in ("inputs", "outputs"))
+        units = {c["name"]: c["unit"] for c in model["inputs"] + model["outputs"]}
+        found = check(read_table(path, expected=units), inputs=inputs, outputs=outputs)
+        assert serious(found) == [], path
+
+
+# ------------------------------------------------------------------------------------------------- signal tools
+@pytest.mark.parametrize("lag1", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize("sigma", [1e-5, 1e-4])
+def test_noise_level_is_found_under_a_moving_signal(lag1: float, sigma: float) -> None:
+    clean = car(3, snr_db=400)["travel"]
+    estimates = []
+    for seed in range(5):
+        noise = sigma * ar1(np.random.default_rng(seed), len(clean), lag1)
+        estimates.append(noise_level(clean + noise, STEP))
+    assert np.mean(estimates, axis=0)[0] == pytest.approx(sigma, rel=0.1)
+    assert np.mean(estimates, axis=0)[1] == pytest.approx(lag1, abs=0.1)
+
+
+def test_noise_level_of_silence_and_of_bad_input() -> None:
+    assert noise_level(np.full(500, 3.0), STEP) == (0.0, 0.0)
+    sine = np.sin(2 * np.pi * 3 * STEP * np.arange(5000))
+    assert noise_level(sine, STEP)[0] < 1e-5
+    for bad in (np.zeros(10), np.r_[np.zeros(99), np.nan], np.zeros((99, 2))):
+        with pytest.raises(InputError, match="noise level"):
+            noise_level(bad, STEP)
+        with pytest.raises(InputError, match="smoothing"):
+            smooth_derivatives(bad, STEP, (1.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("relative", "best_v", "best_a"), [(1e-1, 0.1, 0.2), (1e-2, 0.02, 0.05), (1e-3, 4e-3, 0.015)]
+)
+def test_derivatives_of_a_noisy_displacement(relative: float, best_v: float, best_a: float) -> None:
+    time = STEP * np.arange(6000)
+    omega = 2 * np.pi * np.array([1.0, 2.7, 4.1])
+    phase = np.outer(time, omega)
+    amplitude = np.array([5e-3, 3e-3, 1e-3])
+    x, v, a = (
+        np.sin(phase) @ amplitude,
+        np.cos(phase) @ (amplitude * omega),
+        -np.sin(phase) @ (amplitude * omega**2),
+    )
+    noisy = x + relative * x.std() * np.random.default_rng(2).standard_normal(len(x))
+    smooth = smooth_derivatives(noisy, STEP)
+    for got, true, bar in zip(smooth, (x, v, a), (0.5 * relative, best_v, best_a), strict=True):
+        inside = slice(100, -100)
+        assert np.std((got - true)[inside]) < bar * np.std(true)
+    raw = np.gradient(np.gradient(noisy, STEP), STEP)
+    assert np.std(smooth[2] - a) < 0.1 * np.std(raw - a)
+
+
+def test_derivatives_without_noise_are_exact_for_a_quartic() -> None:
+    time = 0.01 * np.arange(100)
+    for got, true in zip(
+        smooth_derivatives(time**4, 0.01, (0.0, 0.0)), (time**4, 4 * time**3, 12 * time**2), strict=True
+    ):
+        assert got == pytest.approx(true, abs=1e-8)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sampled_from([1, 2]), st.floats(0.5, 2), st.sampled_from([-1, 1]), st.floats(-0.04, 0.04))
+def test_consistency_tells_gain_sign_and_lag(order: int, gain: float, sign: int, lag: float) -> None:
+    rng = np.random.default_rng(4)
+    time = STEP * np.arange(8000)
+    omega = 2 * np.pi * rng.uniform(0.7, 15, 60)
+    size, phase = 1 / omega**2, rng.uniform(0, 2 * np.pi, 60)
+    x = np.sin(np.outer(time, omega) + phase) @ size
+    y = sign * gain * np.sin(np.outer(time - lag, omega) + phase + order * np.pi / 2) @ (size * omega**order)
+    x += 0.005 * x.std() * rng.standard_normal(len(x))
+    y += 0.02 * y.std() * rng.standard_normal(len(y)) + 3.0
+    found = integral_consistency(x, y, STEP, order=order, band=(0.7, 15))
+    assert found.gain == pytest.approx(sign * gain, rel=0.03)
+    assert found.lag == pytest.approx(lag, abs=5e-4)
+    assert found.coherence > 0.8 and 0 < found.gain_std < 0.05 * gain
+
+
+def test_consistency_of_strangers_is_none() -> None:
+    rng = np.random.default_rng(8)
+    found = integral_consistency(rng.standard_normal(8000), rng.standard_normal(8000), STEP)
+    assert found.coherence < 0.3
+    with pytest.raises(InputError, match="consistency"):
+        integral_consistency(np.zeros(50), np.zeros(50), STEP)
+
+
+@pytest.mark.skipif(not (SHARED / "real" / "emps").is_dir(), reason="the shared records are not here")
+def test_a_real_drive_gives_its_published_parameters() -> None:
+    """EMPS, published: 95.1 kg, 203.5 N s/m, Coulomb 20.4 N, by regression of force on smoothed motion."""
+    table = read_table(SHARED / "real" / "emps" / "estimation.csv")
+    _, v, a = smooth_derivatives(table["displacement"], table.step)
+    columns = np.column_stack([a, v, np.sign(v), np.ones_like(v)])
+    mass, viscous, coulomb, _ = np.linalg.lstsq(columns, table["force"], rcond=None)[0]
+    assert mass == pytest.approx(95.1, rel=0.005)
+    assert viscous == pytest.approx(203.5, rel=0.01)
+    assert coulomb == pytest.approx(20.4, rel=0.015)
