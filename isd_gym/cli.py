@@ -35,6 +35,12 @@ def _write_json(path: Path | None, data: dict[str, Any]) -> None:
         write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
+def _check_folder(path: Path | None) -> None:
+    """Refuse a file that cannot be written before the work, not after it."""
+    if path is not None and not path.parent.is_dir():
+        raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
+
+
 @contextmanager
 def _progress() -> Iterator[Callable[[str, float], None]]:
     """A progress bar on stderr, one line a task; silent where stderr is no terminal."""
@@ -113,6 +119,7 @@ def score(
     from .road import road as find_road
     from .scoring import score as run
 
+    _check_folder(json_file)
     plant = Network.load(network)
     ground = find_road(road)
     belief = Network.load(model) if model else None

@@ -1,0 +1,87 @@
+"""The command line as a newcomer meets it: right answers, and one helpful line for wrong ones."""
+
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from isd_gym.data import read_table
+from isd_gym.network import Network
+
+
+def run(*args, cwd=None):
+    return subprocess.run(
+        [sys.executable, "-m", "isd_gym.cli", *map(str, args)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+    )
+
+
+def test_help_names_the_commands():
+    done = run("--help")
+    assert done.returncode == 0
+    for command in ("score", "simulate", "diagnose", "train", "reproduce", "show"):
+        assert command in done.stdout
+
+
+def test_importing_the_package_stays_light():
+    code = "import isd_gym, sys; print([m for m in ('numpy','numba','torch','gymnasium','matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    begin = time.perf_counter()
+    run("--help")
+    assert time.perf_counter() - begin < 10  # a hang, not a benchmark: benchmarks/ measures it
+
+
+def test_score_prints_the_table_and_writes_json(tmp_path):
+    done = run(
+        "score", "passive", "isd-passive", "--episodes", 2, "--duration", 2, "--json", tmp_path / "s.json"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Table 8" in done.stdout and "isd-passive" in done.stdout
+    data = json.loads((tmp_path / "s.json").read_text())
+    assert [p["policy"] for p in data["policies"]] == ["passive", "isd-passive"]
+
+
+def test_simulate_writes_the_models_channels(tmp_path):
+    t = np.arange(0, 1, 0.002)
+    rows = "\n".join(f"{a:.4f},{0.005 * np.sin(12 * a):.9f},0" for a in t)
+    (tmp_path / "d.csv").write_text("time,road,current\n" + rows + "\n")
+    done = run("simulate", "quarter-car-isd", tmp_path / "d.csv", "--out", tmp_path / "o.csv")
+    assert done.returncode == 0, done.stderr
+    table = read_table(tmp_path / "o.csv")
+    assert set(table.columns) == {c.name for c in Network.load("quarter-car-isd").outputs}
+    assert len(table.time) == len(t)
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["score", "nobody"], "no policy 'nobody'"),
+        (["score", "passive", "--road", "moon"], "no road 'moon'"),
+        (["score", "passive", "--network", "nowhere.json"], "no model 'nowhere.json'"),
+        (["score", "passive", "--json", "no/such/folder/x.json"], "no folder"),
+        (["score", "passive", "--speed", "-3"], "speed must be a positive"),
+        (["simulate", "quarter-car-isd", "none.csv", "--out", "x.csv"], "none.csv"),
+        (["networks", "nothing"], "no model 'nothing'"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(args, message, tmp_path):
+    extra = ["--episodes", "1", "--duration", "0.1"] if args[0] == "score" else []
+    done = run(*args, *extra, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_networks_can_be_printed_and_read_back(tmp_path):
+    text = run("networks", "force-rig").stdout
+    (tmp_path / "mine.json").write_text(text)
+    assert Network.load(tmp_path / "mine.json") == Network.load("force-rig")
+    assert "quarter-car-eq8" in run("networks").stdout

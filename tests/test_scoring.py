@@ -1,0 +1,143 @@
+"""The score: paired roads, the standard's weighting, intervals that mean what they say."""
+
+import json
+
+import numpy as np
+import pytest
+
+from isd_gym import scoring
+from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import Idle, conventional, find, passive
+from isd_gym.scoring import Entry, drive, frequency_weighting, score, weighted_rms
+
+CAR = Network.load("quarter-car-isd")
+
+
+class Constant:
+    """The same current always; counts what it was asked."""
+
+    fallbacks = 3
+
+    def __init__(self, current):
+        self.current, self.name = current, f"constant {current}"
+
+    def reset(self):
+        pass
+
+    def act(self, observation):
+        assert observation.shape == (6,)
+        return self.current
+
+
+def test_weighting_matches_the_table_of_iso_2631():
+    """W_k at one-third-octave centres, ISO 2631-1:1997 table 3 (factor x 1000), within 1.5 %."""
+    table = {
+        0.5: 418,
+        1.0: 482,
+        2.0: 531,
+        4.0: 967,
+        5.0: 1039,
+        8.0: 1036,
+        16.0: 768,
+        31.5: 405,
+        63.0: 186,
+        80.0: 132,
+    }
+    for f, factor in table.items():
+        exact = 10 ** (round(10 * np.log10(f)) / 10)
+        assert frequency_weighting(np.array([exact]))[0] == pytest.approx(factor / 1000, rel=0.015), f
+
+
+def test_weighted_rms_of_a_sine():
+    t = np.arange(4000) * 5e-3
+    assert weighted_rms(2 * np.sin(2 * np.pi * 5.0 * t), 5e-3) == pytest.approx(
+        np.sqrt(2) * frequency_weighting(np.array([5.0]))[0], rel=1e-6
+    )
+
+
+def test_same_roads_for_all_and_the_cost_is_the_reward():
+    import gymnasium as gym
+
+    runs = [drive(Entry("x", lambda: Idle("x"), net), CAR, episodes=3, duration=2.0) for net in (None, CAR)]
+    np.testing.assert_array_equal(runs[0].tyre_load, runs[1].tyre_load)
+    env = gym.make("ISDSuspension-v0")
+    for i in range(3):
+        env.reset(seed=i)
+        rewards = [env.step(np.zeros(1, np.float32))[1] for _ in range(400)]
+        assert runs[0].cost(StageCost())[i] == pytest.approx(-np.mean(rewards), rel=1e-12)
+
+
+def test_batched_and_single_controllers_score_alike():
+    class Single(Constant):
+        fallbacks = 0
+
+    class Batched(Single):
+        def reset_batch(self, n):
+            self.n = n
+
+        def act_batch(self, observations):
+            return np.full(self.n, self.current)
+
+    a, b = (
+        drive(Entry("c", lambda kind=kind: kind(1.5)), CAR, episodes=2, duration=1.0)
+        for kind in (Single, Batched)
+    )
+    np.testing.assert_array_equal(a.body_acceleration, b.body_acceleration)
+
+
+def test_table_holds_what_the_contract_asks():
+    entries = [passive(CAR), Entry("constant", lambda: Constant(3.0))]
+    result = score(entries, CAR, reference=entries[0], episodes=4, duration=3.0).to_dict()
+    json.dumps(result, allow_nan=False)
+    assert result["schema"] == "isd-score/1" and result["episodes"] == 4
+    first, second = result["policies"]
+    assert first["cost"]["change"] == 0.0 == first["cost"]["low"]
+    q = second["body_acceleration_rms"]
+    assert q["low"] <= q["change"] <= q["high"] and q["unit"] == "m/s^2"
+    assert second["fallbacks"] == 3 * 4
+    assert second["current_rms"]["value"] == pytest.approx(3.0, rel=0.01)
+    assert second["limit_violations"]["current"] == second["limit_violations"]["current_change"] == 0
+    assert 0 < second["control_time"]["median"] <= second["control_time"]["p99_9"]
+    # 3 A through 3.8 Ohm for 3 s, and what the motor gives to or takes from the car
+    assert second["energy"]["value"] == pytest.approx(3.8 * 9 * 3, rel=0.3)
+
+
+def test_share_of_the_reachable_gain():
+    entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
+    plain = score(entries, CAR, reference=entries[0], episodes=2, duration=2.0)
+    costs = [r["cost"]["value"] for r in plain.policies]
+    known = score(
+        entries, CAR, reference=entries[0], episodes=2, duration=2.0, clairvoyant=np.full(2, costs[0] - 0.2)
+    )
+    assert known.policies[0]["share_of_reachable_gain"] == 0.0
+    assert known.policies[1]["share_of_reachable_gain"] == pytest.approx((costs[0] - costs[1]) / 0.2)
+
+
+def test_interval_covers_the_truth():
+    """Pooled ratios of synthetic episodes: the 95 % interval holds the true change about 95 times in 100."""
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(200):
+        ground = rng.gamma(20.0, 1 / 20.0, 32)
+        mine = 0.81 * ground * rng.lognormal(-0.005, 0.1, 32)
+        draws = rng.integers(32, size=(500, 32))
+        ratio = scoring._pool("x_rms", mine[draws]) / scoring._pool("x_rms", ground[draws]) - 1
+        low, high = np.quantile(ratio, [0.025, 0.975])
+        hits += low <= np.sqrt(0.81) - 1 <= high
+    assert 0.88 < hits / 200 < 0.99
+
+
+def test_the_conventional_car_keeps_the_networks_own_masses():
+    heavy = CAR.with_parameters({"body.mass": 400.0, "damper.damping": 2000.0})
+    car = conventional(heavy)
+    assert car.masses["body"] == 400.0 and car.element("damper").damping == 2000.0
+    assert car.element("damper").between == ("body", "wheel")
+
+
+def test_unknown_policy_lists_the_known():
+    with pytest.raises(
+        InputError, match="no policy 'mcp': neither a policy folder nor one of passive, isd-passive"
+    ):
+        find("mcp", CAR)
