@@ -1,33 +1,42 @@
-"""Trained policies, offered to `isd-gym score`: a shipped name (ppo, sac), a policy folder, or a .zip."""
+"""Trained policies, offered to `isd-gym score` by the name of a shipped one, a policy folder or an SB3 .zip."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
 from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.scoring import Entry
 
-SHIPPED = Path(__file__).parent / "policies"
-
-
-def names() -> list[str]:
-    """Names of the shipped policies."""
-    return sorted(p.name for p in SHIPPED.iterdir() if p.is_dir()) if SHIPPED.is_dir() else []
+from .policy import SHIPPED, Policy
 
 
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """The trained policy called `name` or lying there, or None."""
-    path = SHIPPED / name if name in names() else Path(name)
-    if not (path.is_dir() or path.suffix == ".zip"):
-        return None
-    from .policy import load
+    """The trained policy called `name`, or None if that is neither a shipped policy, a folder nor a .zip."""
+    path = Path(name)
+    if path.suffix == ".zip":
+        from .convert import WARNING, convert
 
-    loaded = load(path)
-    return Entry(name, lambda: loaded.copy())
+        print(f"{name}: {WARNING}", file=sys.stderr)
+        first = convert(path, name=path.stem)
+    elif name in names() or path.is_dir() or path.name == "policy.json":
+        first = Policy.load(path.parent if path.name == "policy.json" else path)
+    else:
+        return None
+    if abs(control_step - first.memory.step) > 1e-9:
+        raise InputError(f"policy '{name}' acts every {first.memory.step:g} s, not every {control_step:g} s")
+    first.check(model)
+    return Entry(first.name, first.copy)
+
+
+def names() -> list[str]:
+    """The shipped policies."""
+    return sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
 
 
 open_policy.names = names  # type: ignore[attr-defined]

@@ -44,7 +44,7 @@ class Memory:
     def width(self, signals: int) -> int:
         """Number of features of `signals` measured signals."""
         if self.scale and signals != len(self.scale):
-            raise InputError(f"the policy was made for {len(self.scale)} signals, the observation has {signals}")
+            raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
         return signals * (1 + self.order) + len(self.leak)
 
     def to_dict(self) -> dict[str, Any]:
@@ -76,11 +76,11 @@ class Recall:
         count, signals = observations.shape
         self.features = np.empty((count, memory.width(signals)), np.float32)
         self._signals = signals
-        self._scale = np.array(memory.scale or [1.0] * signals, np.float32)
+        self.scale = np.array(memory.scale or [1.0] * signals, np.float32)
         # change k of the scaled signal x over change / 2**(k-1): factors that turn differences of x into features
-        ratio = self._scale / np.array(memory.change or [1.0] * signals, np.float32)
-        self._ratio = [ratio if k == 0 else np.float32(2.0) for k in range(memory.order)]
-        self._leak = [
+        ratio = self.scale / np.array(memory.change or [1.0] * signals, np.float32)
+        self.ratios = [ratio if k == 0 else np.float32(2.0) for k in range(memory.order)]
+        self.leaks = [
             (i, np.float32(1 - memory.step / tau), np.float32(memory.step / scale))
             for i, tau, scale in memory.leak
         ]
@@ -90,17 +90,17 @@ class Recall:
         """Forget the cars `which` (mask): they start anew at `observations` (count, signals)."""
         f, n = self.features, self._signals
         f[which] = 0.0
-        f[which, :n] = observations[which] / self._scale
+        f[which, :n] = observations[which] / self.scale
 
     def see(self, observations: np.ndarray) -> np.ndarray:
         """Take in the next observations (count, signals); returns `features`, valid until the next call."""
         f, n = self.features, self._signals
-        new = observations / self._scale
-        for k, ratio in enumerate(self._ratio):
+        new: np.ndarray = observations / self.scale
+        for k, ratio in enumerate(self.ratios):
             old = f[:, n * k : n * (k + 1)].copy()
             f[:, n * k : n * (k + 1)] = new
             new = (new - old) * ratio
         f[:, n * self.memory.order : n * (self.memory.order + 1)] = new
-        for j, (i, keep, gain) in enumerate(self._leak, n * (self.memory.order + 1)):
+        for j, (i, keep, gain) in enumerate(self.leaks, n * (self.memory.order + 1)):
             f[:, j] = f[:, j] * keep + observations[:, i] * gain
         return f

@@ -1,10 +1,10 @@
 """A policy folder: weights as safetensors and `policy.json`; loads and runs with numpy alone, and never runs code.
 
-    from agents.policy import Policy
+from agents.policy import Policy
 
-    policy = Policy.load("runs/sac/policy")
-    policy.reset()
-    action = policy.act(observation)  # current [A], shape (1,)
+policy = Policy.load("runs/sac/policy")
+policy.reset()
+current = policy.act(observation)  # [A]
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,7 @@ class Head:
 
 # ---------------------------------------------------------------------------------------- safetensors
 
-_DTYPES = {"F32": np.dtype("<f4"), "F64": np.dtype("<f8")}
+_DTYPES: dict[str, np.dtype[Any]] = {"F32": np.dtype("<f4"), "F64": np.dtype("<f8")}
 
 
 def write_safetensors(tensors: Mapping[str, np.ndarray]) -> bytes:
@@ -86,7 +87,7 @@ def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarra
     try:
         (length,) = struct.unpack_from("<Q", data)
         header = json.loads(data[8 : 8 + length])
-        body = memoryview(data)[8 + length :]
+        body = data[8 + length :]
         out = {}
         for name, entry in header.items():
             if name != "__metadata__":
@@ -148,9 +149,7 @@ class Policy:
         #: the network it was trained on
         self.model = network
         self.info = dict(info or {})
-        self.weights = [
-            (np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights
-        ]
+        self.weights = [(np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights]
         for i, (w, b) in enumerate(self.weights):
             before = self.weights[i - 1][0].shape[0] if i else w.shape[-1]
             if w.ndim != 2 or b.shape != w.shape[:1] or w.shape[1] != before:
@@ -158,7 +157,9 @@ class Policy:
             if not (np.isfinite(w).all() and np.isfinite(b).all()):
                 raise InputError(f"layer {i} of the weights is not finite")
         if self.weights[-1][0].shape[0] != 1:
-            raise InputError(f"the policy has {self.weights[-1][0].shape[0]} outputs, the car has one current")
+            raise InputError(
+                f"the policy has {self.weights[-1][0].shape[0]} outputs, the car has one current"
+            )
         features = self.weights[0][0].shape[1]
         self.mean = np.zeros(features, np.float32) if mean is None else np.array(mean, np.float32)
         self.scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
@@ -166,7 +167,9 @@ class Policy:
             raise InputError(f"the normalisation needs {features} means and positive scales")
         self.signals = (features - len(self.memory.leak)) // (1 + self.memory.order)
         if self.memory.width(self.signals) != features:
-            raise InputError(f"the policy has {features} inputs, its memory gives {self.memory.width(self.signals)}")
+            raise InputError(
+                f"the policy has {features} inputs, its memory gives {self.memory.width(self.signals)}"
+            )
         self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
         self._act = ACTIVATIONS[activation]
         self._recall: Recall | None = None
@@ -174,16 +177,22 @@ class Policy:
     # -------------------------------------------------------------------------------------- running
 
     def reset(self) -> None:
-        """Forget the past: a new episode begins (of every car, after `act_batch`)."""
+        """Forget the past: a new episode begins."""
         self._recall = None
 
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        """Commanded current (1,) float32 [A] for the next control step, of an observation (signals,)."""
-        return self.act_batch(np.asarray(observation, np.float32)[None])[0]
+    def act(self, observation: np.ndarray) -> float:
+        """Commanded current [A] for the next control step, of an observation (signals,)."""
+        return float(self.act_batch(np.asarray(observation, np.float32)[None])[0])
+
+    def reset_batch(self, count: int) -> None:
+        """Forget the past of `count` cars."""
+        self._recall = None
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Commanded currents (count, 1) float32 [A], of observations (count, signals); car i has its own memory."""
+        """Commanded currents (count,) float32 [A], of observations (count, signals); car i has its own memory."""
         obs = np.asarray(observations, np.float32)
+        if not math.isfinite(obs.sum()):  # a broken sensor reads nothing
+            obs = np.where(np.isfinite(obs), obs, np.float32(0.0))
         recall = self._recall
         if recall is None or len(recall.features) != len(obs):
             if obs.ndim != 2 or obs.shape[1] != self.signals:
@@ -194,7 +203,7 @@ class Policy:
             features = recall.features
         else:
             features = recall.see(obs)
-        return self.head.current(self.share(features), obs)
+        return self.head.current(self.share(features), obs)[:, 0]
 
     def share(self, features: np.ndarray) -> np.ndarray:
         """The network itself: features (count, features) -> (count, 1) in [-1, 1]."""
@@ -204,6 +213,12 @@ class Policy:
         w, b = self._transposed[-1]
         y = x @ w + b
         return np.tanh(y) if self.output == "tanh" else np.clip(y, -1.0, 1.0)
+
+    def copy(self) -> Policy:
+        """The same policy with a memory of its own."""
+        other = copy(self)
+        other._recall = None
+        return other
 
     def check(self, network: Network | str | Path) -> None:
         """`InputError` unless `network` has the signals of the one that the policy was made for."""
@@ -252,7 +267,9 @@ class Policy:
         if not folder.exists() and (SHIPPED / str(given) / JSON_NAME).is_file():
             folder = SHIPPED / str(given)
         if folder.suffix == ".zip":
-            raise InputError(f"'{given}' is a pickle, which can run code: convert it once with `isd-gym convert`")
+            raise InputError(
+                f"'{given}' is a pickle, which can run code: convert it once with `isd-gym convert`"
+            )
         data = _read(folder, JSON_NAME)
         try:
             head = json.loads(data)
@@ -260,11 +277,14 @@ class Policy:
                 raise InputError(f"policy '{given}': {JSON_NAME} is not of schema '{SCHEMA}'")
             blob = _read(folder, WEIGHTS_NAME)
             if hashlib.sha256(blob).hexdigest() != head["weights"]["sha256"]:
-                raise InputError(f"policy '{given}': {WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}")
+                raise InputError(
+                    f"policy '{given}': {WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}"
+                )
             tensors = read_safetensors(blob, f"policy '{given}', {WEIGHTS_NAME}")
             actor = head["actor"]
             weights = [
-                (tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"]) for i in range(len(actor["layers"]))
+                (tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"])
+                for i in range(len(actor["layers"]))
             ]
             network = head.get("network")
             own = ("schema", "name", "weights", "actor", "memory", "action", "network")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -26,6 +28,8 @@ class Remember(VecEnvWrapper):
         super().__init__(venv, observation_space=box, action_space=spaces.Box(-1.0, 1.0, (1,), np.float32))
         self.memory, self.head = memory, head
         self.reward_scale, self.reward_offset = reward_scale, reward_offset
+        #: time spent in the environment and its memory [s]
+        self.seconds = 0.0
 
     def reset(self) -> np.ndarray:
         obs = self.venv.reset()
@@ -38,6 +42,7 @@ class Remember(VecEnvWrapper):
         return np.clip(self._recall.features, -FEATURE_LIMIT, FEATURE_LIMIT)
 
     def step_async(self, actions: np.ndarray) -> None:
+        self._begin = time.perf_counter()
         self.venv.step_async(self.head.current(actions, self._obs))
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -56,4 +61,7 @@ class Remember(VecEnvWrapper):
         else:
             self._recall.see(obs)
         self._obs = obs
-        return self._features(), self.reward_scale * (rewards + np.float32(self.reward_offset)), done, infos
+        features = self._features()
+        rewards = self.reward_scale * (rewards + np.float32(self.reward_offset))
+        self.seconds += time.perf_counter() - self._begin
+        return features, rewards, done, infos

@@ -1,9 +1,9 @@
 """The batched environment as Stable-Baselines3's own `VecEnv`: no wrapper of single environments, no loop over cars.
 
-    from stable_baselines3 import PPO
-    from isd_gym.sb3 import make_vec_env
+from stable_baselines3 import PPO
+from isd_gym.sb3 import make_vec_env
 
-    PPO("MlpPolicy", make_vec_env(64)).learn(1_000_000)
+PPO("MlpPolicy", make_vec_env(64)).learn(1_000_000)
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ class BatchedVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        return list(self.env.render() or [None] * self.num_envs)
+        frames: list[np.ndarray | None] = [*(self.env.render() or [None] * self.num_envs)]
+        return frames
 
 
 def make_vec_env(count: int = 64, *, env_id: str = "ISDSuspension-v0", **options: Any) -> BatchedVecEnv:

@@ -1,0 +1,102 @@
+"""Commands of the agents: `isd-gym train`, `isd-gym convert`."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Algorithm(StrEnum):
+    ppo = "ppo"
+    sac = "sac"
+
+
+def train(
+    algorithm: Annotated[Algorithm, typer.Argument(help="ppo or sac.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of the run; an unfinished one goes on.", metavar="DIR")
+    ],
+    seed: Annotated[int, typer.Option(help="Training seed.", min=0)] = 0,
+    steps: Annotated[
+        int | None, typer.Option(help="Control steps of all cars together; tuned unless given.", min=1)
+    ] = None,
+    network: Annotated[
+        str, typer.Option(help="The plant: a built-in network or a model file.")
+    ] = "quarter-car-isd",
+    road: Annotated[str, typer.Option(help="paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
+    speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
+    randomize: Annotated[
+        bool, typer.Option("--randomize", help="Vary mass, friction, thrust constant, road and speed.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
+    ] = None,
+) -> None:
+    """Train a policy; called again with the same folder it resumes where it stopped.
+
+    Shows the cost J on validation roads beside the passive car's and the baselines'. The best policy is in DIR/policy, for
+    `isd-gym score DIR/policy`; TensorBoard's log is in DIR/tensorboard.
+
+    Example: isd-gym train sac --out runs/sac
+    """
+    from isd_gym.errors import InputError
+
+    from .train import train as run
+
+    if json_file is not None and not json_file.parent.is_dir():
+        raise InputError(f"cannot write '{json_file}': no folder '{json_file.parent}'")
+    report = run(
+        algorithm.value,
+        out,
+        seed=seed,
+        steps=steps,
+        network=network,
+        road=road,
+        speed=speed,
+        randomize=randomize,
+        say=lambda line: typer.echo(line, err=True),
+    )
+    if json_file is not None:
+        from isd_gym.files import write_text
+
+        write_text(json_file, json.dumps(report, indent=1) + "\n")
+
+
+def convert(
+    archive: Annotated[
+        Path, typer.Argument(help="A .zip saved by Stable-Baselines3, or a policy folder for --onnx.")
+    ],
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
+    normalize: Annotated[
+        Path | None, typer.Option("--normalize", help="Its saved VecNormalize.", metavar="FILE")
+    ] = None,
+    network: Annotated[str, typer.Option(help="The network it was trained on.")] = "quarter-car-isd",
+    onnx: Annotated[Path | None, typer.Option("--onnx", help="Write an ONNX file.", metavar="FILE")] = None,
+) -> None:
+    """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX.
+
+    Example: isd-gym convert model.zip --normalize vecnormalize.pkl --out my-policy
+    """
+    from isd_gym.errors import InputError
+
+    from .convert import WARNING
+    from .convert import convert as run
+    from .policy import Policy
+
+    if out is None and onnx is None:
+        raise InputError("nothing to write: give --out DIR or --onnx FILE")
+    if archive.suffix == ".zip":
+        typer.echo(f"{archive}: {WARNING}", err=True)
+        policy = run(archive, normalize=normalize, network=network)
+    else:
+        policy = Policy.load(archive)
+    if out is not None:
+        typer.echo(f"policy in '{policy.save(out)}'")
+    if onnx is not None:
+        from .onnx import export_onnx
+
+        typer.echo(f"ONNX in '{export_onnx(policy, onnx)}'")

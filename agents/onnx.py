@@ -1,0 +1,104 @@
+"""ONNX export, for people who deploy: one control step as a graph, the memory an input and an output of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isd_gym.errors import InputError
+from isd_gym.files import whole
+
+from .policy import CURRENT_SIGNAL, Policy
+
+OPSET = 17
+
+
+def export_onnx(policy: Policy, path: str | Path) -> Path:
+    """Write one control step of `policy` to `path`.
+
+    Inputs: ``observation`` (cars, signals) in SI units, ``memory`` (cars, features), ``first`` (cars, 1), 1 where an
+    episode begins and 0 elsewhere. Outputs: ``current`` (cars, 1) [A] and ``next_memory``, to be handed back at the next step.
+    """
+    try:
+        import onnx
+        from onnx import TensorProto, helper, numpy_helper
+    except ImportError:
+        raise InputError("ONNX export needs the package onnx: pip install onnx") from None
+    nodes, constants = [], []
+
+    def constant(name: str, value: Any) -> str:
+        array = np.asarray(value)
+        constants.append(
+            numpy_helper.from_array(array if array.dtype == np.int64 else array.astype(np.float32), name)
+        )
+        return name
+
+    def node(kind: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        nodes.append(helper.make_node(kind, inputs, [output], **attributes))
+        return output
+
+    memory, n = policy.memory, policy.signals
+    recall = memory.start(np.zeros((1, n), np.float32))
+    width = recall.features.shape[1]
+
+    def part(source: str, begin: int, end: int, output: str) -> str:
+        ends = [
+            constant(f"{output}.{k}", np.array([v], np.int64))
+            for k, v in (("a", begin), ("b", end), ("c", 1))
+        ]
+        return node("Slice", [source, *ends], output)
+
+    keep = node("Sub", [constant("one", 1.0), "first"], "keep")
+    blocks = [node("Div", ["observation", constant("scale", recall.scale)], "x0")]
+    for k, ratio in enumerate(recall.ratios):
+        change = node("Sub", [blocks[-1], part("memory", n * k, n * (k + 1), f"old{k}")], f"change{k}")
+        scaled = node("Mul", [change, constant(f"ratio{k}", ratio)], f"scaled{k}")
+        blocks.append(node("Mul", [scaled, keep], f"x{k + 1}"))
+    for j, (i, decay, gain) in enumerate(recall.leaks):
+        at = n * (memory.order + 1) + j
+        old = node("Mul", [part("memory", at, at + 1, f"leak{j}"), constant(f"decay{j}", decay)], f"kept{j}")
+        new = node(
+            "Mul", [part("observation", i, i + 1, f"signal{j}"), constant(f"gain{j}", gain)], f"fed{j}"
+        )
+        blocks.append(node("Mul", [node("Add", [old, new], f"sum{j}"), keep], f"integral{j}"))
+    node("Concat", blocks, "next_memory", axis=1)
+    x = node("Sub", ["next_memory", constant("mean", policy.mean)], "centred")
+    x = node("Div", [x, constant("spread", policy.scale)], "normal")
+    if np.isfinite(policy.clip):
+        x = node("Clip", [x, constant("low", -policy.clip), constant("high", policy.clip)], "clipped")
+    for i, (w, b) in enumerate(policy.weights):
+        x = node("MatMul", [x, constant(f"w{i}", w.T)], f"product{i}")
+        x = node("Add", [x, constant(f"b{i}", b)], f"layer{i}")
+        if i < len(policy.weights) - 1:
+            x = node({"tanh": "Tanh", "relu": "Relu"}[policy.activation], [x], f"hidden{i}")
+    if policy.output == "tanh":
+        x = node("Tanh", [x], "share")
+    else:
+        x = node("Clip", [x, constant("minus_one", -1.0), "one"], "share")
+    head = policy.head
+    if head.mode == "target":
+        node("Mul", [x, constant("limit", head.limit)], "current")
+    else:
+        step = node("Mul", [x, constant("slew", head.slew)], "step")
+        wanted = node("Add", [part("observation", CURRENT_SIGNAL, CURRENT_SIGNAL + 1, "now"), step], "wanted")
+        node("Clip", [wanted, constant("lowest", -head.limit), constant("highest", head.limit)], "current")
+
+    def tensor(name: str, columns: int) -> Any:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["cars", columns])
+
+    graph = helper.make_graph(
+        nodes,
+        policy.name,
+        [tensor("observation", n), tensor("memory", width), tensor("first", 1)],
+        [tensor("current", 1), tensor("next_memory", width)],
+        constants,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="isd_gym")
+    model.ir_version = 8
+    onnx.checker.check_model(model)
+    path = Path(path)
+    with whole(path) as temporary:
+        temporary.write_bytes(model.SerializeToString())
+    return path

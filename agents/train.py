@@ -1,0 +1,416 @@
+"""Training PPO and SAC with Stable-Baselines3 on the batched car, so that a kill costs one interval at most.
+
+A run is a folder: `run.json` (what was asked for), `checkpoint-<steps>/` (the learner, whole or not there at all),
+`tensorboard/`, and `policy/`, the best policy so far as a policy folder.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import shutil
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from isd_gym.errors import InputError
+from isd_gym.files import write_text
+from isd_gym.network import Network
+from isd_gym.policies import find, passive
+from isd_gym.road import road as find_road
+from isd_gym.scoring import Entry, drive, score
+
+from .policy import Policy
+from .settings import RANDOMIZE, SETTINGS, PPOSettings, SACSettings
+
+SCHEMA = "isd-training/1"
+ENV_ID = "ISDSuspension-v0"
+#: validation roads, seen neither in training (seeds from 2e6) nor in scoring (seeds from 0)
+VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 16
+SCORE_EPISODES = 32
+BASELINES = ("lqg", "mpc")  # shown beside the progress, where they exist
+
+
+def train(
+    algorithm: str,
+    out: str | Path,
+    *,
+    seed: int = 0,
+    steps: int | None = None,
+    network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd",
+    road: str = "paper",
+    speed: float = 20.0,
+    randomize: bool | Mapping[str, Any] = False,
+    settings: PPOSettings | SACSettings | None = None,
+    say: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Train `algorithm` (ppo, sac) in folder `out`, or go on where the run in it stopped; returns the report.
+
+    `randomize`: True for `settings.RANDOMIZE`, or ranges as the environment takes them. The policy kept is the one of
+    least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
+    """
+    if find_spec("stable_baselines3") is None:
+        raise InputError('training needs Stable-Baselines3 and torch: pip install "isd-gym[agents]"')
+    if algorithm not in SETTINGS:
+        raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
+    settings = settings or SETTINGS[algorithm]()
+    if steps is not None:
+        if steps < 1:
+            raise InputError(f"steps must be at least 1, not {steps}")
+        settings = replace(settings, steps=steps)
+    plant = Network.load(network)
+    find_road(road)
+    spread: dict[str, Any] | None = dict(RANDOMIZE) if randomize is True else dict(randomize or {}) or None
+    run = Run(Path(out), algorithm, seed, plant, road, float(speed), spread, settings, say)
+    return run.go()
+
+
+class Run:
+    """One training run and its folder."""
+
+    def __init__(
+        self,
+        out: Path,
+        algorithm: str,
+        seed: int,
+        plant: Network,
+        road: str,
+        speed: float,
+        spread: dict[str, Any] | None,
+        settings: PPOSettings | SACSettings,
+        say: Callable[[str], None],
+    ) -> None:
+        self.out, self.algorithm, self.seed, self.plant = out, algorithm, seed, plant
+        self.road, self.speed, self.spread, self.settings, self.say = road, speed, spread, settings, say
+        self.asked = {
+            "schema": SCHEMA,
+            "algorithm": algorithm,
+            "seed": seed,
+            "road": road,
+            "speed": speed,
+            "randomize": json.loads(json.dumps(spread)),
+            "settings": describe(settings),
+            "network": plant.to_dict(),
+        }
+        #: what a checkpoint carries besides the learner
+        self.state: dict[str, Any] = {"seconds": 0.0, "environment_seconds": 0.0, "curve": []}
+
+    # ------------------------------------------------------------------------------------- the folder
+
+    def _claim(self) -> Path | None:
+        """Make the folder this run's; the newest checkpoint in it, if any."""
+        if self.out.exists() and not self.out.is_dir():
+            raise InputError(f"'{self.out}' is not a folder")
+        self.out.mkdir(parents=True, exist_ok=True)
+        note = self.out / "run.json"
+        if not note.exists():
+            if any(self.out.iterdir()):
+                raise InputError(f"'{self.out}' is not empty and holds no training run")
+        else:
+            try:
+                held = json.loads(note.read_text())
+            except (OSError, ValueError):
+                raise InputError(f"'{note}' cannot be read; train into another folder") from None
+            for key in ("algorithm", "seed", "road", "speed", "randomize", "network"):
+                if held.get(key) != self.asked[key]:
+                    what = "" if key == "network" else f": {held.get(key)}, not {self.asked[key]}"
+                    raise InputError(
+                        f"'{self.out}' holds a run with another {key}{what}; train into another folder"
+                    )
+            same = {k: v for k, v in held["settings"].items() if k != "steps"}
+            if same != {k: v for k, v in self.asked["settings"].items() if k != "steps"}:
+                raise InputError(f"'{self.out}' holds a run with other settings; train into another folder")
+        write_text(note, json.dumps(self.asked, indent=1) + "\n")
+        for stale in self.out.glob(".checkpoint-*"):
+            shutil.rmtree(stale)
+        found = sorted(self.out.glob("checkpoint-*"))
+        return found[-1] if found else None
+
+    def save(self, model: Any) -> None:
+        """A checkpoint under its own name once it is whole; older ones go after that."""
+        name = f"checkpoint-{model.num_timesteps:012d}"
+        if (self.out / name).exists():
+            return
+        temporary = self.out / f".{name}"
+        temporary.mkdir()
+        model.save(temporary / "model.zip")
+        if hasattr(model, "replay_buffer"):
+            buffer = model.replay_buffer
+            arrays = {k: getattr(buffer, k) for k in BUFFER}
+            held = buffer.buffer_size if buffer.full else buffer.pos
+            for key, value in arrays.items():
+                np.save(temporary / f"{key}.npy", value[:held])
+            self.state["buffer"] = [int(buffer.pos), bool(buffer.full)]
+        (temporary / "state.json").write_text(json.dumps(self.state))
+        for file in temporary.iterdir():
+            with file.open("rb") as handle:
+                os.fsync(handle.fileno())
+        older = list(self.out.glob("checkpoint-*"))
+        temporary.rename(self.out / name)
+        for old in older:
+            shutil.rmtree(old)
+
+    # -------------------------------------------------------------------------------------- training
+
+    def go(self) -> dict[str, Any]:
+        import torch
+        from stable_baselines3 import PPO, SAC
+
+        from isd_gym.sb3 import make_vec_env
+
+        from .vec import Remember
+
+        s = self.settings
+        checkpoint = self._claim()
+        torch.set_num_threads(1)  # nets this small lose more to threads than they gain
+        env = Remember(
+            make_vec_env(
+                s.cars,
+                rescale=False,
+                stagger=True,
+                network=self.plant,
+                road=self.road,
+                speed=self.speed,
+                randomize=self.spread,
+            ),
+            s.memory,
+            s.head,
+            s.reward_scale,
+            s.reward_offset,
+        )
+        kind: Any = {"ppo": PPO, "sac": SAC}[self.algorithm]
+        tensorboard = str(self.out / "tensorboard") if find_spec("tensorboard") else None
+        if checkpoint is not None:
+            self.state = json.loads((checkpoint / "state.json").read_text())
+            done = int(checkpoint.name.removeprefix("checkpoint-"))
+            model = kind.load(checkpoint / "model.zip", env=env, device="cpu", tensorboard_log=tensorboard)
+            if self.algorithm == "sac":
+                restore_buffer(model.replay_buffer, checkpoint, self.state["buffer"])
+            # fresh roads: those of the seed and the steps done, never those already driven
+            model.set_random_seed(self._seed(done))
+            self.say(f"resuming '{self.out}' at {done / 1e6:.2f} of {s.steps / 1e6:.2f} million steps")
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # SB3 on batch sizes that do not divide a rollout
+                model = kind(
+                    "MlpPolicy",
+                    env,
+                    seed=self._seed(0),
+                    device="cpu",
+                    tensorboard_log=tensorboard,
+                    **s.algorithm(),
+                )
+        if "references" not in self.state:
+            self.state["references"] = self._references()
+        if model.num_timesteps < s.steps:
+            model.learn(
+                s.steps - model.num_timesteps,
+                callback=_callback(self, env),
+                reset_num_timesteps=False,
+                tb_log_name=self.algorithm,
+                log_interval=1 if self.algorithm == "ppo" else 50,
+            )
+            self.look(model, env)
+            self.save(model)
+        env.close()
+        return self._finish()
+
+    def _seed(self, done: int) -> int:
+        return 2_000_000 + (self.seed * 1_000_003 + done) % 4_000_000_000
+
+    def export(self, model: Any) -> Policy:
+        """The learner's present deterministic policy."""
+        from .convert import build
+
+        state = {k: v.detach().cpu().numpy() for k, v in model.policy.state_dict().items()}
+        return build(
+            state,
+            activation="tanh" if self.algorithm == "ppo" else "relu",
+            memory=self.settings.memory,
+            head=self.settings.head,
+            name=self.algorithm,
+            network=self.plant,
+        )
+
+    def cost(self, entry: Entry) -> float:
+        """Mean cost J on the validation roads."""
+        from isd_gym.cost import StageCost
+
+        run = drive(
+            entry,
+            self.plant,
+            road=self.road,
+            speed=self.speed,
+            randomize=None if entry.network else self.spread,
+            episodes=VALIDATION_EPISODES,
+            seed=VALIDATION_SEED,
+        )
+        return float(run.cost(StageCost()).mean())
+
+    def _references(self) -> dict[str, float]:
+        """Cost of the passive car and of the baselines there are, on the validation roads."""
+        out = {"passive": self.cost(passive(self.plant))}
+        for name in BASELINES:
+            try:
+                out[name] = self.cost(find(name, self.plant))
+            except (InputError, ImportError):
+                continue  # a network that the baseline has no model of, or an install without it
+        return out
+
+    def look(self, model: Any, env: Any) -> None:
+        """Score the present policy on the validation roads, keep it if it is the best, say so in one line."""
+        policy = self.export(model)
+        j = self.cost(Entry(self.algorithm, policy.copy))
+        curve = self.state["curve"]
+        best = min((row["cost"] for row in curve), default=math.inf)
+        curve.append(
+            {
+                "steps": int(model.num_timesteps),
+                "seconds": round(self.state["seconds"], 1),
+                "cost": round(j, 6),
+            }
+        )
+        if j < best:
+            self._describe(policy).save(self.out / "policy")
+        known = self.state["references"]
+        rival = min((k for k in known if k != "passive"), key=known.__getitem__, default=None)
+        self.say(
+            f"{100 * model.num_timesteps / self.settings.steps:5.1f} %  {model.num_timesteps / 1e6:6.2f} M steps"
+            f"  {self.state['seconds']:5.0f} s  J {j:.4f} ({100 * (j / known['passive'] - 1):+.1f} %)"
+            f"  best {min(j, best):.4f}  passive {known['passive']:.4f}"
+            + (f"  {rival} {known[rival]:.4f}" if rival else "")
+        )
+        model.logger.record("score/cost", j)
+        model.logger.record("score/change_against_passive", j / known["passive"] - 1)
+
+    def _describe(self, policy: Policy, scored: dict[str, Any] | None = None) -> Policy:
+        policy.info = {
+            "algorithm": self.algorithm,
+            "env": {
+                "id": ENV_ID,
+                "road": self.road,
+                "speed": {"value": self.speed, "unit": "m/s"},
+                "randomize": self.asked["randomize"],
+            },
+            "training": {
+                "seed": self.seed,
+                "settings": self.asked["settings"],
+                "seconds": round(self.state["seconds"], 1),
+                "environment_share": round(
+                    self.state["environment_seconds"] / max(self.state["seconds"], 1e-9), 4
+                ),
+                "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, one thread",
+                "versions": versions(),
+                "references": self.state["references"],
+                "curve": self.state["curve"],
+            },
+            "score": scored,
+        }
+        return policy
+
+    def _finish(self) -> dict[str, Any]:
+        """Score the best policy on roads that played no part, and complete its folder."""
+        policy = Policy.load(self.out / "policy")
+        result = score(
+            [Entry(policy.name, policy.copy)],
+            self.plant,
+            reference=passive(self.plant),
+            road=self.road,
+            speed=self.speed,
+            episodes=SCORE_EPISODES,
+        )
+        row = next(r for r in result.policies if r["policy"] == policy.name)
+        row = {"road": result.road, "episodes": result.episodes, "seed": result.seed, **row}
+        self._describe(policy, row).save(self.out / "policy")
+        j = row["cost"]
+        self.say(
+            f"cost J {j['value']:.4f}, {100 * j['change']:+.1f} % against passive "
+            f"[{100 * j['low']:+.1f}, {100 * j['high']:+.1f}] on {SCORE_EPISODES} held-out roads; "
+            f"policy in '{self.out / 'policy'}'"
+        )
+        return {
+            "schema": SCHEMA,
+            "algorithm": self.algorithm,
+            "policy": str(self.out / "policy"),
+            **policy.info,
+        }
+
+
+def _callback(run: Run, env: Any) -> Any:
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    class Watch(BaseCallback):
+        """Evaluates, saves and keeps time between rollouts; the evaluation's own time is not training time."""
+
+        def _on_training_start(self) -> None:
+            self.clock, self.env_clock = time.perf_counter(), env.seconds
+            self.saved = time.perf_counter()
+            curve = run.state["curve"]
+            self.due = curve[-1]["steps"] + self._every() if curve else 0
+
+        def _every(self) -> int:
+            return max(run.settings.steps // run.settings.evaluations, 1)
+
+        def _tick(self) -> None:
+            now = time.perf_counter()
+            run.state["seconds"] += now - self.clock
+            run.state["environment_seconds"] += env.seconds - self.env_clock
+            self.clock, self.env_clock = now, env.seconds
+
+        def _on_rollout_start(self) -> None:
+            if self.model.num_timesteps >= self.due:
+                self._tick()
+                run.look(self.model, env)
+                self.due += self._every()
+                self.clock = time.perf_counter()
+            if time.perf_counter() - self.saved > run.settings.checkpoint_seconds:
+                self._tick()
+                run.save(self.model)
+                self.saved = time.perf_counter()
+
+        def _on_training_end(self) -> None:
+            self._tick()
+
+        def _on_step(self) -> bool:
+            return True
+
+    return Watch()
+
+
+BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def restore_buffer(buffer: Any, folder: Path, place: list[Any]) -> None:
+    """Fill a replay buffer from a checkpoint."""
+    for key in BUFFER:
+        saved = np.load(folder / f"{key}.npy", allow_pickle=False)
+        getattr(buffer, key)[: len(saved)] = saved
+    buffer.pos, buffer.full = int(place[0]), bool(place[1])
+
+
+def describe(settings: PPOSettings | SACSettings) -> dict[str, Any]:
+    """The settings as plain JSON."""
+    from dataclasses import asdict
+
+    return json.loads(json.dumps(asdict(settings)))
+
+
+def versions() -> dict[str, str]:
+    """Versions of what made a policy."""
+    names = ("isd-gym", "stable-baselines3", "torch", "gymnasium", "numpy")
+    out = {}
+    for name in names:
+        try:
+            out[name] = version(name)
+        except Exception:  # an install without metadata
+            continue
+    return out

@@ -1,0 +1,463 @@
+"""Policies: what they remember, how they are stored, and that numpy alone does what Stable-Baselines3 would."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import subprocess
+import sys
+import zipfile
+from dataclasses import replace
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from agents.convert import convert, read_torch
+from agents.entry import open_policy
+from agents.memory import Memory
+from agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy, read_safetensors, write_safetensors
+from agents.settings import MEMORY
+from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+
+needs_sb3 = pytest.mark.skipif(
+    find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
+)
+
+
+def small_policy(rng: np.random.Generator, head: Head | None = None) -> Policy:
+    sizes = [MEMORY.width(6), 8, 1]
+    layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
+    return Policy(
+        layers, memory=MEMORY, head=head or Head("increment"), network=Network.load("quarter-car-isd")
+    )
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)
+
+
+def drive(policy: Policy, steps: int, seed: int = 3) -> np.ndarray:
+    env = gymnasium.make("ISDSuspension-v0")
+    obs, _ = env.reset(seed=seed)
+    policy.reset()
+    seen = []
+    for _ in range(steps):
+        obs, *_ = env.step(np.array([policy.act(obs)], np.float32))
+        seen.append(obs)
+    return np.array(seen)
+
+
+# ------------------------------------------------------------------------------------------- memory
+
+
+def test_memory_is_the_signals_their_changes_and_their_leaky_integral(rng):
+    memory = Memory((2.0, 4.0), (0.5, 0.25), order=2, leak=((1, 0.1, 3.0),), step=0.01)
+    x = rng.normal(size=(5, 1, 2)).astype(np.float32)
+    recall = memory.start(x[0])
+    for row in x[1:]:
+        features = recall.see(row)[0]
+    np.testing.assert_allclose(features[:2], x[4, 0] / [2.0, 4.0], rtol=1e-6)
+    np.testing.assert_allclose(features[2:4], (x[4, 0] - x[3, 0]) / [0.5, 0.25], rtol=1e-5)
+    second = x[4, 0] - 2 * x[3, 0] + x[2, 0]
+    np.testing.assert_allclose(features[4:6], second / [0.25, 0.125], rtol=1e-4)
+    integral = sum(0.01 * x[k, 0, 1] * 0.9 ** (4 - k) for k in range(1, 5))
+    assert features[6] == pytest.approx(integral / 3.0, rel=1e-5)
+
+
+def test_each_car_has_a_memory_of_its_own(rng):
+    x = rng.normal(size=(4, 3, 6)).astype(np.float32)
+    many = MEMORY.start(x[0])
+    alone = MEMORY.start(x[0, 1:2])
+    for k, row in enumerate(x[1:]):
+        many.see(row)
+        alone.see(row[1:2])
+        if k == 1:
+            many.begin(np.array([True, False, False]), row)
+            np.testing.assert_array_equal(many.features[0], MEMORY.start(row).features[0])
+    np.testing.assert_array_equal(many.features[1], alone.features[0])
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        dict(scale=(1.0,), order=1),
+        dict(scale=(0.0,)),
+        dict(scale=(1.0,), leak=((1, 1.0, 1.0),)),
+        dict(scale=(1.0,), leak=((0, 0.0, 1.0),)),
+    ],
+)
+def test_a_memory_that_makes_no_sense_is_refused(bad):
+    with pytest.raises(InputError):
+        Memory(**bad)
+
+
+# -------------------------------------------------------------------------------------------- policy
+
+
+def test_increment_and_target_are_currents_within_the_drive_s_limits(rng):
+    obs = np.zeros((3, 6), np.float32)
+    obs[:, 5] = [-4.8, 0.0, 4.9]
+    share = np.array([[-1.0], [0.5], [1.0]], np.float32)
+    np.testing.assert_allclose(Head("increment").current(share, obs)[:, 0], [-5.0, 0.25, 5.0])
+    np.testing.assert_allclose(Head("target").current(share, obs)[:, 0], [-5.0, 2.5, 5.0])
+
+
+def test_one_car_and_many_get_the_same_currents(rng):
+    policy = small_policy(rng)
+    x = rng.normal(size=(6, 5, 6)).astype(np.float32) * np.array(MEMORY.scale, np.float32)
+    policy.reset_batch(5)
+    many = np.array([policy.act_batch(row) for row in x])
+    policy.reset()
+    alone = np.array([policy.act(row[2]) for row in x])
+    np.testing.assert_allclose(many[:, 2], alone, atol=2e-6)
+
+
+def test_reset_forgets(rng):
+    policy = small_policy(rng)
+    np.testing.assert_array_equal(drive(policy, 20), drive(policy, 20))
+
+
+def test_what_is_not_finite_is_taken_as_nothing(rng):
+    policy = small_policy(rng)
+    obs = np.full(6, np.nan)
+    obs[5] = 1.0
+    assert np.isfinite(policy.act(obs)) and np.isfinite(policy.act(np.zeros(6)))
+
+
+def test_a_folder_gives_the_same_policy_back(rng, tmp_path):
+    policy = small_policy(rng)
+    policy.info = {"algorithm": "test", "score": {"cost": 0.7}}
+    back = Policy.load(policy.save(tmp_path / "p"))
+    np.testing.assert_array_equal(drive(policy, 30), drive(back, 30))
+    assert back.info == policy.info
+    assert back.model == policy.model
+
+
+def test_weights_are_safetensors_as_others_read_them(rng):
+    library = pytest.importorskip("safetensors.numpy")
+    tensors = {"a": rng.normal(size=(3, 2)).astype(np.float32), "b": np.arange(5, dtype=np.float32)}
+    blob = write_safetensors(tensors)
+    for name, value in library.load(blob).items():
+        np.testing.assert_array_equal(value, tensors[name])
+    for name, value in read_safetensors(library.save(tensors)).items():
+        np.testing.assert_array_equal(value, tensors[name])
+
+
+def edit(path: Path, **changes: object) -> None:
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda d: (d / WEIGHTS_NAME).unlink(), f"no {WEIGHTS_NAME}"),
+        (lambda d: (d / JSON_NAME).unlink(), f"no {JSON_NAME}"),
+        (lambda d: (d / WEIGHTS_NAME).write_bytes((d / WEIGHTS_NAME).read_bytes()[:-1] + b"\0"), "altered"),
+        (lambda d: (d / JSON_NAME).write_text("{"), "not JSON"),
+        (lambda d: (d / JSON_NAME).write_bytes(b"\xff\xfe"), "not JSON"),
+        (lambda d: (d / JSON_NAME).write_text("[1]"), "schema"),
+        (lambda d: edit(d / JSON_NAME, memory={"scale": "x"}), "memory"),
+        (lambda d: edit(d / JSON_NAME, memory={"scale": [1.0]}), "memory"),
+        (lambda d: edit(d / JSON_NAME, action={"mode": "jump"}), "mode"),
+        (lambda d: edit(d / JSON_NAME, action={"gain": 2}), "gain"),
+        (lambda d: edit(d / JSON_NAME, actor={"layers": []}), "activation|layers"),
+    ],
+)
+def test_a_spoilt_folder_is_one_clear_line(rng, tmp_path, spoil, says):
+    folder = small_policy(rng).save(tmp_path / "p")
+    spoil(folder)
+    with pytest.raises(InputError, match=says) as error:
+        Policy.load(folder)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "blob", [b"", b"\xff" * 8, b"\x02" + b"\0" * 7 + b"[]", b"\x09" + b"\0" * 7 + b'{"a": {}}']
+)
+def test_no_safetensors_is_said(blob):
+    with pytest.raises(InputError, match="safetensors"):
+        read_safetensors(blob)
+
+
+def test_a_car_with_other_inputs_is_refused(rng):
+    with pytest.raises(InputError, match="quarter-car-passive"):
+        small_policy(rng).check("quarter-car-passive")
+    small_policy(rng).check(Network.load("quarter-car-isd").with_parameters({"body.mass": 400.0}))
+
+
+def test_scoring_finds_a_folder_and_leaves_other_names_alone(rng, tmp_path):
+    folder = small_policy(rng).save(tmp_path / "p")
+    net = Network.load("quarter-car-isd")
+    entry = open_policy(str(folder), net, StageCost(), 5e-3, {})
+    assert entry is not None and np.isfinite(entry.make().act(np.zeros(6)))
+    assert open_policy("no-such-policy", net, StageCost(), 5e-3, {}) is None
+    with pytest.raises(InputError, match="acts every"):
+        open_policy(str(folder), net, StageCost(), 1e-2, {})
+
+
+def test_policies_load_and_run_without_torch(rng, tmp_path):
+    folder = small_policy(rng).save(tmp_path / "p")
+    code = (
+        "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None\n"
+        "import numpy as np\nfrom agents.policy import Policy\nimport agents.entry\n"
+        f"print(Policy.load({str(folder)!r}).act(np.ones(6)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert float(out) == pytest.approx(Policy.load(folder).act(np.ones(6)), abs=1e-6)
+
+
+# --------------------------------------------------------------------------------------- shipped ones
+
+
+@pytest.mark.parametrize("name", [p.parent.name for p in SHIPPED.glob("*/policy.json")])
+def test_a_shipped_policy_is_what_its_score_says(name):
+    policy = Policy.load(name)
+    env = gymnasium.make_vec("ISDSuspension-v0", 8, autoreset_mode="disabled")
+    car = gymnasium.make_vec("ISDSuspension-v0", 8, network="quarter-car-passive", autoreset_mode="disabled")
+    (obs, _), _ = env.reset(seed=0), car.reset(seed=0)
+    own = other = 0.0
+    for _ in range(2000):
+        obs, reward, *_ = env.step(policy.act_batch(obs)[:, None])
+        own -= reward.sum()
+        other -= car.step(np.zeros((8, 1)))[1].sum()
+    change = own / other - 1
+    assert change == pytest.approx(policy.info["score"]["cost"]["change"], abs=0.04)
+    assert policy.info["training"]["command"].startswith(f"isd-gym train {name}")
+
+
+# ------------------------------------------------------------------------- Stable-Baselines3's archives
+
+
+@pytest.fixture
+def sb3():
+    if find_spec("stable_baselines3") is None:
+        pytest.skip("Stable-Baselines3 (and torch) not installed")
+    import torch
+
+    torch.set_num_threads(1)
+    import stable_baselines3
+
+    return stable_baselines3
+
+
+@needs_sb3
+def test_the_adapter_is_the_single_environment(sb3):
+    from isd_gym.sb3 import make_vec_env
+
+    env = make_vec_env(3)
+    env.seed(11)
+    obs = env.reset()
+    single = gymnasium.make("ISDSuspension-v0")
+    alone, _ = single.reset(seed=12)
+    np.testing.assert_array_equal(obs[1], alone)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        action = rng.uniform(-1, 1, (3, 1)).astype(np.float32)
+        obs, rewards, done, infos = env.step(action)
+        alone, reward, *_ = single.step(5 * action[1])
+        np.testing.assert_array_equal(obs[1], alone)
+        assert rewards[1] == pytest.approx(reward, rel=1e-6)
+        assert not done.any() and infos == [{}, {}, {}]
+
+
+@needs_sb3
+def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
+    from agents.vec import Remember
+    from isd_gym.sb3 import make_vec_env
+
+    env = Remember(
+        make_vec_env(2, rescale=False, max_episode_steps=4, stagger=True), MEMORY, Head("increment")
+    )
+    env.seed(0)
+    start = env.reset()
+    ends = {}
+    for k in range(4):
+        obs, _, done, infos = env.step(np.ones((2, 1), np.float32))
+        for i in np.flatnonzero(done):
+            ends[int(i)] = k
+            assert infos[i]["TimeLimit.truncated"]
+            # the last features know the past, the first of the new episode do not
+            assert infos[i]["terminal_observation"][11] != 0.0
+            assert np.all(obs[i, 6:] == 0.0) and obs[i].shape == start[i].shape
+    assert ends == {0: 3, 1: 1}  # staggered
+
+
+def trained(sb3, kind: str, env, **options):
+    algorithm = getattr(sb3, kind)
+    small = dict(n_steps=16, batch_size=16) if kind == "PPO" else dict(learning_starts=8, batch_size=8)
+    small |= dict(policy_kwargs=dict(net_arch=[16, 8]), seed=1, device="cpu")
+    return algorithm("MlpPolicy", env, **small, **options).learn(64)
+
+
+@needs_sb3
+@pytest.mark.parametrize("kind", ["PPO", "SAC", "TD3"])
+@pytest.mark.parametrize("rescale", [True, False])
+def test_numpy_does_what_sb3_would(sb3, kind, rescale, tmp_path):
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from isd_gym.sb3 import make_vec_env
+
+    env = VecNormalize(make_vec_env(4, rescale=rescale), clip_obs=5.0)
+    model = trained(sb3, kind, env)
+    model.save(tmp_path / "m.zip")
+    env.save(str(tmp_path / "n.pkl"))
+    policy = convert(tmp_path / "m.zip", normalize=tmp_path / "n.pkl")
+    policy = Policy.load(policy.save(tmp_path / "folder"))
+    obs = env.unnormalize_obs(np.random.default_rng(0).uniform(-6, 6, (200, 6))).astype(np.float32)
+    wanted, _ = model.predict(env.normalize_obs(obs), deterministic=True)
+    np.testing.assert_allclose(policy.act_batch(obs), wanted[:, 0] * (5.0 if rescale else 1.0), atol=2e-5)
+
+
+@needs_sb3
+def test_weights_are_read_without_torch_as_torch_reads_them(sb3, tmp_path):
+    import torch
+
+    layer = torch.nn.Linear(3, 2)
+    state = {**layer.state_dict(), "turned": layer.weight.detach().T, "count": torch.arange(4)}
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    ours = read_torch(buffer.getvalue(), "here")
+    for name, value in state.items():
+        np.testing.assert_array_equal(ours[name], value.numpy())
+
+
+class Bomb:
+    def __reduce__(self):
+        return exec, ("raise SystemExit('code of the archive was run')",)
+
+
+def test_a_pickle_s_code_is_not_run(tmp_path):
+    (tmp_path / "n.pkl").write_bytes(pickle.dumps(Bomb()))
+    from agents.convert import read_normalize
+
+    with pytest.raises(InputError, match="VecNormalize"):
+        read_normalize(tmp_path / "n.pkl")
+    with zipfile.ZipFile(tmp_path / "w.pth", "w") as archive:
+        archive.writestr("w/data.pkl", pickle.dumps(Bomb()))
+    with pytest.raises(InputError, match="torch"):
+        read_torch((tmp_path / "w.pth").read_bytes(), "w.pth")
+
+
+@needs_sb3
+def test_an_archive_for_other_spaces_is_refused(sb3, tmp_path):
+    trained(sb3, "PPO", "Pendulum-v1").save(tmp_path / "p.zip")
+    trained(sb3, "PPO", "CartPole-v1").save(tmp_path / "c.zip")
+    (tmp_path / "x.zip").write_bytes(b"PK")
+    for name, says in (
+        ("p", "observations of shape"),
+        ("c", "Box|shape"),
+        ("x", "archive"),
+        ("none", "read"),
+    ):
+        with pytest.raises(InputError, match=says) as error:
+            convert(tmp_path / f"{name}.zip")
+        assert "\n" not in str(error.value)
+
+
+def test_a_zip_is_not_loaded_as_a_policy(tmp_path):
+    (tmp_path / "x.zip").write_bytes(b"PK")
+    with pytest.raises(InputError, match="pickle"):
+        Policy.load(tmp_path / "x.zip")
+
+
+@pytest.mark.parametrize("mode", ["increment", "target"])
+@pytest.mark.parametrize("output", ["clip", "tanh"])
+def test_onnx_is_the_policy(rng, tmp_path, mode, output):
+    runtime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from agents.onnx import export_onnx
+
+    policy = small_policy(rng, Head(mode))
+    policy.output = output
+    session = runtime.InferenceSession(export_onnx(policy, tmp_path / "p.onnx"))
+    memory, first = np.zeros((2, MEMORY.width(6)), np.float32), np.ones((2, 1), np.float32)
+    x = rng.normal(size=(8, 2, 6)).astype(np.float32) * np.array(MEMORY.scale, np.float32)
+    policy.reset_batch(2)
+    for row in x:
+        current, memory = session.run(None, {"observation": row, "memory": memory, "first": first})
+        first = np.zeros((2, 1), np.float32)
+        np.testing.assert_allclose(current[:, 0], policy.act_batch(row), atol=2e-5)
+
+
+# ------------------------------------------------------------------------------------------ training
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Training that takes a second: few steps, short validation."""
+    import agents.train as module
+    from agents.settings import PPOSettings, SACSettings
+
+    monkeypatch.setattr(module, "VALIDATION_EPISODES", 2)
+    monkeypatch.setattr(module, "SCORE_EPISODES", 2)
+    monkeypatch.setattr(module, "BASELINES", ())
+    monkeypatch.setattr(module, "drive", lambda *a, drive=module.drive, **k: drive(*a, **k, duration=0.5))
+    monkeypatch.setattr(module, "score", lambda *a, score=module.score, **k: score(*a, **k, duration=0.5))
+    ppo = PPOSettings(
+        steps=2048, cars=16, horizon=16, batch=64, epochs=1, evaluations=4, checkpoint_seconds=0.0
+    )
+    sac = SACSettings(
+        steps=1024, cars=16, batch=32, buffer=512, warm_up=64, evaluations=4, checkpoint_seconds=0.0
+    )
+    return {"ppo": ppo, "sac": sac}
+
+
+class Killed(Exception):
+    pass
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
+    from agents.train import train
+
+    settings, out = brief[algorithm], tmp_path / "run"
+    lines: list[str] = []
+
+    def until_half(line: str) -> None:
+        lines.append(line)
+        if line.strip().startswith(("50", "56", "62")):
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(algorithm, out, settings=settings, say=until_half)
+    (out / ".checkpoint-000000009999").mkdir()  # a write that was cut short
+    kept = json.loads((next(out.glob("checkpoint-*")) / "state.json").read_text())
+    more: list[str] = []
+    report = train(algorithm, out, settings=settings, say=more.append)
+    assert more[0].startswith("resuming")
+    curve = report["training"]["curve"]
+    assert curve[: len(kept["curve"])] == kept["curve"] and curve[-1]["steps"] >= settings.steps
+    steps = [row["steps"] for row in curve]
+    assert steps == sorted(set(steps))
+    assert not list(out.glob(".checkpoint-*")) and len(list(out.glob("checkpoint-*"))) == 1
+    policy = Policy.load(out / "policy")
+    assert policy.info["score"]["episodes"] == 2
+    assert policy.info["training"]["seconds"] > kept["seconds"]
+    again: list[str] = []
+    train(algorithm, out, settings=settings, say=again.append)
+    assert [row["steps"] for row in Policy.load(out / "policy").info["training"]["curve"]] == steps
+    with pytest.raises(InputError, match="another seed"):
+        train(algorithm, out, settings=settings, seed=1)
+    with pytest.raises(InputError, match="other settings"):
+        train(algorithm, out, settings=replace(settings, gamma=0.5))
+
+
+@needs_sb3
+def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
+    from agents.train import train
+
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(InputError, match="not empty"):
+        train("ppo", tmp_path)
+    with pytest.raises(InputError, match="algorithm"):
+        train("dqn", tmp_path)
