@@ -1,0 +1,194 @@
+"""JSON Schemas of the file formats: `isd-model/1`, `isd-score/1`, `isd-diagnosis/1` (draft 2020-12).
+
+The files ``isd-*.json`` in this folder are shipped for editors and other programs. The model's schema is made from the
+element classes by `model_schema`, so that a new element appears in it; ``python -m isd_gym.schemas`` writes it anew.
+A schema says what a file looks like. What belongs together (a node that exists, a motor of that name) is said by
+`isd_gym.network.Network.load`, in one line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import MISSING, fields
+from importlib import resources
+from typing import Any
+
+from ..errors import InputError
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+NAMES = ("isd-model-1", "isd-score-1", "isd-diagnosis-1")
+
+
+def load(name: str) -> dict[str, Any]:
+    """A shipped schema by its name ('isd-model/1' or 'isd-model-1'). Raises `InputError` for another name."""
+    stem = name.replace("/", "-")
+    if stem not in NAMES:
+        known = ", ".join(n[:-2] + "/1" for n in NAMES)
+        raise InputError(f"no schema '{name}': there are {known}")
+    return json.loads((resources.files(__name__) / f"{stem}.json").read_text(encoding="utf-8"))
+
+
+def model_schema() -> dict[str, Any]:
+    """Schema of `isd-model/1` with every element type that is registered."""
+    from ..elements import TYPES
+    from ..network import SCHEMA
+
+    types = sorted(TYPES)
+    return {
+        "$schema": DRAFT,
+        "$id": "urn:isd-gym:isd-model-1",
+        "title": "Suspension model: masses, two-terminal elements, channels",
+        "type": "object",
+        "required": ["schema", "elements"],
+        "additionalProperties": False,
+        "properties": {
+            "schema": {"const": SCHEMA},
+            "name": {"type": "string"},
+            "description": {"type": "string"},
+            "masses": {
+                "description": "mass [kg] of each node that has one",
+                "type": "object",
+                "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
+                "additionalProperties": {"type": "number", "exclusiveMinimum": 0},
+            },
+            "elements": {
+                "type": "array",
+                "minItems": 1,
+                "items": {
+                    "type": "object",
+                    "required": ["name", "type"],
+                    "properties": {"type": {"enum": types}},
+                    # one branch is looked at, so that an error names the key that is wrong
+                    "allOf": [
+                        {
+                            "if": {"properties": {"type": {"const": kind}}, "required": ["type"]},
+                            "then": {"$ref": f"#/$defs/{kind}"},
+                        }
+                        for kind in types
+                    ],
+                },
+            },
+            "inputs": {"type": "array", "items": {"$ref": "#/$defs/input"}},
+            "outputs": {"type": "array", "items": {"$ref": "#/$defs/output"}},
+            "uncertainty": {
+                "description": "relative one-sigma of a parameter, by its path ('body.mass', 'oil.stiffness')",
+                "type": "object",
+                "propertyNames": {"pattern": r"^.+\..+$"},
+                "additionalProperties": {"type": "number", "minimum": 0},
+            },
+        },
+        "$defs": {
+            "name": {"type": "string", "minLength": 1},
+            "pair": {
+                "description": "two nodes: first, second",
+                "type": "array",
+                "items": {"$ref": "#/$defs/name"},
+                "minItems": 2,
+                "maxItems": 2,
+                "uniqueItems": True,
+            },
+            "input": _input(),
+            "output": _output(),
+        }
+        | {kind: _element(TYPES[kind]) for kind in types},
+    }
+
+
+def _element(cls: type) -> dict[str, Any]:
+    """An element: its place, and each parameter with unit, limits and plausible range."""
+    place = {"$ref": "#/$defs/pair"} if cls.place == "between" else {"$ref": "#/$defs/name"}  # type: ignore[attr-defined]
+    properties: dict[str, Any] = {
+        "name": {"$ref": "#/$defs/name"},
+        "type": {"const": cls.type},  # type: ignore[attr-defined]
+        cls.place: place,  # type: ignore[attr-defined]
+    }
+    required = ["name", "type", cls.place]  # type: ignore[attr-defined]
+    for f in fields(cls):
+        if f.name in ("name", "where"):
+            continue
+        if "unit" in f.metadata:
+            low, high = f.metadata["range"]
+            spec: dict[str, Any] = {"type": "number", "description": f"[{f.metadata['unit']}]"}
+            if math.isfinite(low) and math.isfinite(high):
+                spec["description"] += f", usually {low:g} to {high:g}"
+            if math.isfinite(f.metadata["minimum"]):
+                spec["exclusiveMinimum" if f.metadata["open"] else "minimum"] = f.metadata["minimum"]
+        else:
+            spec = {"enum": list(cls.choices[f.name])}  # type: ignore[attr-defined]
+        if f.default is MISSING:
+            required.append(f.name)
+        else:
+            spec["default"] = f.default
+        properties[f.name] = spec
+    return {
+        "description": f"{cls.equation} ({cls.source})",  # type: ignore[attr-defined]
+        "type": "object",
+        "required": required,
+        "additionalProperties": False,
+        "properties": properties,
+    }
+
+
+def _units(quantity: str) -> list[str]:
+    """Every spelling of the units that `quantity` is accepted in."""
+    from ..network import UNITS
+    from ..units import _SPELLINGS, TABLE
+
+    si = UNITS[quantity]
+    own = [unit for unit, (base, _) in TABLE.items() if base == si]
+    return own + [spelling for spelling, unit in _SPELLINGS.items() if unit in own]
+
+
+def _channel(place: dict[str, Any], quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
+    """A channel of one of `quantities` at `place`, in a unit that measures it."""
+    return {
+        "type": "object",
+        "required": ["name", "quantity", "unit", *place],
+        "additionalProperties": False,
+        "properties": {
+            "name": {"$ref": "#/$defs/name"},
+            "quantity": {"enum": list(quantities)},
+            "unit": {"type": "string"},
+            **place,
+            **more,
+        },
+        "allOf": [
+            {
+                "if": {"properties": {"quantity": {"const": q}}},
+                "then": {"properties": {"unit": {"enum": _units(q)}}},
+            }
+            for q in quantities
+        ],
+    }
+
+
+def _input() -> dict[str, Any]:
+    name, no_offset = {"$ref": "#/$defs/name"}, {"offset": {"const": "none"}}
+    return {
+        "description": "a displacement moves its node; a force acts at it; a current drives a motor",
+        "oneOf": [
+            _channel({"at": name}, ("displacement", "force"), no_offset),
+            _channel({"element": name}, ("current",), no_offset),
+        ],
+    }
+
+
+def _output() -> dict[str, Any]:
+    name = {"$ref": "#/$defs/name"}
+    several = {"oneOf": [name, {"type": "array", "items": name, "minItems": 1}]}
+    offset = {"offset": {"enum": ["free", "none"], "description": "free: an unknown constant, fitted"}}
+    motion = ("displacement", "velocity", "acceleration")
+    return {
+        "description": "motion at a node or between two; force of an element (or the sum of several), or at a moved node",
+        "oneOf": [
+            _channel({"at": name}, (*motion, "force"), offset),
+            _channel({"between": {"$ref": "#/$defs/pair"}}, motion, offset),
+            _channel({"element": several}, ("force",), offset),
+        ],
+    }
+
+
+def dumps(schema: dict[str, Any]) -> str:
+    """A schema as the text of its file."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"

@@ -1,0 +1,155 @@
+"""The shipped JSON Schemas say what the programs read and write."""
+
+import copy
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from isd_gym import elements, schemas
+from isd_gym.cli import app
+from isd_gym.errors import InputError
+from isd_gym.network import Network, builtin_networks
+
+jsonschema = pytest.importorskip("jsonschema")
+
+DESIGN_MODEL = """
+{"schema": "isd-model/1", "name": "quarter-car-isd",
+ "masses": {"body": 345.0, "wheel": 45.0},
+ "elements": [
+  {"name": "main_spring", "type": "linear_stiffness", "between": ["body", "wheel"], "stiffness": 22000.0},
+  {"name": "tyre",    "type": "linear_stiffness", "between": ["wheel", "road"], "stiffness": 192000.0},
+  {"name": "oil",     "type": "linear_stiffness", "between": ["body", "piston"], "stiffness": 709000.0},
+  {"name": "inerter", "type": "inertance",        "between": ["piston", "joint"], "inertance": 95.0},
+  {"name": "leak",    "type": "linear_damping",   "between": ["piston", "joint"], "damping": 1293.0},
+  {"name": "seal",    "type": "coulomb_friction", "between": ["piston", "joint"], "level": 500.0},
+  {"name": "motor",   "type": "motor",            "between": ["piston", "joint"], "thrust_constant": 60.0, "ratio": 4.056},
+  {"name": "damper",  "type": "linear_damping",   "between": ["joint", "wheel"], "damping": 1500.0}],
+ "inputs":  [{"name": "road", "quantity": "displacement", "at": "road", "unit": "m"},
+             {"name": "current", "quantity": "current", "element": "motor", "unit": "A"}],
+ "outputs": [{"name": "body_acceleration", "quantity": "acceleration", "at": "body", "unit": "m/s^2"},
+             {"name": "suspension_travel", "quantity": "displacement", "between": ["body", "wheel"], "unit": "m"},
+             {"name": "tyre_force", "quantity": "force", "element": "tyre", "unit": "N"}],
+ "uncertainty": {"body.mass": 0.05, "main_spring.stiffness": 0.05}}
+"""
+DESIGN_DIAGNOSIS = """
+{"schema": "isd-diagnosis/1",
+ "verdict": "missing_effect",
+ "effects": [{"effect": "coulomb_friction", "between": ["piston", "joint"], "confidence": 0.99,
+              "parameters": {"level": {"value": 502.0, "low": 495.0, "high": 509.0, "unit": "N"}}}],
+ "alternatives": [{"effects": ["stribeck_friction"], "why_not": "..."}],
+ "where": [{"channel": "suspension_travel", "share": 0.71, "bands_hz": [[0.8, 2.0]], "when": "velocity of piston-joint changes sign"}],
+ "parameters": {"body.mass": {"prior": 345.0, "value": 351.2, "low": 349.9, "high": 352.4, "unit": "kg"}},
+ "gap": {"held_out": {"before": {"suspension_travel": 0.31}, "refit": {"suspension_travel": 0.22}, "after": {"suspension_travel": 0.051}, "noise_floor": {"suspension_travel": 0.050}},
+         "closed": 0.99},
+ "next_experiment": null}
+"""
+
+
+def valid(name, document):
+    return jsonschema.Draft202012Validator(schemas.load(name)).is_valid(document)
+
+
+@pytest.mark.parametrize("name", schemas.NAMES)
+def test_schemas_are_schemas(name):
+    jsonschema.Draft202012Validator.check_schema(schemas.load(name))
+
+
+def test_the_shipped_model_schema_is_made_from_the_elements(monkeypatch):
+    # other tests may have registered elements of their own
+    own = {k: cls for k, cls in elements.TYPES.items() if cls.__module__ == elements.__name__}
+    monkeypatch.setattr(elements, "TYPES", own)
+    assert schemas.load("isd-model/1") == json.loads(schemas.dumps(schemas.model_schema())), (
+        "an element changed: run python -m isd_gym.schemas"
+    )
+
+
+@pytest.mark.parametrize("name", builtin_networks())
+def test_built_in_networks_are_valid(name):
+    jsonschema.validate(Network.load(name).to_dict(), schemas.load("isd-model/1"))
+
+
+def test_the_designs_examples_are_valid():
+    model = json.loads(DESIGN_MODEL)
+    jsonschema.validate(model, schemas.load("isd-model/1"))
+    Network.load(model)
+    jsonschema.validate(json.loads(DESIGN_DIAGNOSIS), schemas.load("isd-diagnosis/1"))
+
+
+def _set(*path, value):
+    def change(model):
+        place = model
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = value
+
+    return change
+
+
+WRONG = {
+    "unknown key": _set("colour", value="red"),
+    "other schema": _set("schema", value="isd-model/2"),
+    "mass of the ground": _set("masses", "ground", value=1.0),
+    "mass not positive": _set("masses", "body", value=0.0),
+    "no elements": _set("elements", value=[]),
+    "unknown type": _set("elements", 0, "type", value="spring"),
+    "unknown parameter": _set("elements", 0, "rate", value=1.0),
+    "a word for a number": _set("elements", 0, "stiffness", value="22 kN/m"),
+    "a negative stiffness": _set("elements", 0, "stiffness", value=-1.0),
+    "one terminal": _set("elements", 0, "between", value=["body"]),
+    "one node twice": _set("elements", 0, "between", value=["body", "body"]),
+    "at and between": _set("outputs", 0, "between", value=["body", "wheel"]),
+    "wrong unit": _set("outputs", 0, "unit", value="mm"),
+    "unknown quantity": _set("outputs", 0, "quantity", value="jerk"),
+    "acceleration as input": _set("inputs", 0, "quantity", value="acceleration"),
+    "current at a node": _set("inputs", 0, "quantity", value="current"),
+    "offset": _set("outputs", 0, "offset", value=True),
+    "negative sigma": _set("uncertainty", "body.mass", value=-0.1),
+    "missing parameter": lambda m: m["elements"][0].pop("stiffness"),
+    "missing unit": lambda m: m["inputs"][0].pop("unit"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_schema_and_reader_refuse_the_same(what):
+    model = json.loads(DESIGN_MODEL)
+    WRONG[what](model)
+    assert not valid("isd-model/1", model)
+    with pytest.raises(InputError):
+        Network.load(model)
+
+
+@pytest.mark.parametrize("unit", ["mm", "in", "m"])
+def test_schema_and_reader_accept_the_same_units(unit):
+    model = json.loads(DESIGN_MODEL)
+    model["outputs"][1] |= {"unit": unit, "offset": "free"}
+    assert valid("isd-model/1", model)
+    assert Network.load(model).outputs[1].offset
+
+
+def test_score_json_is_valid(tmp_path):
+    file = tmp_path / "score.json"
+    done = CliRunner().invoke(
+        app, ["score", "passive", "isd-passive", "--episodes", "2", "--duration", "1", "--json", str(file)]
+    )
+    assert done.exit_code == 0, done.output
+    score = json.loads(file.read_text())
+    jsonschema.validate(score, schemas.load("isd-score/1"))
+    half = copy.deepcopy(score)
+    del half["policies"][1]["cost"]["low"]  # a change without its interval
+    assert not valid("isd-score/1", half)
+
+
+def test_a_verdict_and_its_effects_agree():
+    diagnosis = json.loads(DESIGN_DIAGNOSIS)
+    assert not valid("isd-diagnosis/1", diagnosis | {"effects": []})
+    assert not valid("isd-diagnosis/1", diagnosis | {"verdict": "ambiguous"})
+    assert valid("isd-diagnosis/1", diagnosis | {"verdict": "ambiguous", "effects": []})
+    nowhere = copy.deepcopy(diagnosis)
+    del nowhere["effects"][0]["between"]
+    assert not valid("isd-diagnosis/1", nowhere)
+
+
+def test_unknown_schema_is_an_input_error():
+    with pytest.raises(InputError, match="no schema 'isd-data/1': there are isd-model/1"):
+        schemas.load("isd-data/1")
