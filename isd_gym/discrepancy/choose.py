@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from .. import elements as el
 from ..errors import InputError
 from ..network import Channel, Network, assemble
-from ..simulate import Plant
+from ..simulate import effective_current
 from .fit import Fit, Fitter
 from .hypotheses import Hypothesis, Motion, Probe, Structure, add, hypotheses, pairs, probes
-from .problem import Array, Problem, Whitener, bare, carry, noise_of, whitener
+from .problem import Array, Noise, Problem, Record, Whitener, bare, carry, innovations, noise_of, whitener
 
 
 @dataclass
@@ -24,7 +24,11 @@ class Screened:
     hypothesis: Hypothesis
     start: dict[str, float]
     gain: float  # expected decrease of the whitened sum of squares
-    structure: Structure
+    grows: tuple[str, ...] = ()
+    inverse: bool = False
+
+    def structure_at(self, fit: Fit) -> Structure:
+        return add(fit.structure, self.hypothesis, self.start)
 
 
 def motions(problem: Problem, fit: Fit) -> dict[tuple[str, str], Motion]:
@@ -36,7 +40,7 @@ def motions(problem: Problem, fit: Fit) -> dict[tuple[str, str], Motion]:
     steps = []
     for i in problem.estimation:
         record = problem.records[i]
-        probe = Problem(_with_outputs(net, extra), [record], [False], problem.step)
+        probe = Problem(_with_outputs(net, extra), [replace(record, taps=None, thin=1)], [False], problem.step)
         y = probe.simulate([probe.network], 0, fit.initial[i][:, None], like=net)[:, :, 0]
         for k, p in enumerate(where):
             out.setdefault(p, []).append(y[:, k])
@@ -50,8 +54,6 @@ def motions(problem: Problem, fit: Fit) -> dict[tuple[str, str], Motion]:
 
 
 def _with_outputs(net: Network, outputs: tuple[Channel, ...]) -> Network:
-    from dataclasses import replace
-
     kept = tuple(e for e in net.elements if e.place != "channel")
     return replace(net, outputs=outputs, elements=kept)
 
@@ -182,7 +184,7 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
             a = float(np.clip(amplitude[0], -50, 50)) if probe.signed else float(np.clip(amplitude[0], 0.1, 50))
             for key in probe.grows:
                 start[key] = start[key] / a if probe.inverse else start[key] * a
-        found.append(Screened(h, start, gain, built[0]))
+        found.append(Screened(h, start, gain, probe.grows, probe.inverse))
     found.sort(key=lambda c: -c.gain)
     return found
 
@@ -193,109 +195,206 @@ class Rival:
 
     hypotheses: tuple[Hypothesis, ...]
     fit: Fit
+    likelihood: float = math.inf  # -2 log L on the estimation records, each under its own coloured noise
     held: Fit | None = None
     score: float = math.nan  # mean whitened square of the held-out records, all channels
-    blocks: Array = field(default_factory=lambda: np.zeros(0))  # the same, block by block in time
+    blocks: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (blocks in time, channels)
 
     @property
     def cost(self) -> float:
         return self.fit.cost + self.fit.prior
 
 
-def floor_of(problem: Problem, fits: Sequence[Fit]) -> Array:
-    """Noise standard deviation of every channel, from the spectrum of residuals above the motion."""
+def noise_levels(problem: Problem, fit: Fit) -> list[Noise]:
+    """Every channel's noise, from the residual's spectrum above the motion."""
     out = []
     for j in range(len(problem.channels)):
-        series, step = [], 1.0
-        for f in fits:
-            for i, y in f.outputs.items():
-                series.append(problem.records[i].measured[:, j] - y[:, j])
-                step = problem.records[i].step
-        out.append(noise_of(series, step))
-    return np.array(out)
+        series = [problem.records[i].measured[:, j] - y[:, j] for i, y in fit.outputs.items()]
+        out.append(noise_of(series, problem.records[next(iter(fit.outputs))].rate))
+    return out
+
+
+def measured_noise(problem: Problem, records: Sequence[int]) -> Array:
+    return np.array(
+        [noise_of([problem.records[i].measured[:, j] for i in records], problem.records[records[0]].rate).deviation for j in range(len(problem.channels))]
+    )
 
 
 def residuals(problem: Problem, fit: Fit) -> list[Array]:
     return [problem.records[i].measured - y for i, y in fit.outputs.items()]
 
 
-def refit(problem: Problem, structure: Structure, *, rounds: int = 3, start: Fit | None = None) -> tuple[Fit, Whitener]:
-    """Fit a structure with weights that come from its own residuals, to self-consistency."""
-    floors = np.array(
-        [noise_of([problem.records[i].measured[:, j] for i in problem.estimation], problem.records[0].step) for j in range(len(problem.channels))]
-    )
-    W = Whitener(tuple(np.array([1 / max(h, 1e-300)]) for h in floors))
-    fit = start
+def plain(problem: Problem, floors: Array) -> Whitener:
+    return Whitener(tuple(np.array([1 / max(h, 1e-300)]) for h in floors))
+
+
+def settled(problem: Problem, structure: Structure, x: Array, floors: Array, fit: Fit | None = None, *, rounds: int = 3, iterations: int = 6, white: bool = False) -> tuple[Fit, float]:
+    """Fit with weights from the fit's own residual, until the likelihood under own coloured noise stops falling."""
+    initial = offset = None
     if fit is not None:
-        W = whitener(residuals(problem, fit), floors)
-    for k in range(rounds):
-        fit = Fitter(problem, W).fit(structure, fit.x if fit else None, fit.initial if fit else None, fit.offset if fit else None, iterations=5)
-        W = whitener(residuals(problem, fit), floors)
-    assert fit is not None
-    return fit, W
+        initial, offset = fit.initial, fit.offset
+    W = plain(problem, floors) if white or fit is None else whitener(residuals(problem, fit), floors)
+    best: tuple[Fit, float] | None = None
+    for _ in range(rounds):
+        f = Fitter(problem, W).fit(structure, x, initial, offset, iterations=iterations)
+        value = innovations(residuals(problem, f)) + f.prior
+        if best is not None and value > best[1] - 2.0:
+            if value < best[1]:
+                best = f, value
+            break
+        if best is None or value < best[1]:
+            best = f, value
+        x, initial, offset = f.x, f.initial, f.offset
+        W = whitener(residuals(problem, f), floors)
+    assert best is not None
+    return best
 
 
-def settle(problem: Problem, W: Whitener, rival: Rival) -> Rival:
+def judge(problem: Problem, W: Whitener, rival: Rival) -> None:
     """Held-out records: parameters as found, initial states and offsets from the record's own samples."""
-    fitter = Fitter(problem, W)
-    f = fitter.fit(rival.fit.structure, rival.fit.x, rival.held.initial if rival.held else None, rival.held.offset if rival.held else None, records=problem.validation, frozen=True, iterations=3)
+    f = Fitter(problem, W).fit(rival.fit.structure, rival.fit.x, rival.held.initial if rival.held else None, rival.held.offset if rival.held else None, records=problem.validation, frozen=True, iterations=4)
     rival.held = f
-    weigh(problem, W, rival)
-    return rival
+    blocks = []
+    for i, y in f.outputs.items():
+        e = W(problem.records[i].measured - y) ** 2
+        edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
+        blocks += [e[a:b].mean(axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    rival.blocks = np.array(blocks)
+    rival.score = float(rival.blocks.mean())
 
 
 BLOCKS = 20
 
 
-def weigh(problem: Problem, W: Whitener, rival: Rival) -> None:
-    assert rival.held is not None
-    blocks = []
-    for i, y in rival.held.outputs.items():
-        e = W(problem.records[i].measured - y) ** 2
-        edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
-        blocks += [e[a:b].mean(axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    rival.blocks = np.array(blocks)  # (blocks, channels)
-    rival.score = float(rival.blocks.mean())
-
-
-def shortlist(found: Sequence[Screened], limit: int) -> list[Screened]:
-    """The best starts of the best hypotheses: several for laws whose scale is not found from one start."""
-    starts = {"cogging_force": 5, "bump_stop": 2, "hysteresis": 2, "gas_spring": 1}
-    count: dict[Hypothesis, int] = {}
-    out = []
+def shortlist(found: Sequence[Screened], limit: int) -> list[list[Screened]]:
+    """The best hypotheses, each with its probes, best first."""
+    groups: dict[Hypothesis, list[Screened]] = {}
     for s in found:
-        n = count.get(s.hypothesis, 0)
-        if n == 0 and len(count) >= limit:
-            continue
-        if n < starts.get(s.hypothesis.effect, 1):
-            count[s.hypothesis] = n + 1
-            out.append(s)
-    return out
+        if s.hypothesis in groups or len(groups) < limit:
+            groups.setdefault(s.hypothesis, []).append(s)
+    return list(groups.values())
 
 
-def compete(problem: Problem, current: Fit, W: Whitener, *, limit: int = 12, finals: int = 6) -> tuple[list[Rival], Whitener]:
-    """One stage of forward addition: screen, fit jointly, weigh anew by the best, judge on held-out records."""
+def starts(problem: Problem, current: Fit, group: list[Screened], floors: Array) -> list[tuple[Structure, Array]]:
+    """Where joint fits begin: the screened probes at several amplitudes, base at its prior, simulated and compared.
+
+    The score test looks at small effects; a large one is found by trying. Residuals are compared by the logarithm of
+    their variance, channel by channel, so that one that drifts does not drown the others.
+    """
+    h = group[0].hypothesis
+    if h.effect == "cogging_force":
+        return [(s.structure_at(current), s.structure_at(current).start) for s in group[:3]]
+    trials: list[Structure] = []
+    for s in group[:6]:
+        for factor in (1.0,) if not s.grows else (0.5, 1.0, 2.0, 5.0, 12.0, 30.0):
+            values = dict(s.start)
+            for key in s.grows:
+                values[key] *= factor if not s.inverse else 1 / factor
+            try:
+                trials.append(add(current.structure, h, values))
+            except InputError:
+                continue
+    if not trials:
+        return []
+    scores = np.zeros(len(trials))
+    nets = [t.network for t in trials]
+    for i in problem.estimation:
+        x0 = np.stack([carried(current, t)[i] for t in trials], axis=1)
+        try:
+            y = problem.simulate(nets, i, x0, like=nets[0])
+        except (InputError, np.linalg.LinAlgError):
+            return [(t, t.start) for t in trials[:1]]
+        r = problem.records[i].measured[:, :, None] - y
+        with np.errstate(over="ignore", invalid="ignore"):
+            v = np.var(r, axis=0) + floors[:, None] ** 2
+        scores += np.where(np.isfinite(v).all(axis=0), np.sum(np.log(np.where(np.isfinite(v), v, 1.0)), axis=0), math.inf)
+    order = np.argsort(scores)
+    picked = [trials[0]] if 0 in order[:1] else [trials[order[0]], trials[0]]
+    if group[0].hypothesis.effect in ("bump_stop", "hysteresis", "gas_spring", "backlash") and len(order) > 2:
+        other = next((trials[k] for k in order[1:] if trials[k] not in picked), None)
+        picked += [other] if other is not None else []
+    return [(t, t.start) for t in picked]
+
+
+def compete(problem: Problem, current: Fit, floors: Array, *, limit: int = 9, finals: int = 4) -> list[Rival]:
+    """One stage of forward addition: screen, fit jointly, fit the best ones to self-consistency."""
+    W = whitener(residuals(problem, current), floors)
     fitter = Fitter(problem, W)
     found = screen(problem, fitter, current, list(hypotheses(current.structure.network)))
     chosen = shortlist(found, limit)
     base = current.structure
 
-    def one(s: Screened) -> Rival | None:
-        try:
-            structure = add(base, s.hypothesis, s.start)
-            x = structure.start
-            f = fitter.fit(structure, x, carried(current, structure), current.offset, iterations=8)
-        except (InputError, np.linalg.LinAlgError):
+    def one(group: list[Screened]) -> Rival | None:
+        tries: list[tuple[float, Fit]] = []
+        begin = starts(problem, current, group, floors)
+        for structure, x in begin:
+            try:
+                f = fitter.fit(structure, x, carried(current, structure), current.offset, iterations=3 if len(begin) > 1 else 6)
+            except (InputError, np.linalg.LinAlgError):
+                continue
+            tries.append((innovations(residuals(problem, f)) + f.prior, f))
+        if not tries:
             return None
-        return Rival(structure.hypotheses, f)
+        value, f = min(tries, key=lambda t: t[0])
+        if len(begin) > 1:
+            f = fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
+            value = innovations(residuals(problem, f)) + f.prior
+        return Rival(f.structure.hypotheses, f, value)
+
+    def polish(r: Rival) -> Rival:
+        try:
+            f, value = settled(problem, r.fit.structure, r.fit.x, floors, r.fit)
+            if lead is None or value < lead + 400.0 + 0.1 * max(top - lead, 0.0):  # else it is out of the race
+                ways = [(f, value), settled(problem, r.fit.structure, f.x, floors, f, white=True, rounds=2)]
+                f, value = min(ways, key=lambda s: s[1])
+            r.fit, r.likelihood = f, value
+            if r.hypotheses[-1].effect == "cogging_force":
+                for _ in range(3):
+                    W = whitener(residuals(problem, r.fit), floors)
+                    f = comb(problem, Fitter(problem, W), r.fit, r.fit.structure.names[-1])
+                    f, value = settled(problem, f.structure, f.x, floors, f)
+                    if value > r.likelihood - 5:
+                        break
+                    r.fit, r.likelihood = f, value
+        except (InputError, np.linalg.LinAlgError):
+            pass
+        return r
 
     rivals: dict[tuple[Hypothesis, ...], Rival] = {}
     with ThreadPoolExecutor(2) as pool:
         for r in pool.map(one, chosen):
-            if r is not None and math.isfinite(r.cost) and (r.hypotheses not in rivals or r.cost < rivals[r.hypotheses].cost):
+            if r is not None and math.isfinite(r.likelihood):
                 rivals[r.hypotheses] = r
-    ranked = sorted(rivals.values(), key=lambda r: r.cost)[:finals]
-    return ranked, W
+        ranked = sorted(rivals.values(), key=lambda r: r.likelihood)
+        top = innovations(residuals(problem, current)) + current.prior
+        lead: float | None = None
+        if ranked:
+            lead = ranked[0].likelihood
+            ranked = list(pool.map(polish, ranked[:finals])) + ranked[finals:]
+    ranked.sort(key=lambda r: r.likelihood)
+    return simplest_first(ranked)
+
+
+def simplest_first(ranked: list[Rival]) -> list[Rival]:
+    """Of relatives that fit as well, the one with fewer parameters leads (half of 2 log L per parameter is chance)."""
+    if not ranked:
+        return ranked
+    best = ranked[0]
+    for r in ranked[1:]:
+        h, b = r.hypotheses[-1], best.hypotheses[-1]
+        relative = h.effect in CONTAINS.get(b.effect, ()) and set(h.where) == set(b.where)
+        if relative and r.likelihood - best.likelihood < 30.0:
+            return [r, *(q for q in ranked if q is not r)]
+    return ranked
+
+
+#: effects that contain another as a special case
+CONTAINS = {
+    "stribeck_friction": ("coulomb_friction",),
+    "hysteresis": ("coulomb_friction", "linear_stiffness"),
+    "asymmetric_damping": ("linear_damping",),
+    "backlash": ("series_compliance",),
+}
 
 
 def carried(fit: Fit, structure: Structure) -> dict[int, Array]:
@@ -303,23 +402,91 @@ def carried(fit: Fit, structure: Structure) -> dict[int, Array]:
     return {i: carry(source, target, x0) for i, x0 in fit.initial.items()}
 
 
-def reweigh(problem: Problem, rivals: list[Rival], rounds: int = 2) -> Whitener:
-    """Refit rivals under weights from the best of them, until the weights settle; judge all on held-out records."""
-    best = min(rivals, key=lambda r: r.cost)
-    W = None
-    for _ in range(rounds):
-        floors = floor_of(problem, [best.fit])
-        W = whitener(residuals(problem, best.fit), floors)
-        fitter = Fitter(problem, W)
+def _beginning(record: Record) -> Record:
+    """Enough of a record to tell pitches apart: the travel's span does it, not the time."""
+    return record.part(0, max(len(record) // 3, min(len(record), 2000)), record.name)
 
-        def again(r: Rival) -> None:
-            r.fit = fitter.fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, iterations=6)
 
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(again, rivals))
-        rivals.sort(key=lambda r: r.cost)
-        best = rivals[0]
-    assert W is not None
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda r: settle(problem, W, r), rivals))
-    return W
+def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
+    """A periodic law has one optimum per period: scan pitch and phase around the fit, and fit again from the best.
+
+    The span of travel holds n periods; a pitch that is off by one part in 2n fits the middle but not the ends.
+    """
+    motion = motions(problem, fit)
+    element = fit.network.element(name)
+    d = motion[element.between].d
+    span = float(np.ptp(d))
+    paths = {f.path: k for k, f in enumerate(fit.structure.free)}
+    kp, kf = paths[f"{name}.pitch"], paths[f"{name}.phase"]
+    centre = float(np.exp(fit.x[kp]))
+    middle = float(np.median(d))
+    step = 0.12 * centre / span  # relative: an eighth of a period over the span
+    trials = []
+    for k in range(-20, 21):
+        pitch = centre * (1 + k * step)
+        if pitch <= 0:
+            continue
+        for phase in np.arange(6) * (math.pi / 3):
+            x = fit.x.copy()
+            x[kp] = math.log(pitch)
+            # keep the phase in the middle of the travel, and turn it through a whole period
+            x[kf] = fit.x[kf] + 2 * math.pi * middle * (1 / centre - 1 / pitch) + phase
+            trials.append(x)
+    costs = np.zeros(len(trials))
+    net = fit.network
+    window = [_beginning(r) for r in problem.records]
+    short = Problem(problem.network, window, problem.held, problem.step)
+    for first in range(0, len(trials), 41):
+        chunk = trials[first : first + 41]
+        nets = [fit.structure.at(x) for x in chunk]
+        for i in problem.estimation:
+            x0 = np.repeat(fit.initial[i][:, None], len(nets), axis=1)
+            y = short.simulate(nets, i, x0, like=net)
+            r = window[i].measured[:, :, None] - y - fit.offset[i][None, :, None]
+            r = r - np.where(problem.free_offset[:, None], r.mean(axis=0), 0.0)
+            costs[first : first + len(nets)] += np.sum(fitter.weights(r) ** 2, axis=(0, 1))
+    best = fit
+    seen: list[tuple[float, float]] = []
+    for k in np.argsort(costs):
+        if len(seen) >= 4:
+            break
+        x = trials[k]
+        if any(abs(x[kp] - a) < 2.5 * step and abs((x[kf] - b + math.pi) % (2 * math.pi) - math.pi) < 1.2 for a, b in seen):
+            continue
+        seen.append((x[kp], x[kf]))
+        f = fitter.fit(fit.structure, x, fit.initial, fit.offset, iterations=6)
+        if f.cost + f.prior < best.cost + best.prior:
+            best = f
+    return best
+
+
+def share_of_force(problem: Problem, fit: Fit, name: str) -> float:
+    """RMS of what an effect does over RMS of what is there: force between its terminals, current, or signal."""
+    net = fit.network
+    e = net.element(name)
+    i = problem.estimation[0]
+    record = problem.records[i]
+    rms = lambda x: float(np.sqrt(np.mean(np.square(x))))  # noqa: E731
+    if e.place == "channel":
+        j = problem.channels.index(e.where[0])
+        without = problem.simulate([net.without_element(name)], i, fit.initial[i][:, None], like=net)[:, j, 0]
+        change = fit.outputs[i][:, j] - fit.offset[i][j] - without
+        return rms(change) / max(float(np.std(record.measured[:, j])), 1e-300)
+    if e.place == "element":
+        command = next(c.name for c in net.inputs if c.quantity == "current" and c.element == e.where[0])
+        current = record.inputs[command]
+        others = effective_current(net.without_element(name), e.where[0], current[:, None], record.step)[:, 0]
+        return rms(effective_current(net, e.where[0], current[:, None], record.step)[:, 0] - others) / max(rms(others), 1e-300)
+    if isinstance(e, el.SeriesCompliance | el.Backlash):
+        return 1.0  # force and deflection are shared in series: what it changes in the outputs decides
+    pair = set(e.where)
+    here = [x for x in net.elements if x.place == "between" and set(x.where) == pair]
+    extra = tuple(Channel(f"_{x.name}", "force", "N", element=x.name) for x in here)
+    probe = Problem(_with_outputs(net, extra), [replace(record, taps=None, thin=1)], [False], problem.step)
+    try:
+        y = probe.simulate([probe.network], 0, fit.initial[i][:, None], like=net)[:, :, 0]
+    except InputError:
+        return 1.0
+    sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
+    own = y[:, [x.name for x in here].index(name)]
+    return rms(own) / max(rms(y @ sign), 1e-300)

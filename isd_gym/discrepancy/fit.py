@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,9 +129,10 @@ class Fitter:
         high = np.array([f.high for f in structure.free])
         p = 0 if frozen else len(x)
         damping = 1e-4
-        best: tuple[float, Any] = (math.inf, None)
         point = self._linearise(structure, x, initial, offset, records, p)
         cost = point[0] + self._prior(structure, x, initial, mean, sigma)
+        if not math.isfinite(cost):
+            raise InputError("the simulation breaks down at the start values")
         for iteration in range(iterations):
             total, H, g, nuisance, outs = point
             H, g = H.copy(), g.copy()
@@ -166,8 +166,7 @@ class Fitter:
                     ti[i] = initial[i] + move[:n0]
                     to[i] = offset[i].copy()
                     to[i][problem.free_offset] += move[n0:]
-                new = self._linearise(structure, trial, ti, to, records, p)
-                new_cost = new[0] + self._prior(structure, trial, ti, mean, sigma)
+                new_cost = self._cost(structure, trial, ti, to, records) + self._prior(structure, trial, ti, mean, sigma)
                 if np.isfinite(new_cost) and new_cost < cost:
                     improved = True
                     break
@@ -177,8 +176,12 @@ class Fitter:
             if not improved:
                 break
             gain = (cost - new_cost) / max(cost, 1e-300)
-            x, initial, offset, point, cost = trial, ti, to, new, new_cost
+            x, initial, offset, cost = trial, ti, to, new_cost
             damping = max(damping * 0.2, 1e-6)
+            new = self._linearise(structure, x, initial, offset, records, p)
+            if not math.isfinite(new[0]):
+                break
+            point = new
             if gain < tolerance:
                 break
             if iteration >= 2 and cost > quit_above:
@@ -186,6 +189,18 @@ class Fitter:
         total, H, g, nuisance, outs = point
         prior = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
         return Fit(structure, x, initial, offset, outs, total, prior, H if p else None)
+
+    def _cost(self, structure: Structure, x: Array, initial: dict[int, Array], offset: dict[int, Array], records: list[int]) -> float:
+        total = 0.0
+        for i in records:
+            try:
+                y = self.simulate_point(structure, x, i, initial[i]) + offset[i]
+            except (InputError, np.linalg.LinAlgError):
+                return math.inf
+            if not np.isfinite(y).all() or np.abs(y).max() > 1e12:
+                return math.inf
+            total += float(np.sum(self.weights(self.problem.records[i].measured - y) ** 2))
+        return total
 
     def _prior(self, structure: Structure, x: Array, initial: dict[int, Array], mean: Array, sigma: Array) -> float:
         out = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0

@@ -79,7 +79,7 @@ class Structure:
 
 
 #: how far the base parameters may move, in prior standard deviations
-REACH = 4.0
+REACH = 3.0
 
 
 def base_structure(network: Network) -> Structure:

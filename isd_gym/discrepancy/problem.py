@@ -12,12 +12,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import firwin, lfilter, oaconvolve, welch
+from scipy.signal import lfilter, oaconvolve, welch
 
 from .. import elements as el
-from ..data import Table
 from ..errors import InputError
-from ..network import Assembly, Network, assemble
+from ..network import Assembly, Channel, Network, assemble
 from ..simulate import SI, Plant, delayed, effective_current, upsample
 from ..units import convert
 
@@ -37,25 +36,49 @@ class Record:
     measured: Array
     slopes: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     start: float = 0.0  # [s] time of the first sample
+    taps: Array | None = None  # low-pass that model and data both pass, where derivatives need one
+    thin: int = 1  # of the filtered outputs every `thin`-th sample is compared
 
     def __len__(self) -> int:
+        """Samples of the outputs that are compared."""
         return len(self.measured)
 
     @property
+    def samples(self) -> int:
+        """Samples of the inputs."""
+        return len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured)
+
+    @property
+    def rate(self) -> float:
+        """Interval of the outputs that are compared [s]."""
+        return self.step * self.thin
+
+    @property
     def time(self) -> Array:
-        return self.start + self.step * np.arange(len(self))
+        return self.start + self.rate * np.arange(len(self))
 
     def part(self, first: int, stop: int, name: str) -> Record:
-        """Samples first..stop-1 as a record of their own."""
-        cut = slice(first, stop)
-        return Record(
-            name,
-            self.step,
-            {k: v[cut] for k, v in self.inputs.items()},
-            self.measured[cut],
-            {k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
-            self.start + first * self.step,
+        """Compared samples first..stop-1 as a record of their own."""
+        cut = slice(first * self.thin, (stop - 1) * self.thin + 1)
+        return replace(
+            self,
+            name=name,
+            inputs={k: v[cut] for k, v in self.inputs.items()},
+            measured=self.measured[first:stop],
+            slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
+            start=self.start + first * self.rate,
         )
+
+
+def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
+    """Zero-phase low-pass along the first axis, ends continued point-symmetrically, every `thin`-th sample kept."""
+    half = len(taps) // 2
+    half_in = min(half, len(values) - 1)
+    head = 2 * values[:1] - values[half_in:0:-1]
+    tail = 2 * values[-1:] - values[-2 : -half_in - 2 : -1]
+    padded = np.concatenate([head, values, tail])
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    return oaconvolve(padded, taps.reshape(shape), mode="same", axes=0)[half_in : half_in + len(values) : thin]
 
 
 def bare(network: Network) -> Network:
@@ -78,7 +101,6 @@ class Problem:
         self.channels = [c.name for c in network.outputs]
         self.factors = np.array([convert(1.0, SI[c.quantity], c.unit) for c in network.outputs])
         self.free_offset = np.array([c.offset for c in network.outputs])
-        self.filters = {id(r): None for r in self.records}
 
     @property
     def estimation(self) -> list[int]:
@@ -106,7 +128,9 @@ class Problem:
         every = substeps or max(1, math.ceil(record.step / self.step - 1e-9))
         first = networks[0]
         motored = any(e.place == "element" for e in first.elements)
-        plant = Plant([bare(n) for n in networks], record.step / every)
+        cells = self._cells(first)
+        extra = tuple(Channel(f"_{name}", "force", "N", element=name) for name in {n for _, n, _ in cells})
+        plant = Plant([bare(n) for n in networks], record.step / every, extra=extra)
         h = record.step / every
         inputs: dict[str, Array] = {}
         for c in first.inputs:
@@ -129,8 +153,11 @@ class Problem:
         start = None
         if plant.n:
             start = self._start(plant, initial, like, record)
-        out = plant.run(inputs, every=every, samples=len(record), initial=start, derivatives=slopes)
-        out = out * self.factors[:, None]
+        out = plant.run(inputs, every=every, samples=record.samples, initial=start, derivatives=slopes)
+        own = out[:, : len(self.channels)]
+        for j, name, sign in cells:
+            own[:, j] += sign * out[:, len(self.channels) + [c.element for c in extra].index(name)]
+        out = own * self.factors[:, None]
         if any(e.place == "channel" for e in first.elements):
             for lane, n in enumerate(networks):
                 for e in n.elements:
@@ -142,6 +169,21 @@ class Problem:
                             out[:, j, lane] *= e.gain
                         elif isinstance(e, el.SensorBias):
                             out[:, j, lane] += e.bias
+        if record.taps is not None:
+            out = low_pass(out, record.taps, record.thin)
+        return out
+
+    def _cells(self, network: Network) -> list[tuple[int, str, float]]:
+        """(channel, added element, sign): a force cell reads what was found side by side with its element, too."""
+        own = {e.name for e in self.network.elements}
+        out = []
+        for j, c in enumerate(network.outputs):
+            if c.element is None:
+                continue
+            pair = network.element(c.element).where
+            for e in network.elements:
+                if e.name not in own and e.place == "between" and e.name != c.element and set(e.where) == set(pair):
+                    out.append((j, e.name, 1.0 if e.where == pair else -1.0))
         return out
 
     def _start(self, plant: Plant, initial: Array | None, like: Network | None, record: Record) -> Array:
@@ -210,28 +252,66 @@ def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> White
     return Whitener(tuple(taps))
 
 
-def noise_of(series: Sequence[Array], step: float) -> float:
-    """Standard deviation of the coloured measurement noise in series (n,), from the upper two thirds of the spectrum.
+def innovations(residuals: Sequence[Array], order: int = 20) -> float:
+    """Sum over channels of n log(innovation variance): minus twice the log likelihood under own coloured noise."""
+    total = 0.0
+    for j in range(residuals[0].shape[1]):
+        series = [r[:, j] - r[:, j].mean() for r in residuals]
+        _, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8))
+        total += 2 * sum(len(s) for s in series) * math.log(max(sigma, 1e-300))
+    return total
 
-    An AR(1) spectrum is fitted there (log-least squares) and integrated over all frequencies: below, signal and
-    model error cover the noise.
+
+def noise_of(series: Sequence[Array], step: float) -> Noise:
+    """Coloured measurement noise in residuals (n,): white plus AR(1), fitted to the spectrum above the motion.
+
+    Below some 15 Hz signal and model error cover the noise, so its level there is that of the law found above.
     """
     density, frequency = [], np.zeros(0)
+    length = min(1024, min(len(x) for x in series))
     for x in series:
-        n = min(512, len(x))
-        frequency, s = welch(x - x.mean(), 1.0 / step, nperseg=n)
+        frequency, s = welch(x - x.mean(), 1.0 / step, nperseg=length)
         density.append(s * len(x))
-    s = np.sum(density, axis=0) / sum(len(x) for x in series)
+    s = np.maximum(np.sum(density, axis=0) / sum(len(x) for x in series), 1e-300)
     w = 2 * np.pi * frequency * step
-    pick = (frequency > 0.3 * frequency[-1]) & (frequency < 0.97 * frequency[-1])
-    logs = np.log(np.maximum(s[pick], 1e-300))
-    best = (math.inf, 0.0)
-    for phi in np.linspace(0.0, 0.9, 46):
-        shape = -np.log(1 + phi**2 - 2 * phi * np.cos(w[pick]))
-        level = float(np.median(logs - shape))
-        error = float(np.mean(np.abs(logs - shape - level)))
-        # total variance of the AR(1): two-sided mean of the density
-        variance = math.exp(level) / step / 2 / (1 - phi**2)
-        if error < best[0] - 1e-12:
-            best = (error, variance)
-    return math.sqrt(best[1])
+    top = frequency[-1]
+    pick = (frequency > max(min(15.0, 0.3 * top), 2 * frequency[1])) & (frequency < 0.98 * top)
+    best: tuple[float, Noise] = (math.inf, Noise(0.0, 0.0, 0.0))
+    for phi in (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93):
+        shape = 1.0 / (1 + phi**2 - 2 * phi * np.cos(w[pick]))
+        for share in (1.0,) if phi == 0 else (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9):
+            model = share + (1 - share) * shape * (1 - phi) ** 2
+            logs = np.log(s[pick] / model)
+            # a median: peaks of unexplained motion do not lift the level
+            level = float(np.median(logs))
+            error = float(np.mean(np.minimum(np.abs(logs - level), 1.0)))
+            if error < best[0] - 1e-9:
+                unit = math.exp(level) / (2 * step)
+                best = error, Noise(unit * share, unit * (1 - share) * (1 - phi) ** 2, phi)
+    return best[1]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White noise and AR(1) noise together: `white` variance, innovation variance `drive`, coefficient `phi`."""
+
+    white: float
+    drive: float
+    phi: float
+
+    @property
+    def deviation(self) -> float:
+        return math.sqrt(self.white + self.drive / (1 - self.phi**2))
+
+    def density(self, w: Array) -> Array:
+        return self.white + self.drive / (1 + self.phi**2 - 2 * self.phi * np.cos(w))
+
+
+def passed(W: Whitener, noise: Sequence[Noise]) -> Array:
+    """Mean square per channel that pure noise leaves behind the filters."""
+    w = np.linspace(0, math.pi, 2048)
+    out = []
+    for a, n in zip(W.taps, noise, strict=True):
+        response = np.abs(np.exp(-1j * np.outer(w, np.arange(len(a)))) @ a) ** 2
+        out.append(float(np.mean(response * n.density(w))))
+    return np.array(out)

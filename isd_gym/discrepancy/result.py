@@ -1,0 +1,196 @@
+"""What a diagnosis says: `Diagnosis`, its JSON (`isd-diagnosis/1`) and the model with what was found."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..files import write_text
+from ..network import Network
+from .problem import Array
+
+SCHEMA = "isd-diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A fitted number [unit] with its 95 % interval; `prior` is what the owner's model says, where it does."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    prior: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        head = {} if self.prior is None else {"prior": self.prior}
+        return head | {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that was found: what, where, how sure, how large. `element`: its name in the new model."""
+
+    effect: str
+    between: tuple[str, str] | None
+    channel: str | None
+    confidence: float
+    parameters: dict[str, Quantity]
+    element: str
+
+    def to_dict(self) -> dict[str, Any]:
+        out: dict[str, Any] = {"effect": self.effect}
+        if self.channel is not None:
+            out["channel"] = self.channel
+        else:
+            out["between"] = list(self.between) if self.between else None
+        out["confidence"] = self.confidence
+        out["parameters"] = {k: q.to_dict() for k, q in self.parameters.items()}
+        return out
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A set of effects that was tried: `score` is its excess error on held-out data (1: as the refit, 0: noise)."""
+
+    effects: tuple[str, ...]
+    where: tuple[tuple[str, ...], ...]
+    score: float
+    likelihood: float  # -2 log L behind the best
+    why_not: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "effects": list(self.effects),
+            "where": [list(w) for w in self.where],
+            "excess": self.score,
+            "why_not": self.why_not,
+        }
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the gap lives in one channel: its `share`, the bands [Hz] that hold most of it, and `when`."""
+
+    channel: str
+    share: float
+    bands_hz: tuple[tuple[float, float], ...]
+    when: str
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"channel": self.channel, "share": self.share, "bands_hz": [list(b) for b in self.bands_hz], "when": self.when}
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One of the gates a name has to pass: `value` against `limit`."""
+
+    name: str
+    passed: bool
+    value: float
+    limit: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One record: `time` (n,), and per channel what was measured and what each model says (n,)."""
+
+    name: str
+    held_out: bool
+    time: Array
+    inputs: dict[str, Array]
+    measured: dict[str, Array]
+    before: dict[str, Array]
+    refit: dict[str, Array]
+    after: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Law:
+    """The force [N] of a found effect over its elongation [m] or rate [m/s], with its 95 % band; and the operating points."""
+
+    element: str
+    kind: str  # 'rate' or 'travel'
+    axis: Array
+    force: Array
+    low: Array
+    high: Array
+    visited: Array  # where the measurements have been
+    residual_before: Array  # force-like residual at `visited`, empty where there is none
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The outcome of `diagnose`. `summary` says it in a sentence; `to_dict` is the contract's JSON."""
+
+    verdict: str
+    summary: str
+    effects: tuple[Effect, ...]
+    contenders: tuple[Contender, ...]
+    where: tuple[Place, ...]
+    parameters: dict[str, Quantity]
+    gap: dict[str, dict[str, float]]  # before, refit, after, noise_floor -> channel -> NRMSE
+    closed: float | None
+    gates: tuple[Gate, ...]
+    next_experiment: dict[str, Any] | None
+    base: Network
+    refitted: Network
+    model: Network
+    traces: tuple[Trace, ...]
+    laws: tuple[Law, ...] = ()
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    units: dict[str, str] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        return _plain(
+            {
+                "schema": SCHEMA,
+                "verdict": self.verdict,
+                "summary": self.summary,
+                "effects": [e.to_dict() for e in self.effects],
+                "alternatives": [c.to_dict() for c in self.contenders],
+                "where": [p.to_dict() for p in self.where],
+                "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
+                "gap": {"held_out": self.gap, "closed": self.closed},
+                "gates": [
+                    {"gate": g.name, "passed": g.passed, "value": g.value, "limit": g.limit, "text": g.text}
+                    for g in self.gates
+                ],
+                "next_experiment": self.next_experiment,
+                "notes": list(self.notes),
+            }
+        )
+
+    def save(self, folder: str | Path) -> None:
+        """Write diagnosis.json and model.json into `folder` (made where it is missing), each whole or not at all."""
+        folder = Path(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot make folder '{folder}' ({error.strerror})") from None
+        write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        self.model.save(folder / "model.json")
+
+
+def _plain(value: Any) -> Any:
+    """JSON types only; what is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, float | int | np.floating | np.integer):
+        if isinstance(value, int | np.integer):
+            return int(value)
+        return float(value) if math.isfinite(value) else None
+    return value
