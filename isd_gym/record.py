@@ -1,0 +1,221 @@
+"""Rollouts as a Minari data set, so that offline reinforcement learning can start (`isd-gym record`)."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .errors import InputError
+
+if TYPE_CHECKING:
+    from .network import Network
+    from .scoring import Entry
+
+#: a Minari id: (namespace/)name-vN; everything else is a folder
+ID = re.compile(r"(?:[-\w]+/)*[-\w]+-v\d+")
+
+
+def write_dataset(
+    entry: Entry,
+    out: str | Path,
+    network: Network,
+    *,
+    episodes: int = 32,
+    seed: int = 0,
+    duration: float = 20.0,
+    road: str = "paper",
+    speed: float = 20.0,
+    progress: Callable[[float], None] | None = None,
+) -> Path:
+    """Drive a policy and write what it saw, did and earned as a Minari data set; returns the folder of its files.
+
+    entry: the policy (`isd_gym.policies.find`), on its own plant where it has one, else on `network`. out: a Minari id
+    ('isd/mpc-v0', for `minari.load_dataset`, in Minari's own folder) or else a folder (for `minari.MinariDataset`), which
+    must not exist yet. Episode i is the environment seeded with ``seed + i``. duration [s], speed [m/s]. Observations are
+    float32 (steps + 1, n), actions float32 (steps, 1), the commanded current [A]. The data set knows its environment with the
+    whole network, `recover_environment()` makes it. Nothing is left behind when it fails. Raises `InputError`.
+    """
+    try:
+        import h5py  # noqa: F401
+        import minari
+        from minari.data_collector import EpisodeBuffer
+        from minari.dataset.minari_storage import MinariStorage
+    except ImportError as error:
+        raise InputError(f'recording needs {error.name}: pip install "isd-gym[record]"') from None
+    import gymnasium as gym
+    import numpy as np
+
+    from .env import CONTROL_STEP, ISDSuspensionVectorEnv
+    from .network import builtin_networks
+
+    if episodes < 1:
+        raise InputError(f"episodes must be at least 1, not {episodes}")
+    steps = round(duration / CONTROL_STEP) if 0 < duration < float("inf") else 0
+    if steps < 1:
+        raise InputError(f"duration must be at least {CONTROL_STEP} s, not {duration}")
+    folder, dataset_id = _place(str(out), entry.name)
+    plant = entry.network or network
+    first = entry.make()
+    kwargs: dict[str, Any] = {
+        "network": plant.name if _is_builtin(plant, builtin_networks()) else plant.to_dict(),
+        "road": road,
+        "speed": speed,
+        "observation": getattr(first, "observation", "measured"),
+        "duration": duration,
+    }
+    env = ISDSuspensionVectorEnv(episodes, **kwargs, max_episode_steps=steps, autoreset_mode="disabled")
+    width = env.single_observation_space.shape[0]  # type: ignore[index]
+    observations = np.empty((episodes, steps + 1, width), np.float32)
+    actions = np.empty((episodes, steps, 1), np.float32)
+    rewards = np.empty((episodes, steps))
+    batched = hasattr(first, "act_batch")
+    controllers = [first] if batched else [first, *(entry.make() for _ in range(episodes - 1))]
+    if batched:
+        first.reset_batch(episodes)  # type: ignore[attr-defined]
+    else:
+        for c in controllers:
+            c.reset()
+    observations[:, 0], _ = env.reset(seed=seed)
+    low, high = env.single_action_space.low, env.single_action_space.high  # type: ignore[attr-defined]
+    for k in range(steps):
+        seen = observations[:, k]
+        wanted = (
+            first.act_batch(seen)  # type: ignore[attr-defined]
+            if batched
+            else [c.act(o) for c, o in zip(controllers, seen, strict=True)]
+        )
+        actions[:, k, 0] = wanted
+        np.clip(actions[:, k], low, high, out=actions[:, k])
+        observations[:, k + 1], rewards[:, k], terminated, _, _ = env.step(actions[:, k])
+        if terminated.any():
+            raise InputError(f"'{entry.name}' broke the car in episode {int(np.argmax(terminated))}")
+        if progress is not None and (k % 100 == 99 or k == steps - 1):
+            progress((k + 1) / steps)
+    spec = gym.make("ISDSuspension-v0", **kwargs, max_episode_steps=steps).spec
+    last = np.zeros(steps, bool)
+    last[-1] = True
+    data = folder
+    if ID.fullmatch(str(out)):  # Minari's own layout: the namespace known, the files in data/
+        from minari.namespace import create_namespace, list_local_namespaces
+
+        namespace = dataset_id.rpartition("/")[0]
+        if namespace and namespace not in list_local_namespaces():
+            create_namespace(namespace)
+        data = folder / "data"
+    with _whole_folder(folder) as temporary:
+        storage = MinariStorage.new(
+            temporary / data.relative_to(folder),
+            env.single_observation_space,
+            env.single_action_space,
+            env_spec=spec,
+        )
+        storage.update_metadata(
+            {
+                "dataset_id": dataset_id,
+                "minari_version": minari.__version__,
+                "algorithm_name": entry.name,
+                "description": f"{entry.name} on {plant.name}, road {road}, {speed:g} m/s; episode i: seed {seed} + i",
+                "requirements": ["isd-gym"],
+            }
+        )
+        storage.update_episodes(
+            EpisodeBuffer(
+                id=i,
+                seed=seed + i,
+                observations=observations[i],
+                actions=actions[i],
+                rewards=rewards[i],
+                terminations=np.zeros(steps, bool),
+                truncations=last,
+                infos={},
+            )
+            for i in range(episodes)
+        )
+    return data
+
+
+def _is_builtin(network: Network, names: list[str]) -> bool:
+    return network.name in names and type(network).load(network.name) == network
+
+
+def _place(out: str, policy: str) -> tuple[Path, str]:
+    """The folder to make, and the id of the data set, for `out`: a Minari id or a folder. Neither may exist."""
+    if ID.fullmatch(out):
+        from minari.storage import get_dataset_path
+
+        folder = get_dataset_path(out)
+        if folder.exists():
+            raise InputError(f"Minari has a data set '{out}' already: choose another name or version")
+        return folder, out
+    folder = Path(out)
+    if folder.exists():
+        raise InputError(f"'{out}' exists already: choose another folder")
+    if not folder.absolute().parent.is_dir():
+        raise InputError(f"cannot write '{out}': no folder '{folder.parent}'")
+    # absolute: Minari's storage loses its way in a relative one
+    return folder.absolute(), f"isd/{re.sub(r'[^-0-9A-Za-z_]', '-', policy)}-v0"
+
+
+@contextmanager
+def _whole_folder(folder: Path) -> Iterator[Path]:
+    """A temporary folder beside `folder` that takes its place when the block ends well, and is gone when it does not."""
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
+    try:
+        yield temporary
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o777 & ~mask)
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def record(
+    policy: Annotated[
+        str, typer.Argument(help="passive, mpc, ..., a shipped policy, or a policy's folder or .zip.")
+    ],
+    out: Annotated[
+        str, typer.Option("--out", help="A new folder, or a Minari id such as isd/mpc-v0.", metavar="DIR|ID")
+    ],
+    episodes: Annotated[int, typer.Option(help="Roads to drive.", min=1)] = 32,
+    seed: Annotated[int, typer.Option(help="Episode i has the road of seed + i.", min=0)] = 0,
+    duration: Annotated[float, typer.Option(help="Length of an episode [s].")] = 20.0,
+    road: Annotated[str, typer.Option(help="paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
+    speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
+    network: Annotated[
+        str, typer.Option(help="The plant: a built-in network or a model file.")
+    ] = "quarter-car-isd",
+) -> None:
+    """Save a policy's rollouts as a Minari data set, for offline reinforcement learning.
+
+    Example: isd-gym record mpc --out isd/mpc-v0
+    """
+    from .cli import _progress, _warm_up
+    from .network import Network
+    from .policies import find
+
+    plant = Network.load(network)
+    entry = find(policy, plant)
+    with _progress() as update:
+        _warm_up(update)
+        folder = write_dataset(
+            entry,
+            out,
+            plant,
+            episodes=episodes,
+            seed=seed,
+            duration=duration,
+            road=road,
+            speed=speed,
+            progress=lambda share: update(policy, share),
+        )
+    how = f'minari.load_dataset("{out}")' if ID.fullmatch(out) else f'minari.MinariDataset("{out}")'
+    typer.echo(f"{episodes} episodes of {policy}: {how}")

@@ -1,0 +1,115 @@
+"""Rollouts as a Minari data set: what is in it is what the environment gives."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import Idle, find, passive
+from isd_gym.record import write_dataset
+from isd_gym.scoring import Entry
+
+pytest.importorskip("h5py")
+minari = pytest.importorskip("minari")
+
+CAR = Network.load("quarter-car-isd")
+SHORT = {"episodes": 2, "seed": 5, "duration": 0.5}
+
+
+class Push:
+    """A current that grows with the acceleration; one car at a time."""
+
+    name, fallbacks = "push", 0
+
+    def reset(self):
+        pass
+
+    def act(self, observation):
+        return 20.0 * float(
+            observation[0]
+        )  # beyond 5 A at times: the data hold what was commanded, within the limits
+
+
+def test_the_data_are_the_environments(tmp_path):
+    folder = write_dataset(Entry("push", Push), tmp_path / "set", CAR, **SHORT)
+    data = minari.MinariDataset(folder)
+    assert data.total_episodes == 2 and data.total_steps == 200
+    env = data.recover_environment()
+    assert env.unwrapped.network == CAR
+    for i, episode in enumerate(data.iterate_episodes()):
+        obs, _ = env.reset(seed=5 + i)
+        np.testing.assert_array_equal(episode.observations[0], obs)
+        assert np.abs(episode.actions).max() == 5.0
+        for k, action in enumerate(episode.actions):
+            obs, reward, terminated, truncated, _ = env.step(action)
+            np.testing.assert_array_equal(episode.observations[k + 1], obs)
+            assert (episode.rewards[k], episode.terminations[k], episode.truncations[k]) == (
+                pytest.approx(reward, rel=1e-12),
+                terminated,
+                truncated,
+            )
+        assert truncated
+
+
+def test_a_relative_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_dataset(find("isd-passive", CAR), "set", CAR, **SHORT)
+    assert minari.MinariDataset("set").total_steps == 200
+    assert [p.name for p in tmp_path.iterdir()] == ["set"]
+
+
+def test_a_plant_of_ones_own_travels_with_the_data(tmp_path):
+    mine = CAR.with_parameters({"seal.level": 321.0})
+    folder = write_dataset(Entry("idle", lambda: Idle("idle")), tmp_path / "set", mine, **SHORT)
+    assert minari.MinariDataset(folder).recover_environment().unwrapped.network == mine
+    folder = write_dataset(passive(mine), tmp_path / "other", mine, **SHORT)
+    assert "seal.level" not in minari.MinariDataset(folder).recover_environment().unwrapped.network.parameters
+
+
+def test_an_id_goes_to_minaris_own_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    entry = find("isd-passive", CAR)
+    write_dataset(entry, "isd/mine-v3", CAR, **SHORT)
+    data = minari.load_dataset("isd/mine-v3")
+    assert data.id == "isd/mine-v3" and data.total_steps == 200
+    with pytest.raises(InputError, match="already"):
+        write_dataset(entry, "isd/mine-v3", CAR, **SHORT)
+
+
+def test_nothing_is_left_when_it_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr(gym, "make", lambda *a, **k: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(find("isd-passive", CAR), tmp_path / "set", CAR, **SHORT)
+    monkeypatch.undo()
+    monkeypatch.setattr(
+        "minari.dataset.minari_storage.MinariStorage.update_metadata",
+        lambda *a: (_ for _ in ()).throw(KeyboardInterrupt),
+    )
+    with pytest.raises(KeyboardInterrupt):
+        write_dataset(find("isd-passive", CAR), tmp_path / "set", CAR, **SHORT)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"episodes": 0}, "episodes must be at least 1"),
+        ({"duration": -1.0}, "duration must be at least"),
+        ({"road": "moon"}, "no road 'moon'"),
+        ({"out": "no/such/folder"}, "no folder 'no/such'"),
+        ({"out": "."}, "exists already"),
+    ],
+)
+def test_bad_input(change, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = {"out": "set", **SHORT, **change}
+    with pytest.raises(InputError, match=message):
+        write_dataset(find("isd-passive", CAR), settings.pop("out"), CAR, **settings)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_extra_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    with pytest.raises(InputError, match=r'recording needs h5py: pip install "isd-gym\[record\]"'):
+        write_dataset(find("isd-passive", CAR), tmp_path / "set", CAR, **SHORT)
