@@ -206,7 +206,7 @@ def record(
     entry = find(policy, plant)
     with _progress() as update:
         _warm_up(update)
-        folder = write_dataset(
+        write_dataset(
             entry,
             out,
             plant,
