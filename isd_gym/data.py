@@ -376,11 +376,11 @@ def _read_mdf(path: Path, wanted: list[str] | None, time: str, resample: bool) -
         with path.open("rb") as stream, asammdf.MDF(stream) as mdf:
             masters = set(mdf.masters_db.items())
             allowed = _MDF_CONVERSIONS[4 if mdf.version >= "4" else 3]
-            names = [n for n in mdf.channels_db if n != TIME] if wanted is None else dict.fromkeys(wanted)
+            names = wanted or [n for n in mdf.channels_db if n != TIME]  # no channel wanted: time alone
             for name in names:
                 places = [p for p in mdf.channels_db.get(name, ()) if tuple(p) not in masters]
                 if not places:
-                    if wanted is None:
+                    if not wanted:
                         continue
                     raise InputError(f"{path}: no channel '{name}'; {_did_you_mean(name, mdf.channels_db)}")
                 if len(places) > 1:
@@ -398,7 +398,7 @@ def _read_mdf(path: Path, wanted: list[str] | None, time: str, resample: bool) -
                 if item.samples.ndim == 1 and item.samples.dtype.kind in "fiub" and len(item.samples):
                     found[name] = (np.array(item.timestamps), np.array(item.samples))
                     units[name] = item.unit
-                elif wanted is not None:
+                elif wanted:
                     raise InputError(f"{path}: channel '{name}' does not hold plain numbers")
     if not found:
         raise InputError(f"{path}: holds no numeric channel")
