@@ -76,11 +76,16 @@ class Estimator:
                 f[j] = np.clip(-rest / self._implicit[j, j], -self.levels[j], self.levels[j])
         return f
 
-    def update(self, obs: np.ndarray) -> np.ndarray:
-        """Estimate (n, cars) after the step that ended in clean observations (6+, cars)."""
+    def update(self, obs: np.ndarray, road: np.ndarray | None = None) -> np.ndarray:
+        """Estimate (n, cars) after the step that ended in clean observations (6+, cars).
+
+        `road` (cars,) [m]: how much the road rose over that step, where it is known.
+        """
         m = self.model
         current = obs[CURRENT]
         free = m.A @ self.x + m.B[:, None] * current
+        if road is not None:
+            free += m.P[:, None] * road
         self.f = self.friction(free)
         x = free + m.G @ self.f
         seen = m.C[:N_SENSORS] @ x + m.D[:N_SENSORS, None] * current + m.F[:N_SENSORS] @ self.f
