@@ -103,9 +103,12 @@ def style() -> Iterator[None]:
 
 def figure(width: float = 7.2, height: float = 4.0) -> Figure:
     """An empty figure [inch] that no global list of figures holds on to."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height))
+    fig = Figure(figsize=(width, height))
+    FigureCanvasAgg(fig)
+    return fig
 
 
 def save(fig: Figure, path: Path) -> Path:
@@ -154,7 +157,7 @@ def percent(share: float | None, digits: int = 1, *, sign: bool = True) -> str:
     if share is None or not math.isfinite(share):
         return "–"
     value = round(100 * share, digits) + 0.0
-    return f"{value:{'+' if sign and value else ''}.{digits}f} %".replace("-", "−")
+    return f"{value:{'+' if sign and value else ''}.{digits}f}\u00a0%".replace("-", "−")
 
 
 def unit_text(unit: str) -> str:
@@ -374,7 +377,12 @@ def density(signal: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 
     length = min(len(signal), round(8.0 / step))
     f, p = welch(signal, 1.0 / step, nperseg=length, axis=0, detrend="constant")
-    return f[1:], (p.mean(axis=1) if p.ndim > 1 else p)[1:]
+    f, p = f[1:], (p.mean(axis=1) if p.ndim > 1 else p)[1:]
+    # twelve points an octave are enough: the more lines fall into one, the less it scatters
+    index = np.floor(12 * np.log2(f / f[0]) + 1e-6).astype(int)
+    count = np.bincount(index)
+    some = count > 0
+    return np.bincount(index, f)[some] / count[some], np.bincount(index, p)[some] / count[some]
 
 
 def spectra(fig: Figure, shown: Shown) -> str:
@@ -527,16 +535,18 @@ def label_points(
     spans: Sequence[tuple[float, float, float, float]] = (),
 ) -> None:
     """Write (x, y, text, colour) beside each point where it covers no other text, point or span (x0, y0, x1, y1)."""
+    from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 
     fig.canvas.draw()  # lays the axes out
+    renderer = fig.canvas.get_renderer()  # type: ignore[attr-defined]
     to_screen = ax.transData.transform
     marks = np.array([to_screen((x, y)) for x, y, _, _ in points])
     area = ax.get_window_extent()
     unit = fig.dpi / 72
     taken: list[Any] = []
     bars = [Bbox([to_screen(s[:2]), to_screen(s[2:])]).padded(unit) for s in spans]
-    for (x, y, text, colour), mark in zip(points, marks, strict=True):
+    for x, y, text, colour in points:
         best: tuple[float, Any, Any] | None = None
         for reach in (9, 16, 26, 40, 58):
             for angle in (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90):
@@ -547,9 +557,10 @@ def label_points(
                     color=colour, zorder=6, path_effects=halo(),
                     arrowprops=dict(arrowstyle="-", color=colour, lw=0.6, shrinkB=3) if reach > 9 else None,
                 )  # fmt: skip
-                box = label.get_window_extent().padded(1.5 * unit)
+                label.update_positions(renderer)
+                box = Text.get_window_extent(label).padded(1.5 * unit)  # without its leader
                 clash = sum(box.overlaps(b) for b in (*taken, *bars))
-                clash += sum(box.contains(*m) for m in marks if m is not mark)
+                clash += sum(box.contains(*m) for m in marks)
                 outside = box.x0 < area.x0 or box.x1 > area.x1 or box.y0 < area.y0 or box.y1 > area.y1
                 value = 10 * clash + 20 * outside + 0.02 * reach
                 if best is None or value < best[0]:
