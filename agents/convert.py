@@ -144,7 +144,7 @@ def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.nd
         kind, hidden, last = "td3", "actor.mu.", ""
     else:
         raise InputError("no MlpPolicy of PPO, SAC or TD3")
-    if any("features_extractor" in key for key in state):
+    if any("features_extractor" in key and not key.startswith("critic") for key in state):
         raise InputError(
             "its features extractor has weights of its own; only the flat MlpPolicy can be converted"
         )

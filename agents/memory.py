@@ -22,7 +22,7 @@ class Memory:
     """How features are made of observations.
 
     scale: of each signal [its SI unit]. change: of its change over one control step; changes of order 1 to `order` are
-    fed, order k over ``change / 2**(k - 1)``. leak: signal index -> (time constant [s], scale) of leaky integrals.
+    fed, each over it. leak: signal index -> (time constant [s], scale) of leaky integrals.
     step: control step [s]. No scale means that the signals pass unchanged.
     """
 
@@ -77,9 +77,9 @@ class Recall:
         self.features = np.empty((count, memory.width(signals)), np.float32)
         self._signals = signals
         self.scale = np.array(memory.scale or [1.0] * signals, np.float32)
-        # change k of the scaled signal x over change / 2**(k-1): factors that turn differences of x into features
+        # factors that turn differences of scaled signals into features
         ratio = self.scale / np.array(memory.change or [1.0] * signals, np.float32)
-        self.ratios = [ratio if k == 0 else np.float32(2.0) for k in range(memory.order)]
+        self.ratios = [ratio if k == 0 else np.float32(1.0) for k in range(memory.order)]
         self.leaks = [
             (i, np.float32(1 - memory.step / tau), np.float32(memory.step / scale))
             for i, tau, scale in memory.leak

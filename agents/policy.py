@@ -59,6 +59,13 @@ class Head:
         now = observations[:, CURRENT_SIGNAL : CURRENT_SIGNAL + 1]
         return np.clip(now + share * np.float32(self.slew), -self.limit, self.limit)
 
+    def share(self, current: np.ndarray, observations: np.ndarray) -> np.ndarray:
+        """The number in [-1, 1] (count, 1) that commands `current` (count, 1) [A], as nearly as there is one."""
+        if self.mode == "target":
+            return np.clip(current / np.float32(self.limit), -1.0, 1.0)
+        now = observations[:, CURRENT_SIGNAL : CURRENT_SIGNAL + 1]
+        return np.clip((current - now) / np.float32(self.slew), -1.0, 1.0)
+
 
 # ---------------------------------------------------------------------------------------- safetensors
 

@@ -37,12 +37,16 @@ class Settings:
 
     steps: int  # control steps of all cars together
     cars: int
+    preview: float = 0.4  # s of road that the critic knows, see `critic`
     memory: Memory = MEMORY
     # increments of the current: exploration noise adds up to a smooth current instead of drowning in the drive's slew
     head: Head = field(default_factory=lambda: Head("increment"))
     reward_scale: float = 0.1
     reward_offset: float = 0.8  # near the mean, so that values are small; it changes no optimum
-    evaluations: int = 60  # over the whole training
+    teacher: str | None = "lqg"  # imitated at the start, see `warm`; None: from nothing
+    warm_steps: int = 1500  # of 64 cars
+    warm_updates: int = 2000
+    evaluations: int = 40  # over the whole training
     checkpoint_seconds: float = 60.0
 
 
@@ -57,15 +61,18 @@ class PPOSettings(Settings):
     gamma: float = 0.99
     gae_lambda: float = 0.95
     clip_range: float = 0.2
-    log_std: float = -0.7
+    log_std: float = -1.2  # increments of 0.3 of the slew limit: nearly all of a good law is at either limit
     actor: tuple[int, ...] = (64, 64)
-    critic: tuple[int, ...] = (64, 64)
+    critic: tuple[int, ...] = (64,)
 
-    def algorithm(self) -> dict[str, Any]:
+    def algorithm(self, seen: int) -> dict[str, Any]:
         """Keyword arguments of `stable_baselines3.PPO`."""
         import torch
 
+        from .critic import PPOPolicy
+
         return dict(
+            policy=PPOPolicy,
             n_steps=self.horizon,
             batch_size=self.batch,
             n_epochs=self.epochs,
@@ -75,6 +82,7 @@ class PPOSettings(Settings):
             clip_range=self.clip_range,
             ent_coef=0.0,
             policy_kwargs=dict(
+                seen=seen,
                 net_arch=dict(pi=list(self.actor), vf=list(self.critic)),
                 activation_fn=torch.nn.Tanh,
                 log_std_init=self.log_std,
@@ -89,17 +97,23 @@ class SACSettings(Settings):
     batch: int = 1024
     buffer: int = 500_000
     updates: int = 1  # a step of all cars
-    warm_up: int = 50_000
+    warm_up: int = 20_000
+    critic_updates: int = 2000  # of the critic alone, at the start
+    n_steps: int = 5  # of the returns: 25 ms, half a period of the wheel's hop passes in two
+    log_std: float = -1.0
     learning_rate: float = 1e-3
     gamma: float = 0.99
     tau: float = 0.01
-    entropy: str | float = "auto_0.05"
+    entropy: str | float = "auto_0.001"
     actor: tuple[int, ...] = (64, 64)
     critic: tuple[int, ...] = (128, 128)
 
-    def algorithm(self) -> dict[str, Any]:
+    def algorithm(self, seen: int) -> dict[str, Any]:
         """Keyword arguments of `stable_baselines3.SAC`."""
+        from .critic import Quadratic, SACPolicy
+
         return dict(
+            policy=SACPolicy,
             learning_rate=Falling(self.learning_rate),
             buffer_size=self.buffer,
             learning_starts=self.warm_up,
@@ -109,7 +123,13 @@ class SACSettings(Settings):
             train_freq=1,
             gradient_steps=self.updates,
             ent_coef=self.entropy,
-            policy_kwargs=dict(net_arch=dict(pi=list(self.actor), qf=list(self.critic))),
+            n_steps=self.n_steps,
+            policy_kwargs=dict(
+                seen=seen,
+                net_arch=dict(pi=list(self.actor), qf=list(self.critic)),
+                features_extractor_class=Quadratic,
+                features_extractor_kwargs=dict(width=64),
+            ),
         )
 
 

@@ -161,32 +161,33 @@ class Run:
 
     # -------------------------------------------------------------------------------------- training
 
-    def go(self) -> dict[str, Any]:
-        import torch
-        from stable_baselines3 import PPO, SAC
-
+    def _environment(self, cars: int) -> Any:
         from isd_gym.sb3 import make_vec_env
 
         from .vec import Remember
 
         s = self.settings
+        inner = make_vec_env(
+            cars,
+            rescale=False,
+            stagger=True,
+            network=self.plant,
+            road=self.road,
+            speed=self.speed,
+            randomize=self.spread,
+            observation="preview" if s.preview else "measured",
+            preview=s.preview,
+        )
+        return Remember(inner, s.memory, s.head, s.reward_scale, s.reward_offset)
+
+    def go(self) -> dict[str, Any]:
+        import torch
+        from stable_baselines3 import PPO, SAC
+
+        s = self.settings
         checkpoint = self._claim()
         torch.set_num_threads(1)  # nets this small lose more to threads than they gain
-        env = Remember(
-            make_vec_env(
-                s.cars,
-                rescale=False,
-                stagger=True,
-                network=self.plant,
-                road=self.road,
-                speed=self.speed,
-                randomize=self.spread,
-            ),
-            s.memory,
-            s.head,
-            s.reward_scale,
-            s.reward_offset,
-        )
+        env = self._environment(s.cars)
         kind: Any = {"ppo": PPO, "sac": SAC}[self.algorithm]
         tensorboard = str(self.out / "tensorboard") if find_spec("tensorboard") else None
         if checkpoint is not None:
@@ -202,13 +203,14 @@ class Run:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # SB3 on batch sizes that do not divide a rollout
                 model = kind(
-                    "MlpPolicy",
-                    env,
+                    env=env,
                     seed=self._seed(0),
                     device="cpu",
                     tensorboard_log=tensorboard,
-                    **s.algorithm(),
+                    **s.algorithm(env.seen),
                 )
+            if s.teacher is not None:
+                self._imitate(model)
         if "references" not in self.state:
             self.state["references"] = self._references()
         if model.num_timesteps < s.steps:
@@ -223,6 +225,22 @@ class Run:
             self.save(model)
         env.close()
         return self._finish()
+
+    def _imitate(self, model: Any) -> None:
+        """Start from the teacher, if there is one for this network."""
+        from .warm import warm_start
+
+        begin = time.perf_counter()
+        try:
+            entry = find(str(self.settings.teacher), self.plant)
+        except (InputError, ImportError) as error:
+            self.say(f"no teacher, training starts from nothing: {error}")
+            return
+        self.say(f"imitating {self.settings.teacher}")
+        env = self._environment(64)
+        warm_start(model, env, entry, self.settings, self._seed(0) + 1_000_000)
+        env.close()
+        self.state["seconds"] += time.perf_counter() - begin
 
     def _seed(self, done: int) -> int:
         return 2_000_000 + (self.seed * 1_000_003 + done) % 4_000_000_000

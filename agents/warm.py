@@ -1,0 +1,88 @@
+"""A start from a linear law: the learner first imitates a baseline, and its critic learns what that is worth.
+
+From nothing, Stable-Baselines3's learners need most of their steps to find what the linear-quadratic law already
+knows; from there they go on alone. The teacher sees what the policy sees, drives with noise added, and is gone after
+that: a trained policy is a network and nothing else.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from isd_gym.scoring import Entry
+
+from .settings import PPOSettings, SACSettings
+
+FORGET = 200  # steps at the start of an episode, from rest, that teach little
+NOISE = 0.5  # of the demonstrated increments, so that recovering is taught as well
+
+
+def demonstrate(
+    env: Any, entry: Entry, steps: int, gamma: float, rng: np.random.Generator
+) -> dict[str, torch.Tensor]:
+    """What `entry` does in the training environment `env` (`Remember`), shuffled.
+
+    features (n, width), wanted (n, 1) in [-1, 1]: the teacher's actions; done (n, 1): with noise; value (n, 1): discounted
+    scaled rewards that followed.
+    """
+    teacher: Any = entry.make()
+    teacher.reset_batch(env.num_envs)
+    features = env.reset()
+    seen, wanted, done, rewards = [], [], [], []
+    for _ in range(steps):
+        now = env.observations
+        share = env.head.share(np.asarray(teacher.act_batch(now), np.float32).reshape(-1, 1), now)
+        noisy = np.clip(share + NOISE * rng.standard_normal(share.shape, np.float32), -1.0, 1.0)
+        seen.append(features)
+        wanted.append(share)
+        done.append(noisy)
+        features, reward, _, _ = env.step(noisy)
+        rewards.append(reward)
+    value = np.zeros((steps, env.num_envs, 1), np.float32)
+    tail = np.zeros(env.num_envs, np.float32)
+    for k in range(steps - 1, -1, -1):
+        tail = rewards[k] + np.float32(gamma) * tail
+        value[k, :, 0] = tail
+    # what lies beyond the end is missing from the last values: a few time constants are left out
+    last = steps - min(round(4 / (1 - gamma)), steps // 2)
+    kept = slice(min(FORGET, last // 2), last)
+    arrays = dict(features=np.array(seen), wanted=np.array(wanted), done=np.array(done), value=value)
+    flat = {k: v[kept].reshape(-1, v.shape[-1]) for k, v in arrays.items()}
+    order = rng.permutation(len(flat["value"]))
+    return {k: torch.from_numpy(np.ascontiguousarray(v[order])) for k, v in flat.items()}
+
+
+def warm_start(model: Any, env: Any, entry: Entry, settings: PPOSettings | SACSettings, seed: int) -> None:
+    """Fit actor and critic of an SB3 PPO or SAC `model` to a teacher's demonstration."""
+    rng = np.random.default_rng(seed)
+    env.seed(seed)
+    data = demonstrate(env, entry, settings.warm_steps, settings.gamma, rng)
+    policy = model.policy
+    sac = hasattr(policy, "critic")
+    parameters = [*policy.actor.parameters(), *policy.critic.parameters()] if sac else [*policy.parameters()]
+    if sac:
+        with torch.no_grad():
+            policy.actor.log_std.weight.zero_()
+            policy.actor.log_std.bias.fill_(settings.log_std)
+    optimizer = torch.optim.Adam(parameters, 2e-3)
+    for k in range(settings.warm_updates):
+        for group in optimizer.param_groups:
+            group["lr"] = 2e-3 * (1 - k / settings.warm_updates) + 1e-5
+        rows = torch.from_numpy(rng.integers(len(data["value"]), size=2048))
+        x, wanted, done, value = (data[key][rows] for key in ("features", "wanted", "done", "value"))
+        if sac:
+            share = torch.tanh(policy.actor.mu(policy.actor.latent_pi(x[:, : env.seen])))
+            values = policy.critic(x, done)
+        else:
+            hidden, hidden_value = policy.mlp_extractor(x)
+            share = policy.action_net(hidden).clamp(-1.0, 1.0) + 0.01 * policy.action_net(hidden)
+            values = (policy.value_net(hidden_value),)
+        loss = ((share - wanted) ** 2).mean() + sum(((v - value) ** 2).mean() for v in values)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    if sac:
+        policy.critic_target.load_state_dict(policy.critic.state_dict())
