@@ -249,8 +249,9 @@ def simulate(
     from .network import Network
     from .simulate import simulate as run
 
+    _check_folder(out)
     network = Network.load(model)
-    table = read_table(data)
+    table = read_table(data, expected={c.name: c.unit for c in network.inputs})
     outputs = run(network, table.time, table.columns, step=step)
     units = {c.name: c.unit for c in network.outputs}
     write_table(out, Table(time=table.time, columns=outputs, source=network.name, units=units))
