@@ -34,39 +34,84 @@ from isd_gym.road import road as find_road
 from isd_gym.simulate import PHYSICS_STEP, Plant
 
 CONTROL_STEP = 5e-3  # s
+PIECE = 40  # control steps that share a step length
+CAUTION = 0.5
+ALPHAS = (1.0, 0.4, 0.1, 0.0)
 SLACK = 1e-9  # the currents stay this far inside the limits [A]
 
 
-def _forward(size, tag, mats, ints, u, start, current, nominal, ff, fb, alpha, rows, sub, limits, Z, S, I, Y):
-    """Roll out ``dI = nominal + alpha ff - fb (z - z_nominal)``, kept inside the barriers; fills Z, S, I, Y."""
+def _forward(
+    size, tag, mats, ints, u, start, current, nominal, ff, fb, values, slopes, alphas, piece, caution, rows, sub, q, qi, mu, limits, Z, S, I, Y, chosen
+):
+    """Roll out ``dI = nominal + alpha ff - fb (z - z_nominal)``, kept inside the barriers; fills Z, S, I, Y.
+
+    Of several `alphas` every `piece` steps take their own: that of the least cost of the piece plus the value function
+    (`values`, `slopes`) at its end, with `caution` times its curvature more. Friction bends the model here and
+    there, and one alpha for all would be that of the worst place.
+    """
     steps, nz = current.shape[0], rows.shape[0]
     slew, most = limits[0], limits[1]
-    state = start.copy()
+    state, begin = start.copy(), start.copy()
     c = np.zeros((sub, max(1, ints[1]), 1))
     y = np.empty((ints[4], 1))
-    last, last_nominal = 0.0, 0.0
-    for k in range(steps):
-        S[k] = state[:, 0]
-        for i in range(nz):
-            Z[k, i] = state[rows[i], 0]
-        step = current[k] - last_nominal
-        d = step + alpha * ff[k]
-        for i in range(nz):
-            d -= fb[k, i] * (Z[k, i] - nominal[k, i])
-        d -= fb[k, nz] * (last - last_nominal)
-        # a feedback may not leap over a barrier: at most 99.5 % of the way from the nominal to it
-        high = min(slew, most - last)
-        low = max(-slew, -most - last)
-        inside = min(max(step, low), high)
-        d = min(max(d, inside + 0.995 * (low - inside)), inside + 0.995 * (high - inside))
-        last_nominal = current[k]
-        last = last + d
-        I[k] = last
-        for i in range(sub):
-            c[i, 0, 0] = last
-        advance(size, tag, mats, ints, state, u[k * sub : (k + 1) * sub + 1], c, 1)  # noqa: F821
-        measure(size, tag, mats, ints, state, u[(k + 1) * sub], c[sub - 1], 1, y)  # noqa: F821
-        Y[k, 0], Y[k, 1], Y[k, 2] = y[0, 0], y[1, 0], y[2, 0]
+    dz = np.empty(nz + 1)
+    last_begin = 0.0
+    many = alphas.shape[0]
+    first = 0
+    while first < steps:
+        stop = min(first + piece, steps) if many > 1 else steps
+        begin[:] = state
+        best, best_at = np.inf, 0
+        # the last round repeats the best, unless it was the last one tried
+        for trial in range(many + 1):
+            if trial == many and best_at == many - 1:
+                break
+            alpha = alphas[trial] if trial < many else alphas[best_at]
+            state[:] = begin
+            last = last_begin
+            total = 0.0
+            for k in range(first, stop):
+                last_nominal = current[k - 1] if k > 0 else 0.0
+                S[k] = state[:, 0]
+                for i in range(nz):
+                    Z[k, i] = state[rows[i], 0]
+                step = current[k] - last_nominal
+                d = step + alpha * ff[k]
+                for i in range(nz):
+                    d -= fb[k, i] * (Z[k, i] - nominal[k, i])
+                d -= fb[k, nz] * (last - last_nominal)
+                # a feedback may not leap over a barrier: at most 99.5 % of the way from the nominal to it
+                high = min(slew, most - last)
+                low = max(-slew, -most - last)
+                inside = step if low < step < high else min(max(step, 0.99 * low + 0.01 * high), 0.01 * low + 0.99 * high)
+                d = min(max(d, inside + 0.995 * (low - inside)), inside + 0.995 * (high - inside))
+                last = last + d
+                I[k] = last
+                for i in range(sub):
+                    c[i, 0, 0] = last
+                advance(size, tag, mats, ints, state, u[k * sub : (k + 1) * sub + 1], c, 1)  # noqa: F821
+                measure(size, tag, mats, ints, state, u[(k + 1) * sub], c[sub - 1], 1, y)  # noqa: F821
+                total += qi * last * last
+                for m in range(3):
+                    Y[k, m] = y[m, 0]
+                    total += q[m] * y[m, 0] * y[m, 0]
+                if mu > 0.0:
+                    total -= mu * math.log((slew - d) * (slew + d) * (most - last) * (most + last))
+            if stop < steps:
+                for i in range(nz):
+                    dz[i] = state[rows[i], 0] - nominal[stop, i]
+                dz[nz] = last - current[stop - 1]
+                for i in range(nz + 1):
+                    t = slopes[stop, i]
+                    for j in range(nz + 1):
+                        t += 0.5 * (1.0 + caution) * values[stop, i, j] * dz[j]
+                    total += t * dz[i]
+            if total < best:
+                best, best_at = total, trial
+        if many > 1:
+            chosen[first // piece] = alphas[best_at]
+        last_begin = last
+        first = stop
 
 
 def _jacobian(size, tag, mats, ints, u, S, I, rows, sub, delta, FZ, YZ):
@@ -97,7 +142,7 @@ def _jacobian(size, tag, mats, ints, u, S, I, rows, sub, delta, FZ, YZ):
 
 
 @nb.njit(error_model="numpy", cache=True)
-def _backward(FZ, YZ, Y, I, q, qi, mu, limits, reg, ff, fb):
+def _backward(FZ, YZ, Y, I, q, qi, mu, duals, limits, reg, piece, ff, fb, values, slopes):
     """One Riccati sweep; returns (expected descent, ok)."""
     steps, nz = I.shape[0], FZ.shape[1]
     n = nz + 1
@@ -160,15 +205,15 @@ def _backward(FZ, YZ, Y, I, q, qi, mu, limits, reg, ff, fb):
                 g += w * Y[k, m] * yi
                 r0 += w * yi * yi
         h1 = 2.0 * qi * now + mu * (1.0 / (most - now) - 1.0 / (most + now))
-        h2 = 2.0 * qi + mu * (1.0 / (most - now) ** 2 + 1.0 / (most + now) ** 2)
+        h2 = 2.0 * qi + duals[k, 2] / (most - now) + duals[k, 3] / (most + now)
         p[nz] += h1
         g += h1
         Q[nz, nz] += h2
         s[nz] += h2
         r0 += h2
         g += mu * (1.0 / (slew - d) - 1.0 / (slew + d))
-        r0 += mu * (1.0 / (slew - d) ** 2 + 1.0 / (slew + d) ** 2)
-        r1 = r0 + reg
+        r0 += duals[k, 0] / (slew - d) + duals[k, 1] / (slew + d)
+        r1 = r0 + reg[k // piece]
         if not r1 > 0.0:
             return 0.0, False
         ff[k] = -g / r1
@@ -181,6 +226,7 @@ def _backward(FZ, YZ, Y, I, q, qi, mu, limits, reg, ff, fb):
                 t = Q[i, j] - fb[k, i] * s[j] - s[i] * fb[k, j] + fb[k, i] * r0 * fb[k, j]
                 V[i, j] = t
                 V[j, i] = t
+        values[k], slopes[k] = V, v
     return drop, True
 
 
@@ -259,7 +305,6 @@ class Episode:
         self.limits = np.array([slew - SLACK, most - SLACK])
         self.start = self.single.state()
         n, nl = self.single.n, self.single.n_laws
-        size = 1 + 3 * n * 0  # noqa: F841
         self._gs = self._friction_entries(n, nl)
 
     def _friction_entries(self, n: int, nl: int) -> list[int]:
@@ -283,25 +328,31 @@ class Episode:
 
     def rollout(self, currents: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Real outputs (steps, 3) for currents; also the states and kernel states along the way."""
-        zero, none = np.zeros(self.steps), np.zeros((self.steps, self.nz + 1))
-        Z, S, I, Y = self._buffers()
-        forward, _ = _compiled()
-        p = self.single
-        wide = np.array([1e9, 1e9])
-        forward(
-            *(p.size, p.tag, p.mats, p.ints, self.u, self.start, np.asarray(currents, float), Z.copy(), zero, none),
-            *(0.0, self.rows, self.sub, wide, Z, S, I, Y),
-        )
+        Z, S, _, Y, _ = self._roll(self.single.mats, np.asarray(currents, float), wide=True)
         return Y, Z, S
 
-    def _buffers(self):
-        N = self.steps
-        return (
-            np.zeros((N, self.nz)),
-            np.zeros((N, len(self.start))),
-            np.zeros(N),
-            np.zeros((N, 3)),
+    def _roll(
+        self,
+        mats: np.ndarray,
+        current: np.ndarray,
+        plan: tuple[np.ndarray, ...] | None = None,
+        alphas: Sequence[float] = (0.0,),
+        mu: float = 0.0,
+        wide: bool = False,
+    ) -> tuple[np.ndarray, ...]:
+        N, n = self.steps, self.nz + 1
+        if plan is None:
+            nothing = np.zeros((N, n, n))
+            plan = (np.zeros((N, n - 1)), np.zeros(N), nothing[:, 0], nothing, nothing[:, 0])
+        Z, S, I, Y = np.zeros((N, n - 1)), np.zeros((N, len(self.start))), np.zeros(N), np.zeros((N, 3))
+        chosen = np.zeros(-(-N // PIECE))
+        p = self.single
+        limits = np.array([1e9, 1e9]) if wide else self.limits
+        _compiled()[0](
+            *(p.size, p.tag, mats, p.ints, self.u, self.start, current, *plan, np.array(alphas), PIECE, CAUTION),
+            *(self.rows, self.sub, self.q, self.qi, mu, limits, Z, S, I, Y, chosen),
         )
+        return Z, S, I, Y, chosen
 
     def descend(
         self,
@@ -314,60 +365,59 @@ class Episode:
         trace: list | None = None,
     ) -> np.ndarray:
         """DDP at one softness and barrier from `currents` (strictly inside the limits)."""
-        forward, jacobian = _compiled()
+        jacobian = _compiled()[1]
         one, many = self.softened(softness)
-        p, pm = self.single, self.many
+        p = self.many
         N, nz = self.steps, self.nz
         ff, fb = np.zeros(N), np.zeros((N, nz + 1))
+        values, slopes = np.zeros((N, nz + 1, nz + 1)), np.zeros((N, nz + 1))
         FZ, YZ = np.zeros((N, nz, nz + 1)), np.zeros((N, 3, nz + 1))
-        I = np.asarray(currents, float).copy()
 
-        def roll(I0, Z0, alpha):
-            Z, S, I1, Y = self._buffers()
-            forward(
-                *(p.size, p.tag, one, p.ints, self.u, self.start, I0, Z0, ff, fb),
-                *(alpha, self.rows, self.sub, self.limits, Z, S, I1, Y),
+        def slack(I):
+            d = np.diff(I, prepend=0.0)
+            return np.stack(
+                [self.limits[0] - d, self.limits[0] + d, self.limits[1] - I, self.limits[1] + I], axis=1
             )
-            return Z, S, I1, Y
 
         def merit(Y, I):
-            d = np.diff(I, prepend=0.0)
-            inside = np.concatenate(
-                [self.limits[0] - d, self.limits[0] + d, self.limits[1] - I, self.limits[1] + I]
-            )
+            inside = slack(I)
             if inside.min() <= 0:
                 return np.inf
             return self.value(Y, I) - mu * float(np.sum(np.log(inside))) / N
 
-        Z, S, I, Y = roll(I, np.zeros((N, nz)), 0.0)
+        Z, S, I, Y, _ = self._roll(one, np.asarray(currents, float).copy())
         best = merit(Y, I)
-        reg = 0.0
+        reg = np.zeros(-(-N // PIECE))
+        inside = slack(I)
+        duals = mu / inside
+        failed = 0
         for it in range(iterations):
-            jacobian(pm.size, pm.tag, many, pm.ints, self.u, S, I, self.rows, self.sub, 1e-7, FZ, YZ)
+            if not failed:
+                jacobian(p.size, p.tag, many, p.ints, self.u, S, I, self.rows, self.sub, 1e-7, FZ, YZ)
             while True:
-                drop, ok = _backward(FZ, YZ, Y, I, self.q, self.qi, mu, self.limits, reg, ff, fb)
+                drop, ok = _backward(
+                    FZ, YZ, Y, I, self.q, self.qi, mu, duals, self.limits, reg, PIECE, ff, fb, values, slopes
+                )
                 if ok:
                     break
-                reg = max(4 * reg, 1e-6)
-            alpha, gained = 1.0, 0.0
-            while alpha > 1e-3:
-                Z1, S1, I1, Y1 = roll(I, Z, alpha)
-                new = merit(Y1, I1)
-                if new < best:
-                    gained = best - new
-                    Z, S, I, Y, best = Z1, S1, I1, Y1, new
-                    break
-                alpha *= 0.4
+                reg = np.maximum(4 * reg, 1e-2)
+            Z1, S1, I1, Y1, chosen = self._roll(one, I, (Z, ff, fb, values, slopes), ALPHAS, mu)
+            new = merit(Y1, I1)
             if trace is not None:
-                trace.append((softness, mu, it, best, self.value(Y, I), alpha, reg, drop / N))
-            if gained == 0.0:
-                if reg > 1e3:
+                trace.append((softness, mu, it, new, self.value(Y1, I1), chosen.mean(), np.median(reg), drop / N))
+            if new < best:
+                gained, failed = best - new, 0
+                Z, S, I, Y, best = Z1, S1, I1, Y1, new
+                s0, inside = inside, slack(I)
+                duals = np.maximum(mu / s0 - duals / s0 * (inside - s0), 0.005 * duals)
+                duals = np.clip(duals, 0.01 * mu / inside, 100 * mu / inside)
+                reg = np.where(chosen >= 1.0, reg / 4, np.where(chosen < 0.3, np.maximum(4 * reg, 0.03), reg))
+                reg[reg < 1e-3] = 0.0
+                if gained < tolerance * best:
                     break
-                reg = max(10 * reg, 1e-4)
-                continue
-            reg = reg / 5 if alpha > 0.3 else reg * 2
-            if reg < 1e-8:
-                reg = 0.0
-            if gained < tolerance * best:
-                break
+            else:
+                failed += 1
+                reg = np.maximum(5 * reg, 0.03)
+                if failed > 6:
+                    break
         return I
