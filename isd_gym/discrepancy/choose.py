@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import elements as el
 from ..errors import InputError
@@ -215,9 +214,13 @@ def noise_levels(problem: Problem, fit: Fit) -> list[Noise]:
 
 
 def measured_noise(problem: Problem, records: Sequence[int]) -> Array:
-    return np.array(
-        [noise_of([problem.records[i].measured[:, j] for i in records], problem.records[records[0]].rate).deviation for j in range(len(problem.channels))]
-    )
+    """Noise of every channel as its spectrum tells, and at least one per cent of the signal: no model is better."""
+    out = []
+    for j in range(len(problem.channels)):
+        series = [problem.records[i].measured[:, j] for i in records]
+        noise = noise_of(series, problem.records[records[0]].rate).deviation
+        out.append(max(noise, 0.01 * float(np.std(np.concatenate(series)))))
+    return np.array(out)
 
 
 def residuals(problem: Problem, fit: Fit) -> list[Array]:
@@ -237,7 +240,7 @@ def settled(problem: Problem, structure: Structure, x: Array, floors: Array, fit
     best: tuple[Fit, float] | None = None
     for _ in range(rounds):
         f = Fitter(problem, W).fit(structure, x, initial, offset, iterations=iterations)
-        value = innovations(residuals(problem, f)) + f.prior
+        value = innovations(residuals(problem, f), floors) + f.prior
         if best is not None and value > best[1] - 2.0:
             if value < best[1]:
                 best = f, value
@@ -323,30 +326,35 @@ def compete(problem: Problem, current: Fit, floors: Array, *, limit: int = 9, fi
     found = screen(problem, fitter, current, list(hypotheses(current.structure.network)))
     chosen = shortlist(found, limit)
     base = current.structure
+    # heats are run over the beginning of every record, the final over all of it
+    short = Problem(problem.network, [_heat(r, h) for r, h in zip(problem.records, problem.held, strict=True)], problem.held, problem.step)
+    heat = Fitter(short, W)
 
     def one(group: list[Screened]) -> Rival | None:
         tries: list[tuple[float, Fit]] = []
         begin = starts(problem, current, group, floors)
         for structure, x in begin:
             try:
-                f = fitter.fit(structure, x, carried(current, structure), current.offset, iterations=3 if len(begin) > 1 else 6)
+                f = heat.fit(structure, x, carried(current, structure), current.offset, iterations=3)
             except (InputError, np.linalg.LinAlgError):
                 continue
-            tries.append((innovations(residuals(problem, f)) + f.prior, f))
+            tries.append((innovations(residuals(short, f), floors) + f.prior, f))
         if not tries:
             return None
         value, f = min(tries, key=lambda t: t[0])
-        if len(begin) > 1:
-            f = fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
-            value = innovations(residuals(problem, f)) + f.prior
+        f = heat.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
+        value = innovations(residuals(short, f), floors) + f.prior
         return Rival(f.structure.hypotheses, f, value)
 
     def polish(r: Rival) -> Rival:
         try:
-            f, value = settled(problem, r.fit.structure, r.fit.x, floors, r.fit)
-            if lead is None or value < lead + 400.0 + 0.1 * max(top - lead, 0.0):  # else it is out of the race
-                ways = [(f, value), settled(problem, r.fit.structure, f.x, floors, f, white=True, rounds=2)]
-                f, value = min(ways, key=lambda s: s[1])
+            # weights from the heat's residual are those of a fit that has not arrived
+            full = Fitter(problem, whitener(residuals(short, r.fit), floors)).fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, iterations=3)
+            r.likelihood = innovations(residuals(problem, full), floors) + full.prior
+            r.fit = full
+            f, value = settled(problem, full.structure, full.x, floors, full, rounds=2, iterations=4)
+            ways = [(f, value), settled(problem, r.fit.structure, f.x, floors, f, white=True, rounds=2, iterations=4)]
+            f, value = min(ways, key=lambda s: s[1])
             r.fit, r.likelihood = f, value
             if r.hypotheses[-1].effect == "cogging_force":
                 for _ in range(3):
@@ -366,11 +374,7 @@ def compete(problem: Problem, current: Fit, floors: Array, *, limit: int = 9, fi
             if r is not None and math.isfinite(r.likelihood):
                 rivals[r.hypotheses] = r
         ranked = sorted(rivals.values(), key=lambda r: r.likelihood)
-        top = innovations(residuals(problem, current)) + current.prior
-        lead: float | None = None
-        if ranked:
-            lead = ranked[0].likelihood
-            ranked = list(pool.map(polish, ranked[:finals])) + ranked[finals:]
+        ranked = list(pool.map(polish, ranked[:finals]))
     ranked.sort(key=lambda r: r.likelihood)
     return simplest_first(ranked)
 
@@ -400,6 +404,10 @@ CONTAINS = {
 def carried(fit: Fit, structure: Structure) -> dict[int, Array]:
     source, target = assemble(bare(fit.network)), assemble(bare(structure.network))
     return {i: carry(source, target, x0) for i, x0 in fit.initial.items()}
+
+
+def _heat(record: Record, held: bool) -> Record:
+    return record if held else record.part(0, max(int(0.4 * len(record)), min(len(record), 2000)), record.name)
 
 
 def _beginning(record: Record) -> Record:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..network import Network, assemble
+from ..network import Channel, Network, assemble
 from .hypotheses import Structure
 from .problem import Problem, Whitener, bare, motion_rows_of
 
@@ -65,6 +65,42 @@ class Fitter:
                 spans.append(float(np.ptp(y)) / 36.0)
         span = max(spans) or 0.01
         return rows, np.full(len(rows), 2.0 * span)
+
+    def guess(self, network: Network, index: int) -> Array:
+        """An initial state from the first samples: displacements and their slopes as measured, the rest small.
+
+        Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
+        """
+        record = self.problem.records[index]
+        pure = bare(network)
+        moved = [c for c in pure.outputs if c.quantity == "displacement"]
+        rates = tuple(Channel(f"_{c.name}", "velocity", "m/s", at=c.at, between=c.between) for c in moved)
+        asm = assemble(pure, rates)
+        n0 = asm.size[0]
+        if not n0:
+            return np.zeros(0)
+        rows, scale = self.state_scale(network, index)
+        A, b = [rows / scale[:, None]], [np.zeros(len(rows))]
+        count = min(max(5, int(0.02 / record.rate)), len(record))
+        t = np.arange(count) * record.rate
+        x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
+        road = np.array([record.inputs[c.name][0] for c in pure.inputs if c.quantity == "displacement"])
+        for j, c in enumerate(pure.outputs):
+            if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
+                continue
+            y = record.measured[:count, j] / self.problem.factors[j]
+            slope, value = np.polyfit(t, y, 1)
+            sigma = float(np.std(record.measured[:, j])) / self.problem.factors[j] * 0.02 + 1e-12
+            A.append(asm.outputs[j : j + 1, x] / sigma)
+            b.append(np.array([(value - asm.outputs[j, r] @ road) / sigma]))
+            if c in moved:
+                k = len(pure.outputs) + moved.index(c)
+                if not asm.outputs_by_difference[k]:
+                    wide = sigma / max(t[-1], 1e-9) * 2
+                    A.append(asm.outputs[k : k + 1, x] / wide)
+                    b.append(np.array([(slope + 0.5 * 0.0) / wide]))
+        x0 = np.linalg.lstsq(np.vstack(A), np.concatenate(b), rcond=None)[0]
+        return x0 if np.isfinite(x0).all() else np.zeros(n0)
 
     def simulate_point(self, structure: Structure, x: Array, index: int, initial: Array) -> Array:
         net = structure.at(x)
@@ -119,8 +155,11 @@ class Fitter:
         problem = self.problem
         records = problem.estimation if records is None else records
         x = structure.start if x is None else x.copy()
-        n0 = assemble(bare(structure.at(x))).size[0]
-        initial = {i: (initial[i].copy() if initial and i in initial and len(initial[i]) == n0 else np.zeros(n0)) for i in records}
+        net = structure.at(x)
+        n0 = assemble(bare(net)).size[0]
+        initial = {
+            i: initial[i].copy() if initial and i in initial and len(initial[i]) == n0 else self.guess(net, i) for i in records
+        }
         ny = len(problem.channels)
         offset = {i: (offset[i].copy() if offset and i in offset else np.zeros(ny)) for i in records}
         mean = np.array([f.mean for f in structure.free])

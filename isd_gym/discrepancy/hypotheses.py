@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from .. import elements as el
-from ..errors import InputError
-from ..network import GROUND, Network, assemble
+from ..network import GROUND, Network
 
 #: a plain name of what a law does to its terminals, for rivals that are worth telling apart
 SERIES = ("series_compliance", "backlash")

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter, oaconvolve, welch
 
 from .. import elements as el
-from ..errors import InputError
 from ..network import Assembly, Channel, Network, assemble
 from ..simulate import SI, Plant, delayed, effective_current, upsample
 from ..units import convert
@@ -227,8 +226,12 @@ class Whitener:
         return out
 
 
-def autoregression(series: Sequence[Array], order: int) -> tuple[Array, float]:
-    """Least-squares AR taps (1, -a1, ...) and innovation standard deviation of several stretches of one series."""
+def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> tuple[Array, float]:
+    """Least-squares AR taps (1, -a1, ...) and innovation standard deviation of several stretches of one series.
+
+    White noise of deviation `least` is added in thought: bands where a record happens to be quieter than any model
+    can be trusted to be are not weighed by how quiet they are.
+    """
     gram, rhs, count, total = np.zeros((order, order)), np.zeros(order), 0, 0.0
     for x in series:
         lags = np.lib.stride_tricks.sliding_window_view(x, order + 1)[:, ::-1]
@@ -236,6 +239,8 @@ def autoregression(series: Sequence[Array], order: int) -> tuple[Array, float]:
         rhs += lags[:, 1:].T @ lags[:, 0]
         total += float(lags[:, 0] @ lags[:, 0])
         count += len(lags)
+    total += count * least**2
+    gram += count * least**2 * np.eye(order)
     ridge = 1e-9 * np.trace(gram) / order + 1e-300
     a = np.linalg.solve(gram + ridge * np.eye(order), rhs)
     variance = max(total - 2 * a @ rhs + a @ gram @ a, 1e-300) / max(count, 1)
@@ -243,21 +248,21 @@ def autoregression(series: Sequence[Array], order: int) -> tuple[Array, float]:
 
 
 def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> Whitener:
-    """Filters from residuals [(n, channels), ...] of the best model at hand; `floor` (channels,): least noise."""
+    """Filters from residuals [(n, channels), ...] of the best model at hand; `floor` (channels,): noise to reckon with."""
     taps = []
     for j in range(residuals[0].shape[1]):
         series = [r[:, j] - r[:, j].mean() for r in residuals]
-        a, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8))
-        taps.append(a / max(sigma, 1e-3 * floor[j], 1e-300))
+        a, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8), float(floor[j]))
+        taps.append(a / max(sigma, 1e-300))
     return Whitener(tuple(taps))
 
 
-def innovations(residuals: Sequence[Array], order: int = 20) -> float:
+def innovations(residuals: Sequence[Array], floor: Array, order: int = 20) -> float:
     """Sum over channels of n log(innovation variance): minus twice the log likelihood under own coloured noise."""
     total = 0.0
     for j in range(residuals[0].shape[1]):
         series = [r[:, j] - r[:, j].mean() for r in residuals]
-        _, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8))
+        _, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8), float(floor[j]))
         total += 2 * sum(len(s) for s in series) * math.log(max(sigma, 1e-300))
     return total
 

@@ -11,16 +11,27 @@ from typing import Any
 
 import numpy as np
 
-from .. import elements as el
 from ..data import Table, check, read_table
 from ..errors import InputError
 from ..network import Network
 from ..simulate import SI
 from ..units import convert
-from .choose import CONTAINS, Rival, share_of_force, compete, judge, measured_noise, noise_levels, plain, residuals, settled
+from .choose import (
+    CONTAINS,
+    Rival,
+    compete,
+    judge,
+    measured_noise,
+    noise_levels,
+    plain,
+    residuals,
+    settled,
+    share_of_force,
+)
+from .explain import law, next_experiment, places
 from .fit import Fit, Fitter
-from .hypotheses import Hypothesis, Structure, add, base_structure
-from .problem import Array, Noise, Problem, Record, Whitener, innovations, passed, whitener
+from .hypotheses import Hypothesis, Structure, base_structure
+from .problem import Array, Problem, Record, Whitener, low_pass, passed, whitener
 from .result import Contender, Diagnosis, Effect, Gate, Place, Quantity, Trace
 
 #: a gap below this share of a channel's standard deviation is not worth a name: few per cent are everybody's nuisance
@@ -61,6 +72,8 @@ def diagnose(
     estimation = [read(d, network, notes) for d in _several(data, "data")]
     held = [read(d, network, notes) for d in _several(validate, "validate")] if len(validate) else []
     estimation, held = split_records(estimation, held, notes)
+    filtered = derivatives([*estimation, *held], network)
+    estimation, held = filtered[: len(estimation)], filtered[len(estimation) :]
     records = [*estimation, *held]
     whole = Problem(network, records, [False] * len(estimation) + [True] * len(held))
     cut = [piece for r in held for piece in stretches(r)]
@@ -101,59 +114,70 @@ def read(source: Table | str | Path, network: Network, notes: list[str]) -> Reco
     inputs = {c.name: values(c.name, SI[c.quantity]) for c in network.inputs}
     measured = np.stack([values(c.name, c.unit) for c in network.outputs], axis=1)
     name = Path(table.source).stem
-    return derivatives(Record(name, table.step, inputs, measured, {}, float(table.time[0])), network)
+    return Record(name, table.step, inputs, measured, {}, float(table.time[0]))
 
 
-def derivatives(record: Record, network: Network) -> Record:
-    """Velocity and acceleration of moved nodes from noisy displacement, where forces need them."""
-    from .problem import low_pass
+def derivatives(records: list[Record], network: Network) -> list[Record]:
+    """Velocity and acceleration of moved nodes from noisy displacement, where forces need them.
 
-    needs = [c for c in network.inputs if c.quantity == "displacement" and _drives_inertia(network, str(c.at))]
-    if not needs:
-        return record
-    cutoff = min(_bandwidth(record.inputs[c.name], record.step) for c in needs)
-    nyquist = 0.5 / record.step
-    if cutoff > 0.7 * nyquist:
-        return record
+    Model and data pass one and the same low-pass then, in all records, so that filtering does not bias.
+    """
+    order = max((_derivative_needed(network, str(c.at)) for c in network.inputs if c.quantity == "displacement"), default=0)
+    if not order:
+        return records
+    needs = [c for c in network.inputs if c.quantity == "displacement"]
+    step = records[0].step
+    cutoff = min(_bandwidth(r.inputs[c.name], r.step, order) for r in records for c in needs)
+    nyquist = 0.5 / step
+    if cutoff > 0.7 * nyquist or any(abs(r.step - step) > 1e-3 * step for r in records):
+        return records
     from scipy.signal import firwin
 
-    size = 2 * math.ceil(2.0 / (cutoff * record.step)) + 1
-    size = min(size, 2 * (record.samples // 8) + 1)
-    taps = firwin(size, cutoff, fs=1 / record.step, window=("kaiser", 6.0))
-    thin = max(1, int(nyquist / (1.6 * cutoff)))
-    inputs, slopes = dict(record.inputs), {}
-    for c in needs:
-        x = low_pass(record.inputs[c.name], taps)
-        v = np.gradient(x, record.step, edge_order=2)
-        inputs[c.name] = x
-        slopes[c.name] = (v, np.gradient(v, record.step, edge_order=2))
-    return replace(record, inputs=inputs, slopes=slopes, measured=low_pass(record.measured, taps, thin), taps=taps, thin=thin)
+    # what is compared is sampled so that next to nothing but the pass band is left
+    thin = math.ceil(nyquist / cutoff)
+    cutoff = 0.85 * nyquist / thin
+    size = min(2 * math.ceil(4.0 / (cutoff * step)) + 1, 2 * (min(r.samples for r in records) // 8) + 1)
+    taps = firwin(size, cutoff, fs=1 / step, window=("kaiser", 6.0))
+    out = []
+    for r in records:
+        inputs, slopes = dict(r.inputs), {}
+        for c in needs:
+            x = low_pass(r.inputs[c.name], taps)
+            v = np.gradient(x, step, edge_order=2)
+            inputs[c.name] = x
+            slopes[c.name] = (v, np.gradient(v, step, edge_order=2))
+        out.append(replace(r, inputs=inputs, slopes=slopes, measured=low_pass(r.measured, taps, thin), taps=taps, thin=thin))
+    return out
 
 
-def _drives_inertia(network: Network, node: str) -> bool:
-    """Whether a force hangs on the velocity or acceleration of a moved node."""
-    outputs = any(c.quantity == "force" and c.at == node for c in network.outputs)
-    return outputs or any(
-        e.place == "between" and node in e.where and (e.linear()[1] or e.linear()[2]) for e in network.elements
-    )
+def _derivative_needed(network: Network, node: str) -> int:
+    """How often the displacement of a moved node has to be differentiated: 2 where inertia acts on it."""
+    here = [e for e in network.elements if e.place == "between" and node in e.where]
+    if any(e.linear()[2] for e in here):
+        return 2
+    reads = any(c.quantity == "force" and c.at == node for c in network.outputs)
+    return 1 if reads or any(e.linear()[1] for e in here) else 0
 
 
-def _bandwidth(x: Array, step: float) -> float:
-    """Frequency [Hz] up to which the displacement's second derivative is signal, not noise."""
+def _bandwidth(x: Array, step: float, order: int) -> float:
+    """Frequency [Hz] up to which the displacement's derivative of that order is signal, not noise.
+
+    Its spectrum falls with the motion and rises again with the noise that differentiation blows up:
+    the valley between them divides the two. Infinite where what lies above it is too little to matter.
+    """
     from scipy.signal import welch
 
-    n = min(2048, len(x) // 4)
-    f, s = welch(x - x.mean(), 1 / step, nperseg=n, window=("kaiser", 14.0))
-    top = f > 0.6 * f[-1]
-    floor = float(np.median(s[top])) * 3.0
-    if floor <= 1e-14 * s.max():
-        return float(f[-1])
-    above = np.flatnonzero(s > floor)
-    low = f[above[-1]] if len(above) else f[1]
-    # the last frequency of an unbroken run of signal
-    broken = np.flatnonzero(s[1:] < floor)
-    low = f[broken[0] + 1] if len(broken) else low
-    return float(max(low, 10 * f[1]))
+    a = np.diff(x, order)
+    n = min(1024, len(a) // 4)
+    f, s = welch(a, 1 / step, nperseg=n)
+    width = max(3, len(f) // 64)
+    smooth = np.exp(np.convolve(np.log(np.maximum(s, 1e-300)), np.ones(width) / width, mode="same"))
+    peak = int(np.argmax(smooth[: max(2, len(f) // 2)]))
+    valley = peak + int(np.argmin(smooth[peak : len(f) - width]))
+    noise = math.sqrt(s[valley:].sum() / max(s.sum(), 1e-300))
+    if noise < 0.02:
+        return math.inf
+    return float(max(f[valley], 20 * f[1]))
 
 
 def split_records(estimation: list[Record], held: list[Record], notes: list[str]) -> tuple[list[Record], list[Record]]:
@@ -303,9 +327,7 @@ class Workflow:
                 abreast.append(r)
         if gap_refit < MATERIAL:
             verdict = "no_discrepancy" if gap_before < MATERIAL else "parameters_only"
-        elif depth == 0:
-            verdict = "unknown_effect"
-        elif explained < ADEQUATE:
+        elif depth == 0 or explained < ADEQUATE:
             verdict = "unknown_effect"
         elif abreast:
             verdict = "ambiguous"
@@ -337,9 +359,55 @@ class Workflow:
             return True
         return False
 
+    def confidence(self, best: Standing, refit: Standing, others: list[Standing], quiet: float) -> float:
+        """Share of block resamplings of the held-out records in which the choice stays what it is, never quite 1."""
+        count = len(best.blocks)
+        hits = 0
+        rounds = 500
+        for _ in range(rounds):
+            pick = self.rng.integers(0, count, count)
+            b, r = best.blocks[pick].mean(), refit.blocks[pick].mean()
+            hits += bool(r - b >= HALF * max(r - quiet, 0.0) and all(o.blocks[pick].mean() > b for o in others))
+        return (hits + 0.5) / (rounds + 1.0)
+
+    def gates(self, base: Rival, chosen: Rival, best: Standing, refit: Standing, others: list[Standing], quiet: float, explained: float, floor: Array) -> tuple[Gate, ...]:
+        """The five gates with their figures."""
+        gain = base.likelihood - chosen.likelihood
+        moved = float(np.sqrt(np.maximum(refit.nrmse**2 - best.nrmse**2, 0.0)).max())
+        size = min(share_of_force(self.problem, chosen.fit, name) for name in chosen.fit.structure.names)
+        lead = min((o.score - quiet for o in others), default=math.inf) / max(best.score - quiet, 0.003)
+        blocks = (refit.blocks - best.blocks).mean(axis=1)
+        again = float(np.mean(blocks > 0))
+        return (
+            Gate("significant", gain > 60.0, gain, 60.0, "twice the log likelihood gained over the refitted model, its own coloured noise allowed for"),
+            Gate("material", moved >= MATERIAL and size >= SHARE, moved, MATERIAL, f"share of a channel's standard deviation that it moves; {size:.0%} of the force, current or signal at its place"),
+            Gate("adequate", explained >= ADEQUATE, explained, ADEQUATE, "share of the held-out excess error removed"),
+            Gate("ahead", lead >= AHEAD, min(lead, 1e3), AHEAD, "excess error of the nearest rival over its own"),
+            Gate("replicated", again > 0.5, again, 0.5, "share of held-out stretches where it does better than the refitted model"),
+        )
+
+    def traces(self, base: Rival, final: Rival) -> tuple[Trace, ...]:
+        """Every record, whole, with what the three models say; initial states and offsets from the record itself."""
+        out = []
+        W = plain(self.whole, self.floors)
+        owner = base_structure(self.network)
+        for i, record in enumerate(self.whole.records):
+            says = []
+            for structure, x in ((owner, owner.start), (base.fit.structure, base.fit.x), (final.fit.structure, final.fit.x)):
+                f = Fitter(self.whole, W).fit(structure, x, records=[i], frozen=True, iterations=3)
+                says.append({c: f.outputs[i][:, j] for j, c in enumerate(self.whole.channels)})
+            measured = {c: record.measured[:, j] for j, c in enumerate(self.whole.channels)}
+            thin = {k: v[:: record.thin][: len(record)] for k, v in record.inputs.items()}
+            out.append(Trace(record.name, self.whole.held[i], record.time, thin, measured, *says))
+        return tuple(out)
+
     def report(self, verdict, base, chosen, rivals, abreast, W, floor, before, stood, quiet, explained) -> Diagnosis:
         p = self.problem
         names = p.channels
+        chosen_at, refit_at = stood[id(chosen)], stood[id(base)]
+        others = [stood[id(r)] for r in rivals if id(r) in stood and not self.same(r, chosen, W)]
+        confidence = self.confidence(chosen_at, refit_at, others, quiet)
+        gates = self.gates(base, chosen, chosen_at, refit_at, others, quiet, explained, floor) if chosen.hypotheses else ()
         named = verdict == "missing_effect"
         final = chosen if verdict == "missing_effect" else base
         shown = chosen if len(chosen.hypotheses) else base
@@ -356,7 +424,7 @@ class Workflow:
         if named:
             for h, element in zip(final.hypotheses, final.fit.structure.names, strict=True):
                 own = {path.rpartition(".")[2]: q for path, q in fitted.items() if path.rpartition(".")[0] == element}
-                effects.append(Effect(h.effect, owner_pair(self.network, h), h.where[0] if h.place == "channel" else None, 0.99, own, element))
+                effects.append(Effect(h.effect, owner_pair(self.network, h), h.where[0] if h.place == "channel" else None, confidence, own, element))
         contenders = [
             Contender(
                 tuple(h.effect for h in r.hypotheses),
@@ -368,8 +436,14 @@ class Workflow:
             for r in ([chosen, *abreast] if verdict == "ambiguous" else rivals)
             if id(r) in stood
         ]
-        where = ()
-        summary = verdict + (": " + " and ".join(h.label for h in final.hypotheses) if named else "")
+        where = places(p, base.fit, floor * self.spread) if verdict != "no_discrepancy" else ()
+        laws = []
+        for e in effects:
+            drawn = law(p, final.fit, e.element, e.parameters)
+            if drawn is not None:
+                laws.append(drawn)
+        following = next_experiment(p, [chosen, *abreast], floor * self.spread) if verdict == "ambiguous" else None
+        summary = sentence(verdict, effects, [chosen, *abreast], where, gap)
         return Diagnosis(
             verdict=verdict,
             summary=summary,
@@ -379,12 +453,13 @@ class Workflow:
             parameters=base_parameters,
             gap=gap,
             closed=closed,
-            gates=(),
-            next_experiment=None,
+            gates=gates,
+            next_experiment=following,
             base=self.network,
             refitted=base.fit.network,
             model=model,
-            traces=(),
+            traces=self.traces(base, final),
+            laws=tuple(laws),
             notes=tuple(self.notes),
             seconds=clock.perf_counter() - self.begun,
             units={c.name: c.unit for c in self.network.outputs},
@@ -424,3 +499,29 @@ def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quanti
         unit = fit.network.unit_of(q.path)
         out[q.path] = Quantity(q.back(x), q.back(x - 1.96 * s), q.back(x + 1.96 * s), unit, known.get(q.path))
     return out
+
+
+def sentence(verdict: str, effects: list[Effect], contenders: list[Rival], where: tuple[Place, ...], gap: dict[str, dict[str, float]]) -> str:
+    """The verdict in a sentence a person can repeat."""
+
+    def percent(row: str) -> str:
+        worst = max(gap[row], key=lambda c: gap["refit"][c])
+        return f"{100 * gap[row][worst]:.1f} %"
+
+    worst = max(gap["refit"], key=lambda c: gap["refit"][c])
+    if verdict == "no_discrepancy":
+        return "The model agrees with the measurement within noise; nothing is missing."
+    if verdict == "parameters_only":
+        return f"Parameters within their stated uncertainty explain the difference ({worst}: {percent('before')} before, {percent('refit')} refitted); nothing is missing."
+    if verdict == "missing_effect":
+        parts = []
+        for e in effects:
+            spot = f"in channel {e.channel}" if e.channel else f"between {' and '.join(e.between or ())}"
+            figures = ", ".join(f"{k.replace('_', ' ')} {q.value:.4g} {q.unit}" for k, q in e.parameters.items())
+            parts.append(f"{e.effect.replace('_', ' ')} {spot} ({figures})")
+        return f"The model lacks {' and '.join(parts)}; with it the error in {worst} on held-out data falls from {percent('refit')} to {percent('after')} (noise {percent('noise_floor')})."
+    if verdict == "ambiguous":
+        names = " or ".join(" and ".join(h.label.replace("_", " ") for h in r.hypotheses) for r in contenders)
+        return f"Something is missing, and these data cannot tell which: {names}."
+    spot = f"; it lives mostly in {where[0].channel}, {where[0].when}" if where else ""
+    return f"Something is missing that no known effect explains{spot}."
