@@ -117,6 +117,11 @@ def save(fig: Figure, path: Path) -> Path:
     return path
 
 
+def pixels(fig: Figure) -> int:
+    """Width of a figure on a page [CSS pixel]."""
+    return round(122 * fig.get_size_inches()[0])
+
+
 def embedded(path: Path) -> str:
     """A PNG as a data URI, for a page that stands alone."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
@@ -130,7 +135,8 @@ class Picture:
     title: str
     alt: str
     caption: str
-    data: str = ""
+    data: str
+    width: int  # [CSS pixel] at which its text is as large as the page's small print
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -223,7 +229,8 @@ def score_report(score: Score, folder: str | Path) -> Path:
         ):
             fig = figure()
             caption = draw(fig, shown)
-            pictures.append(Picture(f"{name}.png", title, alt, caption, embedded(save(fig, place / f"{name}.png"))))
+            data = embedded(save(fig, place / f"{name}.png"))
+            pictures.append(Picture(f"{name}.png", title, alt, caption, data, pixels(fig)))
         write_text(place / "score.json", json.dumps(score.to_dict(), indent=1, allow_nan=False) + "\n")
         write_text(place / "index.html", page("score.html", shown=shown, score=score, pictures=pictures))
     return folder / "index.html"

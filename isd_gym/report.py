@@ -1,0 +1,695 @@
+"""The report of a diagnosis: one page that a person can read, print and pass on, and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import elements as el
+from .errors import InputError
+from .files import check_folder, whole_folder, write_text
+from .network import Channel, Network, linearise
+from .plots import (
+    BLUE,
+    INK,
+    MUTED,
+    PALE,
+    VERMILLION,
+    Picture,
+    channel_text,
+    density,
+    embedded,
+    figure,
+    legend,
+    number,
+    page,
+    percent,
+    pixels,
+    save,
+    style,
+    unit_text,
+)
+from .simulate import SI
+from .units import convert
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from .discrepancy import Diagnosis, Effect, Law, Trace
+
+Array = NDArray[np.float64]
+
+PARTS = ("report.html", "diagnosis.json", "model.json", "*.png")
+KIND = "a diagnosis"
+
+TITLES = {
+    "missing_effect": "A physical effect is missing",
+    "no_discrepancy": "The model agrees with the measurements",
+    "parameters_only": "Parameters were off; no effect is missing",
+    "unknown_effect": "Something is missing that the library does not know",
+    "ambiguous": "Several effects explain the gap equally well",
+}
+STAGES = {
+    "before": ("as given", "the model as its owner wrote it"),
+    "refit": ("refitted", "its parameters refitted within their stated uncertainty"),
+    "after": ("with the effect", "with what was found built in, and refitted"),
+    "noise_floor": ("noise", "what no model can pass: the measurement noise"),
+}
+OLD = dict(color=VERMILLION, ls=(0, (4, 1.5)), lw=1.1)
+NEW = dict(color=BLUE, ls="-", lw=1.2)
+
+#: what a test must show if the claim is true; the parameters of the effect are at hand by name
+TESTS = {
+    "linear_stiffness": "Load the terminals slowly: the force must follow travel with an extra {stiffness} at every amplitude.",
+    "linear_damping": "Double the speed at the same amplitude: the extra force ({damping}) must double, at every amplitude.",
+    "inertance": "Double the frequency at the same amplitude: the extra force ({inertance}) must grow fourfold.",
+    "coulomb_friction": "Move the terminals with a slow triangle (0.1 Hz): the force must jump by twice {level} at each reversal, "
+    "and the jump must be the same at half the amplitude.",
+    "stribeck_friction": "Move the terminals slowly and ever slower: the force must rise from {level} towards {static_level} below "
+    "{stribeck_velocity}, and jump at each reversal.",
+    "quadratic_damping": "Double the speed: the extra force must grow fourfold ({damping}), and vanish among the noise at a tenth.",
+    "asymmetric_damping": "Vibrate the terminals without a mean load: they must creep to one side, the more the faster the motion.",
+    "cubic_stiffness": "Load the terminals slowly to half and to full travel: the extra force must grow eightfold ({stiffness}), and "
+    "the same on the way back.",
+    "gas_spring": "Load the terminals slowly: compression must be stiffer than extension, with no loss over a full loop.",
+    "bump_stop": "Load the terminals slowly: nothing extra below {clearance}, a slope of {stiffness} beyond it.",
+    "backlash": "Move one terminal slowly to and fro by little: the other must stand still over {gap} at each reversal.",
+    "hysteresis": "Run a loop of travel slowly and at twice the rate: both loops must be the same, with round corners and a height "
+    "of twice {level}.",
+    "cogging_force": "Pull the device slowly through its whole travel: the force must repeat every {pitch} with {amplitude}, "
+    "at the same places each time.",
+    "terminal_inertia": "Shake both terminals together, so that the device does not extend: a force of {mass} times the "
+    "acceleration must remain.",
+    "series_compliance": "Block the device and load it: it must give way elastically with {stiffness}; at low force nothing changes.",
+    "tyre_lift_off": "Raise the excitation: the dynamic tyre force must stop at {load} of unloading.",
+    "thrust_saturation": "Hold the device and raise the current in steps: the thrust must fall short of proportion as {current} is "
+    "approached, and be in proportion below a fifth of it.",
+    "actuator_lag": "Command a step of current on the held device: the thrust must reach 63 % after {time_constant}, without a dead time.",
+    "actuator_delay": "Command a step of current on the held device: the thrust must be nothing for {delay}, and then all there.",
+    "sensor_gain": "Put the sensor on a known input (a shaker, a gauge block): it must read {gain} times the truth.",
+    "sensor_bias": "Read the sensor with the rig at rest: it must show {bias}.",
+    "sensor_delay": "Tap the rig with two sensors at one place: this one must answer {delay} later.",
+}  # fmt: skip
+
+
+def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str, str] | None = None) -> Path:
+    """Write ``report.html``, its figures as PNG, ``diagnosis.json`` and ``model.json`` into `folder`.
+
+    The folder appears whole or not at all; an earlier diagnosis is replaced. about: lines for "how it was done", such
+    as {"model": "rig.json"}. Returns the path of the page. Raises `InputError` where `folder` holds anything else.
+    """
+    folder = Path(folder)
+    view = View(diagnosis)
+    with style(), whole_folder(folder, KIND, "diagnosis.json", PARTS) as place:
+        diagnosis.save(place)
+        pictures: dict[str, Picture] = {}
+        for draw, name, title, alt in FIGURES:
+            fig = figure()
+            caption = draw(fig, view)
+            if caption:
+                path = save(fig, place / f"{name}.png")
+                pictures[name] = Picture(path.name, title, alt, caption, embedded(path), pixels(fig))
+        html = page("diagnosis.html", d=diagnosis, view=view, pictures=pictures, about=dict(about or {}), stages=STAGES)
+        write_text(place / "report.html", html)
+    return folder / "report.html"
+
+
+def check_target(folder: str | Path) -> None:
+    """Raise `InputError` where `write_report` would not write: before long work, not after it."""
+    check_folder(folder, KIND, "diagnosis.json", PARTS)
+
+
+# ------------------------------------------------------------------------------------------------ what is shown
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a channel is printed: values times `factor` in `unit`."""
+
+    factor: float
+    unit: str
+
+
+class View:
+    """A diagnosis made ready for a page: words, scales and the records that are drawn."""
+
+    def __init__(self, diagnosis: Diagnosis) -> None:
+        self.d = d = diagnosis
+        self.named = bool(d.effects)
+        self.title = TITLES.get(d.verdict, d.verdict)
+        self.channels = list(d.gap.get("refit", {}))
+        held = [t for t in d.traces if t.held_out] or list(d.traces)
+        self.trace: Trace | None = max(held, key=lambda t: len(t.time)) if held else None
+        self.scales = {c: self._scale(c) for c in self.channels}
+        self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
+        self.stages = [s for s in STAGES if s in d.gap and (s != "after" or self.named)]
+        self.clouds = clouds(self) if self.trace is not None else []
+
+    def _scale(self, name: str) -> Scale:
+        unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
+        peak = max((float(np.abs(t.measured[name]).max()) for t in self.d.traces if name in t.measured), default=1.0)
+        if unit == "m" and peak < 0.5:
+            return Scale(1e3, "mm")
+        if unit == "N" and peak >= 5e3:
+            return Scale(1e-3, "kN")
+        return Scale(1.0, unit_text(unit))
+
+    def effect_text(self, e: Any) -> str:
+        """``coulomb friction between piston and joint``."""
+        if e.channel is not None:
+            return f"{channel_text(e.effect)} in {channel_text(e.channel)}"
+        return f"{channel_text(e.effect)} between {e.between[0]} and {e.between[1]}" if e.between else channel_text(e.effect)
+
+    def contender_text(self, c: Any) -> str:
+        parts = []
+        for effect, where in zip(c.effects, c.where, strict=True):
+            joined = " and ".join(channel_text(w) if len(where) == 1 else w for w in where)
+            parts.append(f"{channel_text(effect)} {'between' if len(where) == 2 else 'at'} {joined}")
+        return ", with ".join(parts)
+
+    def quantity(self, q: Any) -> str:
+        """``296.6 N``: the value with as many digits as its interval warrants."""
+        return f"{_digits(q.value, q.low, q.high)}\u00a0{unit_text(q.unit)}".strip()
+
+    def interval(self, q: Any) -> str:
+        return f"{_digits(q.low, q.low, q.high)} to {_digits(q.high, q.low, q.high)}"
+
+    def equation(self, e: Effect) -> str:
+        cls = el.TYPES.get(e.effect)
+        return cls.equation if cls is not None else ""
+
+    def source(self, e: Effect) -> str:
+        cls = el.TYPES.get(e.effect)
+        return cls.source if cls is not None else ""
+
+    def signature(self, e: Effect) -> str:
+        cls = el.TYPES.get(e.effect)
+        return cls.signature if cls is not None else ""
+
+    def test(self, e: Effect) -> str:
+        """What would have to be seen on a rig if the claim is true, with its figures."""
+        words = {k: self.quantity(q) for k, q in e.parameters.items()}
+        try:
+            return TESTS[e.effect].format_map(words)
+        except KeyError:
+            return ""
+
+    @property
+    def sums(self) -> str:
+        """The gap in one clause: how much of what could be closed is closed."""
+        return "" if self.d.closed is None else f"{percent(self.d.closed, 1, sign=False)} of the gap that can be closed is closed"
+
+    @property
+    def parameters(self) -> list[tuple[str, Any, float | None]]:
+        """Base parameters: path, quantity, stated relative one-sigma."""
+        return [(path, q, self.d.base.uncertainty.get(path)) for path, q in self.d.parameters.items()]
+
+    def odd(self, q: Any, sigma: float | None) -> bool:
+        """Whether a fitted parameter lies beyond twice its stated uncertainty."""
+        return bool(sigma and q.prior and abs(q.value / q.prior - 1.0) > 2.0 * sigma)
+
+
+def _digits(value: float, low: float, high: float) -> str:
+    """Digits down to a tenth of the interval's half width, at least three."""
+    half = 0.5 * abs(high - low)
+    if not (np.isfinite(half) and half > 0 and value):
+        return number(value, 4)
+    digits = int(np.clip(np.floor(np.log10(abs(value) / half)) + 2, 3, 6))
+    return number(value, digits)
+
+
+# ------------------------------------------------------------------------------------------ the missing force
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """The force [N] that measurements ask for between two nodes, sample by sample, over the motion there.
+
+    `before` on top of the refitted model, `after` on top of the model with what was found; `travel` [m], `rate` [m/s].
+    """
+
+    pair: tuple[str, str]
+    laws: tuple[Law, ...]
+    effects: tuple[str, ...]
+    travel: Array
+    rate: Array
+    before: Array
+    after: Array | None
+
+
+def clouds(view: View) -> list[Cloud]:
+    """A cloud for every pair of nodes between which an effect was found, or for the foremost candidates' one."""
+    d, trace = view.d, view.trace
+    assert trace is not None
+    laws = {law.element: law for law in d.laws}
+    pairs: dict[tuple[str, str], list[Effect]] = {}
+    for e in d.effects:
+        kind = el.TYPES.get(e.effect)
+        if e.between is not None and e.element in laws and kind is not None and kind.place == "between":
+            pairs.setdefault((e.between[0], e.between[1]), []).append(e)
+    if not d.effects and d.contenders and len(d.contenders[0].where[-1]) == 2:
+        a, b = d.contenders[0].where[-1]
+        pairs[(a, b)] = []
+    out = []
+    for pair, effects in pairs.items():
+        try:
+            cloud = _cloud(view, trace, pair, [laws[e.element] for e in effects], [e.effect for e in effects])
+        except (InputError, np.linalg.LinAlgError):
+            continue
+        if cloud is not None:
+            out.append(cloud)
+    return out
+
+
+def _cloud(view: View, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[str]) -> Cloud | None:
+    d = view.d
+    if not set(pair) <= {*d.refitted.nodes, "ground"}:
+        return None
+    step = float(trace.time[1] - trace.time[0])
+    names = [c.name for c in d.refitted.outputs if c.name in trace.refit]
+    noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
+    response = Probe.of(d.refitted, pair, names, step, len(trace.time))
+    before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
+    after = None
+    if d.effects:
+        after, _ = response.force({n: trace.measured[n] - trace.after[n] for n in names}, noise)
+    travel, rate = motion(d.model if d.effects else d.refitted, trace, pair)
+    if not d.effects:  # the old model's motion, and what the missing force adds to it
+        travel, rate = travel + moved[:, 0], rate + moved[:, 1]
+    edge = max(1, len(trace.time) // 20)  # the taper's ends
+    keep = slice(edge, -edge)
+    return Cloud(
+        pair, tuple(laws), tuple(effects), travel[keep], rate[keep], before[keep], None if after is None else after[keep]
+    )
+
+
+@dataclass(frozen=True)
+class Probe:
+    """How the outputs of a model answer to a force between two of its nodes, and back."""
+
+    names: list[str]
+    frequency: Array  # [Hz] of the band that is used
+    first: int  # index of the first of them in a Fourier transform
+    gain: NDArray[np.complex128]  # (frequencies, outputs), SI per N
+    moved: NDArray[np.complex128]  # (frequencies, 2): travel and rate of the pair, per N
+    factors: Array  # channel's unit -> SI
+    samples: int
+
+    @classmethod
+    def of(cls, network: Network, pair: tuple[str, str], names: list[str], step: float, samples: int) -> Probe:
+        """The linear response about rest. Raises `InputError` where there is none."""
+        name = network.free_name("missing_force")
+        outputs = []
+        for c in network.outputs:
+            if c.name in names:
+                beside = c.element is not None and any(network.element(e).where == pair for e in c.elements)
+                outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
+        outputs += [Channel("_d", "displacement", "m", between=pair), Channel("_v", "velocity", "m/s", between=pair)]
+        kept = tuple(e for e in network.elements if e.place == "between")
+        probe = Network(
+            network.name,
+            network.masses,
+            (*kept, el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)),  # type: ignore[call-arg]
+            (*(c for c in network.inputs if c.quantity != "current"), Channel(name, "current", "A", element=name)),
+            tuple(outputs),
+        )
+        space = linearise(probe)
+        frequency = np.fft.rfftfreq(samples, step)
+        low, high = max(0.1, 2.0 / (samples * step)), min(60.0, 0.4 / step)
+        band = np.flatnonzero((frequency >= low) & (frequency <= high))
+        if len(band) < 10:
+            raise InputError("the record is too short to look for a force in it")
+        answer = space.response(frequency[band])[:, :, space.inputs.index(name)]
+        order = [space.outputs.index(n) for n in names]
+        factors = np.array([convert(1.0, c.unit, SI[c.quantity]) for c in outputs[: len(names)]])
+        factors = factors[[[c.name for c in outputs].index(n) for n in names]]
+        two = answer[:, [space.outputs.index("_d"), space.outputs.index("_v")]]
+        return cls(names, frequency[band], int(band[0]), answer[:, order], two, factors, samples)
+
+    def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
+        """Force [N] (n,) that explains `residual` best under white noise of deviations `noise`, and the motion it makes (n, 2).
+
+        Wiener's filter: its prior, the force's own spectrum, comes from the data (expectation maximisation), so that what
+        the sensors do not resolve is left out and not made up.
+        """
+        from scipy.ndimage import uniform_filter1d
+        from scipy.signal.windows import tukey
+
+        taper = tukey(self.samples, 0.1)
+        band = slice(self.first, self.first + len(self.frequency))
+        R = np.stack([np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names], axis=1) * self.factors
+        S = (np.maximum([noise[n] for n in self.names], 1e-12) * self.factors) ** 2 * float(np.sum(taper**2))
+        seen = np.sum(np.abs(self.gain) ** 2 / S, axis=1)
+        sought = np.sum(self.gain.conj() * R / S, axis=1)
+        prior = np.abs(sought / np.maximum(seen, 1e-300)) ** 2
+        width = max(3, len(prior) // 40)
+        for _ in range(12):
+            prior = np.maximum(uniform_filter1d(prior, width, mode="nearest"), 1e-30)
+            w = sought / (seen + 1.0 / prior)
+            prior = np.abs(w) ** 2 + 1.0 / (seen + 1.0 / prior)
+        whole = np.zeros((self.samples // 2 + 1, 3), complex)
+        whole[band, 0] = w
+        whole[band, 1:] = w[:, None] * self.moved
+        out = np.fft.irfft(whole, self.samples, axis=0)
+        return out[:, 0], out[:, 1:]
+
+
+def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array, Array]:
+    """Travel [m] and rate [m/s] between two nodes in a model that is started as the record begins."""
+    from .discrepancy.choose import motions, plain
+    from .discrepancy.fit import Fitter
+    from .discrepancy.hypotheses import base_structure
+    from .discrepancy.problem import Problem, Record
+    from .discrepancy.workflow import derivatives
+
+    network = replace(network, uncertainty={})
+    step = float(trace.time[1] - trace.time[0])
+    measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
+    record = Record(trace.name, step, trace.inputs, measured)
+    record = replace(record, slopes=derivatives(record, network).slopes)
+    problem = Problem(network, [record], [False])
+    fit = Fitter(problem, plain(problem, measured.std(axis=0))).fit(base_structure(network), frozen=True, iterations=3)
+    found = motions(problem, fit)
+    if pair in found:
+        m, sign = found[pair], 1.0
+    elif pair[::-1] in found:
+        m, sign = found[pair[::-1]], -1.0
+    else:
+        raise InputError(f"no motion between {pair[0]} and {pair[1]}")
+    return sign * m.d, sign * m.v
+
+
+# ------------------------------------------------------------------------------------------------- the figures
+
+
+def draw_gap(fig: Figure, view: View) -> str:
+    """Held-out error of every channel at every stage."""
+    d = view.d
+    fig.set_size_inches(7.2, 0.95 + 0.42 * len(view.channels))
+    ax = fig.subplots()
+    marks = {
+        "before": dict(marker="s", mfc="white", mec=MUTED, ms=6.5),
+        "refit": dict(marker="D", mfc="white", mec=VERMILLION, ms=6.5),
+        "after": dict(marker="o", mfc=BLUE, mec=BLUE, ms=7.5),
+        "noise_floor": dict(marker="|", mfc=INK, mec=INK, ms=15, mew=1.8),
+    }
+    rows = np.arange(len(view.order))
+    for y, c in enumerate(view.order):
+        values = [100 * d.gap[s][c] for s in view.stages]
+        ax.plot([min(values), max(values)], [y, y], color=PALE, lw=4, solid_capstyle="round", zorder=1)
+    for stage in view.stages:
+        x = [max(100 * d.gap[stage][c], 1e-3) for c in view.order]
+        ax.plot(x, rows, ls="none", mew=1.5 if stage != "noise_floor" else 1.8, label=STAGES[stage][0], zorder=3,
+                **{k: v for k, v in marks[stage].items() if k != "mew"})  # fmt: skip
+    ax.set_xscale("log")
+    low, high = ax.get_xlim()
+    ticks = [t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high]
+    ax.set_xticks(ticks, [f"{t:g} %" for t in ticks])
+    ax.minorticks_off()
+    ax.set_yticks(rows, [channel_text(c) for c in view.order])
+    ax.set_ylim(len(rows) - 0.4, -0.6)
+    ax.grid(False, axis="y")
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel("RMS error on held-out data, relative to the measured signal's deviation")
+    legend(fig, ax)
+    return "Error of the simulation on data that took no part in fitting or choosing. The scale is logarithmic."
+
+
+def _window(view: View, seconds: float) -> slice:
+    """The stretch where the refitted model errs most."""
+    trace, c = view.trace, view.order[0]
+    assert trace is not None
+    step = float(trace.time[1] - trace.time[0])
+    width = min(len(trace.time), max(10, round(seconds / step)))
+    power = np.concatenate([[0.0], np.cumsum((trace.measured[c] - trace.refit[c]) ** 2)])
+    start = int(np.argmax(power[width:] - power[:-width]))
+    return slice(start, start + width)
+
+
+def draw_time(fig: Figure, view: View) -> str:
+    """Signals over a short stretch; residuals over the whole record."""
+    trace = view.trace
+    if trace is None:
+        return ""
+    shown = view.order[:5]
+    fig.set_size_inches(7.6, 1.45 * len(shown) + 0.7)
+    axes = fig.subplots(len(shown), 2, squeeze=False, sharex="col", width_ratios=[1.15, 1.0])
+    duration = float(trace.time[-1] - trace.time[0])
+    cut = _window(view, min(2.5, duration))
+    t = trace.time
+    thin = max(1, len(t) // 4000)
+    for (left, right), c in zip(axes, shown, strict=True):
+        k = view.scales[c].factor
+        left.plot(t[cut], k * trace.measured[c][cut], color=INK, lw=0.9, label="measured")
+        left.plot(t[cut], k * trace.refit[c][cut], label="old model, refitted", **OLD)
+        right.plot(t[::thin], k * (trace.measured[c] - trace.refit[c])[::thin], color=VERMILLION, lw=0.6, alpha=0.9)
+        if view.named:
+            left.plot(t[cut], k * trace.after[c][cut], label="with what was found", **NEW)
+            right.plot(t[::thin], k * (trace.measured[c] - trace.after[c])[::thin], color=BLUE, lw=0.6)
+        noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(trace.measured[c]))
+        for y in (-noise, noise):
+            right.axhline(y, color=INK, lw=0.8, ls=(0, (1, 1.5)))
+        left.set_ylabel(f"{channel_text(c)}\n[{view.scales[c].unit or '–'}]")
+        right.margins(x=0)
+        left.margins(x=0)
+        right.axvspan(t[cut][0], t[cut][-1], color=PALE, alpha=0.6, lw=0, zorder=0)
+    axes[0, 0].set_title("a stretch of it")
+    axes[0, 1].set_title("measured minus simulated")
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    fig.align_ylabels(axes[:, 0])
+    legend(fig, axes[0, 0])
+    kind = "Held-out" if trace.held_out else "Fitted"
+    more = f" The {len(shown)} channels with the largest error are shown." if len(shown) < len(view.order) else ""
+    return (
+        f"{kind} record “{trace.name}”. Left, the stretch where the refitted model errs most (shaded on the right). Right, what is "
+        f"left over{': orange without, blue with what was found' if view.named else ''}; dotted, twice the noise.{more}"
+    )
+
+
+def draw_spectra(fig: Figure, view: View) -> str:
+    """Spectra of signal and residuals."""
+    trace = view.trace
+    if trace is None:
+        return ""
+    shown = view.order[:6]
+    columns = 2 if len(shown) in (2, 4) else min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    fig.set_size_inches((4.6, 6.6, 7.7)[columns - 1], 2.1 * rows + 0.55)
+    axes = fig.subplots(rows, columns, squeeze=False)
+    step = float(trace.time[1] - trace.time[0])
+    places = {p.channel: p for p in view.d.where}
+    for k, ax in enumerate(axes.flat):
+        if k >= len(shown):
+            ax.set_visible(False)
+            continue
+        c = shown[k]
+        unit = view.scales[c]
+        f, p = density(unit.factor * trace.measured[c], step)
+        keep = (f >= 0.2) & (f <= min(60.0, 0.45 / step))
+        keep = keep if keep.sum() > 4 else f > 0
+        ax.loglog(f[keep], p[keep], color=MUTED, lw=0.9, label="measured")
+        _, old = density(unit.factor * (trace.measured[c] - trace.refit[c]), step)
+        ax.loglog(f[keep], old[keep], label="left over, old model refitted", **OLD)
+        least = old[keep].min()
+        if view.named:
+            _, new = density(unit.factor * (trace.measured[c] - trace.after[c]), step)
+            ax.loglog(f[keep], new[keep], label="left over, with what was found", **NEW)
+            least = min(least, new[keep].min())
+        top = float(p[keep].max())
+        ax.set_ylim(max(0.5 * least, 1e-8 * top), 3 * max(top, old[keep].max()))
+        for a, b in places[c].bands_hz if c in places else ():
+            ax.axvspan(max(a, f[keep][0]), b, color=PALE, alpha=0.7, lw=0, zorder=0)
+        ax.set_title(channel_text(c))
+        ax.set_ylabel(f"[({unit.unit})²/Hz]" if "/" in unit.unit else f"[{unit.unit}²/Hz]")
+        ticks = [x for x in (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if f[keep][0] <= x <= f[keep][-1]]
+        ax.set_xticks(ticks, [f"{x:g}" for x in ticks])
+        ax.minorticks_off()
+        if k >= len(shown) - columns:
+            ax.set_xlabel("frequency [Hz]")
+    legend(fig, axes[0, 0])
+    shade = " Grey bands hold most of the old model's excess error." if any(p.bands_hz for p in view.d.where) else ""
+    return f"Power spectral densities of the same record.{shade}"
+
+
+def _law_axis(kind: str) -> tuple[float, str]:
+    return (1.0, "rate [m/s]") if kind == "rate" else (1e3, "travel [mm]")
+
+
+def draw_plane(fig: Figure, view: View) -> str:
+    """The missing force over motion, before and after; without one, the residual over the motion of its channel."""
+    if not view.clouds:
+        return _draw_channel_plane(fig, view)
+    columns = 2 if view.named else 1
+    fig.set_size_inches(3.7 * columns + (0 if view.named else 0.9), 2.9 * len(view.clouds) + 0.4)
+    axes = fig.subplots(len(view.clouds), columns, squeeze=False, sharey="row")
+    for row, cloud in zip(axes, view.clouds, strict=True):
+        kind = cloud.laws[0].kind if cloud.laws else "rate"
+        factor, text = _law_axis(kind)
+        x = factor * (cloud.rate if kind == "rate" else cloud.travel)
+        clouds_drawn = [(cloud.before, "on top of the old model", VERMILLION)]
+        if cloud.after is not None:
+            clouds_drawn.append((cloud.after, "on top of the new model", BLUE))
+        thin = max(1, len(x) // 2500)
+        law = _sum_of_laws(cloud)
+        for ax, (force, title, colour) in zip(row, clouds_drawn, strict=True):
+            ax.axhline(0, color=MUTED, lw=0.6)
+            ax.plot(x[::thin], force[::thin], ".", color=colour, ms=2.2, mew=0, alpha=0.55)
+            middle, mean = _trend(x, force)
+            ax.plot(middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="mean of the dots")
+            ax.set_title(title)
+            ax.set_xlabel(f"{text} of {cloud.pair[0]}–{cloud.pair[1]}")
+            reach = float(np.quantile(np.abs(x), 0.998)) * 1.05
+            ax.set_xlim(-reach, reach)
+        if law is not None:
+            axis, middle, low, high = law
+            row[0].fill_between(factor * axis, low, high, color=BLUE, alpha=0.25, lw=0)
+            row[0].plot(factor * axis, middle, color=BLUE, lw=1.6, label="the law that was found")
+        top = float(np.quantile(np.abs(clouds_drawn[0][0]), 0.998)) * 1.25
+        if law is not None:
+            top = max(top, 1.15 * float(np.abs(law[1]).max()))
+        row[0].set_ylim(-top, top)
+        row[0].set_ylabel("missing force [N]")
+    legend(fig, axes[0, 0])
+    where = "the law, drawn over it, took no part in that" if view.named else "no law was assumed"
+    return (
+        "Each dot is the force that the measurements ask for at one moment, on top of what the model says: reconstructed "
+        f"from the residuals of all channels of a {'held-out' if view.trace and view.trace.held_out else 'fitted'} record through the linear model; "
+        f"{where}. What the sensors do not resolve is smoothed, so corners look rounder than they are."
+    )
+
+
+def _sum_of_laws(cloud: Cloud) -> tuple[Array, Array, Array, Array] | None:
+    """Laws over one axis add up; those over the other cannot be drawn here."""
+    same = [law for law in cloud.laws if law.kind == cloud.laws[0].kind]
+    if not same:
+        return None
+    axis = same[0].axis
+    parts = [np.stack([np.interp(axis, w.axis, y) for y in (w.force, w.low, w.high)]) for w in same]
+    middle, low, high = np.sum(parts, axis=0)
+    return axis, middle, low, high
+
+
+def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
+    """Mean of y in bins of x that hold enough samples: middles and means."""
+    edges = np.linspace(*np.quantile(x, [0.002, 0.998]), bins + 1)
+    index = np.digitize(x, edges) - 1
+    pick = [k for k in range(bins) if np.sum(index == k) >= 10]
+    return np.array([x[index == k].mean() for k in pick]), np.array([y[index == k].mean() for k in pick])
+
+
+def _draw_channel_plane(fig: Figure, view: View) -> str:
+    """Residual of one channel over what it measures, or over its rate: where the gap lives when no force was named."""
+    trace = view.trace
+    if trace is None or view.d.verdict == "no_discrepancy":
+        return ""
+    channel = next((e.channel for e in view.d.effects if e.channel), None) or view.order[0]
+    unit = view.scales[channel]
+    step = float(trace.time[1] - trace.time[0])
+    quantity = {c.name: c.quantity for c in view.d.base.outputs}
+    late = any(e.effect in ("sensor_delay", "actuator_delay", "actuator_lag") for e in view.d.effects)
+    current = next((c.name for c in view.d.base.inputs if c.quantity == "current"), None)
+    kind = next((el.TYPES[e.effect].place for e in view.d.effects if e.effect in el.TYPES), "between")
+    best = trace.after[channel] if view.named else trace.refit[channel]
+    if kind == "element" and current is not None:
+        x, label = np.asarray(trace.inputs[current]), f"{channel_text(current)} [A]"
+        if late:
+            x, label = np.gradient(x, step), f"rate of {channel_text(current)} [A/s]"
+    elif late:
+        x, label = unit.factor * np.gradient(best, step), f"rate of {channel_text(channel)} [{unit.unit}/s]"
+    elif kind == "channel":
+        x, label = unit.factor * best, f"{channel_text(channel)} as simulated [{unit.unit}]"
+    else:
+        moves = next((c for c in (channel, *view.order) if quantity.get(c) == "displacement"), channel)
+        scale = view.scales[moves]
+        x = scale.factor * np.gradient(trace.after[moves] if view.named else trace.refit[moves], step)
+        label = f"rate of {channel_text(moves)} [{scale.unit}/s]"
+    pairs = [(trace.refit[channel], "old model, refitted", VERMILLION)]
+    if view.named:
+        pairs.append((trace.after[channel], "with what was found", BLUE))
+    fig.set_size_inches(3.7 * len(pairs) + (0 if view.named else 0.9), 3.2)
+    axes = fig.subplots(1, len(pairs), squeeze=False, sharey=True)[0]
+    thin = max(1, len(x) // 2500)
+    for ax, (says, title, colour) in zip(axes, pairs, strict=True):
+        r = unit.factor * (trace.measured[channel] - says)
+        ax.axhline(0, color=MUTED, lw=0.6)
+        ax.plot(x[::thin], r[::thin], ".", color=colour, ms=2.2, mew=0, alpha=0.55)
+        middle, mean = _trend(x, r)
+        ax.plot(middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="mean of the dots")
+        ax.set_title(title)
+        ax.set_xlabel(label)
+        reach = float(np.quantile(np.abs(x), 0.998)) * 1.05 or 1.0
+        ax.set_xlim(-reach, reach)
+    axes[0].set_ylabel(f"measured minus simulated\n{channel_text(channel)} [{unit.unit or '–'}]")
+    legend(fig, axes[0])
+    return f"What is left over in {channel_text(channel)} on the record “{trace.name}”, sample by sample."
+
+
+def draw_law(fig: Figure, view: View) -> str:
+    """Every found law with its interval, and how often the measurements were where."""
+    laws = [(law, e) for law in view.d.laws for e in view.d.effects if e.element == law.element]
+    if not laws:
+        return ""
+    columns = min(3, len(laws))
+    fig.set_size_inches((4.8, 5.8, 8.0)[columns - 1], 2.9)
+    for k, (law, e) in enumerate(laws[:3]):
+        ax = fig.add_subplot(1, columns, k + 1)
+        factor, text = _law_axis(law.kind)
+        x = factor * law.axis
+        ax.axhline(0, color=MUTED, lw=0.6)
+        ax.axvline(0, color=MUTED, lw=0.6)
+        ax.fill_between(x, law.low, law.high, color=BLUE, alpha=0.3, lw=0, label="95 % interval")
+        ax.plot(x, law.force, color=BLUE, lw=1.6, label="law")
+        count, edges = np.histogram(factor * law.visited, bins=40, range=(float(x[0]), float(x[-1])))
+        low, high = ax.get_ylim()
+        size = 0.22 * (high - low) * count / max(count.max(), 1)
+        ax.bar(edges[:-1], size, np.diff(edges), bottom=low, align="edge", color=PALE, zorder=0, label="where the data are")
+        ax.set_ylim(low, high)
+        ax.set_xlim(x[0], x[-1])
+        if len(laws) > 1:
+            ax.set_title(channel_text(e.effect))
+        ax.set_xlabel(f"{text} of {e.between[0]}–{e.between[1]}" if e.between else text)
+        ax.set_ylabel("force [N]" if k == 0 else "")
+    legend(fig, fig.axes[0], columns=3)
+    return "Force of what was found, positive in tension. Beyond the data nothing is claimed."
+
+
+def draw_parameters(fig: Figure, view: View) -> str:
+    """Prior and found values of the base parameters, as deviations from the prior."""
+    rows = [(path, q, sigma) for path, q, sigma in view.parameters if q.prior and np.isfinite([q.low, q.high]).all()]
+    if not rows:
+        return ""
+    fig.set_size_inches(7.2, 0.9 + 0.27 * len(rows))
+    ax = fig.subplots()
+    for y, (_, q, sigma) in enumerate(rows):
+        if sigma:
+            ax.barh(y, 4 * 100 * sigma, 0.62, left=-2 * 100 * sigma, color=PALE, lw=0, label="stated: two sigma either way" if y == 0 else None)
+        low, x, high = (100 * (v / q.prior - 1.0) for v in (q.low, q.value, q.high))
+        ax.plot([low, high], [y, y], color=BLUE, lw=2.2, solid_capstyle="butt", label="found: 95 % interval" if y == 0 else None)
+        ax.plot(x, y, "o", color=BLUE, ms=4.5)
+    ax.axvline(0, color=MUTED, lw=0.8)
+    ax.set_yticks(range(len(rows)), [path for path, _, _ in rows])
+    ax.set_ylim(len(rows) - 0.4, -0.6)
+    ax.grid(False, axis="y")
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel("deviation from the model as given [%]")
+    legend(fig, ax)
+    return "Grey: what the model's owner stated (95 %). Blue: what the measurements say, together with the effect that was found." if view.named else (
+        "Grey: what the model's owner stated (95 %). Blue: what the measurements say."
+    )
+
+
+Draw = Callable[["Figure", View], str]
+FIGURES: Sequence[tuple[Draw, str, str, str]] = (
+    (draw_gap, "gap", "The gap", "Held-out error of every channel before, refitted, after, and the noise"),
+    (draw_time, "time", "In time", "Measured and simulated signals, and what is left over, over time"),
+    (draw_spectra, "spectra", "In frequency", "Spectra of the measurements and of what is left over"),
+    (draw_plane, "plane", "What is missing, against the motion", "The missing force, or residual, over travel or rate, before and after"),
+    (draw_law, "law", "The law that was found", "Force over travel or rate with its interval"),
+    (draw_parameters, "parameters", "Parameters", "Base parameters found, relative to their prior"),
+)
