@@ -1,0 +1,249 @@
+"""The figures of the documentation, made from the package itself: ``python docs/figures.py`` (half a minute)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patches import FancyArrowPatch, Rectangle
+
+from isd_gym.network import Channel, Network, linearise
+from isd_gym.policies import conventional
+from isd_gym.road import iso_road, paper_road, road
+from isd_gym.simulate import simulate
+
+HERE = Path(__file__).parent / "figures"
+# Okabe and Ito: told apart by the colour-blind too
+BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
+CAR = Network.load("quarter-car-isd")
+plt.rcParams.update(
+    {
+        "svg.fonttype": "none",
+        "svg.hashsalt": "isd_gym",  # the same file whenever it is made
+        "font.family": "sans-serif",
+        "font.size": 9,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "grid.color": "#e5e5e5",
+        "lines.linewidth": 1.4,
+        "legend.frameon": False,
+    }
+)
+
+
+def save(figure: plt.Figure, name: str) -> None:
+    figure.savefig(HERE / f"{name}.svg", metadata={"Date": None}, bbox_inches="tight", facecolor="white")
+    plt.close(figure)
+
+
+# ------------------------------------------------------------------------------------------ the network, drawn
+
+
+def spring(ax, x, low, high, label, side=1):
+    n = 9
+    y = np.concatenate([[low], np.linspace(low + 0.18 * (high - low), high - 0.18 * (high - low), n), [high]])
+    dx = np.concatenate([[0], 0.14 * np.resize([1, -1], n), [0]])
+    dx[1], dx[-2] = 0, 0
+    ax.plot(x + dx, y, color="k", lw=1.3)
+    ax.text(x + 0.24 * side, (low + high) / 2, label, ha="left" if side > 0 else "right", va="center")
+
+
+def damper(ax, x, low, high, label, side=1):
+    mid = (low + high) / 2
+    ax.plot([x, x], [low, mid - 0.12], color="k", lw=1.3)
+    ax.plot(
+        [x - 0.13, x - 0.13, x + 0.13, x + 0.13],
+        [mid + 0.14, mid - 0.12, mid - 0.12, mid + 0.14],
+        color="k",
+        lw=1.3,
+    )
+    ax.plot([x - 0.11, x + 0.11], [mid + 0.02, mid + 0.02], color="k", lw=1.3)
+    ax.plot([x, x], [mid + 0.02, high], color="k", lw=1.3)
+    ax.text(x + 0.24 * side, mid, label, ha="left" if side > 0 else "right", va="center")
+
+
+def box(ax, x, low, high, text, label, side=1):
+    mid = (low + high) / 2
+    ax.plot([x, x], [low, mid - 0.14], color="k", lw=1.3)
+    ax.plot([x, x], [mid + 0.14, high], color="k", lw=1.3)
+    ax.add_patch(Rectangle((x - 0.15, mid - 0.14), 0.3, 0.28, fc="#f3f3f3", ec="k", lw=1.3))
+    ax.text(x, mid, text, ha="center", va="center", fontsize=8)
+    ax.text(x + 0.24 * side, mid, label, ha="left" if side > 0 else "right", va="center")
+
+
+def network() -> None:
+    fig, ax = plt.subplots(figsize=(7.2, 5.2))
+    ax.axis("off")
+    ax.set(xlim=(-1.2, 7.2), ylim=(-0.55, 5.7), aspect="equal")
+
+    def mass(y, text):
+        ax.add_patch(Rectangle((-0.5, y), 6.2, 0.45, fc="#dfe7ee", ec="k", lw=1.3))
+        ax.text(2.6, y + 0.225, text, ha="center", va="center")
+
+    def node(x0, x1, y, name):
+        ax.plot([x0, x1], [y, y], color=BLUE, lw=3, solid_capstyle="round")
+        ax.text(x1 + 0.1, y, name, color=BLUE, va="center", ha="left", style="italic")
+
+    mass(5.1, "body  345 kg")
+    mass(1.05, "wheel  45 kg")
+    spring(ax, 0.1, 1.5, 5.1, "main_spring\n22 kN/m")
+    spring(ax, 3.9, 4.15, 5.1, "oil  709 kN/m")
+    node(1.65, 6.15, 4.15, "piston")
+    box(ax, 1.8, 2.65, 4.15, "b", "inerter\n95 kg")
+    damper(ax, 2.85, 2.65, 4.15, "leak\n1293 N s/m")
+    box(ax, 4.45, 2.65, 4.15, "f", "seal\n500 N")
+    box(ax, 5.45, 2.65, 4.15, "F1", "motor\n243 N/A")
+    node(1.65, 6.15, 2.65, "joint")
+    ax.text(1.72, 2.48, "end stop at ±24.65 mm", color=GREY, fontsize=8, va="top")
+    damper(ax, 3.9, 1.5, 2.65, "damper  1500 N s/m")
+    spring(ax, 2.6, 0.15, 1.05, "tyre  192 kN/m")
+    x = np.linspace(-0.5, 5.7, 200)
+    ax.plot(x, 0.1 + 0.05 * np.sin(5 * (x - 2.6)), color=BLUE, lw=3)
+    ax.text(5.8, 0.1, "road (moved)", color=BLUE, va="center", style="italic")
+    ax.add_patch(FancyArrowPatch((-0.85, 4.7), (-0.85, 5.5), arrowstyle="->", mutation_scale=10, lw=1.2))
+    ax.text(-0.85, 4.55, "up", ha="center", va="top")
+    save(fig, "network")
+
+
+# --------------------------------------------------------------------------------------------- force test
+
+
+def force_test() -> None:
+    fig, (left, right) = plt.subplots(1, 2, figsize=(7.6, 3.0))
+    t = np.arange(0, 20, 1e-3)
+    triangle = 0.01 * (2 * np.abs(2 * ((0.1 * t + 0.25) % 1) - 1) - 1)
+    for name, colour, text in (
+        ("force-rig-eq6", RED, "oil in parallel (eq. 6, 8)"),
+        ("force-rig", BLUE, "oil in series (here)"),
+    ):
+        force = simulate(name, t, {"displacement": triangle})["force"]
+        left.plot(t, force / 1e3, color=colour, label=text)
+    left.set(xlabel="time [s]", ylabel="force [kN]", title="0.1 Hz triangle of ±10 mm")
+    left.axhspan(-0.5, 0.5, color=GREY, alpha=0.15, lw=0, label="Figure 6: ±0.5 kN square")
+    left.legend(fontsize=7.5, loc="upper right")
+    left.set_ylim(-8, 17)
+    frequency = np.array([0.1, 0.2, 0.4, 0.7, 1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9, 10])
+    for name, colour in (("force-rig-eq6", RED), ("force-rig", BLUE)):
+        size = []
+        for f in frequency:
+            tt = np.arange(0, 4 / f, 1 / (2000 * max(f, 0.5)))
+            force = simulate(name, tt, {"displacement": 0.01 * np.sin(2 * np.pi * f * tt)})["force"]
+            size.append(np.abs(force[tt > 2 / f]).max())
+        right.loglog(frequency, np.array(size) / 1e3, "o-", ms=3, color=colour)
+    right.loglog(
+        frequency, 95 * (2 * np.pi * frequency) ** 2 * 0.01 / 1e3, color=GREY, ls="--", label="ideal inerter"
+    )
+    right.set(xlabel="frequency [Hz]", ylabel="peak force [kN]", title="sines of 10 mm", ylim=(0.05, 30))
+    right.legend(fontsize=7.5)
+    fig.tight_layout()
+    save(fig, "force_test")
+
+
+# ---------------------------------------------------------------------------------------------- sticking
+
+
+def sticking() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(0, 60, 1e-3)
+    heights = paper_road().heights(t[-1], rng=rng)
+    extra = [
+        Channel("rate", "velocity", "m/s", between=("piston", "joint")),
+        Channel("friction", "force", "N", element="seal"),
+    ]
+    out = simulate(CAR, t, {"road": heights, "current": np.zeros_like(t)}, extra=extra)
+    fig, (a, b) = plt.subplots(2, 1, figsize=(7.2, 3.2), sharex=True)
+    stuck = np.abs(out["rate"]) < 1e-6
+    share = stuck.mean()
+    moving = np.convolve(~stuck, np.ones(2000), "valid")  # the two seconds with most sliding
+    part = slice(int(np.argmax(moving)), int(np.argmax(moving)) + 2000, 4)
+    a.plot(t[part], 1e3 * out["rate"][part], color=BLUE)
+    a.set(ylabel="device rate\n[mm/s]")
+    b.plot(t[part], out["friction"][part], color=RED)
+    b.set(ylabel="seal friction\n[N]", xlabel="time [s]", ylim=(-620, 620))
+    for y in (-500, 500):
+        b.axhline(y, color=GREY, lw=0.8, ls="--")
+    for ax in (a, b):
+        ax.fill_between(
+            t[part], 0, 1, where=stuck[part], transform=ax.get_xaxis_transform(), color=GREY, alpha=0.13, lw=0
+        )
+    a.set_title(
+        f"no current, the paper's road: the device sticks (grey) {100 * share:.0f} % of a minute; its liveliest 2 s"
+    )
+    fig.tight_layout()
+    save(fig, "sticking")
+
+
+# -------------------------------------------------------------------------------------------------- roads
+
+
+def roads() -> None:
+    from scipy.signal import welch
+
+    fig, ax = plt.subplots(figsize=(5.6, 3.2))
+    n = np.logspace(-2, 1, 100)
+    for letter, colour in zip("ABCD", (GREEN, BLUE, ORANGE, RED), strict=True):
+        ax.loglog(n, iso_road(letter).psd(n), color=colour, label=f"class {letter}")
+    rng, step = np.random.default_rng(0), 1e-3
+    z = np.concatenate([paper_road().heights(100.0, speed=20.0, step=step, rng=rng) for _ in range(8)])
+    z = z.reshape(8, -1)
+    f, s = welch(z, 1 / (20.0 * step), nperseg=20000, axis=1)
+    keep = np.unique(np.searchsorted(f, np.logspace(-1.7, 0.99, 150)))
+    ax.loglog(f[keep], s.mean(axis=0)[keep], color=GREY, lw=0.8, alpha=0.9, label="paper, 8 drives of 2 km")
+    ax.set(xlabel="spatial frequency [cycle/m]", ylabel="PSD of height [m³]", xlim=(0.01, 10))
+    ax.legend(fontsize=7.5)
+    save(fig, "roads")
+
+
+# --------------------------------------------------------------------------------------------- responses
+
+
+def response() -> None:
+    fig, ax = plt.subplots(figsize=(5.6, 3.2))
+    f = np.logspace(-0.5, 1.5, 300)
+    kinds = (
+        ("conventional: k ∥ c", conventional(CAR), {}, GREY),
+        (
+            "ISD, friction 500 N sliding gently (equation 9, 0.05 m/s)",
+            CAR,
+            {"seal": 4 * 500 / (np.pi * 0.05)},
+            RED,
+        ),
+        ("ISD without friction", CAR.with_parameters({"seal.level": 0.0}), {"seal": 0.0}, BLUE),
+    )
+    for label, net, damping, colour in kinds:
+        ss = linearise(net, damping=damping)
+        h = ss.response(f)[:, ss.outputs.index("body_acceleration"), ss.inputs.index("road")]
+        ax.loglog(f, np.abs(h) / (2 * np.pi * f), color=colour, label=label)
+    ax.set(xlabel="frequency [Hz]", ylabel="body acceleration / road velocity [1/s]", xlim=(f[0], f[-1]))
+    ax.legend(fontsize=7.5)
+    save(fig, "response")
+
+
+def projection() -> None:
+    """One step of the projection: the force that stops the sliding, cut off at the level."""
+    fig, ax = plt.subplots(figsize=(3.6, 2.6))
+    s = np.linspace(-2, 2, 200)
+    ax.plot(s, np.clip(s, -1, 1), color=BLUE)
+    ax.set(
+        xlabel="force that would stop it / level",
+        ylabel="friction force / level",
+        xticks=(-2, -1, 0, 1, 2),
+        yticks=(-1, 0, 1),
+    )
+    ax.text(0, -0.75, "sticks", ha="center", color=GREY)
+    ax.text(1.5, 0.65, "slides", ha="center", color=GREY)
+    ax.text(-1.5, -0.8, "slides", ha="center", color=GREY)
+    save(fig, "projection")
+
+
+if __name__ == "__main__":
+    HERE.mkdir(exist_ok=True)
+    road("paper")
+    for make in (network, force_test, sticking, roads, response, projection):
+        make()
+        print(make.__name__)

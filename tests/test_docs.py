@@ -1,0 +1,128 @@
+"""What the documentation says works: its code runs, its commands parse, the site builds, the notebooks run."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+import typer
+
+from isd_gym import cli, elements
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+#: pages and notebooks that fit, train or solve for minutes
+SLOW = {
+    "docs/tutorials/diagnose.md",
+    "docs/tutorials/effect.md",
+    "notebooks/2-train-and-compare.ipynb",
+    "notebooks/3-from-a-csv-to-a-corrected-model.ipynb",
+}
+
+
+def blocks(page, language):
+    """(line number, text) of the fenced blocks of a language."""
+    text = page.read_text(encoding="utf-8")
+    pattern = rf"^( *)```{language}[^\n]*\n(.*?)^\1```"
+    for match in re.finditer(pattern, text, re.DOTALL | re.MULTILINE):
+        line = text[: match.start()].count("\n") + 2
+        indent = match[1]
+        yield line, "\n".join(row.removeprefix(indent) for row in match[2].splitlines()) + "\n"
+
+
+def cases(paths, wanted=lambda path: True):
+    names = {path: path.relative_to(ROOT).as_posix() for path in paths if wanted(path)}
+    return [
+        pytest.param(path, id=name, marks=[pytest.mark.slow] if name in SLOW else [])
+        for path, name in names.items()
+    ]
+
+
+@pytest.mark.parametrize("page", cases(PAGES, lambda p: any(blocks(p, "python"))))
+def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
+    """All ```python blocks of a page, in order, in one namespace and an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(elements, "TYPES", dict(elements.TYPES))  # a page may register an element
+    space = {"__name__": "__page__"}
+    for line, code in blocks(page, "python"):
+        # so that an error names the line of the page
+        exec(compile("\n" * (line - 1) + code, str(page), "exec"), space)
+
+
+def commands(page):
+    for language in ("bash", "sh", "shell", "console"):
+        for line, text in blocks(page, language):
+            joined = text.replace("\\\n", " ")
+            for row in joined.splitlines():
+                row = row.strip().removeprefix("$ ")
+                if row.startswith("isd-gym"):
+                    yield line, shlex.split(row, comments=True)[1:]
+
+
+@pytest.fixture(scope="module")
+def program():
+    known = {c.name or c.callback.__name__ for c in cli.app.registered_commands}
+    for point in entry_points(group="isd_gym.commands"):
+        if point.name not in known:
+            cli.app.command(name=point.name)(point.load())
+    return typer.main.get_command(cli.app)
+
+
+@pytest.mark.parametrize("page", cases(PAGES, lambda p: any(commands(p))))
+def test_the_commands_of_a_page_parse(page, program):
+    for line, words in commands(page):
+        place = f"{page.name}, line {line}: isd-gym {' '.join(words)}"
+        name = words[0] if words else "--help"
+        if name == "--help":
+            continue
+        assert name in program.commands, f"{place}: no such command"
+        if "--help" in words:
+            continue
+        try:
+            program.commands[name].make_context(name, words[1:])
+        except Exception as error:
+            pytest.fail(f"{place}: {error}")
+
+
+@pytest.mark.parametrize("page", cases(PAGES))
+def test_pages_name_no_machine(page):
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"(?<![\w.])/(work|opt|root|home|tmp)/", text)
+
+
+def test_the_site_builds_without_a_warning(tmp_path):
+    pytest.importorskip("material")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    home = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    assert not re.search(r'<(script|link|img)[^>]+(src|href)="https?://', home), (
+        "a page fetches from elsewhere"
+    )
+    physics = (tmp_path / "site" / "physics" / "index.html").read_text(encoding="utf-8")
+    assert physics.count("<math") > 20 and "arithmatex" not in physics
+    assert "coulomb_friction" in (tmp_path / "site" / "reference" / "elements" / "index.html").read_text()
+    assert (tmp_path / "site" / "schemas" / "isd-model-1.json").is_file()
+
+
+@pytest.mark.parametrize("path", cases(NOTEBOOKS))
+@pytest.mark.filterwarnings("default")  # the kernel's own libraries warn about each other
+def test_a_notebook_runs(path, tmp_path):
+    nbformat = pytest.importorskip("nbformat")
+    client = pytest.importorskip("nbclient")
+    notebook = nbformat.read(path, as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "notebooks are kept without outputs"
+    client.NotebookClient(
+        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
