@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from .errors import InputError
 
@@ -39,6 +40,59 @@ def _check_folder(path: Path | None) -> None:
     """Refuse a file that cannot be written before the work, not after it."""
     if path is not None and not path.parent.is_dir():
         raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
+
+
+class _SeveralValues(TyperCommand):
+    """An option that may be repeated also takes several values at once: ``--validate a.csv b.csv``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        several = {o for p in self.params if getattr(p, "multiple", False) for o in p.opts}
+        out: list[str] = []
+        option = ""
+        for i, arg in enumerate(args):
+            if arg == "--":
+                out += args[i:]
+                break
+            name, joined, _ = arg.partition("=")
+            if arg.startswith("-"):
+                option = name if name in several else ""
+                fresh = bool(option) and not joined  # its first value follows as it is
+            elif option:
+                if not fresh:
+                    out.append(option)
+                fresh = False
+            out.append(arg)
+        return super().parse_args(ctx, out)
+
+
+def _pairs(values: list[str] | None, option: str, form: str) -> dict[str, str]:
+    out: dict[str, str] = {}
+    for value in values or []:
+        key, joined, word = value.partition("=")
+        if not (key and joined and word):
+            raise InputError(f"{option} wants {form}, not '{value}'")
+        out[key] = word
+    return out
+
+
+@contextmanager
+def _lines() -> Iterator[Callable[[str], None]]:
+    """Lines of progress with the time gone by on stderr; silent where it is no terminal."""
+    import time
+
+    from rich.console import Console
+
+    if not sys.stderr.isatty():
+        yield lambda line: None
+        return
+    console, begun = Console(stderr=True), time.monotonic()
+    with console.status("starting") as status:
+
+        def say(line: str) -> None:
+            console.print(f"{time.monotonic() - begun:6.1f} s  {line}", style="dim", highlight=False, markup=False)
+            status.update("working")
+
+        yield say
 
 
 @contextmanager
@@ -120,6 +174,10 @@ def score(
     from .scoring import score as run
 
     _check_folder(json_file)
+    if report is not None:
+        from .plots import check_report
+
+        check_report(report)
     plant = Network.load(network)
     ground = find_road(road)
     belief = Network.load(model) if model else None
@@ -256,6 +314,137 @@ def simulate(
     units = {c.name: c.unit for c in network.outputs}
     write_table(out, Table(time=table.time, columns=outputs, source=network.name, units=units))
     typer.echo(f"{len(table.time)} samples of {', '.join(outputs)} in {out}")
+
+
+@app.command(cls=_SeveralValues)
+def diagnose(
+    data: Annotated[
+        list[Path],
+        typer.Argument(help="Measured records: CSV, Parquet, .mat, .mf4, with time and the model's channels."),
+    ],
+    model: Annotated[str, typer.Option(help="The model as you believe it: a file or a built-in network.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the result.", metavar="DIR")],
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Records to choose and judge by, one or several; without them some of DATA are held out.",
+            metavar="DATA...",
+        ),
+    ] = None,
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(help="A column's name in the files, and the channel it is.", metavar="COLUMN=CHANNEL"),
+    ] = None,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(help="The unit a channel has in the files.", metavar="CHANNEL=UNIT"),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the resampling that gives the confidence.", min=0)] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Find where a model and measurements disagree, and which physical effect is missing.
+
+    Writes DIR/diagnosis.json, DIR/model.json (the model with what was found), DIR/report.html and its figures. Without
+    --validate whole records of DATA are held out to judge by, or the last third of a single one.
+
+    Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found --validate test3.csv
+    """
+    from .data import read_table
+    from .discrepancy import diagnose as run
+    from .network import Network
+    from .report import check_target, write_report
+
+    check_target(out)
+    _check_folder(json_file)
+    network = Network.load(model)
+    options: dict[str, Any] = {
+        "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
+        "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
+        "expected": {c.name: c.unit for c in (*network.inputs, *network.outputs)},
+    }
+    with _lines() as say:
+        fitted, held = ([read_table(f, **options) for f in files] for files in (data, validate or []))
+        result = run(fitted, network, validate=held, progress=say, seed=seed)
+        say("writing the report")
+        about = {
+            "Model": model,
+            "Data": ", ".join(map(str, data)),
+            **({"Validation": ", ".join(map(str, validate))} if validate else {}),
+            "Seed": str(seed),
+        }
+        page = write_report(result, out, about=about)
+    _write_json(json_file, result.to_dict())
+    _print_diagnosis(result)
+    typer.echo(f"report: {page}", err=True)
+
+
+def _print_diagnosis(result: Any) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if sys.stdout.isatty() else 110)
+    console.print(result.summary, highlight=False, markup=False, soft_wrap=True)
+    stages = [s for s in ("before", "refit", "after", "noise_floor") if s in result.gap]
+    made = Table(
+        title="RMS error on held-out data, relative to the signal's deviation",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    made.add_column("channel", no_wrap=True)
+    for stage in stages:
+        made.add_column(stage.replace("_", " "), justify="right", no_wrap=True)
+    for channel in result.gap["refit"]:
+        made.add_row(channel, *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
+    console.print(made)
+    if result.closed is not None:
+        console.print(f"{100 * result.closed:.1f} % of the gap that can be closed is closed.", highlight=False)
+
+
+@app.command()
+def show(
+    policy: Annotated[str, typer.Argument(help="A policy, named as for score.")],
+    against: Annotated[
+        str | None, typer.Option(help="A second one beside it, on the same road.", metavar="POLICY")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write a film instead of opening a window: .mp4 or .gif.", metavar="FILE"),
+    ] = None,
+    road: Annotated[
+        str,
+        typer.Option(help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, a CSV file, C+bump."),
+    ] = "paper",
+    speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
+    seconds: Annotated[float, typer.Option(help="How long to drive [s].")] = 10.0,
+    seed: Annotated[int, typer.Option(help="Of the road, as in score.", min=0)] = 0,
+    network: Annotated[
+        str, typer.Option(help="The plant: a built-in network or a model file.")
+    ] = "quarter-car-isd",
+) -> None:
+    """Watch a policy drive, alone or beside another, live or as a film.
+
+    Example: isd-gym show mpc --against passive --out mpc.mp4
+    """
+    from .network import Network
+    from .policies import find
+    from .road import road as find_road
+    from .show import film, live
+
+    _check_folder(out)
+    if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
+        raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
+    plant = Network.load(network)
+    entries = [find(name, plant) for name in (policy, against) if name is not None]
+    drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
+    if out is None:
+        live(entries, plant, **drive)
+        return
+    with _progress() as update:
+        _warm_up(update)
+        film(entries, plant, out, progress=lambda share: update("filming", share), **drive)
+    typer.echo(f"{seconds:g} s of {' and '.join(e.name for e in entries)} in {out}")
 
 
 @app.command()

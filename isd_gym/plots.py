@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .files import whole_folder, write_text
+from .files import check_folder, whole_folder, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -218,7 +218,7 @@ def score_report(score: Score, folder: str | Path) -> Path:
     """
     folder = Path(folder)
     shown = Shown(score)
-    with style(), whole_folder(folder, "a score report", "score.json", SCORE_PARTS) as place:
+    with style(), whole_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS) as place:
         pictures = []
         for draw, name, title, alt in (
             (trade_off, "trade_off", "The trade-off", "Change of acceleration over change of travel, by policy"),
@@ -236,6 +236,12 @@ def score_report(score: Score, folder: str | Path) -> Path:
     return folder / "index.html"
 
 
+def check_report(folder: str | Path) -> None:
+    """Raise `InputError` where `score_report` would not write: before long work, not after it."""
+    check_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS)
+
+
+SCORE_KIND = "a score report"
 SCORE_PARTS = ("index.html", "score.json", "*.png")
 #: column of the table -> heading, unit, scale, decimals
 COLUMNS = {

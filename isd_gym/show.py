@@ -1,0 +1,119 @@
+"""Watching policies drive: live in a window, or as a film. One car, or two side by side on the same road."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+from .network import Network
+
+if TYPE_CHECKING:
+    from .rendering import Snapshot
+    from .road import Road
+    from .scoring import Entry
+
+EVERY = 4  # control steps a frame: 50 frames a second
+SIZE = {1: (960, 600), 2: (1200, 640)}  # [pixel] by number of cars
+
+
+def snapshots(
+    entries: list[Entry],
+    network: Network | str | Path = "quarter-car-isd",
+    *,
+    road: Road | str = "paper",
+    speed: float = 20.0,
+    seconds: float = 10.0,
+    seed: int = 0,
+) -> Iterator[tuple[Snapshot, ...]]:
+    """Drive the policies on the same road (that of environment seed `seed`); one snapshot per policy and control step.
+
+    Raises `InputError` for a car that breaks, and for what the environment refuses.
+    """
+    from .env import CONTROL_STEP, ISDSuspensionEnv
+
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise InputError(f"seconds must be positive, not {seconds}")
+    network = Network.load(network)
+    cars = []
+    for entry in entries:
+        controller = entry.make()
+        env = ISDSuspensionEnv(
+            network=entry.network or network,
+            road=road,
+            speed=speed,
+            duration=seconds,
+            observation=getattr(controller, "observation", "measured"),
+            render_mode="rgb_array",
+        )
+        controller.reset()
+        observation, _ = env.reset(seed=seed)
+        cars.append([entry.name, controller, env, observation])
+    yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
+    for k in range(round(seconds / CONTROL_STEP)):
+        for car in cars:
+            name, controller, env, observation = car
+            action = np.array([controller.act(observation)], dtype=float)
+            car[3], _, terminated, _, _ = env.step(action)
+            if terminated:
+                raise InputError(f"'{name}' broke the car after {(k + 1) * CONTROL_STEP:.2f} s")
+        yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
+
+
+@contextmanager
+def _renderer(mode: Any, cars: int) -> Iterator[Any]:
+    from .rendering import Renderer
+
+    width, height = SIZE[cars]
+    drawn = Renderer(mode, width=width, height=height, cars=cars)
+    try:
+        yield drawn
+    finally:
+        drawn.close()
+
+
+def film(
+    entries: list[Entry],
+    network: Network | str | Path,
+    path: str | Path,
+    *,
+    progress: Callable[[float], None] | None = None,
+    **drive: Any,
+) -> None:
+    """Write an MP4 or a GIF, by the suffix of `path`, at 50 frames a second; options as those of `snapshots`."""
+    from .rendering import write_video
+
+    total = max(1, round(drive.get("seconds", 10.0) / 5e-3))
+
+    def frames(renderer: Any) -> Iterator[NDArray[np.uint8]]:
+        for k, shots in enumerate(snapshots(entries, network, **drive)):
+            if k % EVERY == 0:
+                yield renderer.draw(*shots)
+            if progress is not None and k % 50 == 0:
+                progress(k / total)
+
+    with _renderer("rgb_array", len(entries)) as renderer:
+        write_video(path, frames(renderer), fps=50.0)
+    if progress is not None:
+        progress(1.0)
+
+
+def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
+    """Show the policies in a window at the pace of the simulated time, until the end or until the window is closed."""
+    try:
+        opened = _renderer("human", len(entries))
+        with opened as renderer:
+            for shots in snapshots(entries, network, **drive):
+                renderer.draw(*shots)
+                if renderer.closed:
+                    return
+    except InputError as error:
+        if "window" in str(error):
+            raise InputError("this machine has no display to open a window on; write a film with --out FILE.mp4") from None
+        raise
