@@ -441,6 +441,7 @@ class Episode:
         *,
         cost: StageCost,
         control_step: float = CONTROL_STEP,
+        slew_limit: float = SLEW_LIMIT,
     ) -> None:
         for e in network.elements:
             if isinstance(e, el.ActuatorLag | el.ActuatorDelay | el.ThrustSaturation):
@@ -481,7 +482,7 @@ class Episode:
             self.u[:, j, 0] = columns[part]
         a, l, f, i = cost.quadratic
         self.q, self.qi = np.array([a, l, f]), i
-        self.limits = np.array([SLEW_LIMIT - SLACK, CURRENT_LIMIT - SLACK])
+        self.limits = np.array([slew_limit - SLACK, CURRENT_LIMIT - SLACK])
         self.start = self.single.state()
         self._gs = self._friction_entries(self.single.n, self.single.n_laws)
 
@@ -648,7 +649,7 @@ class Episode:
             *(self.q, self.qi, self.sub),
         )
         # primal-dual interior point; the dual's multipliers belong to f^2 <= 1, dI^2 <= slew^2, I^2 <= most^2
-        limits = (1.0, SLEW_LIMIT, CURRENT_LIMIT)
+        limits = (1.0, float(self.limits[0]) + SLACK, CURRENT_LIMIT)
         now = [np.zeros(T), np.zeros(N), np.zeros(N)]
         mu = 0.1
 
@@ -716,11 +717,15 @@ SCHEDULES = (Schedule.of(2.0, 1.0, 15), Schedule.of(2.0, 1.5, 15), Schedule.of(1
 
 @dataclass(frozen=True)
 class Clairvoyant:
-    """The outcome: `currents` (steps,) [A], the cost they reach, a proven lower bound, and the costs of all starts."""
+    """The outcome: `currents` (steps,) [A], the cost they reach, a proven lower bound, and the costs of all starts.
+
+    `rms` (3,): body acceleration [m/s^2], suspension travel [m], dynamic tyre load [N] at the ends of control steps.
+    """
 
     currents: np.ndarray
     value: float
     lower: float | None
+    rms: np.ndarray
     starts: tuple[float, ...]
 
     @property
@@ -739,6 +744,7 @@ def clairvoyant(
     duration: float = 20.0,
     cost: StageCost | None = None,
     control_step: float = CONTROL_STEP,
+    slew_limit: float = SLEW_LIMIT,
     starts: int = 1,
     initial: Sequence[np.ndarray] = (),
     bound: bool = True,
@@ -746,7 +752,7 @@ def clairvoyant(
     """The best currents for one road, known in advance.
 
     The road is that of the environment with this `seed`, or `heights` [m] at 0, 1 ms, ... `starts`: how many of the
-    schedules to try (1 to 3); `initial`: currents (steps,) of other controllers to start from as well. `bound`: compute the
+    schedules to try (1 to 3); `slew_limit` [A] per control step; `initial`: currents (steps,) of other controllers to start from as well. `bound`: compute the
     lower bound too. Raises `InputError` for a network without a motor or with a lag or delay in its drive.
     """
     network = Network.load(network)
@@ -756,7 +762,9 @@ def clairvoyant(
         from gymnasium.utils import seeding
 
         heights = find_road(road).heights(duration, speed=speed, rng=seeding.np_random(seed)[0])
-    episode = Episode(network, heights, cost=cost or StageCost(), control_step=control_step)
+    episode = Episode(
+        network, heights, cost=cost or StageCost(), control_step=control_step, slew_limit=slew_limit
+    )
     tries = [episode.optimise(schedule) for schedule in SCHEDULES[:starts]]
     # a given start keeps its own pattern of sticking: begin at a friction that is but a little soft
     tries += [episode.optimise(Schedule(((2.0, 1e-4), (0.5, 1e-4), (0.0, 3e-5)), 15), I) for I in initial]
@@ -764,9 +772,11 @@ def clairvoyant(
         raise InputError(
             "nothing to start from: starts must be at least 1 where no initial currents are given"
         )
-    costs = [episode.value(episode.rollout(I), I) for I in tries]
+    outputs = [episode.rollout(I) for I in tries]
+    costs = [episode.value(Y, I) for Y, I in zip(outputs, tries, strict=True)]
     best = int(np.argmin(costs))
-    return Clairvoyant(tries[best], costs[best], episode.relaxation() if bound else None, tuple(costs))
+    rms = np.sqrt(np.mean(outputs[best] ** 2, axis=0))
+    return Clairvoyant(tries[best], costs[best], episode.relaxation() if bound else None, rms, tuple(costs))
 
 
 # ------------------------------------------------------------------------------------- values that are known
@@ -798,17 +808,16 @@ def _read(path: Path) -> dict[str, Any]:
         return {}
 
 
-def known(key: str) -> dict[int, tuple[float, float | None]]:
-    """Seed -> (value, lower bound) of all episodes that have been computed: shipped, or in the user's cache."""
-    out: dict[int, tuple[float, float | None]] = {}
-    for path in (_shipped(), _cached()):
-        for seed, (value, lower) in _read(path).get(key, {}).get("seeds", {}).items():
-            out[int(seed)] = (value, lower)
+def _known(key: str) -> dict[int, dict[str, Any]]:
+    """Seed -> figures of all episodes that have been computed: shipped, or in the user's cache."""
+    out: dict[int, dict[str, Any]] = {}
+    for path in (_cached(), _shipped()):
+        out |= {int(seed): found for seed, found in _read(path).get(key, {}).get("seeds", {}).items()}
     return out
 
 
-def reachable(
-    network: Network | str | Path,
+def reference(
+    network: Network | str | Path = "quarter-car-isd",
     road: str | Road = "paper",
     speed: float = 20.0,
     episodes: int = 32,
@@ -820,47 +829,55 @@ def reachable(
     starts: int = 2,
     store: Path | None = None,
     progress: Callable[[float], None] | None = None,
-) -> np.ndarray | None:
-    """Least known cost of each episode (episodes,): seeds `seed`, `seed + 1`, ...; None where one is not known.
+) -> dict[str, np.ndarray] | None:
+    """What is known of the episodes with seeds `seed`, `seed + 1`, ...; None where one of them is not known.
 
-    With `compute`, what is missing is computed (some 10 s an episode and start) and kept in the user's cache (or `store`).
+    Arrays (episodes,): `value` (the least cost known), `lower` (proven, NaN where there is none), and RMS of
+    `acceleration` [m/s^2], `travel` [m], `tyre_load` [N] at that cost. With `compute`, what is missing is computed (some
+    10 s an episode and start) and kept in the user's cache, or in the file `store`.
     """
     network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
     key = _key(network, ground, speed, duration, cost)
-    values = known(key)
+    known = _known(key)
     wanted = range(seed, seed + episodes)
-    if not compute and any(s not in values for s in wanted):
+    if not compute and any(s not in known for s in wanted):
         return None
-    path = store or _cached()
     for i, s in enumerate(wanted):
-        if s not in values:
+        if s not in known:
             found = clairvoyant(
                 network, seed=s, road=ground, speed=speed, duration=duration, cost=cost, starts=starts
             )
-            values[s] = found.value, found.lower
-            _keep(path, key, network, ground, speed, duration, s, found)
+            figures = (found.value, found.lower, *found.rms)
+            known[s] = {
+                n: None if x is None else float(f"{x:.6g}") for n, x in zip(FIGURES, figures, strict=True)
+            }
+            about = {"network": network.name, "road": ground.name, "speed": speed, "duration": duration}
+            _keep(store or _cached(), key, about, s, known[s])
         if progress is not None:
             progress((i + 1) / episodes)
-    return np.array([values[s][0] for s in wanted])
+    return {n: np.array([math.nan if known[s][n] is None else known[s][n] for s in wanted]) for n in FIGURES}
 
 
-def _keep(
-    path: Path,
-    key: str,
-    network: Network,
-    road: Road,
-    speed: float,
-    duration: float,
-    seed: int,
-    found: Clairvoyant,
-) -> None:
+FIGURES = ("value", "lower", "acceleration", "travel", "tyre_load")
+
+
+def reachable(
+    network: Network | str | Path,
+    road: str | Road = "paper",
+    speed: float = 20.0,
+    episodes: int = 32,
+    seed: int = 0,
+    duration: float = 20.0,
+    cost: StageCost | None = None,
+) -> np.ndarray | None:
+    """Least known cost of each episode (episodes,) for the score; None where one is not known (see `reference`)."""
+    found = reference(network, road, speed, episodes, seed, duration, cost)
+    return None if found is None else found["value"]
+
+
+def _keep(path: Path, key: str, about: dict[str, Any], seed: int, figures: dict[str, Any]) -> None:
     data = _read(path)
-    about = {"network": network.name, "road": road.name, "speed": speed, "duration": duration}
-    entry = data.setdefault(key, {**about, "seeds": {}})
-    entry["seeds"][str(seed)] = [
-        round(found.value, 6),
-        None if found.lower is None else round(found.lower, 6),
-    ]
+    data.setdefault(key, {**about, "seeds": {}})["seeds"][str(seed)] = figures
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(data, indent=1) + "\n")
@@ -870,12 +887,11 @@ def _keep(
 
 def main() -> None:
     """``python -m baselines.clairvoyant``: compute what the shipped file lacks (delete it to begin anew)."""
-    reachable(
-        "quarter-car-isd",
-        compute=True,
-        store=_shipped(),
-        progress=lambda share: print(f"{100 * share:.0f} %"),
-    )
+
+    def say(share: float) -> None:
+        print(f"{100 * share:.0f} %", flush=True)
+
+    reference(compute=True, store=_shipped(), progress=say)
 
 
 if __name__ == "__main__":
