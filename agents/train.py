@@ -37,6 +37,7 @@ ENV_ID = "ISDSuspension-v0"
 #: validation roads, seen neither in training (seeds from 2e6) nor in scoring (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 16
 SCORE_EPISODES = 32
+ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
 BASELINES = ("lqg", "mpc")  # shown beside the progress, where they exist
 
 
@@ -101,6 +102,8 @@ class Run:
             "settings": describe(settings),
             "network": plant.to_dict(),
         }
+        #: running mean of the actor's weights
+        self.average: dict[str, np.ndarray] = {}
         #: what a checkpoint carries besides the learner
         self.state: dict[str, Any] = {"seconds": 0.0, "environment_seconds": 0.0, "curve": []}
 
@@ -143,12 +146,13 @@ class Run:
         temporary = self.out / f".{name}"
         temporary.mkdir()
         model.save(temporary / "model.zip")
+        arrays: dict[str, Any] = dict(self.average)
+        np.savez(temporary / "average.npz", **arrays)
         if hasattr(model, "replay_buffer"):
             buffer = model.replay_buffer
-            arrays = {k: getattr(buffer, k) for k in BUFFER}
             held = buffer.buffer_size if buffer.full else buffer.pos
-            for key, value in arrays.items():
-                np.save(temporary / f"{key}.npy", value[:held])
+            for key in BUFFER:
+                np.save(temporary / f"{key}.npy", getattr(buffer, key)[:held])
             self.state["buffer"] = [int(buffer.pos), bool(buffer.full)]
         (temporary / "state.json").write_text(json.dumps(self.state))
         for file in temporary.iterdir():
@@ -194,6 +198,8 @@ class Run:
             self.state = json.loads((checkpoint / "state.json").read_text())
             done = int(checkpoint.name.removeprefix("checkpoint-"))
             model = kind.load(checkpoint / "model.zip", env=env, device="cpu", tensorboard_log=tensorboard)
+            with np.load(checkpoint / "average.npz", allow_pickle=False) as held:
+                self.average = {k: held[k] for k in held.files}
             if self.algorithm == "sac":
                 restore_buffer(model.replay_buffer, checkpoint, self.state["buffer"])
             # fresh roads: those of the seed and the steps done, never those already driven
@@ -221,6 +227,7 @@ class Run:
                 tb_log_name=self.algorithm,
                 log_interval=1 if self.algorithm == "ppo" else 50,
             )
+            self.follow(model, s.averaging)
             self.look(model, env)
             self.save(model)
         env.close()
@@ -245,13 +252,23 @@ class Run:
     def _seed(self, done: int) -> int:
         return 2_000_000 + (self.seed * 1_000_003 + done) % 4_000_000_000
 
+    def follow(self, model: Any, keep: float) -> None:
+        """Move the running mean of the actor's weights towards the present ones.
+
+        Near the optimum an update is mostly noise, which a mean over updates takes away.
+        """
+        for name, value in model.policy.state_dict().items():
+            if name.startswith(ACTOR):
+                now = value.detach().numpy()
+                old = self.average.get(name)
+                self.average[name] = now.copy() if old is None else keep * old + np.float32(1 - keep) * now
+
     def export(self, model: Any) -> Policy:
-        """The learner's present deterministic policy."""
+        """The deterministic policy of the averaged weights."""
         from .convert import build
 
-        state = {k: v.detach().cpu().numpy() for k, v in model.policy.state_dict().items()}
         return build(
-            state,
+            self.average,
             activation="tanh" if self.algorithm == "ppo" else "relu",
             memory=self.settings.memory,
             head=self.settings.head,
@@ -372,6 +389,7 @@ def _callback(run: Run, env: Any) -> Any:
         def _on_training_start(self) -> None:
             self.clock, self.env_clock = time.perf_counter(), env.seconds
             self.saved = time.perf_counter()
+            self.rounds = 0 if not run.average else 1_000_000
             curve = run.state["curve"]
             self.due = curve[-1]["steps"] + self._every() if curve else 0
 
@@ -385,6 +403,13 @@ def _callback(run: Run, env: Any) -> Any:
             self.clock, self.env_clock = now, env.seconds
 
         def _on_rollout_start(self) -> None:
+            # the first steps are remembered less, so that the start does not weigh on the mean
+            self.rounds += 1
+            run.follow(self.model, min(run.settings.averaging, self.rounds / (self.rounds + 9)))
+            if isinstance(run.settings, SACSettings) and run.settings.teacher is not None:
+                # the critic learns the warm policy's worth before the actor follows it
+                model: Any = self.model
+                model.actor.requires_grad_(model._n_updates >= run.settings.critic_updates)
             if self.model.num_timesteps >= self.due:
                 self._tick()
                 run.look(self.model, env)

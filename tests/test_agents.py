@@ -67,7 +67,7 @@ def test_memory_is_the_signals_their_changes_and_their_leaky_integral(rng):
     np.testing.assert_allclose(features[:2], x[4, 0] / [2.0, 4.0], rtol=1e-6)
     np.testing.assert_allclose(features[2:4], (x[4, 0] - x[3, 0]) / [0.5, 0.25], rtol=1e-5)
     second = x[4, 0] - 2 * x[3, 0] + x[2, 0]
-    np.testing.assert_allclose(features[4:6], second / [0.25, 0.125], rtol=1e-4)
+    np.testing.assert_allclose(features[4:6], second / [0.5, 0.25], rtol=1e-4)
     integral = sum(0.01 * x[k, 0, 1] * 0.9 ** (4 - k) for k in range(1, 5))
     assert features[6] == pytest.approx(integral / 3.0, rel=1e-5)
 
@@ -401,11 +401,10 @@ def brief(monkeypatch):
     monkeypatch.setattr(module, "BASELINES", ())
     monkeypatch.setattr(module, "drive", lambda *a, drive=module.drive, **k: drive(*a, **k, duration=0.5))
     monkeypatch.setattr(module, "score", lambda *a, score=module.score, **k: score(*a, **k, duration=0.5))
-    ppo = PPOSettings(
-        steps=2048, cars=16, horizon=16, batch=64, epochs=1, evaluations=4, checkpoint_seconds=0.0
-    )
+    few = dict(warm_steps=300, warm_updates=20, preview=0.05, evaluations=4, checkpoint_seconds=0.0)
+    ppo = PPOSettings(steps=2048, cars=16, horizon=16, batch=64, epochs=1, **few)
     sac = SACSettings(
-        steps=1024, cars=16, batch=32, buffer=512, warm_up=64, evaluations=4, checkpoint_seconds=0.0
+        steps=1024, cars=16, batch=32, buffer=512, warm_up=64, critic_updates=4, teacher=None, **few
     )
     return {"ppo": ppo, "sac": sac}
 
@@ -461,3 +460,51 @@ def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
         train("ppo", tmp_path)
     with pytest.raises(InputError, match="algorithm"):
         train("dqn", tmp_path)
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")
+def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
+    """A few hundred updates are enough to be far better than no current at all."""
+    from agents.train import train
+
+    settings = replace(
+        brief["sac"], teacher="lqg", steps=16, warm_steps=600, warm_updates=400, critic_updates=10
+    )
+    report = train("sac", tmp_path / "run", settings=settings, say=lambda line: None)
+    first = report["training"]["curve"][0]
+    assert first["steps"] == 0
+    assert first["cost"] < 0.95 * report["training"]["references"]["passive"]
+
+
+@needs_sb3
+def test_the_road_ahead_is_the_critic_s_alone(sb3):
+    import torch
+    from gymnasium import spaces
+
+    from agents.critic import PPOPolicy, SACPolicy
+
+    box = spaces.Box(-1.0, 1.0, (6,), np.float32)
+    action = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    for kind, arch in ((PPOPolicy, dict(pi=[8], vf=[8])), (SACPolicy, dict(pi=[8], qf=[8]))):
+        policy = kind(box, action, lambda _: 1e-3, seen=4, net_arch=arch)
+        x, y = torch.zeros(1, 6), torch.zeros(1, 6)
+        y[0, 4:] = 1.0
+        same, other = (policy._predict(v, deterministic=True) for v in (x, y))
+        assert torch.equal(same, other)
+        if kind is PPOPolicy:
+            assert not torch.equal(policy.predict_values(x), policy.predict_values(y))
+        else:
+            assert not torch.equal(policy.critic(x, same)[0], policy.critic(y, same)[0])
+
+
+@needs_sb3
+def test_the_guide_s_own_algorithm_runs(sb3, capsys):
+    page = Path(__file__).parents[1] / "docs" / "guides" / "own-algorithm.md"
+    code = page.read_text().split("```python\n")[1].split("```")[0]
+    code = code.replace(
+        "CARS, HORIZON, UPDATES, EPOCHS, BATCH = 256, 64, 200,",
+        "CARS, HORIZON, UPDATES, EPOCHS, BATCH = 4, 8, 1,",
+    )
+    exec(compile(code, str(page), "exec"), {})
+    assert "M steps, J" in capsys.readouterr().out

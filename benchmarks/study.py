@@ -1,0 +1,217 @@
+"""The study: PPO and SAC over training seeds against the baselines, paired on held-out roads.
+
+    python benchmarks/study.py collect RUN... --out benchmarks/study.json   # runs of `isd-gym train`, any seeds
+    python benchmarks/study.py table benchmarks/study.json
+    python benchmarks/study.py draw benchmarks/study.json --out docs/figures
+
+`collect` drives every policy over the same roads in every condition and stores the cost of each episode and the
+learning curves: a small file from which table and figures are redrawn. The point estimate over training seeds is the
+interquartile mean, its 95 % interval a stratified bootstrap over seeds and roads (Agarwal et al., NeurIPS 2021).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.policy import Policy
+from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
+from isd_gym.files import write_text
+from isd_gym.network import Network
+from isd_gym.policies import conventional, find
+from isd_gym.scoring import Entry, drive
+
+SCHEMA = "isd-study/1"
+BASELINES = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction")
+#: name -> road, speed [m/s], factors on the plant's parameters; every controller keeps believing in the nominal car
+CONDITIONS: dict[str, tuple[str, float, dict[str, float]]] = {
+    "training road": ("paper", 20.0, {}),
+    "rough road": ("C", 20.0, {}),
+    "slow": ("paper", 12.0, {}),
+    "fast": ("paper", 30.0, {}),
+    "body 20 % heavier": ("paper", 20.0, {"body.mass": 1.2}),
+    "friction 50 % higher": ("paper", 20.0, {"seal.level": 1.5}),
+}
+RESAMPLES = 4000
+
+
+def collect(
+    runs: list[Path], episodes: int, seed: int, baselines: tuple[str, ...] = BASELINES
+) -> dict[str, Any]:
+    """Costs (episodes,) of every policy in every condition, and the learning curves of the runs."""
+    nominal, cost = Network.load("quarter-car-isd"), StageCost()
+    entries: dict[str, Entry] = {}
+    for name in baselines:
+        try:
+            entries[name] = find(name, nominal)
+        except InputError:
+            print(f"no baseline '{name}', left out")
+    curves: dict[str, Any] = {}
+    for folder in runs:
+        policy = Policy.load(folder / "policy" if (folder / "policy").is_dir() else folder)
+        key = f"{policy.info['algorithm']}/{policy.info['training']['seed']}"
+        if key in entries:
+            raise InputError(f"two runs of {key}")
+        entries[key] = Entry(key, policy.copy)
+        curves[key] = policy.info["training"]
+    costs: dict[str, dict[str, list[float]]] = {}
+    for condition, (road, speed, factors) in CONDITIONS.items():
+        plant = nominal.with_parameters({k: nominal.parameters[k] * f for k, f in factors.items()})
+        costs[condition] = {}
+        for key, entry in entries.items():
+            own = Entry(key, entry.make, conventional(plant) if key == "passive" else None)
+            run = drive(own, plant, road=road, speed=speed, episodes=episodes, seed=seed)
+            costs[condition][key] = [round(float(j), 6) for j in run.cost(cost)]
+            print(f"{condition:<22} {key:<14} J {np.mean(costs[condition][key]):.4f}", flush=True)
+    return {
+        "schema": SCHEMA,
+        "network": nominal.name,
+        "episodes": episodes,
+        "seed": seed,
+        "conditions": {k: {"road": r, "speed": s, "factors": f} for k, (r, s, f) in CONDITIONS.items()},
+        "costs": costs,
+        "training": curves,
+    }
+
+
+def iqm(values: np.ndarray) -> np.ndarray:
+    """Interquartile mean along the first axis: the mean of the middle half."""
+    ordered = np.sort(values, axis=0)
+    cut = len(ordered) // 4
+    return ordered[cut : len(ordered) - cut].mean(axis=0)
+
+
+def change(own: np.ndarray, reference: np.ndarray, rng: np.random.Generator) -> tuple[float, float, float]:
+    """IQM over training seeds of the relative change of cost, and its 95 % interval.
+
+    own (seeds, episodes), reference (episodes,): costs on the same roads.
+    """
+    seeds, episodes = own.shape
+    value = float(iqm(own.mean(axis=1) / reference.mean() - 1))
+    drawn = np.empty(RESAMPLES)
+    for k in range(RESAMPLES):
+        roads = rng.integers(episodes, size=episodes)
+        some = rng.integers(seeds, size=seeds)
+        drawn[k] = iqm(own[some][:, roads].mean(axis=1) / reference[roads].mean() - 1)
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return value, float(low), float(high)
+
+
+def groups(costs: dict[str, list[float]]) -> dict[str, np.ndarray]:
+    """Costs by policy (seeds, episodes); the training seeds of an algorithm together."""
+    out: dict[str, list[list[float]]] = {}
+    for key, values in costs.items():
+        out.setdefault(key.partition("/")[0], []).append(values)
+    return {k: np.array(v) for k, v in out.items()}
+
+
+def best_mpc(costs: dict[str, np.ndarray]) -> str:
+    """The MPC of least mean cost."""
+    return min((k for k in costs if k.startswith("mpc")), key=lambda k: costs[k].mean())
+
+
+def table(study: dict[str, Any]) -> str:
+    """The outcome as a Markdown table."""
+    lines = [
+        "| condition | policy | training seeds | J | against passive | against the best MPC |",
+        "|---|---|---|---|---|---|",
+    ]
+    for condition, costs in study["costs"].items():
+        by = groups(costs)
+        rival = best_mpc(by) if any(k.startswith("mpc") for k in by) else None
+        for name, own in by.items():
+            cells = []
+            for reference in ("passive", rival):
+                if reference is None or name in ("passive", reference):
+                    cells.append("")
+                    continue
+                v, low, high = change(own, by[reference][0], np.random.default_rng(0))
+                cells.append(f"{100 * v:+.1f} % [{100 * low:+.1f}, {100 * high:+.1f}]")
+            seeds = len(own) if name in ("ppo", "sac") else ""
+            lines.append(
+                f"| {condition} | {name} | {seeds} | {iqm(own.mean(axis=1)):.4f} | {' | '.join(cells)} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def draw(study: dict[str, Any], out: Path) -> list[Path]:
+    """Learning curves and the comparison, as SVG files in `out`."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    out.mkdir(parents=True, exist_ok=True)
+    colours = {"ppo": "tab:blue", "sac": "tab:orange"}
+    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    for key, training in study["training"].items():
+        name = key.partition("/")[0]
+        x = [row["steps"] / 1e6 for row in training["curve"]]
+        axes.plot(
+            x, [row["cost"] for row in training["curve"]], color=colours[name], alpha=0.7, label=name.upper()
+        )
+    references = next(iter(study["training"].values()))["references"] if study["training"] else {}
+    for name, j in references.items():
+        axes.axhline(j, color="0.5", linestyle=":", linewidth=1)
+        axes.text(axes.get_xlim()[1], j, f" {name}", va="center", fontsize=8)
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    axes.legend(handles.values(), handles.keys())
+    axes.set(xlabel="control steps [million]", ylabel="cost J on validation roads [-]")
+    first = out / "learning_curves.svg"
+    figure.savefig(first)
+    plt.close(figure)
+
+    conditions = list(study["costs"])
+    figure, grid = plt.subplots(
+        1, len(conditions), figsize=(3 * len(conditions), 3.5), sharey=True, layout="constrained"
+    )
+    for axes, condition in zip(grid, conditions, strict=True):
+        by = groups(study["costs"][condition])
+        names = [n for n in by if n != "passive"]
+        for i, name in enumerate(names):
+            v, low, high = change(by[name], by["passive"][0], np.random.default_rng(0))
+            axes.plot([100 * low, 100 * high], [i, i], color=colours.get(name, "0.4"), linewidth=3)
+            axes.plot(100 * v, i, "o", color=colours.get(name, "0.4"))
+        axes.set_yticks(range(len(names)), names)
+        axes.axvline(0.0, color="0.8", linewidth=1)
+        axes.set(title=condition, xlabel="J against passive [%]")
+    second = out / "study.svg"
+    figure.savefig(second)
+    plt.close(figure)
+    return [first, second]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("collect")
+    one.add_argument("runs", nargs="+", type=Path)
+    one.add_argument("--out", type=Path, required=True)
+    one.add_argument("--episodes", type=int, default=32)
+    one.add_argument("--seed", type=int, default=0)
+    for name in ("table", "draw"):
+        other = commands.add_parser(name)
+        other.add_argument("study", type=Path)
+        if name == "draw":
+            other.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    if given.command == "collect":
+        write_text(given.out, json.dumps(collect(given.runs, given.episodes, given.seed)) + "\n")
+        return
+    study = json.loads(given.study.read_text())
+    if given.command == "table":
+        print(table(study), end="")
+    else:
+        for path in draw(study, given.out):
+            print(path)
+
+
+if __name__ == "__main__":
+    main()
