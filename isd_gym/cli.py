@@ -89,7 +89,9 @@ def _lines() -> Iterator[Callable[[str], None]]:
     with console.status("starting") as status:
 
         def say(line: str) -> None:
-            console.print(f"{time.monotonic() - begun:6.1f} s  {line}", style="dim", highlight=False, markup=False)
+            console.print(
+                f"{time.monotonic() - begun:6.1f} s  {line}", style="dim", highlight=False, markup=False
+            )
             status.update("working")
 
         yield say
@@ -320,7 +322,9 @@ def simulate(
 def diagnose(
     data: Annotated[
         list[Path],
-        typer.Argument(help="Measured records: CSV, Parquet, .mat, .mf4, with time and the model's channels."),
+        typer.Argument(
+            help="Measured records: CSV, Parquet, .mat, .mf4, with time and the model's channels."
+        ),
     ],
     model: Annotated[str, typer.Option(help="The model as you believe it: a file or a built-in network.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for the result.", metavar="DIR")],
@@ -399,7 +403,9 @@ def _print_diagnosis(result: Any) -> None:
         made.add_row(channel, *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
     console.print(made)
     if result.closed is not None:
-        console.print(f"{100 * result.closed:.1f} % of the gap that can be closed is closed.", highlight=False)
+        console.print(
+            f"{100 * result.closed:.1f} % of the gap that can be closed is closed.", highlight=False
+        )
 
 
 @app.command()

@@ -80,9 +80,9 @@ def check_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -
     """Raise `InputError` where `whole_folder` would not write, so that long work does not begin in vain."""
     path = Path(path)
     if path.is_symlink() or (path.exists() and not path.is_dir()):
-        raise InputError(f"cannot write {kind} to '{path}': it is no folder")
+        raise InputError(f"cannot write a {kind} to '{path}': it is no folder")
     if not path.name or path.resolve() == Path.cwd():
-        raise InputError(f"cannot write {kind} to '{path}': name a folder of its own")
+        raise InputError(f"cannot write a {kind} to '{path}': name a folder of its own")
     if not path.is_dir():
         return
     there = sorted(p.name for p in path.iterdir())
@@ -92,4 +92,6 @@ def check_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -
             f"folder '{path}' is not empty and holds no earlier {kind} (it holds {there[0]}); name another"
         )
     if strange:
-        raise InputError(f"folder '{path}' also holds {strange[0]}, which is no part of {kind}; name another")
+        raise InputError(
+            f"folder '{path}' also holds {strange[0]}, which is no part of a {kind}; name another"
+        )

@@ -97,7 +97,7 @@ def style() -> Iterator[None]:
     """Figures made and saved inside are in the project's style."""
     from matplotlib import rc_context
 
-    with rc_context(STYLE):
+    with rc_context(STYLE):  # type: ignore[arg-type]
         yield
 
 
@@ -221,7 +221,12 @@ def score_report(score: Score, folder: str | Path) -> Path:
     with style(), whole_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS) as place:
         pictures = []
         for draw, name, title, alt in (
-            (trade_off, "trade_off", "The trade-off", "Change of acceleration over change of travel, by policy"),
+            (
+                trade_off,
+                "trade_off",
+                "The trade-off",
+                "Change of acceleration over change of travel, by policy",
+            ),
             (histories, "histories", "In time", "Signals of one episode over time"),
             (spectra, "spectra", "In frequency", "Power spectral densities over frequency"),
             (distribution, "episodes", "Episode by episode", "Paired changes of every episode, by policy"),
@@ -229,6 +234,8 @@ def score_report(score: Score, folder: str | Path) -> Path:
         ):
             fig = figure()
             caption = draw(fig, shown)
+            if not caption:
+                continue
             data = embedded(save(fig, place / f"{name}.png"))
             pictures.append(Picture(f"{name}.png", title, alt, caption, data, pixels(fig)))
         write_text(place / "score.json", json.dumps(score.to_dict(), indent=1, allow_nan=False) + "\n")
@@ -241,7 +248,7 @@ def check_report(folder: str | Path) -> None:
     check_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS)
 
 
-SCORE_KIND = "a score report"
+SCORE_KIND = "score report"
 SCORE_PARTS = ("index.html", "score.json", "*.png")
 #: column of the table -> heading, unit, scale, decimals
 COLUMNS = {
@@ -306,8 +313,14 @@ class Shown:
             f"{COLUMNS[k][0]} {percent(row[k]['change'])}" for k in list(COLUMNS)[1:] if "change" in row[k]
         ]
         share = row["share_of_reachable_gain"]
-        reached = "" if share is None else f" That is {percent(share, 0, sign=False)} of the gain that is reachable on these roads."
-        level = f" Level with it, as far as these episodes tell: {', '.join(self.level)}." if self.level else ""
+        reached = (
+            ""
+            if share is None
+            else f" That is {percent(share, 0, sign=False)} of the gain that is reachable on these roads."
+        )
+        level = (
+            f" Level with it, as far as these episodes tell: {', '.join(self.level)}." if self.level else ""
+        )
         return (
             f"{self.best} costs {percent(-q['change'], sign=False)} less than {self.reference} (95 % interval "
             f"{percent(-q['high'], sign=False)} to {percent(-q['low'], sign=False)}): {', '.join(parts)}.{reached}{level}"
@@ -407,6 +420,8 @@ def spectra(fig: Figure, shown: Shown) -> str:
         ("suspension_travel", "suspension travel", "mm²/Hz", 1e3),
         ("tyre_load", "dynamic tyre load", "N²/Hz", 1.0),
     ]
+    if not all(np.any(getattr(shown.runs[shown.reference], key)) for key, _, _, _ in columns):
+        return ""  # nothing moves
     few, left_out = shown.few(3)
     fig.set_size_inches(7.6, 4.6)
     axes = fig.subplots(2, 3, sharex=True, height_ratios=[1.7, 1.0])
@@ -466,7 +481,18 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
         out = []
         for tyre in (0.0, 0.03):
             try:
-                out.append((tyre, point.load()(tyre, travel, network=Network.load(score.network), speed=score.speed, road=score.road)))
+                out.append(
+                    (
+                        tyre,
+                        point.load()(
+                            tyre,
+                            travel,
+                            network=Network.load(score.network),
+                            speed=score.speed,
+                            road=score.road,
+                        ),
+                    )
+                )
             except InputError:  # a road or a car for which there is no such bound
                 return []
         return [(tyre, curve) for tyre, curve in out if len(curve) > 2]
@@ -603,7 +629,13 @@ def distribution(fig: Figure, shown: Shown) -> str:
             lift = 0.22 * (2 * np.mod(order * 0.61803398875, 1.0) - 1)
             ax.plot(values, i + lift, "o", color=look.colour, ms=3.0, mew=0, alpha=0.45)
             if "change" in q:
-                ax.plot([100 * q["low"], 100 * q["high"]], [i, i], color=look.colour, lw=3.5, solid_capstyle="butt")
+                ax.plot(
+                    [100 * q["low"], 100 * q["high"]],
+                    [i, i],
+                    color=look.colour,
+                    lw=3.5,
+                    solid_capstyle="butt",
+                )
                 ax.plot(100 * q["change"], i, look.marker, mfc="white", mec=look.colour, mew=1.4, ms=6)
         ax.set_title(title)
         ax.set_xlabel("change [%]")
@@ -639,7 +671,9 @@ def limits(fig: Figure, shown: Shown) -> str:
             if not values.any():
                 continue
             share = 1.0 - np.arange(len(values)) / len(values)
-            pick = np.unique(np.geomspace(1, len(values), 400).astype(int))  # as dense in the tail as in the bulk
+            pick = np.unique(
+                np.geomspace(1, len(values), 400).astype(int)
+            )  # as dense in the tail as in the bulk
             pick = np.unique(np.concatenate([len(values) - pick, [0]]))
             ax.semilogy(values[pick], share[pick], color=look.colour, ls=look.line, lw=look.width, label=name)
         ax.axvline(top, color=INK, lw=1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,6 +39,7 @@ from .simulate import SI
 from .units import convert
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from .discrepancy import Diagnosis, Effect, Law, Trace
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PARTS = ("report.html", "diagnosis.json", "model.json", "*.png")
-KIND = "a diagnosis"
+KIND = "diagnosis"
 
 TITLES = {
     "missing_effect": "A physical effect is missing",
@@ -114,7 +116,14 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
             if caption:
                 path = save(fig, place / f"{name}.png")
                 pictures[name] = Picture(path.name, title, alt, caption, embedded(path), pixels(fig))
-        html = page("diagnosis.html", d=diagnosis, view=view, pictures=pictures, about=dict(about or {}), stages=STAGES)
+        html = page(
+            "diagnosis.html",
+            d=diagnosis,
+            view=view,
+            pictures=pictures,
+            about=dict(about or {}),
+            stages=STAGES,
+        )
         write_text(place / "report.html", html)
     return folder / "report.html"
 
@@ -142,6 +151,8 @@ class View:
         self.d = d = diagnosis
         self.named = bool(d.effects)
         self.title = TITLES.get(d.verdict, d.verdict)
+        if self.named and all(e.channel for e in d.effects):
+            self.title = "A sensor is off; the physics agrees"
         self.channels = list(d.gap.get("refit", {}))
         held = [t for t in d.traces if t.held_out] or list(d.traces)
         self.trace: Trace | None = max(held, key=lambda t: len(t.time)) if held else None
@@ -152,7 +163,9 @@ class View:
 
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
-        peak = max((float(np.abs(t.measured[name]).max()) for t in self.d.traces if name in t.measured), default=1.0)
+        peak = max(
+            (float(np.abs(t.measured[name]).max()) for t in self.d.traces if name in t.measured), default=1.0
+        )
         if unit == "m" and peak < 0.5:
             return Scale(1e3, "mm")
         if unit == "N" and peak >= 5e3:
@@ -163,7 +176,11 @@ class View:
         """``coulomb friction between piston and joint``."""
         if e.channel is not None:
             return f"{channel_text(e.effect)} in {channel_text(e.channel)}"
-        return f"{channel_text(e.effect)} between {e.between[0]} and {e.between[1]}" if e.between else channel_text(e.effect)
+        return (
+            f"{channel_text(e.effect)} between {e.between[0]} and {e.between[1]}"
+            if e.between
+            else channel_text(e.effect)
+        )
 
     def contender_text(self, c: Any) -> str:
         parts = []
@@ -175,6 +192,11 @@ class View:
     def quantity(self, q: Any) -> str:
         """``296.6 N``: the value with as many digits as its interval warrants."""
         return f"{_digits(q.value, q.low, q.high)}\u00a0{unit_text(q.unit)}".strip()
+
+    @staticmethod
+    def figure(value: float) -> str:
+        """A figure of a gate: three digits at most, no exponent."""
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
     def interval(self, q: Any) -> str:
         return f"{_digits(q.low, q.low, q.high)} to {_digits(q.high, q.low, q.high)}"
@@ -202,7 +224,11 @@ class View:
     @property
     def sums(self) -> str:
         """The gap in one clause: how much of what could be closed is closed."""
-        return "" if self.d.closed is None else f"{percent(self.d.closed, 1, sign=False)} of the gap that can be closed is closed"
+        return (
+            ""
+            if self.d.closed is None
+            else f"{percent(self.d.closed, 1, sign=False)} of the gap that can be closed is closed"
+        )
 
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
@@ -215,12 +241,16 @@ class View:
 
 
 def _digits(value: float, low: float, high: float) -> str:
-    """Digits down to a tenth of the interval's half width, at least three."""
+    """`value` to two digits of its interval's half width, six in all at most."""
     half = 0.5 * abs(high - low)
-    if not (np.isfinite(half) and half > 0 and value):
+    size = max(abs(low), abs(high))
+    if not (np.isfinite(half) and half > 0 and size > half * 1e-12):
         return number(value, 4)
-    digits = int(np.clip(np.floor(np.log10(abs(value) / half)) + 2, 3, 6))
-    return number(value, digits)
+    if not 1e-3 <= size < 1e6:
+        return number(value, int(np.clip(np.floor(np.log10(size / half)) + 2, 2, 5)))
+    places = 1 - math.floor(math.log10(half))
+    places = min(places, 5 - math.floor(math.log10(size)))
+    return f"{round(value, places) + 0.0:.{max(0, places)}f}".replace("-", "−")
 
 
 # ------------------------------------------------------------------------------------------ the missing force
@@ -266,7 +296,9 @@ def clouds(view: View) -> list[Cloud]:
     return out
 
 
-def _cloud(view: View, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[str]) -> Cloud | None:
+def _cloud(
+    view: View, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[str]
+) -> Cloud | None:
     d = view.d
     if not set(pair) <= {*d.refitted.nodes, "ground"}:
         return None
@@ -284,7 +316,13 @@ def _cloud(view: View, trace: Trace, pair: tuple[str, str], laws: list[Law], eff
     edge = max(1, len(trace.time) // 20)  # the taper's ends
     keep = slice(edge, -edge)
     return Cloud(
-        pair, tuple(laws), tuple(effects), travel[keep], rate[keep], before[keep], None if after is None else after[keep]
+        pair,
+        tuple(laws),
+        tuple(effects),
+        travel[keep],
+        rate[keep],
+        before[keep],
+        None if after is None else after[keep],
     )
 
 
@@ -301,7 +339,9 @@ class Probe:
     samples: int
 
     @classmethod
-    def of(cls, network: Network, pair: tuple[str, str], names: list[str], step: float, samples: int) -> Probe:
+    def of(
+        cls, network: Network, pair: tuple[str, str], names: list[str], step: float, samples: int
+    ) -> Probe:
         """The linear response about rest. Raises `InputError` where there is none."""
         name = network.free_name("missing_force")
         outputs = []
@@ -309,17 +349,23 @@ class Probe:
             if c.name in names:
                 beside = c.element is not None and any(network.element(e).where == pair for e in c.elements)
                 outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
-        outputs += [Channel("_d", "displacement", "m", between=pair), Channel("_v", "velocity", "m/s", between=pair)]
+        outputs += [
+            Channel("_d", "displacement", "m", between=pair),
+            Channel("_v", "velocity", "m/s", between=pair),
+        ]
         kept = tuple(e for e in network.elements if e.place == "between")
         probe = Network(
             network.name,
             network.masses,
             (*kept, el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)),  # type: ignore[call-arg]
-            (*(c for c in network.inputs if c.quantity != "current"), Channel(name, "current", "A", element=name)),
+            (
+                *(c for c in network.inputs if c.quantity != "current"),
+                Channel(name, "current", "A", element=name),
+            ),
             tuple(outputs),
         )
         space = linearise(probe)
-        frequency = np.fft.rfftfreq(samples, step)
+        frequency = np.asarray(np.fft.rfftfreq(samples, step), np.float64)
         low, high = max(0.1, 2.0 / (samples * step)), min(60.0, 0.4 / step)
         band = np.flatnonzero((frequency >= low) & (frequency <= high))
         if len(band) < 10:
@@ -342,7 +388,12 @@ class Probe:
 
         taper = tukey(self.samples, 0.1)
         band = slice(self.first, self.first + len(self.frequency))
-        R = np.stack([np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names], axis=1) * self.factors
+        R = (
+            np.stack(
+                [np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names], axis=1
+            )
+            * self.factors
+        )
         S = (np.maximum([noise[n] for n in self.names], 1e-12) * self.factors) ** 2 * float(np.sum(taper**2))
         seen = np.sum(np.abs(self.gain) ** 2 / S, axis=1)
         sought = np.sum(self.gain.conj() * R / S, axis=1)
@@ -365,15 +416,14 @@ def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array
     from .discrepancy.fit import Fitter
     from .discrepancy.hypotheses import base_structure
     from .discrepancy.problem import Problem, Record
-    from .discrepancy.workflow import derivatives
 
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
-    record = Record(trace.name, step, trace.inputs, measured)
-    record = replace(record, slopes=derivatives(record, network).slopes)
-    problem = Problem(network, [record], [False])
-    fit = Fitter(problem, plain(problem, measured.std(axis=0))).fit(base_structure(network), frozen=True, iterations=3)
+    problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)], [False])
+    fit = Fitter(problem, plain(problem, measured.std(axis=0))).fit(
+        base_structure(network), frozen=True, iterations=3
+    )
     found = motions(problem, fit)
     if pair in found:
         m, sign = found[pair], 1.0
@@ -392,9 +442,9 @@ def draw_gap(fig: Figure, view: View) -> str:
     d = view.d
     fig.set_size_inches(7.2, 0.95 + 0.42 * len(view.channels))
     ax = fig.subplots()
-    marks = {
-        "before": dict(marker="s", mfc="white", mec=MUTED, ms=6.5),
-        "refit": dict(marker="D", mfc="white", mec=VERMILLION, ms=6.5),
+    marks: dict[str, dict[str, Any]] = {
+        "before": dict(marker="s", mfc="white", mec=MUTED, ms=6.5, mew=1.5),
+        "refit": dict(marker="D", mfc="white", mec=VERMILLION, ms=6.5, mew=1.5),
         "after": dict(marker="o", mfc=BLUE, mec=BLUE, ms=7.5),
         "noise_floor": dict(marker="|", mfc=INK, mec=INK, ms=15, mew=1.8),
     }
@@ -404,11 +454,12 @@ def draw_gap(fig: Figure, view: View) -> str:
         ax.plot([min(values), max(values)], [y, y], color=PALE, lw=4, solid_capstyle="round", zorder=1)
     for stage in view.stages:
         x = [max(100 * d.gap[stage][c], 1e-3) for c in view.order]
-        ax.plot(x, rows, ls="none", mew=1.5 if stage != "noise_floor" else 1.8, label=STAGES[stage][0], zorder=3,
-                **{k: v for k, v in marks[stage].items() if k != "mew"})  # fmt: skip
+        ax.plot(x, rows, ls="none", label=STAGES[stage][0], zorder=3, **marks[stage])
     ax.set_xscale("log")
     low, high = ax.get_xlim()
-    ticks = [t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high]
+    ticks = [
+        t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high
+    ]
     ax.set_xticks(ticks, [f"{t:g} %" for t in ticks])
     ax.minorticks_off()
     ax.set_yticks(rows, [channel_text(c) for c in view.order])
@@ -417,7 +468,9 @@ def draw_gap(fig: Figure, view: View) -> str:
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel("RMS error on held-out data, relative to the measured signal's deviation")
     legend(fig, ax)
-    return "Error of the simulation on data that took no part in fitting or choosing. The scale is logarithmic."
+    return (
+        "Error of the simulation on data that took no part in fitting or choosing. The scale is logarithmic."
+    )
 
 
 def _window(view: View, seconds: float) -> slice:
@@ -447,7 +500,9 @@ def draw_time(fig: Figure, view: View) -> str:
         k = view.scales[c].factor
         left.plot(t[cut], k * trace.measured[c][cut], color=INK, lw=0.9, label="measured")
         left.plot(t[cut], k * trace.refit[c][cut], label="old model, refitted", **OLD)
-        right.plot(t[::thin], k * (trace.measured[c] - trace.refit[c])[::thin], color=VERMILLION, lw=0.6, alpha=0.9)
+        right.plot(
+            t[::thin], k * (trace.measured[c] - trace.refit[c])[::thin], color=VERMILLION, lw=0.6, alpha=0.9
+        )
         if view.named:
             left.plot(t[cut], k * trace.after[c][cut], label="with what was found", **NEW)
             right.plot(t[::thin], k * (trace.measured[c] - trace.after[c])[::thin], color=BLUE, lw=0.6)
@@ -465,7 +520,11 @@ def draw_time(fig: Figure, view: View) -> str:
     fig.align_ylabels(axes[:, 0])
     legend(fig, axes[0, 0])
     kind = "Held-out" if trace.held_out else "Fitted"
-    more = f" The {len(shown)} channels with the largest error are shown." if len(shown) < len(view.order) else ""
+    more = (
+        f" The {len(shown)} channels with the largest error are shown."
+        if len(shown) < len(view.order)
+        else ""
+    )
     return (
         f"{kind} record “{trace.name}”. Left, the stretch where the refitted model errs most (shaded on the right). Right, what is "
         f"left over{': orange without, blue with what was found' if view.named else ''}; dotted, twice the noise.{more}"
@@ -513,7 +572,11 @@ def draw_spectra(fig: Figure, view: View) -> str:
         if k >= len(shown) - columns:
             ax.set_xlabel("frequency [Hz]")
     legend(fig, axes[0, 0])
-    shade = " Grey bands hold most of the old model's excess error." if any(p.bands_hz for p in view.d.where) else ""
+    shade = (
+        " Grey bands hold most of the old model's excess error."
+        if any(p.bands_hz for p in view.d.where)
+        else ""
+    )
     return f"Power spectral densities of the same record.{shade}"
 
 
@@ -535,17 +598,11 @@ def draw_plane(fig: Figure, view: View) -> str:
         clouds_drawn = [(cloud.before, "on top of the old model", VERMILLION)]
         if cloud.after is not None:
             clouds_drawn.append((cloud.after, "on top of the new model", BLUE))
-        thin = max(1, len(x) // 2500)
         law = _sum_of_laws(cloud)
         for ax, (force, title, colour) in zip(row, clouds_drawn, strict=True):
-            ax.axhline(0, color=MUTED, lw=0.6)
-            ax.plot(x[::thin], force[::thin], ".", color=colour, ms=2.2, mew=0, alpha=0.55)
-            middle, mean = _trend(x, force)
-            ax.plot(middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="mean of the dots")
+            _dots(ax, x, force, colour)
             ax.set_title(title)
             ax.set_xlabel(f"{text} of {cloud.pair[0]}–{cloud.pair[1]}")
-            reach = float(np.quantile(np.abs(x), 0.998)) * 1.05
-            ax.set_xlim(-reach, reach)
         if law is not None:
             axis, middle, low, high = law
             row[0].fill_between(factor * axis, low, high, color=BLUE, alpha=0.25, lw=0)
@@ -577,57 +634,85 @@ def _sum_of_laws(cloud: Cloud) -> tuple[Array, Array, Array, Array] | None:
 
 def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
     """Mean of y in bins of x that hold enough samples: middles and means."""
-    edges = np.linspace(*np.quantile(x, [0.002, 0.998]), bins + 1)
+    edges = np.linspace(float(np.quantile(x, 0.002)), float(np.quantile(x, 0.998)), bins + 1)
     index = np.digitize(x, edges) - 1
     pick = [k for k in range(bins) if np.sum(index == k) >= 10]
     return np.array([x[index == k].mean() for k in pick]), np.array([y[index == k].mean() for k in pick])
 
 
 def _draw_channel_plane(fig: Figure, view: View) -> str:
-    """Residual of one channel over what it measures, or over its rate: where the gap lives when no force was named."""
+    """Residual of one channel over motion, current or its own value: where the gap lives when no force was found."""
     trace = view.trace
     if trace is None or view.d.verdict == "no_discrepancy":
         return ""
     channel = next((e.channel for e in view.d.effects if e.channel), None) or view.order[0]
     unit = view.scales[channel]
-    step = float(trace.time[1] - trace.time[0])
-    quantity = {c.name: c.quantity for c in view.d.base.outputs}
-    late = any(e.effect in ("sensor_delay", "actuator_delay", "actuator_lag") for e in view.d.effects)
-    current = next((c.name for c in view.d.base.inputs if c.quantity == "current"), None)
-    kind = next((el.TYPES[e.effect].place for e in view.d.effects if e.effect in el.TYPES), "between")
-    best = trace.after[channel] if view.named else trace.refit[channel]
-    if kind == "element" and current is not None:
-        x, label = np.asarray(trace.inputs[current]), f"{channel_text(current)} [A]"
-        if late:
-            x, label = np.gradient(x, step), f"rate of {channel_text(current)} [A/s]"
-    elif late:
-        x, label = unit.factor * np.gradient(best, step), f"rate of {channel_text(channel)} [{unit.unit}/s]"
-    elif kind == "channel":
-        x, label = unit.factor * best, f"{channel_text(channel)} as simulated [{unit.unit}]"
-    else:
-        moves = next((c for c in (channel, *view.order) if quantity.get(c) == "displacement"), channel)
-        scale = view.scales[moves]
-        x = scale.factor * np.gradient(trace.after[moves] if view.named else trace.refit[moves], step)
-        label = f"rate of {channel_text(moves)} [{scale.unit}/s]"
-    pairs = [(trace.refit[channel], "old model, refitted", VERMILLION)]
+    axes = fig.subplots(1, 2, squeeze=False, sharey=True)[0]
     if view.named:
-        pairs.append((trace.after[channel], "with what was found", BLUE))
-    fig.set_size_inches(3.7 * len(pairs) + (0 if view.named else 0.9), 3.2)
-    axes = fig.subplots(1, len(pairs), squeeze=False, sharey=True)[0]
-    thin = max(1, len(x) // 2500)
-    for ax, (says, title, colour) in zip(axes, pairs, strict=True):
-        r = unit.factor * (trace.measured[channel] - says)
-        ax.axhline(0, color=MUTED, lw=0.6)
-        ax.plot(x[::thin], r[::thin], ".", color=colour, ms=2.2, mew=0, alpha=0.55)
-        middle, mean = _trend(x, r)
-        ax.plot(middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="mean of the dots")
+        x, label = _abscissa(view, trace, channel)
+        panels = [
+            (trace.refit, x, label, "old model, refitted", VERMILLION),
+            (trace.after, x, label, "with what was found", BLUE),
+        ]
+    else:
+        (d, travel), (v, rate) = _motion_axes(view, trace, channel)
+        panels = [
+            (trace.refit, d, travel, "old model, over travel", VERMILLION),
+            (trace.refit, v, rate, "old model, over rate", VERMILLION),
+        ]
+    fig.set_size_inches(7.4, 3.2)
+    for ax, (says, x, label, title, colour) in zip(axes, panels, strict=True):
+        r = unit.factor * (trace.measured[channel] - says[channel])
+        _dots(ax, x, r, colour)
         ax.set_title(title)
         ax.set_xlabel(label)
-        reach = float(np.quantile(np.abs(x), 0.998)) * 1.05 or 1.0
-        ax.set_xlim(-reach, reach)
     axes[0].set_ylabel(f"measured minus simulated\n{channel_text(channel)} [{unit.unit or '–'}]")
     legend(fig, axes[0])
     return f"What is left over in {channel_text(channel)} on the record “{trace.name}”, sample by sample."
+
+
+def _dots(ax: Axes, x: Array, y: Array, colour: str) -> None:
+    """A cloud, its mean along x, and an axis that leaves out the last two thousandths of x."""
+    thin = max(1, len(x) // 2500)
+    ax.axhline(0, color=MUTED, lw=0.6)
+    ax.plot(x[::thin], y[::thin], ".", color=colour, ms=2.2, mew=0, alpha=0.55)
+    middle, mean = _trend(x, y)
+    ax.plot(middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="mean of the dots")
+    low, high = np.quantile(x, [0.001, 0.999])
+    margin = 0.05 * (high - low) or 1.0
+    ax.set_xlim(low - margin, high + margin)
+
+
+def _abscissa(view: View, trace: Trace, channel: str) -> tuple[Array, str]:
+    """What the residual of a found motor or sensor effect hangs on."""
+    step = float(trace.time[1] - trace.time[0])
+    unit = view.scales[channel]
+    late = any(e.effect in ("sensor_delay", "actuator_delay", "actuator_lag") for e in view.d.effects)
+    current = next((c.name for c in view.d.base.inputs if c.quantity == "current"), None)
+    if current is not None and not any(e.channel for e in view.d.effects):
+        values = np.asarray(trace.inputs[current])
+        if late:
+            return np.gradient(values, step), f"rate of {channel_text(current)} [A/s]"
+        return values, f"{channel_text(current)} [A]"
+    values = unit.factor * trace.after[channel]
+    if late:
+        return np.gradient(values, step), f"rate of {channel_text(channel)} [{unit.unit}/s]"
+    return values, f"{channel_text(channel)} as simulated [{unit.unit or '–'}]"
+
+
+def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, str], tuple[Array, str]]:
+    """Travel and rate to look at a residual over: of a measured displacement, else of a moved node, else its own."""
+    step = float(trace.time[1] - trace.time[0])
+    quantity = {c.name: c.quantity for c in view.d.base.outputs}
+    moved = next((c.name for c in view.d.base.inputs if c.quantity == "displacement"), None)
+    own = next((c for c in (channel, *view.order) if quantity.get(c) == "displacement"), None)
+    if own is None and moved is not None:
+        x, factor, unit, name = np.asarray(trace.inputs[moved]), 1e3, "mm", moved
+    else:
+        name = own or channel
+        x, factor, unit = trace.refit[name], view.scales[name].factor, view.scales[name].unit
+    text = channel_text(name)
+    return (factor * x, f"{text} [{unit}]"), (factor * np.gradient(x, step), f"rate of {text} [{unit}/s]")
 
 
 def draw_law(fig: Figure, view: View) -> str:
@@ -648,7 +733,16 @@ def draw_law(fig: Figure, view: View) -> str:
         count, edges = np.histogram(factor * law.visited, bins=40, range=(float(x[0]), float(x[-1])))
         low, high = ax.get_ylim()
         size = 0.22 * (high - low) * count / max(count.max(), 1)
-        ax.bar(edges[:-1], size, np.diff(edges), bottom=low, align="edge", color=PALE, zorder=0, label="where the data are")
+        ax.bar(
+            edges[:-1],
+            size,
+            np.diff(edges),
+            bottom=low,
+            align="edge",
+            color=PALE,
+            zorder=0,
+            label="where the data are",
+        )
         ax.set_ylim(low, high)
         ax.set_xlim(x[0], x[-1])
         if len(laws) > 1:
@@ -661,16 +755,35 @@ def draw_law(fig: Figure, view: View) -> str:
 
 def draw_parameters(fig: Figure, view: View) -> str:
     """Prior and found values of the base parameters, as deviations from the prior."""
-    rows = [(path, q, sigma) for path, q, sigma in view.parameters if q.prior and np.isfinite([q.low, q.high]).all()]
+    rows = [
+        (path, q, sigma)
+        for path, q, sigma in view.parameters
+        if q.prior and np.isfinite([q.low, q.high]).all()
+    ]
     if not rows:
         return ""
     fig.set_size_inches(7.2, 0.9 + 0.27 * len(rows))
     ax = fig.subplots()
     for y, (_, q, sigma) in enumerate(rows):
         if sigma:
-            ax.barh(y, 4 * 100 * sigma, 0.62, left=-2 * 100 * sigma, color=PALE, lw=0, label="stated: two sigma either way" if y == 0 else None)
+            ax.barh(
+                y,
+                4 * 100 * sigma,
+                0.62,
+                left=-2 * 100 * sigma,
+                color=PALE,
+                lw=0,
+                label="stated: two sigma either way" if y == 0 else None,
+            )
         low, x, high = (100 * (v / q.prior - 1.0) for v in (q.low, q.value, q.high))
-        ax.plot([low, high], [y, y], color=BLUE, lw=2.2, solid_capstyle="butt", label="found: 95 % interval" if y == 0 else None)
+        ax.plot(
+            [low, high],
+            [y, y],
+            color=BLUE,
+            lw=2.2,
+            solid_capstyle="butt",
+            label="found: 95 % interval" if y == 0 else None,
+        )
         ax.plot(x, y, "o", color=BLUE, ms=4.5)
     ax.axvline(0, color=MUTED, lw=0.8)
     ax.set_yticks(range(len(rows)), [path for path, _, _ in rows])
@@ -679,8 +792,10 @@ def draw_parameters(fig: Figure, view: View) -> str:
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel("deviation from the model as given [%]")
     legend(fig, ax)
-    return "Grey: what the model's owner stated (95 %). Blue: what the measurements say, together with the effect that was found." if view.named else (
-        "Grey: what the model's owner stated (95 %). Blue: what the measurements say."
+    return (
+        "Grey: what the model's owner stated (95 %). Blue: what the measurements say, together with the effect that was found."
+        if view.named
+        else ("Grey: what the model's owner stated (95 %). Blue: what the measurements say.")
     )
 
 
@@ -689,7 +804,12 @@ FIGURES: Sequence[tuple[Draw, str, str, str]] = (
     (draw_gap, "gap", "The gap", "Held-out error of every channel before, refitted, after, and the noise"),
     (draw_time, "time", "In time", "Measured and simulated signals, and what is left over, over time"),
     (draw_spectra, "spectra", "In frequency", "Spectra of the measurements and of what is left over"),
-    (draw_plane, "plane", "What is missing, against the motion", "The missing force, or residual, over travel or rate, before and after"),
+    (
+        draw_plane,
+        "plane",
+        "What is missing, against the motion",
+        "The missing force, or residual, over travel or rate, before and after",
+    ),
     (draw_law, "law", "The law that was found", "Force over travel or rate with its interval"),
     (draw_parameters, "parameters", "Parameters", "Base parameters found, relative to their prior"),
 )

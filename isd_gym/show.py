@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from .road import Road
     from .scoring import Entry
 
-EVERY = 4  # control steps a frame: 50 frames a second
 SIZE = {1: (960, 600), 2: (1200, 640)}  # [pixel] by number of cars
+GIF = 0.75  # of that size, and half the frames: a GIF holds every one of its pixels
 
 
 def snapshots(
@@ -41,7 +41,7 @@ def snapshots(
     if not (np.isfinite(seconds) and seconds > 0):
         raise InputError(f"seconds must be positive, not {seconds}")
     network = Network.load(network)
-    cars = []
+    cars: list[Any] = []  # name, controller, environment, observation
     for entry in entries:
         controller = entry.make()
         env = ISDSuspensionEnv(
@@ -67,10 +67,10 @@ def snapshots(
 
 
 @contextmanager
-def _renderer(mode: Any, cars: int) -> Iterator[Any]:
+def _renderer(mode: Any, cars: int, scale: float = 1.0) -> Iterator[Any]:
     from .rendering import Renderer
 
-    width, height = SIZE[cars]
+    width, height = (round(scale * side) for side in SIZE[cars])
     drawn = Renderer(mode, width=width, height=height, cars=cars)
     try:
         yield drawn
@@ -86,20 +86,24 @@ def film(
     progress: Callable[[float], None] | None = None,
     **drive: Any,
 ) -> None:
-    """Write an MP4 or a GIF, by the suffix of `path`, at 50 frames a second; options as those of `snapshots`."""
+    """Write an MP4 (50 frames a second) or a GIF (25), by the suffix of `path`; options as those of `snapshots`."""
+    from .env import CONTROL_STEP
     from .rendering import write_video
 
-    total = max(1, round(drive.get("seconds", 10.0) / 5e-3))
+    gif = Path(path).suffix.lower() == ".gif"
+    fps = 25.0 if gif else 50.0
+    every = round(1.0 / (fps * CONTROL_STEP))
+    total = max(1, round(drive.get("seconds", 10.0) / CONTROL_STEP))
 
     def frames(renderer: Any) -> Iterator[NDArray[np.uint8]]:
         for k, shots in enumerate(snapshots(entries, network, **drive)):
-            if k % EVERY == 0:
+            if k % every == 0:
                 yield renderer.draw(*shots)
             if progress is not None and k % 50 == 0:
                 progress(k / total)
 
-    with _renderer("rgb_array", len(entries)) as renderer:
-        write_video(path, frames(renderer), fps=50.0)
+    with _renderer("rgb_array", len(entries), GIF if gif else 1.0) as renderer:
+        write_video(path, frames(renderer), fps=fps)
     if progress is not None:
         progress(1.0)
 
@@ -115,5 +119,7 @@ def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> N
                     return
     except InputError as error:
         if "window" in str(error):
-            raise InputError("this machine has no display to open a window on; write a film with --out FILE.mp4") from None
+            raise InputError(
+                "this machine has no display to open a window on; write a film with --out FILE.mp4"
+            ) from None
         raise

@@ -1,0 +1,500 @@
+"""Reports: what they draw is what happened, the pages stand alone, and no folder is left half written."""
+
+import html.parser
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from isd_gym import cli, plots, report, show
+from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
+from isd_gym.elements import CoulombFriction
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import find, passive
+from isd_gym.scoring import score
+from isd_gym.simulate import simulate
+
+LEVEL = 150.0
+STEP = 4e-3
+
+
+def road(n: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    t = STEP * np.arange(n)
+    f = rng.uniform(0.5, 12.0, 25)
+    return np.sum(
+        0.012 / f * np.sin(2 * np.pi * f * t[:, None] + rng.uniform(0, 6.28, 25)), axis=1
+    ) * np.minimum(t, 1)
+
+
+def made_diagnosis() -> Diagnosis:
+    """A car that lacks its seal friction, and the friction found: records from the true car, with 2 % noise."""
+    true = Network.load("quarter-car-isd")
+    kept = [e for e in true.elements if e.type not in ("coulomb_friction", "bump_stop")]
+    base = replace(true, elements=tuple(kept), uncertainty={"body.mass": 0.05, "oil.stiffness": 0.05})
+    model = base.with_element(CoulombFriction("seal", ("piston", "joint"), level=LEVEL))
+    rng = np.random.default_rng(1)
+    traces = []
+    for name, held in (("one", False), ("two", True)):
+        n = 2500
+        t = STEP * np.arange(n)
+        inputs = {"road": road(n, held), "current": np.zeros(n)}
+        old, new = (simulate(net, t, inputs) for net in (base, model))
+        measured = {c: y + 0.02 * y.std() * rng.standard_normal(n) for c, y in new.items()}
+        traces.append(Trace(name, held, t, inputs, measured, old, old, new))
+    last = traces[-1]
+    gap = {
+        stage: {
+            c: float(np.std(last.measured[c] - says[c]) / np.std(last.measured[c])) for c in last.measured
+        }
+        for stage, says in (("before", last.before), ("refit", last.refit), ("after", last.after))
+    }
+    gap["noise_floor"] = dict.fromkeys(last.measured, 0.02)
+    axis = np.linspace(-0.3, 0.3, 301)
+    force = LEVEL * np.sign(axis)
+    law = Law(
+        "seal", "rate", axis, force, 0.98 * force, 1.02 * force, 0.1 * rng.standard_normal(500), np.zeros(0)
+    )
+    level = Quantity(LEVEL, 145.2, 154.9, "N")
+    return Diagnosis(
+        verdict="missing_effect",
+        summary="The model lacks coulomb friction between piston and joint (level 150 N).",
+        effects=(Effect("coulomb_friction", ("piston", "joint"), None, 0.993, {"level": level}, "seal"),),
+        contenders=(Contender(("hysteresis",), (("piston", "joint"),), 0.31, 120.0, "explains less <of it>"),),
+        where=(Place("suspension_travel", 0.7, ((0.8, 2.0),), "velocity of piston-joint changes sign"),),
+        parameters={"body.mass": Quantity(351.2, 349.9, 352.4, "kg", 345.0)},
+        gap=gap,
+        closed=0.99,
+        gates=(Gate("significant", True, 6812.0, 60.0, "twice the log likelihood gained"),),
+        next_experiment=None,
+        base=base,
+        refitted=base,
+        model=model,
+        traces=tuple(traces),
+        laws=(law,),
+        notes=("held out: two",),
+        seconds=12.3,
+        units={c.name: c.unit for c in base.outputs},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> Diagnosis:
+    return made_diagnosis()
+
+
+@pytest.fixture(scope="module")
+def small_score():
+    car = Network.load("quarter-car-isd")
+    entries = [find(n, car) for n in ("passive", "isd-passive", "skyhook")]
+    return score(entries, car, reference=passive(car), episodes=3, duration=4.0)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """One figure is enough where folders are looked at."""
+    monkeypatch.setattr(report, "FIGURES", report.FIGURES[:1])
+
+
+class Page(html.parser.HTMLParser):
+    """What a page refers to, and its plain text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.images: list[dict] = []
+        self.links: list[str] = []
+        self.tags: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(path.read_text(encoding="utf-8"))
+        assert not self.open, f"never closed: {self.open}"
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+        if tag == "img":
+            self.images.append(dict(attrs))
+        self.links += [v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def check_page(path: Path) -> Page:
+    """It stands alone: no script, nothing fetched, every picture in it with words for who cannot see it."""
+    page = Page(path)
+    assert page.links == [] and "script" not in page.tags and "link" not in page.tags
+    assert "url(" not in path.read_text() and "@import" not in path.read_text()
+    assert page.images and all(
+        i["src"].startswith("data:image/png;base64,") and i["alt"] for i in page.images
+    )
+    files = {plots.embedded(p) for p in path.parent.glob("*.png")}
+    assert {i["src"] for i in page.images} == files
+    return page
+
+
+# ------------------------------------------------------------------------------------------------- diagnosis
+
+
+def test_the_missing_force_is_the_friction_that_the_model_lacks(diagnosis):
+    """Found from residuals alone, without the law: its level and its sign by the rate, and nothing left afterwards."""
+    (cloud,) = report.View(diagnosis).clouds
+    assert cloud.pair == ("piston", "joint")
+    moving = np.abs(cloud.rate) > 0.02
+    along = cloud.before[moving] * np.sign(cloud.rate[moving])
+    assert moving.mean() > 0.2
+    assert np.mean(along) == pytest.approx(LEVEL, rel=0.15)
+    assert np.corrcoef(cloud.before[moving], np.sign(cloud.rate[moving]))[0, 1] > 0.85
+    assert np.sqrt(np.mean(cloud.after**2)) < 0.15 * LEVEL
+    # the rate is that of the record
+    measured = np.gradient(simulate(diagnosis.model, *_held(diagnosis))["device_travel"], STEP)[125:-125]
+    assert np.sqrt(np.mean((cloud.rate - measured) ** 2)) < 0.05 * measured.std()
+
+
+def _held(d):
+    return d.traces[-1].time, d.traces[-1].inputs
+
+
+def test_a_force_that_is_applied_is_found_again():
+    """The reconstruction against a known force: a chirp between body and wheel of a linear car."""
+    car = Network.load("quarter-car-passive")
+    n, step = 4000, 2.5e-3
+    t = step * np.arange(n)
+    names = [c.name for c in car.outputs]
+    probe = report.Probe.of(car, ("body", "wheel"), names, step, n)
+    force = 100 * np.sin(2 * np.pi * (1.0 + 0.5 * t) * t) * np.hanning(n)
+    spectrum = np.fft.rfft(force)[probe.first : probe.first + len(probe.frequency)]
+    rng = np.random.default_rng(0)
+    residual, noise = {}, {}
+    for j, name in enumerate(names):
+        whole = np.zeros(n // 2 + 1, complex)
+        whole[probe.first : probe.first + len(spectrum)] = spectrum * probe.gain[:, j] / probe.factors[j]
+        clean = np.fft.irfft(whole, n)
+        noise[name] = 0.02 * clean.std()
+        residual[name] = clean + noise[name] * rng.standard_normal(n)
+    found, moved = probe.force(residual, noise)
+    middle = slice(n // 8, -n // 8)
+    assert np.sqrt(np.mean((found - force)[middle] ** 2)) < 0.1 * force[middle].std()
+    slope = np.gradient(moved[:, 0], step)[middle]
+    assert np.sqrt(np.mean((moved[middle, 1] - slope) ** 2)) < 0.05 * slope.std()
+
+
+def test_report_stands_alone_and_says_it_all(diagnosis, tmp_path):
+    path = report.write_report(diagnosis, tmp_path / "found", about={"Model": "rig & co.json"})
+    page = check_page(path)
+    names = {p.name for p in path.parent.iterdir()}
+    pictures = {f"{n}.png" for n in ("gap", "time", "spectra", "plane", "law", "parameters")}
+    assert names == {"report.html", "diagnosis.json", "model.json"} | pictures
+    for words in (
+        diagnosis.summary, "A physical effect is missing", "145.2 to 154.9", "hysteresis between piston and joint",
+        "explains less <of it>", "significant", "jump by twice 150.0\u00a0N", "held out: two", "rig & co.json",
+        "velocity of piston-joint changes sign", "351.2\u00a0kg", "99.0\u00a0% of the gap",
+    ):  # fmt: skip
+        assert words in page.text, words
+    assert json.loads((path.parent / "diagnosis.json").read_text())["verdict"] == "missing_effect"
+    assert Network.load(path.parent / "model.json").element("seal").level == LEVEL
+
+
+@pytest.mark.parametrize("verdict", ["no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"])
+def test_every_verdict_has_a_page(diagnosis, tmp_path, verdict):
+    silent = replace(
+        diagnosis,
+        verdict=verdict,
+        effects=(),
+        laws=(),
+        closed=None,
+        model=diagnosis.base,
+        summary=f"So: {verdict}.",
+    )
+    if verdict == "no_discrepancy":
+        silent = replace(silent, contenders=(), where=(), gates=())
+    if verdict == "unknown_effect":
+        silent = replace(silent, contenders=())
+    if verdict == "ambiguous":
+        test = {
+            "do": "sine of 5 mm at 1.5 Hz",
+            "watch": "tyre_force",
+            "separates": ["a", "b"],
+            "separation_sigma": 4.2,
+        }
+        silent = replace(silent, next_experiment=test)
+    page = check_page(report.write_report(silent, tmp_path / "x"))
+    assert f"So: {verdict}." in page.text and report.TITLES[verdict] in page.text
+    assert ("The next experiment" in page.text) == (verdict == "ambiguous")
+    assert "with the effect" not in page.text and not (tmp_path / "x" / "law.png").exists()
+    assert (tmp_path / "x" / "plane.png").exists() == (verdict != "no_discrepancy")
+
+
+def test_a_sensor_is_told_from_physics(diagnosis, tmp_path):
+    effect = Effect(
+        "sensor_gain", None, "body_acceleration", 0.99, {"gain": Quantity(1.127, 1.125, 1.129, "-")}, "g"
+    )
+    page = check_page(report.write_report(replace(diagnosis, effects=(effect,), laws=()), tmp_path / "x"))
+    assert "A sensor is off" in page.text and "Sensor gain in body acceleration" in page.text
+    assert "it must read 1.1270 times the truth" in page.text
+
+
+def test_a_diagnosis_without_records_still_has_a_page(diagnosis, tmp_path):
+    check_page(report.write_report(replace(diagnosis, traces=(), laws=()), tmp_path / "x"))
+
+
+def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
+    import string
+
+    from isd_gym.elements import TYPES, parameter_fields
+
+    kept = {"motor"}
+    assert set(report.TESTS) == set(TYPES) - kept
+    for name, text in report.TESTS.items():
+        named = {field for _, field, _, _ in string.Formatter().parse(text) if field}
+        assert named <= {f.name for f in parameter_fields(TYPES[name])}, name
+
+
+# --------------------------------------------------------------------------------------------------- folders
+
+
+def test_a_folder_is_replaced_whole_or_left_alone(diagnosis, tmp_path, monkeypatch, quick):
+    (tmp_path / "found").mkdir()
+    (tmp_path / "found" / "diagnosis.json").write_text("an earlier one")
+    path = report.write_report(diagnosis, tmp_path / "found")
+    assert json.loads((path.parent / "diagnosis.json").read_text())["schema"] == "isd-diagnosis/1"
+    before = {p.name: p.read_bytes() for p in path.parent.iterdir()}
+
+    def fail(*args, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(report, "page", fail)
+    with pytest.raises(KeyboardInterrupt):
+        report.write_report(replace(diagnosis, summary="new"), tmp_path / "found")
+    assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == before
+    with pytest.raises(KeyboardInterrupt):
+        report.write_report(diagnosis, tmp_path / "other")
+    assert [p.name for p in tmp_path.iterdir()] == ["found"]
+
+
+@pytest.mark.parametrize("there", ["notes.txt", "both"])
+def test_a_folder_with_something_else_in_it_is_refused(tmp_path, there):
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "notes.txt").write_text("mine")
+    if there == "both":
+        (tmp_path / "d" / "diagnosis.json").write_text("{}")
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        report.check_target(tmp_path / "d")
+    assert (tmp_path / "d" / "notes.txt").read_text() == "mine"
+
+
+def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="no folder"):
+        report.check_target(tmp_path / "file")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="a folder of its own"):
+        report.check_target(".")
+    (tmp_path / "empty").mkdir()
+    report.check_target("empty")
+
+
+# ---------------------------------------------------------------------------------------------------- scores
+
+
+def test_score_report_stands_alone(small_score, tmp_path):
+    before = dict(matplotlib.rcParams)
+    path = plots.score_report(small_score, tmp_path / "score")
+    assert dict(matplotlib.rcParams) == before
+    page = check_page(path)
+    names = {"trade_off", "histories", "spectra", "episodes", "limits"}
+    assert {p.stem for p in path.parent.glob("*.png")} == names
+    assert json.loads((path.parent / "score.json").read_text()) == json.loads(
+        json.dumps(small_score.to_dict())
+    )
+    row = next(r for r in small_score.policies if r["policy"] == "skyhook")
+    assert f"{row['cost']['value']:.3f}" in page.text
+    assert plots.percent(row["tyre_load_rms"]["change"]) in page.text
+    assert plots.Shown(small_score).headline in page.text
+    with pytest.raises(InputError, match=r"no earlier diagnosis"):
+        report.check_target(path.parent)
+
+
+def test_a_score_on_a_flat_road_can_be_shown(tmp_path):
+    car = Network.load("quarter-car-isd")
+    flat = score(
+        [find("isd-passive", car)], car, reference=passive(car), road="flat", episodes=1, duration=1.0
+    )
+    page = check_page(plots.score_report(flat, tmp_path / "flat"))
+    assert "No policy shown here costs less than passive." in page.text
+    assert not (tmp_path / "flat" / "spectra.png").exists()  # nothing moves
+
+
+def test_headline_names_who_is_level_with_the_best(small_score):
+    shown = plots.Shown(small_score)
+    assert shown.reference == "passive" and shown.best == "skyhook" and shown.level == []
+    assert shown.headline.startswith("skyhook costs ")
+    shown.costs["isd-passive"] = shown.costs["skyhook"] * np.array([0.98, 1.04, 1.0])
+    assert shown.level == ["isd-passive"] and "Level with it" in shown.headline
+
+
+def test_spectral_density_holds_the_variance():
+    """The integral over frequency is the mean square, for noise and for a sine."""
+    t = 5e-3 * np.arange(8000)
+    noise = np.random.default_rng(0).standard_normal((8000, 4))
+    for x in (noise, 3 * np.sin(2 * np.pi * 4.0 * t)):
+        f, p = plots.density(x, 5e-3)
+        edges = np.concatenate([[0.0], 0.5 * (f[1:] + f[:-1]), [100.0]])
+        assert np.sum(p * np.diff(edges)) == pytest.approx(np.mean(x**2), rel=0.06)
+    assert f[np.argmax(p)] == pytest.approx(4.0, rel=0.03)
+
+
+def test_labels_do_not_cover_one_another():
+    with plots.style():
+        fig = plots.figure()
+        ax = fig.subplots()
+        ax.set_xlim(-10, 10)
+        ax.set_ylim(-10, 10)
+        points = [(0.1 * k, 0.1 * k, f"policy {k}, tyre +1.{k} %", "black") for k in range(6)]
+        plots.label_points(fig, ax, points)
+        fig.canvas.draw()
+        from matplotlib.text import Text
+
+        boxes = [Text.get_window_extent(t) for t in ax.texts]
+        assert len(boxes) == 6
+        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (-1.5, "−1.50"), (296.61, "297"), (1234.5, "1234"), (0.00123, "0.00123"), (2.5e7, "2.50·10⁷"),
+     (1.2e-6, "1.20·10⁻⁶"), (float("inf"), "–"), (None, "–")],
+)  # fmt: skip
+def test_numbers_are_printed_without_exponents(value, text):
+    assert plots.number(value) == text
+
+
+# ------------------------------------------------------------------------------------------------------ show
+
+
+def test_both_cars_drive_over_the_same_road():
+    car = Network.load("quarter-car-isd")
+    entries = [find(n, car) for n in ("skyhook", "passive")]
+    shots = list(show.snapshots(entries, car, seconds=0.2, seed=4))
+    assert len(shots) == 41 and [s.label for s in shots[0]] == ["skyhook", "passive"]
+    assert shots[-1][0].time == pytest.approx(0.2)
+    left, right = shots[-1]
+    here = [round(s.road_behind / s.road_step) for s in (left, right)]
+    assert left.road_profile[: here[0] + 1] == pytest.approx(right.road_profile[: here[1] + 1], abs=0)
+    assert left.current != 0.0 and right.current_limit is None
+    assert left.suspension_travel != right.suspension_travel
+
+
+def test_film_has_the_frames_of_its_length(tmp_path):
+    from PIL import Image
+
+    car = Network.load("quarter-car-isd")
+    done = []
+    show.film([find("passive", car)], car, tmp_path / "a.gif", seconds=0.4, progress=done.append)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.size == (720, 450)
+        seen = []
+        for k in range(film.n_frames):
+            film.seek(k)
+            seen.append(film.info["duration"])
+    assert sum(seen) == pytest.approx(440, abs=1)  # frames at 0, 40, ..., 400 ms
+    assert done[-1] == 1.0 and sorted(done) == done
+
+
+# ------------------------------------------------------------------------------------------------ command line
+
+
+@pytest.fixture
+def told(diagnosis, monkeypatch, quick):
+    """What the command hands to the workflow, which is not run."""
+    calls = []
+
+    def fake(data, model, **options):
+        calls.append((data, model, options))
+        options["progress"]("working")
+        return diagnosis
+
+    monkeypatch.setattr("isd_gym.discrepancy.diagnose", fake)
+    return calls
+
+
+def tables(folder: Path, *names: str, head: str = "time,road,current,{}") -> None:
+    outputs = [c.name for c in Network.load("quarter-car-isd").outputs]
+    rows = "\n".join(f"{0.01 * k:.2f}," + ",".join(["1.0"] * (len(outputs) + 2)) for k in range(5))
+    for name in names:
+        (folder / name).write_text(head.format(",".join(outputs)) + "\n" + rows + "\n")
+
+
+def test_diagnose_takes_records_as_documented(told, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tables(tmp_path, "a.csv", "b.csv", "c.csv", "d.csv")
+    args = ["diagnose", "a.csv", "b.csv", "--model", "quarter-car-isd", "--out", "found"]
+    done = CliRunner().invoke(cli.app, [*args, "--validate", "c.csv", "d.csv", "--json", "x.json"])
+    assert done.exit_code == 0, done.output
+    data, model, options = told[0]
+    assert [t.source for t in data] == ["a.csv", "b.csv"] and model.name == "quarter-car-isd"
+    assert [t.source for t in options["validate"]] == ["c.csv", "d.csv"]
+    assert "The model lacks coulomb friction" in done.output and "noise floor" in done.output
+    assert json.loads(Path("x.json").read_text())["schema"] == "isd-diagnosis/1"
+    assert Path("found/report.html").exists()
+    for also in (["--validate", "c.csv", "--validate=d.csv"], ["--validate=c.csv", "d.csv"]):
+        assert CliRunner().invoke(cli.app, [*args, *also]).exit_code == 0
+        assert [t.source for t in told[-1][2]["validate"]] == ["c.csv", "d.csv"]
+        assert [t.source for t in told[-1][0]] == ["a.csv", "b.csv"]
+
+
+def test_diagnose_renames_and_converts(told, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tables(tmp_path, "a.csv", head="time,z_r,current,{}")
+    args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found"]
+    done = CliRunner().invoke(cli.app, [*args, "--rename", "z_r=road", "--unit", "road=mm"])
+    assert done.exit_code == 0, done.output
+    assert told[0][0][0]["road"] == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--validate", "none.csv"], r"none\.csv: no such file"),
+        (["--rename", "road"], "--rename wants COLUMN=CHANNEL"),
+        (["--unit", "road=furlong"], "furlong"),
+        (["--out", "taken"], r"taken.*notes\.txt"),
+        (["--json", "no/such/x.json"], "no folder"),
+        (["--model", "nowhere.json"], "nowhere"),
+    ],
+)
+def test_diagnose_refuses_bad_input_before_the_work(told, tmp_path, monkeypatch, more, message):
+    monkeypatch.chdir(tmp_path)
+    tables(tmp_path, "a.csv")
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "notes.txt").write_text("mine")
+    args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found", *more]
+    with pytest.raises(InputError, match=message) as caught:
+        CliRunner().invoke(cli.app, args, catch_exceptions=False)
+    assert "\n" not in str(caught.value)
+    assert told == [] and not Path("found").exists()
+
+
+def test_show_without_a_display_says_what_to_do(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    if not sys.platform.startswith("linux"):
+        pytest.skip("other systems always have a display")
+    with pytest.raises(InputError, match=r"--out FILE\.mp4"):
+        CliRunner().invoke(cli.app, ["show", "passive", "--seconds", "0.1"], catch_exceptions=False)
+
+
+def test_show_plays_in_a_window(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    done = CliRunner().invoke(cli.app, ["show", "isd-passive", "--against", "passive", "--seconds", "0.1"])
+    assert done.exit_code == 0, done.output
