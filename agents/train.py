@@ -327,6 +327,24 @@ class Run:
         model.logger.record("score/cost", j)
         model.logger.record("score/change_against_passive", j / known["passive"] - 1)
 
+    def command(self) -> str:
+        """What to type for this run, or how it differs from what can be typed."""
+        s, usual = self.settings, SETTINGS[self.algorithm]()
+        if describe(replace(s, steps=usual.steps)) != describe(usual):
+            return "agents.train.train with the settings below"
+        words = [f"isd-gym train {self.algorithm} --out DIR --seed {self.seed}"]
+        if s.steps != usual.steps:
+            words.append(f"--steps {s.steps}")
+        if self.plant != Network.load("quarter-car-isd"):
+            words.append(f"--network {self.plant.name}")
+        if self.road != "paper":
+            words.append(f"--road {self.road}")
+        if self.speed != 20.0:
+            words.append(f"--speed {self.speed:g}")
+        if self.spread:
+            words.append("--randomize")
+        return " ".join(words)
+
     def _describe(self, policy: Policy, scored: dict[str, Any] | None = None) -> Policy:
         policy.info = {
             "algorithm": self.algorithm,
@@ -337,6 +355,7 @@ class Run:
                 "randomize": self.asked["randomize"],
             },
             "training": {
+                "command": self.command(),
                 "seed": self.seed,
                 "settings": self.asked["settings"],
                 "seconds": round(self.state["seconds"], 1),

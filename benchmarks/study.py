@@ -1,5 +1,7 @@
 """The study: PPO and SAC over training seeds against the baselines, paired on held-out roads.
 
+    python benchmarks/study.py train --out runs/study --seeds 5          # resumes; hours on two cores
+    python benchmarks/study.py ship runs/study                           # the best seed of each algorithm, into agents/policies
     python benchmarks/study.py collect RUN... --out benchmarks/study.json   # runs of `isd-gym train`, any seeds
     python benchmarks/study.py table benchmarks/study.json
     python benchmarks/study.py draw benchmarks/study.json --out docs/figures
@@ -18,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.policy import Policy
+from agents.policy import SHIPPED, Policy
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.files import write_text
@@ -27,7 +29,7 @@ from isd_gym.policies import conventional, find
 from isd_gym.scoring import Entry, drive
 
 SCHEMA = "isd-study/1"
-BASELINES = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction")
+BASELINES = ("passive", "isd-passive", "skyhook", "lqg", "mpc-paper", "mpc")
 #: name -> road, speed [m/s], factors on the plant's parameters; every controller keeps believing in the nominal car
 CONDITIONS: dict[str, tuple[str, float, dict[str, float]]] = {
     "training road": ("paper", 20.0, {}),
@@ -77,6 +79,28 @@ def collect(
         "costs": costs,
         "training": curves,
     }
+
+
+def train_all(out: Path, seeds: int, algorithms: tuple[str, ...] = ("ppo", "sac")) -> None:
+    """Train every seed of every algorithm, one after the other; goes on where it stopped."""
+    from agents.train import train
+
+    for seed in range(seeds):
+        for algorithm in algorithms:
+            (out / algorithm).mkdir(parents=True, exist_ok=True)
+            train(algorithm, out / algorithm / str(seed), seed=seed)
+
+
+def ship(out: Path) -> list[Path]:
+    """Copy the seed of least cost on its validation roads (not on those it is scored on) of each algorithm."""
+    shipped = []
+    for algorithm in ("ppo", "sac"):
+        policies = [Policy.load(p.parent) for p in sorted((out / algorithm).glob("*/policy/policy.json"))]
+        policies = [p for p in policies if p.info["score"] is not None]
+        if policies:
+            best = min(policies, key=lambda p: min(row["cost"] for row in p.info["training"]["curve"]))
+            shipped.append(best.save(SHIPPED / algorithm))
+    return shipped
 
 
 def iqm(values: np.ndarray) -> np.ndarray:
@@ -196,6 +220,11 @@ def main() -> None:
     one.add_argument("--out", type=Path, required=True)
     one.add_argument("--episodes", type=int, default=32)
     one.add_argument("--seed", type=int, default=0)
+    runs = commands.add_parser("train")
+    runs.add_argument("--out", type=Path, required=True)
+    runs.add_argument("--seeds", type=int, default=5)
+    runs.add_argument("--algorithms", nargs="+", default=["ppo", "sac"])
+    commands.add_parser("ship").add_argument("runs", type=Path)
     for name in ("table", "draw"):
         other = commands.add_parser(name)
         other.add_argument("study", type=Path)
@@ -204,6 +233,13 @@ def main() -> None:
     given = parser.parse_args()
     if given.command == "collect":
         write_text(given.out, json.dumps(collect(given.runs, given.episodes, given.seed)) + "\n")
+        return
+    if given.command == "train":
+        train_all(given.out, given.seeds, tuple(given.algorithms))
+        return
+    if given.command == "ship":
+        for path in ship(given.runs):
+            print(path)
         return
     study = json.loads(given.study.read_text())
     if given.command == "table":

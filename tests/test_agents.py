@@ -442,6 +442,7 @@ def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
     policy = Policy.load(out / "policy")
     assert policy.info["score"]["episodes"] == 2
     assert policy.info["training"]["seconds"] > kept["seconds"]
+    assert policy.info["training"]["command"].startswith("agents.train")  # these settings cannot be typed
     again: list[str] = []
     train(algorithm, out, settings=settings, say=again.append)
     assert [row["steps"] for row in Policy.load(out / "policy").info["training"]["curve"]] == steps
@@ -508,3 +509,23 @@ def test_the_guide_s_own_algorithm_runs(sb3, capsys):
     )
     exec(compile(code, str(page), "exec"), {})
     assert "M steps, J" in capsys.readouterr().out
+
+
+def test_the_study_s_interval_is_that_of_seeds_and_roads(rng):
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location(
+        "study", Path(__file__).parents[1] / "benchmarks" / "study.py"
+    )
+    assert spec is not None and spec.loader is not None
+    study = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(study)
+    assert study.iqm(np.array([0.0, 1.0, 2.0, 3.0, 100.0, -50.0, 4.0, 5.0])) == pytest.approx(2.5)
+    reference = rng.uniform(0.7, 1.0, 32)
+    own = 0.8 * reference * (1 + 0.01 * rng.standard_normal((5, 1)))  # seeds differ by 1 %, roads not at all
+    value, low, high = study.change(own, reference, rng)
+    assert low <= value <= high and value == pytest.approx(-0.2, abs=0.01)
+    assert 0.002 < high - low < 0.04
+    costs = {"passive": [1.0, 1.0], "mpc": [0.8, 0.7], "ppo/0": [0.7, 0.6], "ppo/1": [0.6, 0.7]}
+    text = study.table({"costs": {"here": costs}})
+    assert "| here | ppo | 2 | 0.6500 | -35.0 %" in text
