@@ -390,12 +390,8 @@ def _print_diagnosis(result: Any) -> None:
     console = Console(width=None if sys.stdout.isatty() else 110)
     console.print(result.summary, highlight=False, markup=False, soft_wrap=True)
     stages = [s for s in ("before", "refit", "after", "noise_floor") if s in result.gap]
-    made = Table(
-        title="RMS error on held-out data, relative to the signal's deviation",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-    )
+    console.print("\nRMS error on held-out data, relative to the measured signal's deviation:")
+    made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     made.add_column("channel", no_wrap=True)
     for stage in stages:
         made.add_column(stage.replace("_", " "), justify="right", no_wrap=True)
