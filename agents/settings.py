@@ -40,6 +40,7 @@ class Settings:
     preview: float = 0.4  # s of road that the critic knows, see `critic`
     memory: Memory = MEMORY
     # increments of the current: exploration noise adds up to a smooth current instead of drowning in the drive's slew
+    # (PPO from nothing for 3 minutes, passive J 0.874: increments 0.700, targets 0.892)
     head: Head = field(default_factory=lambda: Head("increment"))
     reward_scale: float = 0.1
     reward_offset: float = 0.8  # near the mean, so that values are small; it changes no optimum

@@ -285,7 +285,7 @@ class Run:
             self.plant,
             road=self.road,
             speed=self.speed,
-            randomize=None if entry.network else self.spread,
+            randomize=self.spread,
             episodes=VALIDATION_EPISODES,
             seed=VALIDATION_SEED,
         )
@@ -293,7 +293,9 @@ class Run:
 
     def _references(self) -> dict[str, float]:
         """Cost of the passive car and of the baselines there are, on the validation roads."""
-        out = {"passive": self.cost(passive(self.plant))}
+        # on a spread of cars the same cars without current: the conventional car has no such parameters to spread
+        idle = find("isd-passive", self.plant) if self.spread else passive(self.plant)
+        out = {idle.name: self.cost(idle)}
         for name in BASELINES:
             try:
                 out[name] = self.cost(find(name, self.plant))
@@ -317,15 +319,16 @@ class Run:
         if j < best:
             self._describe(policy).save(self.out / "policy")
         known = self.state["references"]
-        rival = min((k for k in known if k != "passive"), key=known.__getitem__, default=None)
+        idle, *rivals = known
+        rival = min(rivals, key=known.__getitem__, default=None)
         self.say(
             f"{100 * model.num_timesteps / self.settings.steps:5.1f} %  {model.num_timesteps / 1e6:6.2f} M steps"
-            f"  {self.state['seconds']:5.0f} s  J {j:.4f} ({100 * (j / known['passive'] - 1):+.1f} %)"
-            f"  best {min(j, best):.4f}  passive {known['passive']:.4f}"
+            f"  {self.state['seconds']:5.0f} s  J {j:.4f} ({100 * (j / known[idle] - 1):+.1f} %)"
+            f"  best {min(j, best):.4f}  {idle} {known[idle]:.4f}"
             + (f"  {rival} {known[rival]:.4f}" if rival else "")
         )
         model.logger.record("score/cost", j)
-        model.logger.record("score/change_against_passive", j / known["passive"] - 1)
+        model.logger.record("score/change", j / known[idle] - 1)
 
     def command(self) -> str:
         """What to type for this run, or how it differs from what can be typed."""

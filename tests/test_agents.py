@@ -479,6 +479,23 @@ def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
 
 
 @needs_sb3
+@pytest.mark.filterwarnings("ignore")
+def test_a_spread_of_cars_and_another_road_can_be_trained_on(sb3, brief, tmp_path):
+    from agents.settings import RANDOMIZE
+    from agents.train import train
+
+    lines: list[str] = []
+    settings = replace(brief["ppo"], steps=256, teacher=None)
+    train("ppo", tmp_path / "run", settings=settings, randomize=True, road="C", say=lines.append)
+    policy = Policy.load(tmp_path / "run" / "policy")
+    assert policy.info["env"]["road"] == "C"
+    assert set(policy.info["env"]["randomize"]) == set(RANDOMIZE)
+    assert all("isd-passive" in line for line in lines[:-1])  # compared with the same cars
+    with pytest.raises(InputError, match="another randomize"):
+        train("ppo", tmp_path / "run", settings=settings, road="C")
+
+
+@needs_sb3
 def test_the_road_ahead_is_the_critic_s_alone(sb3):
     import torch
     from gymnasium import spaces
@@ -529,3 +546,30 @@ def test_the_study_s_interval_is_that_of_seeds_and_roads(rng):
     costs = {"passive": [1.0, 1.0], "mpc": [0.8, 0.7], "ppo/0": [0.7, 0.6], "ppo/1": [0.6, 0.7]}
     text = study.table({"costs": {"here": costs}})
     assert "| here | ppo | 2 | 0.6500 | -35.0 %" in text
+
+
+@needs_sb3
+@pytest.mark.slow
+def test_a_real_kill_costs_one_interval_at_most(sb3, tmp_path):
+    """kill -9 in the middle; the same call ends the run, with the checkpoint's curve kept."""
+    code = (
+        "import warnings; warnings.simplefilter('ignore')\n"
+        "import agents.train as t\nfrom agents.settings import PPOSettings\n"
+        "t.BASELINES = ()\nt.VALIDATION_EPISODES = t.SCORE_EPISODES = 2\n"
+        "s = PPOSettings(steps=65536, cars=64, horizon=32, batch=512, teacher=None, evaluations=8,"
+        " checkpoint_seconds=0.0)\n"
+        f"t.train('ppo', {str(tmp_path / 'run')!r}, settings=s, say=lambda line: print(line, flush=True))\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.strip().startswith(("37.5", "40.6", "43.8", "46.9", "50")):
+                process.kill()
+                break
+    assert process.returncode == -9
+    kept = json.loads((next((tmp_path / "run").glob("checkpoint-*")) / "state.json").read_text())["curve"]
+    assert len(kept) >= 2
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.startswith("resuming")
+    curve = Policy.load(tmp_path / "run" / "policy").info["training"]["curve"]
+    assert curve[: len(kept)] == kept and curve[-1]["steps"] >= 65536
