@@ -144,18 +144,13 @@ def fundamental(time: np.ndarray, signal: np.ndarray, frequency: float) -> compl
 
 
 def identify(
-    truth: Network,
-    model: Network,
-    level: float,
-    *,
-    noise: float,
-    seed: int = 0,
-    start: Sequence[float] = (3e5, 500.0),
+    truth: Network, model: Network, level: float, *, noise: float, seed: int = 0
 ) -> dict[str, float]:
     """Table 4 as section 3.2 does it: k_e and c_e of `model` from sines of 2 to 10 Hz, friction given.
 
-    Least squares, trust region reflective, tolerances 0.01 (Table 3), objective (7). noise: of the measured force, as a
-    share of its RMS. Returns oil.stiffness [N/m], leak.damping [N s/m] and the RMS error [N] and share.
+    Least squares, trust region reflective, tolerances 0.01 (Table 3), objective (7), from the best of eight stiffnesses: the
+    resonance of inerter and oil lies among the test frequencies, and the objective has several valleys.
+    noise: of the measured force, as a share of its RMS. Returns oil.stiffness [N/m], leak.damping [N s/m] and the RMS error [N] and share.
     """
     rng = np.random.default_rng(seed)
     step = 5e-4
@@ -173,9 +168,10 @@ def identify(
         parts = [force_test(guess, f, step=step, sampling=1e-3)[2] - force for f, force in tests]
         return np.concatenate(parts) / math.sqrt(total)
 
+    starts = [np.array([k, 0.8]) for k in (0.1, 1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 20.0)]
     fit = least_squares(
-        error, np.array(start) / scale, bounds=([0.01, 0.0], [100.0, 100.0]), method="trf",
-        ftol=0.01, xtol=0.01, gtol=1e-12, diff_step=1e-3,
+        error, min(starts, key=lambda p: float(np.sum(error(p) ** 2))), bounds=([0.01, 0.0], [100.0, 100.0]),
+        method="trf", ftol=0.01, xtol=0.01, gtol=1e-12, diff_step=1e-3,
     )  # fmt: skip
     rms = float(np.sqrt(np.sum(fit.fun**2)))
     size = math.sqrt(sum(float(np.sum(force**2)) for _, force in tests) / total)
