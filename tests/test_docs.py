@@ -18,6 +18,8 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").r
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 #: pages and notebooks that fit, train or solve for minutes
 SLOW = {
+    "docs/guides/own-algorithm.md",
+    "docs/guides/other-library.md",
     "docs/tutorials/diagnose.md",
     "docs/tutorials/effect.md",
     "notebooks/2-train-and-compare.ipynb",
@@ -26,29 +28,38 @@ SLOW = {
 
 
 def blocks(page, language):
-    """(line number, text) of the fenced blocks of a language."""
+    """(line number, text) of the fenced blocks of a language; those after a comment "not run: why" are left out."""
     text = page.read_text(encoding="utf-8")
     pattern = rf"^( *)```{language}[^\n]*\n(.*?)^\1```"
     for match in re.finditer(pattern, text, re.DOTALL | re.MULTILINE):
-        line = text[: match.start()].count("\n") + 2
+        before = text[: match.start()]
+        if language == "python" and before.rstrip().splitlines()[-1].strip().startswith("<!-- not run: "):
+            continue
+        line = before.count("\n") + 2
         indent = match[1]
         yield line, "\n".join(row.removeprefix(indent) for row in match[2].splitlines()) + "\n"
 
 
-def cases(paths, wanted=lambda path: True):
+def cases(paths, wanted=lambda path: True, slow=()):
     names = {path: path.relative_to(ROOT).as_posix() for path in paths if wanted(path)}
     return [
-        pytest.param(path, id=name, marks=[pytest.mark.slow] if name in SLOW else [])
+        pytest.param(path, id=name, marks=[pytest.mark.slow] if name in slow else [])
         for path, name in names.items()
     ]
 
 
-@pytest.mark.parametrize("page", cases(PAGES, lambda p: any(blocks(p, "python"))))
+@pytest.mark.parametrize("page", cases(PAGES, lambda p: any(blocks(p, "python")), SLOW))
 def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
     """All ```python blocks of a page, in order, in one namespace and an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(elements, "TYPES", dict(elements.TYPES))  # a page may register an element
     space = {"__name__": "__page__"}
+    for library in ("skrl", "stable_baselines3", "torch"):  # what a page of a guide may need
+        if any(
+            re.search(rf"^(from|import) {library}\b", code, re.MULTILINE)
+            for _, code in blocks(page, "python")
+        ):
+            pytest.importorskip(library)
     for line, code in blocks(page, "python"):
         # so that an error names the line of the page
         exec(compile("\n" * (line - 1) + code, str(page), "exec"), space)
@@ -116,7 +127,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert (tmp_path / "site" / "schemas" / "isd-model-1.json").is_file()
 
 
-@pytest.mark.parametrize("path", cases(NOTEBOOKS))
+@pytest.mark.parametrize("path", cases(NOTEBOOKS, slow=SLOW))
 @pytest.mark.filterwarnings("default")  # the kernel's own libraries warn about each other
 def test_a_notebook_runs(path, tmp_path):
     nbformat = pytest.importorskip("nbformat")
