@@ -1,7 +1,7 @@
 """Run the diagnosis over a folder of rigs with sealed effects, or over the project's own hidden suite, and print the figures.
 
-    python benchmarks/diagnose.py FOLDER [NAME ...] [--json FILE] [--detail]
-    python benchmarks/diagnose.py --suite [KIND ...] --seeds 1 2
+python benchmarks/diagnose.py FOLDER [NAME ...] [--json FILE] [--detail]
+python benchmarks/diagnose.py --suite [KIND ...] --seeds 1 2
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from isd_gym.data import Table
 from isd_gym.discrepancy import workflow
 from isd_gym.network import Network
+
+
+def text(a) -> str:
+    return np.array2string(np.asarray(a), precision=3, suppress_small=True)
 
 
 def pair(place):
@@ -50,12 +54,8 @@ def grade(verdict: str, found, answer) -> str:
     return "wrong" if found else "missed"
 
 
-def nuisance_named(found, truth) -> bool:
-    return False
-
-
 def one(name, estimation, validation, model, answer, detail):
-    t0 = time.perf_counter()
+    t0 = time.process_time()
     captured = {}
     original = workflow.Workflow.conclude
 
@@ -68,38 +68,73 @@ def one(name, estimation, validation, model, answer, detail):
         d = workflow.diagnose([estimation], model, validate=[validation])
     except Exception as error:
         traceback.print_exc(limit=-4)
-        return {"name": name, "grade": "error", "verdict": type(error).__name__, "seconds": time.perf_counter() - t0, "answer": answer, "found": []}
+        return {
+            "name": name,
+            "grade": "error",
+            "verdict": type(error).__name__,
+            "seconds": time.process_time() - t0,
+            "answer": answer,
+            "found": [],
+        }
     finally:
         workflow.Workflow.conclude = original
-    seconds = time.perf_counter() - t0
+    seconds = time.process_time() - t0
     found = [(e.effect, pair(e.channel or (list(e.between) if e.between else None))) for e in d.effects]
     g = grade(d.verdict, found, answer)
     row = {
-        "name": name, "answer": answer, "verdict": d.verdict, "found": [(a, sorted(b or [])) for a, b in found],
-        "grade": g, "closed": d.closed, "seconds": seconds,
-        "parameters": {f"{e.effect}.{k}": (q.value, q.low, q.high) for e in d.effects for k, q in e.parameters.items()},
+        "name": name,
+        "answer": answer,
+        "verdict": d.verdict,
+        "found": [(a, sorted(b or [])) for a, b in found],
+        "grade": g,
+        "closed": d.closed,
+        "seconds": seconds,
+        "parameters": {
+            f"{e.effect}.{k}": (q.value, q.low, q.high) for e in d.effects for k, q in e.parameters.items()
+        },
         "base": {k: (q.value, q.low, q.high) for k, q in d.parameters.items()},
     }
     closed = "-" if d.closed is None else f"{d.closed:.3f}"
     print(f"{g:6s} {name} {seconds:5.1f}s closed {closed} {d.verdict} {row['found']} <- {answer}", flush=True)
     if detail and "w" in captured:
         w = captured["w"].detail
-        f = lambda a: np.array2string(np.asarray(a), precision=3, suppress_small=True)
-        print(f"        before {f(w['before'])} refit {f(w['refit'])} after {f(w['after'])} floor {f(w['floor'])}")
-        print(f"        V {w['V'][0]:.3f} -> {w['V'][1]:.3f} (noise {w['quiet']:.3f}) explained {w['share']:.3f} gaps {f(w['gaps'])} abreast {[r.hypotheses[-1].label for r in w['abreast']]}")
+        print(
+            f"        before {text(w['before'])} refit {text(w['refit'])} after {text(w['after'])} floor {text(w['floor'])}"
+        )
+        print(
+            f"        V {w['V'][0]:.3f} -> {w['V'][1]:.3f} (noise {w['quiet']:.3f}) explained {w['share']:.3f} gaps {text(w['gaps'])} abreast {[r.hypotheses[-1].label for r in w['abreast']]}"
+        )
         for t in w["table"]:
             print("        ", t)
         for stage in w["stages"]:
             for r in stage[:5]:
                 s = w["standing"].get(id(r))
-                values = {q.path.split('.')[-1]: float(f"{q.back(x):.3g}") for q, x in zip(r.fit.structure.free, r.fit.x) if q.owner >= 0}
-                print(f"           L {r.likelihood - stage[0].likelihood:8.0f} V {s.score if s else float('nan'):.3f}", r.hypotheses[-1].label, values)
-        print("        ", {k: f"{q.value:.4g} [{q.low:.4g}, {q.high:.4g}]" for e in d.effects for k, q in e.parameters.items()}, flush=True)
+                values = {
+                    q.path.split(".")[-1]: float(f"{q.back(x):.3g}")
+                    for q, x in zip(r.fit.structure.free, r.fit.x, strict=True)
+                    if q.owner >= 0
+                }
+                print(
+                    f"           L {r.likelihood - stage[0].likelihood:8.0f} V {s.score if s else float('nan'):.3f}",
+                    r.hypotheses[-1].label,
+                    values,
+                )
+        print(
+            "        ",
+            {
+                k: f"{q.value:.4g} [{q.low:.4g}, {q.high:.4g}]"
+                for e in d.effects
+                for k, q in e.parameters.items()
+            },
+            flush=True,
+        )
     return row
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", nargs="?")
     parser.add_argument("names", nargs="*")
     parser.add_argument("--suite", nargs="*")
@@ -115,7 +150,14 @@ def main() -> None:
             if args.names and not any(n in name for n in args.names):
                 continue
             case = folder / name
-            row = one(f"{name} {truth[name]['kind']}", case / "estimation.csv", case / "validation.csv", case / "model.json", truth[name]["answer"], args.detail)
+            row = one(
+                f"{name} {truth[name]['kind']}",
+                case / "estimation.csv",
+                case / "validation.csv",
+                case / "model.json",
+                truth[name]["answer"],
+                args.detail,
+            )
             row["truth"] = truth[name]["truth"]
             rows.append(row)
     if args.suite is not None:
@@ -129,7 +171,14 @@ def main() -> None:
                 for k, columns in (("estimation", case.estimation), ("validation", case.validation)):
                     columns = dict(columns)
                     tables.append(Table(columns.pop("time"), columns, k))
-                row = one(f"{kind} #{seed} {case.snr_db:.0f}dB", tables[0], tables[1], Network.load(case.model), case.answer, args.detail)
+                row = one(
+                    f"{kind} #{seed} {case.snr_db:.0f}dB",
+                    tables[0],
+                    tables[1],
+                    Network.load(case.model),
+                    case.answer,
+                    args.detail,
+                )
                 row["truth"] = case.truth["hidden"]
                 rows.append(row)
     summary(rows)
@@ -147,16 +196,25 @@ def summary(rows) -> None:
     for name, group in groups.items():
         if group:
             count = Counter(r["grade"] for r in group)
-            print(f"{name:8s} {len(group):3d}: " + ", ".join(f"{k} {v} ({100 * v / len(group):.0f} %)" for k, v in count.items()))
+            print(
+                f"{name:8s} {len(group):3d}: "
+                + ", ".join(f"{k} {v} ({100 * v / len(group):.0f} %)" for k, v in count.items())
+            )
     closed = [r["closed"] for r in rows if r.get("closed") is not None]
     if closed:
         print(f"closed   median {np.median(closed):.3f}, least {min(closed):.3f}")
-    print(f"time     median {np.median([r['seconds'] for r in rows]):.1f} s, longest {max(r['seconds'] for r in rows):.1f} s")
+    print(
+        f"time     median {np.median([r['seconds'] for r in rows]):.1f} s, longest {max(r['seconds'] for r in rows):.1f} s"
+    )
     print("\nconfusion (what was hidden -> what was said)")
     table = Counter()
     for r in rows:
         said = "+".join(sorted(f[0] for f in r["found"])) or r["verdict"]
-        truth = "unknown" if r["answer"] == "unknown" else "+".join(sorted(a[0] for a in r["answer"])) or "nothing"
+        truth = (
+            "unknown"
+            if r["answer"] == "unknown"
+            else "+".join(sorted(a[0] for a in r["answer"])) or "nothing"
+        )
         table[truth, said] += 1
     for (truth, said), n in sorted(table.items()):
         print(f"  {truth:45s} -> {said:45s} {n}")

@@ -141,7 +141,8 @@ class Plant:
         self.networks: list[Network] = list(networks) if several else [networks]  # type: ignore[list-item,arg-type]
         self.lanes = len(self.networks) if several else lanes
         self.step, self.extra = float(step), tuple(extra)
-        self.assemblies = [assemble(net, extra) for net in self.networks]
+        once = {id(net): assemble(net, extra) for net in self.networks}  # many lanes may share a network
+        self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
         used = sorted({c for asm in self.assemblies for c in _columns(asm, None)})
         self.u_columns = used
@@ -162,7 +163,8 @@ class Plant:
                     parts.append((part, channels[column - span.start].name))
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
         self.currents = [c for c in first.network.inputs if c.quantity == "current"]
-        self.pack([discretise(asm, self.step, used) for asm in self.assemblies], several)
+        stepped = {id(asm): discretise(asm, self.step, used) for asm in once.values()}
+        self.pack([stepped[id(asm)] for asm in self.assemblies], several)
 
     def pack(self, parts: Sequence[Discrete], several: bool) -> None:
         first = parts[0]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,7 +40,9 @@ def motions(problem: Problem, fit: Fit) -> dict[tuple[str, str], Motion]:
     steps = []
     for i in problem.estimation:
         record = problem.records[i]
-        probe = Problem(_with_outputs(net, extra), [replace(record, taps=None, thin=1)], [False], problem.step)
+        probe = Problem(
+            _with_outputs(net, extra), [replace(record, taps=None, thin=1)], [False], problem.step
+        )
         y = probe.simulate([probe.network], 0, fit.initial[i][:, None], like=net)[:, :, 0]
         for k, p in enumerate(where):
             out.setdefault(p, []).append(y[:, k])
@@ -79,10 +82,7 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
     structure, net = fit.structure, fit.network
     motion = motions(problem, fit)
     force = force_scale(problem, fit)
-    basis: dict[int, tuple[Array, Array]] = {}
     p = len(fit.x)
-    blocks, rows0 = [], []
-    total_n0 = {}
     columns = p
     parts = []
     for i in problem.estimation:
@@ -122,13 +122,28 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
         current = spread = 1.0
         if h.place == "element":
             name = next(c.name for c in net.inputs if c.quantity == "current" and c.element == h.where[0])
-            current = max(float(np.std(np.concatenate([problem.records[i].inputs[name] for i in problem.estimation]))), 1e-9)
+            current = max(
+                float(np.std(np.concatenate([problem.records[i].inputs[name] for i in problem.estimation]))),
+                1e-9,
+            )
         if h.place == "channel":
             j = problem.channels.index(h.where[0])
-            spread = max(float(np.std(np.concatenate([problem.records[i].measured[:, j] for i in problem.estimation]))), 1e-12)
+            spread = max(
+                float(
+                    np.std(np.concatenate([problem.records[i].measured[:, j] for i in problem.estimation]))
+                ),
+                1e-12,
+            )
         for probe in probes(h, net, pair_motion, force, current, spread):
             try:
-                built = [add(Structure(net, structure.free, structure.hypotheses, structure.names, structure.ties), h, v) for v in probe.ways]
+                built = [
+                    add(
+                        Structure(net, structure.free, structure.hypotheses, structure.names, structure.ties),
+                        h,
+                        v,
+                    )
+                    for v in probe.ways
+                ]
                 for b in built:
                     assemble(bare(b.network))
             except (InputError, np.linalg.LinAlgError):
@@ -137,15 +152,17 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
     # lanes of one structure run together
     groups: dict[tuple, list[tuple[int, int]]] = {}
     for a, (h, _, built) in enumerate(jobs):
-        for b, s in enumerate(built):
-            asm = assemble(bare(s.network))
+        for way, one in enumerate(built):
+            asm = assemble(bare(one.network))
             kinds = tuple(type(e).__name__ for e in asm.laws)
-            groups.setdefault((h.effect if h.place != "between" else "", asm.size, kinds), []).append((a, b))
+            groups.setdefault((h.effect if h.place != "between" else "", asm.size, kinds), []).append(
+                (a, way)
+            )
     response = [np.zeros((rows + p, len(built))) for _, _, built in jobs]
     for members in groups.values():
-        for first in range(0, len(members), 48):
-            chunk = members[first : first + 48]
-            nets = [jobs[a][2][b].network for a, b in chunk]
+        for begin in range(0, len(members), 48):
+            chunk = members[begin : begin + 48]
+            nets = [jobs[a][2][way].network for a, way in chunk]
             for i, (start, stop, y) in spans.items():
                 x0 = np.repeat(fit.initial[i][:, None], len(nets), axis=1)
                 try:
@@ -153,11 +170,10 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
                 except (InputError, np.linalg.LinAlgError):
                     continue
                 w = fitter.weights(out - y[:, :, None]).reshape(stop - start, -1)
-                for lane, (a, b) in enumerate(chunk):
-                    response[a][start:stop, b] = w[:, lane]
-    best: dict[Hypothesis, Screened] = {}
+                for lane, (a, way) in enumerate(chunk):
+                    response[a][start:stop, way] = w[:, lane]
     found: list[Screened] = []
-    for (h, probe, built), s in zip(jobs, response, strict=True):
+    for (h, probe, _), s in zip(jobs, response, strict=True):
         if not np.isfinite(s).all():
             continue
         size = np.linalg.norm(s, axis=0)
@@ -171,19 +187,22 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
         if not probe.signed and np.any(amplitude <= 0):
             continue
         gain = float(r @ (s @ amplitude))
-        start = dict(probe.values)
+        values = dict(probe.values)
         if h.effect == "cogging_force":
-            A, B = amplitude * probe.values["amplitude"]
-            start["amplitude"], start["phase"] = math.hypot(A, B), math.atan2(B, A)
+            sine, cosine = amplitude * probe.values["amplitude"]
+            values["amplitude"], values["phase"] = math.hypot(sine, cosine), math.atan2(cosine, sine)
         elif h.effect == "asymmetric_damping":
-            start = {k: float(a) * probe.values[k] for k, a in zip(("extension", "compression"), amplitude, strict=True)}
+            values = {
+                k: float(a) * probe.values[k]
+                for k, a in zip(("extension", "compression"), amplitude, strict=True)
+            }
         elif h.effect == "sensor_gain":
-            start["gain"] = 1.0 + 0.05 * float(amplitude[0])
+            values["gain"] = 1.0 + 0.05 * float(amplitude[0])
         else:
-            a = float(np.clip(amplitude[0], -50, 50)) if probe.signed else float(np.clip(amplitude[0], 0.1, 50))
+            factor = float(np.clip(amplitude[0], -50 if probe.signed else 0.1, 50))
             for key in probe.grows:
-                start[key] = start[key] / a if probe.inverse else start[key] * a
-        found.append(Screened(h, start, gain, probe.grows, probe.inverse))
+                values[key] = values[key] / factor if probe.inverse else values[key] * factor
+        found.append(Screened(h, values, gain, probe.grows, probe.inverse))
     found.sort(key=lambda c: -c.gain)
     return found
 
@@ -231,16 +250,41 @@ def plain(problem: Problem, floors: Array) -> Whitener:
     return Whitener(tuple(np.array([1 / max(h, 1e-300)]) for h in floors))
 
 
-def settled(problem: Problem, structure: Structure, x: Array, floors: Array, fit: Fit | None = None, *, rounds: int = 3, iterations: int = 6, white: bool = False) -> tuple[Fit, float]:
-    """Fit with weights from the fit's own residual, until the likelihood under own coloured noise stops falling."""
+def trust(problem: Problem, fit: Fit, floors: Array) -> Array:
+    """White noise to reckon with when a residual is to be whitened (channels,): the measurement's, or what is unexplained.
+
+    Only noise may be weighed by its spectrum. While much of the residual is missing physics, whitening would trade what
+    is large and slow against what is small and fast; so nothing finer than a third of it is trusted.
+    """
+    rms = np.sqrt(np.mean(np.concatenate(residuals(problem, fit)) ** 2, axis=0))
+    return np.asarray(np.maximum(floors, 0.3 * rms), dtype=np.float64)
+
+
+def settled(
+    problem: Problem,
+    structure: Structure,
+    x: Array,
+    floors: Array,
+    fit: Fit | None = None,
+    *,
+    rounds: int = 3,
+    iterations: int = 6,
+    least: Array | None = None,
+) -> tuple[Fit, float]:
+    """Fit with weights from the fit's own residual, until the likelihood under own coloured noise stops falling.
+
+    `least`: white noise to reckon with; that of `trust` after the first round where it is not given.
+    """
     initial = offset = None
     if fit is not None:
         initial, offset = fit.initial, fit.offset
-    W = plain(problem, floors) if white or fit is None else whitener(residuals(problem, fit), floors)
+        least = trust(problem, fit, floors) if least is None else least
+    W = plain(problem, floors) if fit is None or least is None else whitener(residuals(problem, fit), least)
     best: tuple[Fit, float] | None = None
     for _ in range(rounds):
         f = Fitter(problem, W).fit(structure, x, initial, offset, iterations=iterations)
-        value = innovations(residuals(problem, f), floors) + f.prior
+        least = trust(problem, f, floors) if least is None else least
+        value = innovations(residuals(problem, f), least) + f.prior
         if best is not None and value > best[1] - 2.0:
             if value < best[1]:
                 best = f, value
@@ -248,20 +292,28 @@ def settled(problem: Problem, structure: Structure, x: Array, floors: Array, fit
         if best is None or value < best[1]:
             best = f, value
         x, initial, offset = f.x, f.initial, f.offset
-        W = whitener(residuals(problem, f), floors)
+        W = whitener(residuals(problem, f), least)
     assert best is not None
     return best
 
 
 def judge(problem: Problem, W: Whitener, rival: Rival) -> None:
     """Held-out records: parameters as found, initial states and offsets from the record's own samples."""
-    f = Fitter(problem, W).fit(rival.fit.structure, rival.fit.x, rival.held.initial if rival.held else None, rival.held.offset if rival.held else None, records=problem.validation, frozen=True, iterations=4)
+    f = Fitter(problem, W).fit(
+        rival.fit.structure,
+        rival.fit.x,
+        rival.held.initial if rival.held else None,
+        rival.held.offset if rival.held else None,
+        records=problem.validation,
+        frozen=True,
+        iterations=4,
+    )
     rival.held = f
     blocks = []
     for i, y in f.outputs.items():
         e = W(problem.records[i].measured - y) ** 2
         edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
-        blocks += [e[a:b].mean(axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        blocks += [e[a:b].mean(axis=0) for a, b in pairwise(edges)]
     rival.blocks = np.array(blocks)
     rival.score = float(rival.blocks.mean())
 
@@ -278,7 +330,9 @@ def shortlist(found: Sequence[Screened], limit: int) -> list[list[Screened]]:
     return list(groups.values())
 
 
-def starts(problem: Problem, current: Fit, group: list[Screened], floors: Array) -> list[tuple[Structure, Array]]:
+def starts(
+    problem: Problem, current: Fit, group: list[Screened], floors: Array
+) -> list[tuple[Structure, Array]]:
     """Where joint fits begin: the screened probes at several amplitudes, base at its prior, simulated and compared.
 
     The score test looks at small effects; a large one is found by trying. Residuals are compared by the logarithm of
@@ -310,7 +364,9 @@ def starts(problem: Problem, current: Fit, group: list[Screened], floors: Array)
         r = problem.records[i].measured[:, :, None] - y
         with np.errstate(over="ignore", invalid="ignore"):
             v = np.var(r, axis=0) + floors[:, None] ** 2
-        scores += np.where(np.isfinite(v).all(axis=0), np.sum(np.log(np.where(np.isfinite(v), v, 1.0)), axis=0), math.inf)
+        scores += np.where(
+            np.isfinite(v).all(axis=0), np.sum(np.log(np.where(np.isfinite(v), v, 1.0)), axis=0), math.inf
+        )
     order = np.argsort(scores)
     picked = [trials[0]] if 0 in order[:1] else [trials[order[0]], trials[0]]
     if group[0].hypothesis.effect in ("bump_stop", "hysteresis", "gas_spring", "backlash") and len(order) > 2:
@@ -319,53 +375,72 @@ def starts(problem: Problem, current: Fit, group: list[Screened], floors: Array)
     return [(t, t.start) for t in picked]
 
 
-def compete(problem: Problem, current: Fit, floors: Array, *, limit: int = 9, finals: int = 4) -> list[Rival]:
-    """One stage of forward addition: screen, fit jointly, fit the best ones to self-consistency."""
-    W = whitener(residuals(problem, current), floors)
-    fitter = Fitter(problem, W)
-    found = screen(problem, fitter, current, list(hypotheses(current.structure.network)))
+def compete(
+    problem: Problem, current: Fit, floors: Array, *, limit: int = 8, finals: int = 4
+) -> tuple[list[Rival], Array]:
+    """One stage of forward addition: screen, fit jointly, fit the best ones to self-consistency.
+
+    Returns the rivals, best first, and the white noise (channels,) under which their likelihoods were taken.
+    """
+    hot = trust(problem, current, floors)
+    W = whitener(residuals(problem, current), hot)
+    found = screen(problem, Fitter(problem, W), current, list(hypotheses(current.structure.network)))
     chosen = shortlist(found, limit)
-    base = current.structure
     # heats are run over the beginning of every record, the final over all of it
-    short = Problem(problem.network, [_heat(r, h) for r, h in zip(problem.records, problem.held, strict=True)], problem.held, problem.step)
+    short = Problem(
+        problem.network,
+        [_heat(r, h) for r, h in zip(problem.records, problem.held, strict=True)],
+        problem.held,
+        problem.step,
+    )
     heat = Fitter(short, W)
 
     def one(group: list[Screened]) -> Rival | None:
         tries: list[tuple[float, Fit]] = []
-        begin = starts(problem, current, group, floors)
-        for structure, x in begin:
+        for structure, x in starts(problem, current, group, floors):
             try:
                 f = heat.fit(structure, x, carried(current, structure), current.offset, iterations=3)
             except (InputError, np.linalg.LinAlgError):
                 continue
-            tries.append((innovations(residuals(short, f), floors) + f.prior, f))
+            tries.append((innovations(residuals(short, f), hot) + f.prior, f))
         if not tries:
             return None
         value, f = min(tries, key=lambda t: t[0])
-        f = heat.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
-        value = innovations(residuals(short, f), floors) + f.prior
-        return Rival(f.structure.hypotheses, f, value)
+        try:
+            f = heat.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
+        except (InputError, np.linalg.LinAlgError):
+            return None
+        return Rival(f.structure.hypotheses, f, innovations(residuals(short, f), hot) + f.prior)
+
+    def lengthen(r: Rival) -> Rival:
+        """From the heat to the whole of the records, with the heat's coarse weights."""
+        try:
+            W = whitener(residuals(short, r.fit), trust(short, r.fit, floors))
+            r.fit = Fitter(problem, W).fit(
+                r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, iterations=5
+            )
+            r.likelihood = innovations(residuals(problem, r.fit), hot) + r.fit.prior
+        except (InputError, np.linalg.LinAlgError):
+            r.likelihood = math.inf
+        return r
 
     def polish(r: Rival) -> Rival:
         try:
-            # weights from the heat's residual are those of a fit that has not arrived
-            full = Fitter(problem, whitener(residuals(short, r.fit), floors)).fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, iterations=3)
-            r.likelihood = innovations(residuals(problem, full), floors) + full.prior
-            r.fit = full
-            f, value = settled(problem, full.structure, full.x, floors, full, rounds=2, iterations=4)
-            ways = [(f, value), settled(problem, r.fit.structure, f.x, floors, f, white=True, rounds=2, iterations=4)]
-            f, value = min(ways, key=lambda s: s[1])
-            r.fit, r.likelihood = f, value
+            r.fit, r.likelihood = settled(
+                problem, r.fit.structure, r.fit.x, floors, r.fit, rounds=3, iterations=4, least=cold
+            )
             if r.hypotheses[-1].effect == "cogging_force":
                 for _ in range(3):
-                    W = whitener(residuals(problem, r.fit), floors)
+                    W = whitener(residuals(problem, r.fit), cold)
                     f = comb(problem, Fitter(problem, W), r.fit, r.fit.structure.names[-1])
-                    f, value = settled(problem, f.structure, f.x, floors, f)
+                    f, value = settled(
+                        problem, f.structure, f.x, floors, f, rounds=2, iterations=4, least=cold
+                    )
                     if value > r.likelihood - 5:
                         break
                     r.fit, r.likelihood = f, value
         except (InputError, np.linalg.LinAlgError):
-            pass
+            r.likelihood = math.inf
         return r
 
     rivals: dict[tuple[Hypothesis, ...], Rival] = {}
@@ -373,10 +448,16 @@ def compete(problem: Problem, current: Fit, floors: Array, *, limit: int = 9, fi
         for r in pool.map(one, chosen):
             if r is not None and math.isfinite(r.likelihood):
                 rivals[r.hypotheses] = r
-        ranked = sorted(rivals.values(), key=lambda r: r.likelihood)
-        ranked = list(pool.map(polish, ranked[:finals]))
+        ranked = sorted(rivals.values(), key=lambda r: r.likelihood)[:finals]
+        ranked = [r for r in pool.map(lengthen, ranked) if math.isfinite(r.likelihood)]
+        if not ranked:
+            return [], hot
+        # what the best of them leaves is what is trusted now
+        leaves = [trust(problem, r.fit, floors) for r in ranked]
+        cold = np.min(leaves, axis=0)
+        ranked = [r for r in pool.map(polish, ranked) if math.isfinite(r.likelihood)]
     ranked.sort(key=lambda r: r.likelihood)
-    return simplest_first(ranked)
+    return simplest_first(ranked), cold
 
 
 def simplest_first(ranked: list[Rival]) -> list[Rival]:
@@ -407,7 +488,9 @@ def carried(fit: Fit, structure: Structure) -> dict[int, Array]:
 
 
 def _heat(record: Record, held: bool) -> Record:
-    return record if held else record.part(0, max(int(0.4 * len(record)), min(len(record), 2000)), record.name)
+    return (
+        record if held else record.part(0, max(int(0.4 * len(record)), min(len(record), 2000)), record.name)
+    )
 
 
 def _beginning(record: Record) -> Record:
@@ -459,7 +542,10 @@ def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
         if len(seen) >= 4:
             break
         x = trials[k]
-        if any(abs(x[kp] - a) < 2.5 * step and abs((x[kf] - b + math.pi) % (2 * math.pi) - math.pi) < 1.2 for a, b in seen):
+        if any(
+            abs(x[kp] - a) < 2.5 * step and abs((x[kf] - b + math.pi) % (2 * math.pi) - math.pi) < 1.2
+            for a, b in seen
+        ):
             continue
         seen.append((x[kp], x[kf]))
         f = fitter.fit(fit.structure, x, fit.initial, fit.offset, iterations=6)
@@ -484,7 +570,9 @@ def share_of_force(problem: Problem, fit: Fit, name: str) -> float:
         command = next(c.name for c in net.inputs if c.quantity == "current" and c.element == e.where[0])
         current = record.inputs[command]
         others = effective_current(net.without_element(name), e.where[0], current[:, None], record.step)[:, 0]
-        return rms(effective_current(net, e.where[0], current[:, None], record.step)[:, 0] - others) / max(rms(others), 1e-300)
+        return rms(effective_current(net, e.where[0], current[:, None], record.step)[:, 0] - others) / max(
+            rms(others), 1e-300
+        )
     if isinstance(e, el.SeriesCompliance | el.Backlash):
         return 1.0  # force and deflection are shared in series: what it changes in the outputs decides
     pair = set(e.where)

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import welch
 
 from .. import elements as el
@@ -21,7 +22,7 @@ from .result import Law, Place, Quantity
 def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float]]:
     """Bands [Hz] that together hold 80 % of what the residual's spectrum has above white noise of deviation `floor`."""
     f, s = welch(residual - residual.mean(), 1 / step, nperseg=min(2048, len(residual)))
-    s = np.maximum(s - 2 * floor**2 * step, 0.0)
+    s = np.maximum(np.asarray(s, float) - 2 * floor**2 * step, 0.0)
     if s.sum() <= 0:
         return []
     order = np.argsort(-s)
@@ -41,7 +42,9 @@ def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float
     return [(round(out[k][0], 2), round(out[k][1], 2)) for k in best]
 
 
-def when(problem: Problem, fit: Fit, residual: dict[int, Array], motion: dict[tuple[str, str], Motion]) -> str:
+def when(
+    problem: Problem, fit: Fit, residual: dict[int, Array], motion: dict[tuple[str, str], Motion]
+) -> str:
     """The condition under which the residual's energy per sample is highest above its mean: in plain words."""
     i = problem.estimation[0]
     record = problem.records[i]
@@ -53,7 +56,7 @@ def when(problem: Problem, fit: Fit, residual: dict[int, Array], motion: dict[tu
     e = np.convolve(e, np.ones(width) / width, mode="same")
     best = (1.6, "everywhere")  # a condition must raise the energy by this factor to be worth saying
 
-    def consider(mask: Array, text: str) -> None:
+    def consider(mask: NDArray[np.bool_], text: str) -> None:
         nonlocal best
         share = mask.mean()
         if 0.01 < share < 0.5:
@@ -75,7 +78,9 @@ def when(problem: Problem, fit: Fit, residual: dict[int, Array], motion: dict[tu
             level = float(np.quantile(np.abs(v), q))
             consider(np.abs(v) > level, f"|velocity of {a}-{b}| above {level:.3g} m/s")
             consider(v > np.quantile(v, q), f"{a}-{b} extends faster than {np.quantile(v, q):.3g} m/s")
-            consider(v < np.quantile(v, 1 - q), f"{a}-{b} compresses faster than {-np.quantile(v, 1 - q):.3g} m/s")
+            consider(
+                v < np.quantile(v, 1 - q), f"{a}-{b} compresses faster than {-np.quantile(v, 1 - q):.3g} m/s"
+            )
     for c in problem.network.inputs:
         if c.quantity == "current":
             current = np.abs(record.inputs[c.name])[:: record.thin][:n]
@@ -92,15 +97,27 @@ def places(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
         motion = {}
     excess = []
     for j in range(len(problem.channels)):
-        r = np.concatenate([problem.records[i].measured[:, j] - fit.outputs[i][:, j] for i in problem.estimation])
-        spread = max(float(np.std(np.concatenate([problem.records[i].measured[:, j] for i in problem.estimation]))), 1e-300)
-        excess.append(max(float(np.mean(r**2)) - floor[j] ** 2, 0.0) / spread**2)
+        every = np.concatenate(
+            [problem.records[i].measured[:, j] - fit.outputs[i][:, j] for i in problem.estimation]
+        )
+        spread = max(
+            float(np.std(np.concatenate([problem.records[i].measured[:, j] for i in problem.estimation]))),
+            1e-300,
+        )
+        excess.append(max(float(np.mean(every**2)) - floor[j] ** 2, 0.0) / spread**2)
     total = sum(excess) or 1.0
     out = []
     for j, name in enumerate(problem.channels):
         r = {i: problem.records[i].measured[:, j] - fit.outputs[i][:, j] for i in problem.estimation}
         first = problem.estimation[0]
-        out.append(Place(name, excess[j] / total, tuple(bands(r[first], floor[j], problem.records[first].rate)), when(problem, fit, r, motion)))
+        out.append(
+            Place(
+                name,
+                excess[j] / total,
+                tuple(bands(r[first], floor[j], problem.records[first].rate)),
+                when(problem, fit, r, motion),
+            )
+        )
     return tuple(sorted(out, key=lambda p: -p.share))
 
 
@@ -112,7 +129,14 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
     motion = motions(problem, fit).get(e.between)
     if motion is None:
         return None
-    rate = isinstance(e, el.LinearDamping | el.QuadraticDamping | el.AsymmetricDamping | el.CoulombFriction | el.StribeckFriction)
+    rate = isinstance(
+        e,
+        el.LinearDamping
+        | el.QuadraticDamping
+        | el.AsymmetricDamping
+        | el.CoulombFriction
+        | el.StribeckFriction,
+    )
     visited = motion.v if rate else motion.d
     reach = float(np.quantile(np.abs(visited), 0.999)) or 1e-6
     axis = np.linspace(-reach, reach, 401)
@@ -131,7 +155,12 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
                     last = d
                     out.append(f)
                 return np.array(out[-len(axis) :])
-            return np.array([cls.law(p, 0.0, x, 0.0, 0.0, 1e-3)[0] if rate else cls.law(p, x, 0.0, x, 0.0, 1e-3)[0] for x in axis])
+            return np.array(
+                [
+                    cls.law(p, 0.0, x, 0.0, 0.0, 1e-3)[0] if rate else cls.law(p, x, 0.0, x, 0.0, 1e-3)[0]
+                    for x in axis
+                ]
+            )
         return (c if rate else k) * axis
 
     middle = force(e)
@@ -143,7 +172,16 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
             except InputError:
                 continue
             spread = np.maximum(spread, np.abs(force(changed) - middle))
-    return Law(name, "rate" if rate else "travel", axis, middle, middle - spread, middle + spread, visited[:: max(1, len(visited) // 2000)], np.zeros(0))
+    return Law(
+        name,
+        "rate" if rate else "travel",
+        axis,
+        middle,
+        middle - spread,
+        middle + spread,
+        visited[:: max(1, len(visited) // 2000)],
+        np.zeros(0),
+    )
 
 
 def experiments(network: Network, record: Record) -> list[tuple[str, dict[str, Array], float]]:
@@ -163,18 +201,54 @@ def experiments(network: Network, record: Record) -> list[tuple[str, dict[str, A
             a = scale * reach
             for f in (0.5, 1.5, 4.0, 10.0):
                 amplitude = min(a, 0.6 / (2 * math.pi * f))
-                out.append((f"sine of {1e3 * amplitude:.3g} mm at {f:g} Hz at {c.name}", silent | {c.name: amplitude * window * np.sin(2 * math.pi * f * t)}, step))
-            out.append((f"triangle of {1e3 * a:.3g} mm at 0.1 Hz at {c.name}", silent | {c.name: a * (2 / math.pi) * np.arcsin(np.sin(2 * math.pi * 0.1 * t))}, step))
+                out.append(
+                    (
+                        f"sine of {1e3 * amplitude:.3g} mm at {f:g} Hz at {c.name}",
+                        silent | {c.name: amplitude * window * np.sin(2 * math.pi * f * t)},
+                        step,
+                    )
+                )
+            out.append(
+                (
+                    f"triangle of {1e3 * a:.3g} mm at 0.1 Hz at {c.name}",
+                    silent | {c.name: a * (2 / math.pi) * np.arcsin(np.sin(2 * math.pi * 0.1 * t))},
+                    step,
+                )
+            )
         bump = np.where((t > 1) & (t < 1.2), 0.5 * (1 - np.cos(2 * math.pi * (t - 1) / 0.2)), 0.0)
-        out.append((f"bump of {2e3 * reach:.3g} mm, 0.2 s long, at {c.name}", silent | {c.name: 2 * reach * bump}, step))
+        out.append(
+            (
+                f"bump of {2e3 * reach:.3g} mm, 0.2 s long, at {c.name}",
+                silent | {c.name: 2 * reach * bump},
+                step,
+            )
+        )
     for c in current:
         top = float(np.abs(record.inputs[c.name]).max()) or 1.0
-        out.append((f"steps of {top:.3g} A in {c.name}", silent | {c.name: top * np.sign(np.sin(2 * math.pi * 0.7 * t))}, step))
-        out.append((f"sine of {top:.3g} A at 1.5 Hz in {c.name}", silent | {c.name: top * np.sin(2 * math.pi * 1.5 * t)}, step))
+        out.append(
+            (
+                f"steps of {top:.3g} A in {c.name}",
+                silent | {c.name: top * np.sign(np.sin(2 * math.pi * 0.7 * t))},
+                step,
+            )
+        )
+        out.append(
+            (
+                f"sine of {top:.3g} A at 1.5 Hz in {c.name}",
+                silent | {c.name: top * np.sin(2 * math.pi * 1.5 * t)},
+                step,
+            )
+        )
     for c in forces:
         top = float(np.abs(record.inputs[c.name]).max()) or 1.0
         for f in (0.3, 1.5, 5.0):
-            out.append((f"sine of {top:.3g} N at {f:g} Hz at {c.name}", silent | {c.name: top * np.sin(2 * math.pi * f * t)}, step))
+            out.append(
+                (
+                    f"sine of {top:.3g} N at {f:g} Hz at {c.name}",
+                    silent | {c.name: top * np.sin(2 * math.pi * f * t)},
+                    step,
+                )
+            )
     return out
 
 

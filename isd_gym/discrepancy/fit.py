@@ -44,6 +44,7 @@ class Fitter:
     def __init__(self, problem: Problem, weights: Whitener):
         self.problem = problem
         self.weights = weights
+        self._known: dict[tuple[int, int], tuple[Structure, tuple[Array, Array]]] = {}
 
     # -- initial states ---------------------------------------------------------------------------------
     def state_scale(self, network: Network, index: int) -> tuple[Array, Array]:
@@ -122,7 +123,9 @@ class Fitter:
             shifted[k] += h
             nets.append(structure.at(shifted))
         rows, scale = self.state_scale(nets[0], index)
-        state_step = np.array([1e-3 * float(scale[0]) / max(np.abs(rows[:, i]).max(), 1e-9) for i in range(n0)])
+        state_step = np.array(
+            [1e-3 * float(scale[0]) / max(np.abs(rows[:, i]).max(), 1e-9) for i in range(n0)]
+        )
         start = np.repeat(initial[:, None], 1 + p + n0, axis=1)
         for i in range(n0):
             nets.append(nets[0])
@@ -158,7 +161,8 @@ class Fitter:
         net = structure.at(x)
         n0 = assemble(bare(net)).size[0]
         initial = {
-            i: initial[i].copy() if initial and i in initial and len(initial[i]) == n0 else self.guess(net, i) for i in records
+            i: initial[i].copy() if initial and i in initial and len(initial[i]) == n0 else self.guess(net, i)
+            for i in records
         }
         ny = len(problem.channels)
         offset = {i: (offset[i].copy() if offset and i in offset else np.zeros(ny)) for i in records}
@@ -188,7 +192,9 @@ class Fitter:
                         idx = np.flatnonzero(free)
                         if len(idx):
                             step[idx] = np.linalg.solve(A[np.ix_(idx, idx)], g[idx])
-                        out = (x + step < low - 1e-12) & (x <= low + 1e-9) | (x + step > high + 1e-12) & (x >= high - 1e-9)
+                        out = (x + step < low - 1e-12) & (x <= low + 1e-9) | (x + step > high + 1e-12) & (
+                            x >= high - 1e-9
+                        )
                         if not np.any(out & free):
                             break
                         free &= ~out
@@ -205,7 +211,9 @@ class Fitter:
                     ti[i] = initial[i] + move[:n0]
                     to[i] = offset[i].copy()
                     to[i][problem.free_offset] += move[n0:]
-                new_cost = self._cost(structure, trial, ti, to, records) + self._prior(structure, trial, ti, mean, sigma)
+                new_cost = self._cost(structure, trial, ti, to, records) + self._prior(
+                    structure, trial, ti, mean, sigma
+                )
                 if np.isfinite(new_cost) and new_cost < cost:
                     improved = True
                     break
@@ -229,7 +237,14 @@ class Fitter:
         prior = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
         return Fit(structure, x, initial, offset, outs, total, prior, H if p else None)
 
-    def _cost(self, structure: Structure, x: Array, initial: dict[int, Array], offset: dict[int, Array], records: list[int]) -> float:
+    def _cost(
+        self,
+        structure: Structure,
+        x: Array,
+        initial: dict[int, Array],
+        offset: dict[int, Array],
+        records: list[int],
+    ) -> float:
         total = 0.0
         for i in records:
             try:
@@ -241,7 +256,9 @@ class Fitter:
             total += float(np.sum(self.weights(self.problem.records[i].measured - y) ** 2))
         return total
 
-    def _prior(self, structure: Structure, x: Array, initial: dict[int, Array], mean: Array, sigma: Array) -> float:
+    def _prior(
+        self, structure: Structure, x: Array, initial: dict[int, Array], mean: Array, sigma: Array
+    ) -> float:
         out = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
         for i, x0 in initial.items():
             if len(x0):
@@ -250,7 +267,10 @@ class Fitter:
         return out
 
     def _scales(self, structure: Structure, x: Array, index: int) -> tuple[Array, Array]:
-        return self.state_scale(structure.at(x), index)
+        key = (id(structure), index)
+        if key not in self._known:  # the prior of the initial state: that of the start values will do
+            self._known[key] = (structure, self.state_scale(structure.network, index))
+        return self._known[key][1]
 
     def _linearise(self, structure, x, initial, offset, records, p):
         """Normal equations with the per-record nuisances (initial state, offsets) eliminated."""

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from .. import elements as el
-from ..network import GROUND, Network
+from ..errors import InputError
+from ..network import GROUND, Channel, Network
 
 #: a plain name of what a law does to its terminals, for rivals that are worth telling apart
 SERIES = ("series_compliance", "backlash")
@@ -111,7 +112,11 @@ def free_of(cls: type[el.Element], owner: int, element: el.Element) -> list[Free
             low, high = max(low, 1e-12), max(high, low * 10)
             centre, half = 0.5 * (math.log(low) + math.log(high)), 0.5 * (math.log(high) - math.log(low))
             reach = math.log(1e3)
-            out.append(Free(path, True, centre, 2.0 * half + 2.0, centre - half - reach, centre + half + reach, owner))
+            out.append(
+                Free(
+                    path, True, centre, 2.0 * half + 2.0, centre - half - reach, centre + half + reach, owner
+                )
+            )
         else:
             scale = {"gain": 1.0, "phase": 100.0}.get(f.name)
             if scale is None:
@@ -148,15 +153,34 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
         data["stiffness"] = spring.stiffness  # type: ignore[attr-defined]
         ties.append((f"{name}.stiffness", f"{spring.name}.stiffness"))
     element = cls(name=name, where=where, **data, **options)
-    network = replace(network, elements=(*network.elements, element))
+    network = replace(network, elements=(*network.elements, element), outputs=_cells(network, element))
     tied = {path for path, _ in ties}
     free += [f for f in free_of(cls, owner, element) if f.path not in tied]
     return Structure(network, tuple(free), (*structure.hypotheses, h), (*structure.names, name), tuple(ties))
 
 
+def _cells(network: Network, element: el.Element) -> tuple[Channel, ...]:
+    """The outputs, a force cell reading what was put side by side with its element, too."""
+    out = []
+    for c in network.outputs:
+        beside = [network.element(n) for n in c.elements]
+        if beside and element.place == "between" and all(e.where == element.where for e in beside):
+            c = replace(c, element=(*c.elements, element.name))
+        out.append(c)
+    return tuple(out)
+
+
 def drop(network: Network, name: str) -> Network:
     kept = {k: v for k, v in network.uncertainty.items() if not k.startswith(f"{name}.")}
-    return replace(network, elements=tuple(e for e in network.elements if e.name != name), uncertainty=kept)
+    outputs = []
+    for c in network.outputs:
+        if name in c.elements and len(c.elements) == 1:
+            raise InputError(f"output '{c.name}' reads '{name}', which cannot be replaced")
+        outputs.append(
+            replace(c, element=tuple(n for n in c.elements if n != name)) if name in c.elements else c
+        )
+    elements = tuple(e for e in network.elements if e.name != name)
+    return replace(network, elements=elements, outputs=tuple(outputs), uncertainty=kept)
 
 
 def split(network: Network, pair: tuple[str, ...], stem: str) -> tuple[Network, tuple[str, str]]:
@@ -217,9 +241,9 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
     """Every effect at every place where it is not a mere change of a parameter that is there already."""
     motors = [e for e in network.elements if isinstance(e, el.Motor)]
     driven = {c.element for c in network.inputs if c.quantity == "current"}
-    devices = {
-        frozenset(e.where) for e in network.elements if isinstance(e, el.Motor | el.Inertance)
-    } or {frozenset(p) for p in pairs(network)}
+    devices = {frozenset(e.where) for e in network.elements if isinstance(e, el.Motor | el.Inertance)} or {
+        frozenset(p) for p in pairs(network)
+    }
     for pair in pairs(network):
         here = {e.type for e in standing(network, pair)}
         moved = any(n in network.moved_nodes for n in pair)
@@ -232,7 +256,13 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
             yield Hypothesis("coulomb_friction", pair)
         if "stribeck_friction" not in here:
             yield Hypothesis("stribeck_friction", pair)
-        for kind in ("quadratic_damping", "asymmetric_damping", "cubic_stiffness", "gas_spring", "hysteresis"):
+        for kind in (
+            "quadratic_damping",
+            "asymmetric_damping",
+            "cubic_stiffness",
+            "gas_spring",
+            "hysteresis",
+        ):
             if kind not in here:
                 yield Hypothesis(kind, pair)
         if "bump_stop" not in here:
@@ -245,7 +275,12 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
                 for terminal in ("first", "second"):
                     if pair[0 if terminal == "first" else 1] != GROUND:
                         yield Hypothesis("terminal_inertia", pair, (("terminal", terminal),))
-        if moved and "linear_stiffness" in here and "tyre_lift_off" not in here and set(pair) & set(network.masses):
+        if (
+            moved
+            and "linear_stiffness" in here
+            and "tyre_lift_off" not in here
+            and set(pair) & set(network.masses)
+        ):
             yield Hypothesis("tyre_lift_off", pair)
         if here - {"linear_stiffness"}:  # a spring in series with a lone spring is a softer spring
             yield Hypothesis("series_compliance", pair)
@@ -284,7 +319,9 @@ class Probe:
     signed: bool = False
 
 
-def probes(h: Hypothesis, network: Network, motion: Motion | None, force: float, current: float, spread: float) -> list[Probe]:
+def probes(
+    h: Hypothesis, network: Network, motion: Motion | None, force: float, current: float, spread: float
+) -> list[Probe]:
     """Places in the parameter space of a hypothesis to try, sized by the motion and force [N] of the data."""
 
     def one(values: dict[str, float], *grows: str, **more: Any) -> Probe:
@@ -313,7 +350,12 @@ def probes(h: Hypothesis, network: Network, motion: Motion | None, force: float,
         level = next((x.level for x in standing(network, h.where) if isinstance(x, el.CoulombFriction)), 0.0)
         for q in (0.3, 1.0):
             vs = q * rms(v)
-            out.append(one({"level": level + e * 0.3, "static_level": level + 1.3 * e, "stribeck_velocity": vs}, signed=bool(level)))
+            out.append(
+                one(
+                    {"level": level + e * 0.3, "static_level": level + 1.3 * e, "stribeck_velocity": vs},
+                    signed=bool(level),
+                )
+            )
         return out
     if kind == "linear_damping":
         return [one({"damping": e / rms(v)}, "damping")]
@@ -325,13 +367,25 @@ def probes(h: Hypothesis, network: Network, motion: Motion | None, force: float,
         return [one({"damping": e / rms(v * v)}, "damping")]
     if kind == "asymmetric_damping":
         c = e / rms(v)
-        return [Probe({"extension": c, "compression": c}, ({"extension": c, "compression": 0.0}, {"extension": 0.0, "compression": c}), ("extension", "compression"), signed=True)]
+        return [
+            Probe(
+                {"extension": c, "compression": c},
+                ({"extension": c, "compression": 0.0}, {"extension": 0.0, "compression": c}),
+                ("extension", "compression"),
+                signed=True,
+            )
+        ]
     if kind == "cubic_stiffness":
         return [one({"stiffness": e / rms(d**3)}, "stiffness", signed=True)]
     if kind == "gas_spring":
-        return [one({"force": e * s * reach / (1.3 * rms(d)), "length": s * reach}, "force") for s in (1.5, 4.0, 12.0)]
+        return [
+            one({"force": e * s * reach / (1.3 * rms(d)), "length": s * reach}, "force")
+            for s in (1.5, 4.0, 12.0)
+        ]
     if kind == "hysteresis":
-        return [one({"level": e, "stiffness": e / (s * rms(d))}, "level", "stiffness") for s in (0.03, 0.15, 0.6)]
+        return [
+            one({"level": e, "stiffness": e / (s * rms(d))}, "level", "stiffness") for s in (0.03, 0.15, 0.6)
+        ]
     if kind == "bump_stop":
         side = dict(h.options)["side"]
         x = np.abs(d) if side == "both" else np.maximum(d if side == "extension" else -d, 0.0)
@@ -349,9 +403,9 @@ def probes(h: Hypothesis, network: Network, motion: Motion | None, force: float,
     if kind == "terminal_inertia":
         return [one({"mass": e / rms(a)}, "mass")]
     if kind == "tyre_lift_off":
-        spring = next(x for x in standing(network, h.where) if x.type == "linear_stiffness")
-        pull = spring.stiffness * d  # type: ignore[attr-defined]
-        return [one({"stiffness": spring.stiffness, "load": float(np.quantile(pull, q))}) for q in (0.8, 0.93, 0.985) if np.quantile(pull, q) > 0]  # type: ignore[attr-defined]
+        stiffness = next(x for x in standing(network, h.where) if x.type == "linear_stiffness").linear()[0]
+        loads = [float(np.quantile(stiffness * d, q)) for q in (0.8, 0.93, 0.985)]
+        return [one({"stiffness": stiffness, "load": w}) for w in loads if w > 0]
     if kind == "cogging_force":
         span = float(np.ptp(d))
         longest, shortest = min(2 * span, 0.05), max(1e-3, span / 60)
@@ -359,11 +413,14 @@ def probes(h: Hypothesis, network: Network, motion: Motion | None, force: float,
         cycles = np.arange(1 / longest, 1 / shortest, 0.25 / span)
         out = []
         for f in cycles:
-            p = 1 / f
+            p = float(1 / f)
             out.append(
                 Probe(
                     {"amplitude": e, "pitch": p, "phase": 0.0},
-                    ({"amplitude": e, "pitch": p, "phase": 0.0}, {"amplitude": e, "pitch": p, "phase": math.pi / 2}),
+                    (
+                        {"amplitude": e, "pitch": p, "phase": 0.0},
+                        {"amplitude": e, "pitch": p, "phase": math.pi / 2},
+                    ),
                     ("amplitude",),
                     signed=True,
                 )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter, oaconvolve, welch
 
 from .. import elements as el
-from ..network import Assembly, Channel, Network, assemble
+from ..network import Assembly, Network, assemble
 from ..simulate import SI, Plant, delayed, effective_current, upsample
 from ..units import convert
 
@@ -54,7 +54,7 @@ class Record:
 
     @property
     def time(self) -> Array:
-        return self.start + self.rate * np.arange(len(self))
+        return np.asarray(self.start + self.rate * np.arange(len(self)), dtype=np.float64)
 
     def part(self, first: int, stop: int, name: str) -> Record:
         """Compared samples first..stop-1 as a record of their own."""
@@ -77,7 +77,9 @@ def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
     tail = 2 * values[-1:] - values[-2 : -half_in - 2 : -1]
     padded = np.concatenate([head, values, tail])
     shape = (-1,) + (1,) * (values.ndim - 1)
-    return oaconvolve(padded, taps.reshape(shape), mode="same", axes=0)[half_in : half_in + len(values) : thin]
+    return oaconvolve(padded, taps.reshape(shape), mode="same", axes=0)[
+        half_in : half_in + len(values) : thin
+    ]
 
 
 def bare(network: Network) -> Network:
@@ -127,9 +129,8 @@ class Problem:
         every = substeps or max(1, math.ceil(record.step / self.step - 1e-9))
         first = networks[0]
         motored = any(e.place == "element" for e in first.elements)
-        cells = self._cells(first)
-        extra = tuple(Channel(f"_{name}", "force", "N", element=name) for name in {n for _, n, _ in cells})
-        plant = Plant([bare(n) for n in networks], record.step / every, extra=extra)
+        pure = {id(n): bare(n) for n in networks}  # lanes that differ in their initial state share a network
+        plant = Plant([pure[id(n)] for n in networks], record.step / every)
         h = record.step / every
         inputs: dict[str, Array] = {}
         for c in first.inputs:
@@ -137,12 +138,14 @@ class Problem:
             if motored and c.quantity == "current":
                 columns = []
                 for n in networks:
-                    columns.append(effective_current(n, c.element or "", fine[:, None], h)[:, 0])
+                    columns.append(effective_current(n, c.elements[0], fine[:, None], h)[:, 0])
                 fine = np.stack(columns, axis=1)
             inputs[c.name] = fine
         if motored:
             width = len(networks)
-            inputs = {k: v if v.ndim == 2 else np.repeat(v[:, None], width, axis=1) for k, v in inputs.items()}
+            inputs = {
+                k: v if v.ndim == 2 else np.repeat(v[:, None], width, axis=1) for k, v in inputs.items()
+            }
         slopes = {}
         for part, name in plant.labels:
             if part in ("v", "alpha"):
@@ -153,10 +156,7 @@ class Problem:
         if plant.n:
             start = self._start(plant, initial, like, record)
         out = plant.run(inputs, every=every, samples=record.samples, initial=start, derivatives=slopes)
-        own = out[:, : len(self.channels)]
-        for j, name, sign in cells:
-            own[:, j] += sign * out[:, len(self.channels) + [c.element for c in extra].index(name)]
-        out = own * self.factors[:, None]
+        out = out * self.factors[:, None]
         if any(e.place == "channel" for e in first.elements):
             for lane, n in enumerate(networks):
                 for e in n.elements:
@@ -172,25 +172,13 @@ class Problem:
             out = low_pass(out, record.taps, record.thin)
         return out
 
-    def _cells(self, network: Network) -> list[tuple[int, str, float]]:
-        """(channel, added element, sign): a force cell reads what was found side by side with its element, too."""
-        own = {e.name for e in self.network.elements}
-        out = []
-        for j, c in enumerate(network.outputs):
-            if c.element is None:
-                continue
-            pair = network.element(c.element).where
-            for e in network.elements:
-                if e.name not in own and e.place == "between" and e.name != c.element and set(e.where) == set(pair):
-                    out.append((j, e.name, 1.0 if e.where == pair else -1.0))
-        return out
-
     def _start(self, plant: Plant, initial: Array | None, like: Network | None, record: Record) -> Array:
         lanes = len(plant.networks)
         if initial is None or like is None:
             return np.zeros((plant.n, lanes))
         source = assemble(bare(like))
-        return np.stack([carry(source, asm, initial[:, k]) for k, asm in enumerate(plant.assemblies)], axis=1)
+        maps = {id(asm): carrier(source, asm) for asm in plant.assemblies}
+        return np.stack([maps[id(asm)] @ initial[:, k] for k, asm in enumerate(plant.assemblies)], axis=1)
 
 
 def motion_rows_of(asm: Assembly, nodes: Sequence[str] | None = None) -> Array:
@@ -201,12 +189,19 @@ def motion_rows_of(asm: Assembly, nodes: Sequence[str] | None = None) -> Array:
     return np.vstack([asm.position[pick, x], 0.05 * asm.velocity[pick, x]])
 
 
-def carry(source: Assembly, target: Assembly, initial: Array) -> Array:
-    """The initial state of one network in the coordinates of another: the nodes that both have move alike."""
-    both = [n for n in source.network.nodes if n in target.network.nodes and n not in source.network.moved_nodes]
+def carrier(source: Assembly, target: Assembly) -> Array:
+    """Matrix from initial states of one network to those of another: the nodes that both have move alike."""
+    moved = source.network.moved_nodes
+    both = [n for n in source.network.nodes if n in target.network.nodes and n not in moved]
     if not both or not target.size[0]:
-        return np.zeros(target.size[0])
-    return np.linalg.lstsq(motion_rows_of(target, both), motion_rows_of(source, both) @ initial, rcond=None)[0]
+        return np.zeros((target.size[0], source.size[0]))
+    own, other = motion_rows_of(target, both), motion_rows_of(source, both)
+    return np.asarray(np.linalg.lstsq(own, other, rcond=None)[0], dtype=np.float64)
+
+
+def carry(source: Assembly, target: Assembly, initial: Array) -> Array:
+    """The initial state of one network in the coordinates of another."""
+    return carrier(source, target) @ initial
 
 
 # ------------------------------------------------------------------------------------------- weights

@@ -85,7 +85,12 @@ class Place:
     when: str
 
     def to_dict(self) -> dict[str, Any]:
-        return {"channel": self.channel, "share": self.share, "bands_hz": [list(b) for b in self.bands_hz], "when": self.when}
+        return {
+            "channel": self.channel,
+            "share": self.share,
+            "bands_hz": [list(b) for b in self.bands_hz],
+            "when": self.when,
+        }
 
 
 @dataclass(frozen=True)

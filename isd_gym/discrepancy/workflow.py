@@ -6,6 +6,7 @@ import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,12 @@ from .choose import (
     residuals,
     settled,
     share_of_force,
+    trust,
 )
 from .explain import law, next_experiment, places
 from .fit import Fit, Fitter
 from .hypotheses import Hypothesis, Structure, base_structure
-from .problem import Array, Problem, Record, Whitener, low_pass, passed, whitener
+from .problem import Array, Problem, Record, Whitener, innovations, low_pass, passed, whitener
 from .result import Contender, Diagnosis, Effect, Gate, Place, Quantity, Trace
 
 #: a gap below this share of a channel's standard deviation is not worth a name: few per cent are everybody's nuisance
@@ -122,7 +124,10 @@ def derivatives(records: list[Record], network: Network) -> list[Record]:
 
     Model and data pass one and the same low-pass then, in all records, so that filtering does not bias.
     """
-    order = max((_derivative_needed(network, str(c.at)) for c in network.inputs if c.quantity == "displacement"), default=0)
+    order = max(
+        (_derivative_needed(network, str(c.at)) for c in network.inputs if c.quantity == "displacement"),
+        default=0,
+    )
     if not order:
         return records
     needs = [c for c in network.inputs if c.quantity == "displacement"]
@@ -146,7 +151,16 @@ def derivatives(records: list[Record], network: Network) -> list[Record]:
             v = np.gradient(x, step, edge_order=2)
             inputs[c.name] = x
             slopes[c.name] = (v, np.gradient(v, step, edge_order=2))
-        out.append(replace(r, inputs=inputs, slopes=slopes, measured=low_pass(r.measured, taps, thin), taps=taps, thin=thin))
+        out.append(
+            replace(
+                r,
+                inputs=inputs,
+                slopes=slopes,
+                measured=low_pass(r.measured, taps, thin),
+                taps=taps,
+                thin=thin,
+            )
+        )
     return out
 
 
@@ -180,7 +194,9 @@ def _bandwidth(x: Array, step: float, order: int) -> float:
     return float(max(f[valley], 20 * f[1]))
 
 
-def split_records(estimation: list[Record], held: list[Record], notes: list[str]) -> tuple[list[Record], list[Record]]:
+def split_records(
+    estimation: list[Record], held: list[Record], notes: list[str]
+) -> tuple[list[Record], list[Record]]:
     if held:
         return estimation, held
     if len(estimation) > 1:
@@ -197,7 +213,7 @@ def stretches(record: Record) -> list[Record]:
     count = max(1, int(len(record) * record.rate / STRETCH))
     count = min(count, max(1, len(record) // 400))
     edges = np.linspace(0, len(record), count + 1).astype(int)
-    return [record.part(a, b, record.name) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [record.part(a, b, record.name) for a, b in pairwise(edges)]
 
 
 # ----------------------------------------------------------------------------------------------- the workflow
@@ -214,7 +230,15 @@ class Standing:
 
 
 class Workflow:
-    def __init__(self, problem: Problem, whole: Problem, say: Callable[[str], None], seed: int, notes: list[str], begun: float):
+    def __init__(
+        self,
+        problem: Problem,
+        whole: Problem,
+        say: Callable[[str], None],
+        seed: int,
+        notes: list[str],
+        begun: float,
+    ):
         self.problem, self.whole, self.say, self.notes, self.begun = problem, whole, say, notes, begun
         self.rng = np.random.default_rng(seed)
         self.network = problem.network
@@ -223,10 +247,14 @@ class Workflow:
         self.spread = np.maximum(held.std(axis=0), 1e-300)
 
     # -- judging ------------------------------------------------------------------------------------------
-    def plain_error(self, fit: Fit, structure: Structure, x: Array, frozen_state: dict[int, Array] | None = None) -> tuple[Array, Fit]:
+    def plain_error(
+        self, fit: Fit, structure: Structure, x: Array, frozen_state: dict[int, Array] | None = None
+    ) -> tuple[Array, Fit]:
         """NRMSE of every channel on the held-out stretches, initial states by plain least squares."""
         W = plain(self.problem, self.floors)
-        f = Fitter(self.problem, W).fit(structure, x, frozen_state, records=self.problem.validation, frozen=True, iterations=4)
+        f = Fitter(self.problem, W).fit(
+            structure, x, frozen_state, records=self.problem.validation, frozen=True, iterations=4
+        )
         r = np.concatenate(residuals(self.problem, f))
         return np.sqrt(np.mean(r**2, axis=0)) / self.spread, f
 
@@ -238,7 +266,9 @@ class Workflow:
 
     def run(self) -> Diagnosis:
         p, say = self.problem, self.say
-        say(f"{len(p.estimation)} record(s) to fit, {len(self.whole.validation)} held out; refitting the model within its stated uncertainty")
+        say(
+            f"{len(p.estimation)} record(s) to fit, {len(self.whole.validation)} held out; refitting the model within its stated uncertainty"
+        )
         structure = base_structure(self.network)
         fit, value = settled(p, structure, structure.start, self.floors)
         base = Rival((), fit, value)
@@ -246,19 +276,23 @@ class Workflow:
         path = [base]
         while len(path) <= DEPTH:
             now = path[-1]
-            W = whitener(residuals(p, now.fit), self.floors)
+            W = whitener(residuals(p, now.fit), trust(p, now.fit, self.floors))
             here = self.stand(now, W)
             noise = noise_levels(p, now.held)  # type: ignore[arg-type]
-            left = np.sqrt(np.maximum(here.nrmse**2 - (np.array([n.deviation for n in noise]) / self.spread) ** 2, 0.0))
+            left = np.sqrt(
+                np.maximum(here.nrmse**2 - (np.array([n.deviation for n in noise]) / self.spread) ** 2, 0.0)
+            )
             if left.max() < MATERIAL:
                 break
-            say(f"looking for what is missing ({'; '.join(h.label for h in now.hypotheses) or 'refitted model'}: excess up to {100 * left.max():.1f} %)")
-            rivals = compete(p, now.fit, self.floors)
+            say(
+                f"looking for what is missing ({'; '.join(h.label for h in now.hypotheses) or 'refitted model'}: excess up to {100 * left.max():.1f} %)"
+            )
+            rivals, least = compete(p, now.fit, self.floors)
             if not rivals:
                 break
             stages.append(rivals)
             best = rivals[0]
-            gain = now.likelihood - best.likelihood
+            gain = innovations(residuals(p, now.fit), least) + now.fit.prior - best.likelihood
             say(f"  best: {best.hypotheses[-1].label} (2 log L +{gain:.0f})")
             if gain < 60.0:
                 break
@@ -273,7 +307,7 @@ class Workflow:
     def conclude(self, base: Rival, path: list[Rival], stages: list[list[Rival]]) -> Diagnosis:
         p = self.problem
         final = path[-1]
-        W = whitener(residuals(p, final.fit), self.floors)
+        W = whitener(residuals(p, final.fit), trust(p, final.fit, self.floors))
         stood: dict[int, Standing] = {}
 
         def stand(r: Rival) -> Standing:
@@ -298,7 +332,9 @@ class Workflow:
             share = (last.score - now.score) / max(last.score - quiet, 1e-12)
             shares = self.plain_share(last.nrmse, now.nrmse, floor)
             moved = float(np.sqrt(np.maximum(last.nrmse**2 - now.nrmse**2, 0.0)).max())
-            table.append(f"{path[depth].hypotheses[-1].label}: share {share:.2f} / {shares:.2f}, moved {moved:.3f}")
+            table.append(
+                f"{path[depth].hypotheses[-1].label}: share {share:.2f} / {shares:.2f}, moved {moved:.3f}"
+            )
             size = share_of_force(p, path[depth].fit, path[depth].fit.structure.names[-1])
             table[-1] += f", size {size:.3f}"
             if max(share, shares) >= HALF and moved >= MATERIAL and share > 0 and size >= SHARE:
@@ -310,7 +346,10 @@ class Workflow:
         for r in [base, chosen, *rivals]:
             stand(r)
         refit, after = stand(base), stand(chosen)
-        explained = max((refit.score - after.score) / max(refit.score - quiet, 1e-12), self.plain_share(refit.nrmse, after.nrmse, floor))
+        explained = max(
+            (refit.score - after.score) / max(refit.score - quiet, 1e-12),
+            self.plain_share(refit.nrmse, after.nrmse, floor),
+        )
         gap_before = float(np.sqrt(np.maximum(before**2 - floor**2, 0)).max())
         gap_refit = float(np.sqrt(np.maximum(refit.nrmse**2 - floor**2, 0)).max())
         gap_after = float(np.sqrt(np.maximum(after.nrmse**2 - floor**2, 0)).max())
@@ -318,7 +357,11 @@ class Workflow:
         abreast: list[Rival] = []
         if depth:
             for r in sorted(rivals, key=lambda r: len(r.fit.x)):
-                if len(r.fit.x) < len(chosen.fit.x) and r.hypotheses[-1].effect in CONTAINS.get(chosen.hypotheses[-1].effect, ()) and not self.beaten(stand(r), stand(chosen), quiet):
+                if (
+                    len(r.fit.x) < len(chosen.fit.x)
+                    and r.hypotheses[-1].effect in CONTAINS.get(chosen.hypotheses[-1].effect, ())
+                    and not self.beaten(stand(r), stand(chosen), quiet)
+                ):
                     chosen = r
                     break
             for r in stages[depth - 1][:6]:
@@ -333,7 +376,21 @@ class Workflow:
             verdict = "ambiguous"
         else:
             verdict = "missing_effect"
-        self.detail = dict(share=explained, before=before, refit=refit.nrmse, after=after.nrmse, floor=floor, quiet=quiet, V=(refit.score, after.score), table=table, chosen=chosen, abreast=abreast, gaps=(gap_before, gap_refit, gap_after), stages=stages, standing=stood)
+        self.detail = dict(
+            share=explained,
+            before=before,
+            refit=refit.nrmse,
+            after=after.nrmse,
+            floor=floor,
+            quiet=quiet,
+            V=(refit.score, after.score),
+            table=table,
+            chosen=chosen,
+            abreast=abreast,
+            gaps=(gap_before, gap_refit, gap_after),
+            stages=stages,
+            standing=stood,
+        )
         return self.report(verdict, base, chosen, rivals, abreast, W, floor, before, stood, quiet, explained)
 
     def plain_share(self, last: Array, now: Array, floor: Array) -> float:
@@ -343,7 +400,7 @@ class Workflow:
 
     def beaten(self, rival: Standing, best: Standing, quiet: float) -> bool:
         """Whether the rival's held-out excess is larger by a tenth, and not by chance."""
-        excess = max(best.score - quiet, 0.003)
+        excess = max(best.score - quiet, 0.01 * quiet)
         if rival.score - quiet < AHEAD * excess:
             return False
         d = (rival.blocks - best.blocks).mean(axis=1)
@@ -353,11 +410,8 @@ class Workflow:
     def same(self, rival: Rival, best: Rival, W: Whitener) -> bool:
         """Whether the rival is no alternative: more parameters without gain, the best as a special case, or equal outputs."""
         a, b = rival.hypotheses[-1], best.hypotheses[-1]
-        if b.effect in CONTAINS.get(a.effect, ()) and set(a.where) == set(b.where):
-            return True
-        if a.effect == b.effect and a.where == b.where:
-            return True
-        return False
+        inside = b.effect in CONTAINS.get(a.effect, ()) and set(a.where) == set(b.where)
+        return inside or (a.effect == b.effect and a.where == b.where)
 
     def confidence(self, best: Standing, refit: Standing, others: list[Standing], quiet: float) -> float:
         """Share of block resamplings of the held-out records in which the choice stays what it is, never quite 1."""
@@ -367,23 +421,71 @@ class Workflow:
         for _ in range(rounds):
             pick = self.rng.integers(0, count, count)
             b, r = best.blocks[pick].mean(), refit.blocks[pick].mean()
-            hits += bool(r - b >= HALF * max(r - quiet, 0.0) and all(o.blocks[pick].mean() > b for o in others))
+            hits += bool(
+                r - b >= HALF * max(r - quiet, 0.0) and all(o.blocks[pick].mean() > b for o in others)
+            )
         return (hits + 0.5) / (rounds + 1.0)
 
-    def gates(self, base: Rival, chosen: Rival, best: Standing, refit: Standing, others: list[Standing], quiet: float, explained: float, floor: Array) -> tuple[Gate, ...]:
+    def gates(
+        self,
+        base: Rival,
+        chosen: Rival,
+        best: Standing,
+        refit: Standing,
+        others: list[Standing],
+        quiet: float,
+        explained: float,
+        floor: Array,
+    ) -> tuple[Gate, ...]:
         """The five gates with their figures."""
-        gain = base.likelihood - chosen.likelihood
+        least = trust(self.problem, chosen.fit, self.floors)
+        gain = sum(
+            k * (innovations(residuals(self.problem, r.fit), least) + r.fit.prior)
+            for r, k in ((base, 1), (chosen, -1))
+        )
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - best.nrmse**2, 0.0)).max())
         size = min(share_of_force(self.problem, chosen.fit, name) for name in chosen.fit.structure.names)
-        lead = min((o.score - quiet for o in others), default=math.inf) / max(best.score - quiet, 0.003)
+        lead = min((o.score - quiet for o in others), default=math.inf) / max(
+            best.score - quiet, 0.01 * quiet
+        )
         blocks = (refit.blocks - best.blocks).mean(axis=1)
         again = float(np.mean(blocks > 0))
         return (
-            Gate("significant", gain > 60.0, gain, 60.0, "twice the log likelihood gained over the refitted model, its own coloured noise allowed for"),
-            Gate("material", moved >= MATERIAL and size >= SHARE, moved, MATERIAL, f"share of a channel's standard deviation that it moves; {size:.0%} of the force, current or signal at its place"),
-            Gate("adequate", explained >= ADEQUATE, explained, ADEQUATE, "share of the held-out excess error removed"),
-            Gate("ahead", lead >= AHEAD, min(lead, 1e3), AHEAD, "excess error of the nearest rival over its own"),
-            Gate("replicated", again > 0.5, again, 0.5, "share of held-out stretches where it does better than the refitted model"),
+            Gate(
+                "significant",
+                gain > 60.0,
+                gain,
+                60.0,
+                "twice the log likelihood gained over the refitted model, its own coloured noise allowed for",
+            ),
+            Gate(
+                "material",
+                moved >= MATERIAL and size >= SHARE,
+                moved,
+                MATERIAL,
+                f"share of a channel's standard deviation that it moves; {size:.0%} of the force, current or signal at its place",
+            ),
+            Gate(
+                "adequate",
+                explained >= ADEQUATE,
+                explained,
+                ADEQUATE,
+                "share of the held-out excess error removed",
+            ),
+            Gate(
+                "ahead",
+                lead >= AHEAD,
+                min(lead, 1e3),
+                AHEAD,
+                "excess error of the nearest rival over its own",
+            ),
+            Gate(
+                "replicated",
+                again > 0.5,
+                again,
+                0.5,
+                "share of held-out stretches where it does better than the refitted model",
+            ),
         )
 
     def traces(self, base: Rival, final: Rival) -> tuple[Trace, ...]:
@@ -393,7 +495,11 @@ class Workflow:
         owner = base_structure(self.network)
         for i, record in enumerate(self.whole.records):
             says = []
-            for structure, x in ((owner, owner.start), (base.fit.structure, base.fit.x), (final.fit.structure, final.fit.x)):
+            for structure, x in (
+                (owner, owner.start),
+                (base.fit.structure, base.fit.x),
+                (final.fit.structure, final.fit.x),
+            ):
                 f = Fitter(self.whole, W).fit(structure, x, records=[i], frozen=True, iterations=3)
                 says.append({c: f.outputs[i][:, j] for j, c in enumerate(self.whole.channels)})
             measured = {c: record.measured[:, j] for j, c in enumerate(self.whole.channels)}
@@ -401,16 +507,21 @@ class Workflow:
             out.append(Trace(record.name, self.whole.held[i], record.time, thin, measured, *says))
         return tuple(out)
 
-    def report(self, verdict, base, chosen, rivals, abreast, W, floor, before, stood, quiet, explained) -> Diagnosis:
+    def report(
+        self, verdict, base, chosen, rivals, abreast, W, floor, before, stood, quiet, explained
+    ) -> Diagnosis:
         p = self.problem
         names = p.channels
         chosen_at, refit_at = stood[id(chosen)], stood[id(base)]
         others = [stood[id(r)] for r in rivals if id(r) in stood and not self.same(r, chosen, W)]
         confidence = self.confidence(chosen_at, refit_at, others, quiet)
-        gates = self.gates(base, chosen, chosen_at, refit_at, others, quiet, explained, floor) if chosen.hypotheses else ()
+        gates = (
+            self.gates(base, chosen, chosen_at, refit_at, others, quiet, explained, floor)
+            if chosen.hypotheses
+            else ()
+        )
         named = verdict == "missing_effect"
         final = chosen if verdict == "missing_effect" else base
-        shown = chosen if len(chosen.hypotheses) else base
         refit, after = stood[id(base)], stood.get(id(final)) or stood[id(base)]
         rows = {"before": before, "refit": refit.nrmse, "after": after.nrmse, "noise_floor": floor}
         gap = {k: {n: float(v) for n, v in zip(names, row, strict=True)} for k, row in rows.items()}
@@ -423,15 +534,30 @@ class Workflow:
         effects = []
         if named:
             for h, element in zip(final.hypotheses, final.fit.structure.names, strict=True):
-                own = {path.rpartition(".")[2]: q for path, q in fitted.items() if path.rpartition(".")[0] == element}
-                effects.append(Effect(h.effect, owner_pair(self.network, h), h.where[0] if h.place == "channel" else None, confidence, own, element))
+                own = {
+                    path.rpartition(".")[2]: q
+                    for path, q in fitted.items()
+                    if path.rpartition(".")[0] == element
+                }
+                effects.append(
+                    Effect(
+                        h.effect,
+                        owner_pair(self.network, h),
+                        h.where[0] if h.place == "channel" else None,
+                        confidence,
+                        own,
+                        element,
+                    )
+                )
         contenders = [
             Contender(
                 tuple(h.effect for h in r.hypotheses),
                 tuple(h.where for h in r.hypotheses),
                 (stood[id(r)].score - quiet) / max(refit.score - quiet, 1e-12),
                 r.likelihood - chosen.likelihood,
-                "cannot be told apart on these data" if r in abreast else "explains less of the held-out records",
+                "cannot be told apart on these data"
+                if r in abreast
+                else "explains less of the held-out records",
             )
             for r in ([chosen, *abreast] if verdict == "ambiguous" else rivals)
             if id(r) in stood
@@ -442,7 +568,9 @@ class Workflow:
             drawn = law(p, final.fit, e.element, e.parameters)
             if drawn is not None:
                 laws.append(drawn)
-        following = next_experiment(p, [chosen, *abreast], floor * self.spread) if verdict == "ambiguous" else None
+        following = (
+            next_experiment(p, [chosen, *abreast], floor * self.spread) if verdict == "ambiguous" else None
+        )
         summary = sentence(verdict, effects, [chosen, *abreast], where, gap)
         return Diagnosis(
             verdict=verdict,
@@ -484,7 +612,7 @@ def owner_pair(network: Network, h: Hypothesis) -> tuple[str, str] | None:
 def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quantity]:
     """Every free parameter with its 95 % interval, from the curvature under the residual's own coloured noise."""
     fit = rival.fit
-    W = whitener(residuals(problem, fit), floors)
+    W = whitener(residuals(problem, fit), trust(problem, fit, floors))
     f = Fitter(problem, W).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=3)
     out: dict[str, Quantity] = {}
     if f.hessian is None or not len(f.x):
@@ -501,7 +629,13 @@ def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quanti
     return out
 
 
-def sentence(verdict: str, effects: list[Effect], contenders: list[Rival], where: tuple[Place, ...], gap: dict[str, dict[str, float]]) -> str:
+def sentence(
+    verdict: str,
+    effects: list[Effect],
+    contenders: list[Rival],
+    where: tuple[Place, ...],
+    gap: dict[str, dict[str, float]],
+) -> str:
     """The verdict in a sentence a person can repeat."""
 
     def percent(row: str) -> str:
@@ -517,7 +651,9 @@ def sentence(verdict: str, effects: list[Effect], contenders: list[Rival], where
         parts = []
         for e in effects:
             spot = f"in channel {e.channel}" if e.channel else f"between {' and '.join(e.between or ())}"
-            figures = ", ".join(f"{k.replace('_', ' ')} {q.value:.4g} {q.unit}" for k, q in e.parameters.items())
+            figures = ", ".join(
+                f"{k.replace('_', ' ')} {q.value:.4g} {q.unit}" for k, q in e.parameters.items()
+            )
             parts.append(f"{e.effect.replace('_', ' ')} {spot} ({figures})")
         return f"The model lacks {' and '.join(parts)}; with it the error in {worst} on held-out data falls from {percent('refit')} to {percent('after')} (noise {percent('noise_floor')})."
     if verdict == "ambiguous":
