@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -403,7 +403,8 @@ def response(study: Study) -> Section:
             "series, against b ω² A: " + ", ".join(f"{number(excess[f], 2)}× at {f:.0f} Hz" for f in excess)
             + f"; printed: {number(ratio[RIG_PRINTED][at(2.0)], 2)}× at 2 Hz, {number(ratio[RIG_PRINTED][at(5.0)], 2)}× at 5 Hz",
             "does not follow from the printed f, c_e and b at 10 mm, in either arrangement: friction exceeds the inertance force below "
-            f"{number(crossing, 2)} Hz. Series comes near (in amplitude and in the part in phase with acceleration) at 4–6 Hz",
+            f"{number(crossing, 2)} Hz. In series the part in phase with acceleration comes near at 5 to 6 Hz "
+            f"({number(in_phase[5.0], 2)}× and {number(in_phase[6.0], 2)}×)",
         )
     )  # fmt: skip
     loops = {n: force_test(n, 8.0, periods=1) for n in (RIG, RIG_PRINTED)}
@@ -468,6 +469,10 @@ def causal_bound(study: Study) -> Section:
         ("travel −10 %, tyre load +2.4 %", -0.10, 0.024, None, None),
         ("Table 8's travel and tyre load", change8[1], change8[2], change8[0], None),
     ]
+    roads = {
+        f"Table 7's, on a road that is flat below {c:g} cycle/m": replace(paper_road(), cutoff=c)
+        for c in (0.002, 0.005, 0.011)
+    }
     rows: list[Sequence[str]] = []
     found: list[dict[str, Any]] = []
     for i, (label, travel, tyre, claimed, against) in enumerate(asked):
@@ -485,6 +490,14 @@ def causal_bound(study: Study) -> Section:
             (label, percent(travel), percent(tyre), percent(best.acceleration_change), percent(claimed))
         )
         study.progress("causal bound", (i + 1) / len(asked))
+    for label, ground in roads.items():
+        best = best_acceleration(change7[1], change7[2], road=ground)
+        ours, claimed = best.acceleration_change, change7[0]
+        found.append(
+            {"case": label, "travel": change7[1], "tyre": change7[2], "bound": ours, "paper": claimed}
+        )
+        rows.append((label, percent(change7[1]), percent(change7[2]), percent(ours), percent(claimed)))
+    loosest = min(f["bound"] for f in found if f["paper"] == change7[0])
     study.figures["causal_bound"] = {"reference": base.tolist(), "cases": found}
     study.claims.append(
         Claim(
@@ -492,7 +505,7 @@ def causal_bound(study: Study) -> Section:
             f"acceleration {percent(change7[0])}, travel {percent(change7[1])}, tyre load {percent(change7[2])} in simulation",
             f"any force between body and wheel, full state, no limits: {percent(found[0]['bound'])} at that travel and tyre load "
             f"({percent(found[1]['bound'])} against the paper's own passive row)",
-            "not possible in expectation for any causal controller of this car on white road velocity",
+            f"not possible in expectation for any causal controller of this car; {percent(loosest)} is the most under any reading tried here",
         )
     )
     # equation (8) with motor forces of 100, 200, 400 N RMS
@@ -572,7 +585,7 @@ def causal_bound(study: Study) -> Section:
         [
             "Whatever stands between body and wheel, its force acts on these two masses only. The linear-quadratic optimum of that force, "
             "with full state, without friction or limits, bounds every suspension on a road of white velocity, on average. It depends on the masses, the "
-            "tyre and the road alone."
+            "tyre and the shape of the road's spectrum alone: the changes depend neither on how rough the road is nor on the speed."
         ],
         [
             Table(
@@ -682,7 +695,7 @@ def _score_rows(found: Score, label: str) -> list[Sequence[str]]:
             ("tyre_load_rms", 1.0, 0),
         ):
             q = row[key]
-            cells.append(f"{q['value'] * scale:.{digits}f} ({percent(q.get('change'))})")
+            cells.append(f"{q['value'] * scale:.{digits}f}\u00a0({percent(q.get('change'))})")
         cells.append(percent(row["share_of_reachable_gain"], 0, sign=False))
         rows.append(tuple(cells))
     return rows
@@ -696,11 +709,11 @@ def simulation(study: Study) -> Section:
     printed = drive_all(study, PRINTED, ["isd-passive", *few], 2 if study.quick else 8, duration)
     rows: list[Sequence[str]] = []
     for name, (before, after) in PAPER.items():
-        for what, values in (("passive", before), ("active ISD", after)):
-            cells = [f"{name}: {what}", "–"]
+        for what, values in (("passive", before), ("active", after)):
+            cells = [f"{name.split(' (')[0]}: {what}", "–"]
             for p, v, scale, digits in zip(before, values, (1, 1e3, 1), (4, 2, 1), strict=True):
                 value = f"{v * scale:.{digits}f}"
-                cells.append(value if what == "passive" else f"{value} ({percent(v / p - 1)})")
+                cells.append(value if what == "passive" else f"{value}\u00a0({percent(v / p - 1)})")
             rows.append((*cells, "–"))
     rows += _score_rows(series, "")
     rows += [r for r in _score_rows(printed, ", printed eq. (8)") if not r[0].startswith("passive")]
@@ -713,7 +726,7 @@ def simulation(study: Study) -> Section:
     if known is not None:
         point = [float(np.sqrt(np.mean(known[k] ** 2))) for k in ("acceleration", "travel", "tyre_load")]
         cells = [
-            f"{v * s:.{d}f} ({percent(v / o - 1)})"
+            f"{v * s:.{d}f}\u00a0({percent(v / o - 1)})"
             for v, o, s, d in zip(point, own, (1, 1e3, 1), (3, 2, 0), strict=True)
         ]
         rows.append(("clairvoyant optimum", f"{known['value'].mean():.3f}", *cells, "100 %"))
@@ -1160,7 +1173,8 @@ def _lead(study: Study) -> str:
     return (
         f"The force tests hold together only if the oil spring is in series, not in parallel as printed (0.1 Hz: {slow['series']['plateau']:.0f} N against "
         f"{slow['printed']['peak'] / 1e3:.1f} kN). Table 8's bench result ({percent(bound[4]['paper'])} acceleration) is possible. Table 7's simulation "
-        f"({percent(bound[0]['paper'])}) is not: no causal controller does better than {percent(bound[0]['bound'])} at its travel and tyre load."
+        f"({percent(bound[0]['paper'])}) is not: no causal controller does better than {percent(bound[0]['bound'])} at its travel and tyre load. "
+        "The agreement with pure inertance in 2–5 Hz follows from the printed parameters in neither arrangement."
     )
 
 
