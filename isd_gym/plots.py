@@ -178,6 +178,11 @@ def channel_text(name: str) -> str:
     return name.replace("_", " ")
 
 
+def sentence(text: str) -> str:
+    """The text with a capital first letter; the rest as it is (Hz stays Hz)."""
+    return text[:1].upper() + text[1:]
+
+
 def page(template: str, **context: Any) -> str:
     """The HTML of one of the package's templates; all values are escaped."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined
@@ -191,7 +196,13 @@ def page(template: str, **context: Any) -> str:
         lstrip_blocks=True,
     )
     env.globals.update(
-        number=number, percent=percent, unit=unit_text, channel=channel_text, versions=versions(), zip=zip
+        number=number,
+        sentence=sentence,
+        percent=percent,
+        unit=unit_text,
+        channel=channel_text,
+        versions=versions(),
+        zip=zip,
     )
     return env.get_template(template).render(**context)
 

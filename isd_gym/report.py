@@ -366,7 +366,7 @@ class Probe:
         )
         space = linearise(probe)
         frequency = np.asarray(np.fft.rfftfreq(samples, step), np.float64)
-        low, high = max(0.1, 2.0 / (samples * step)), min(60.0, 0.4 / step)
+        low, high = 0.5 / (samples * step), min(60.0, 0.4 / step)
         band = np.flatnonzero((frequency >= low) & (frequency <= high))
         if len(band) < 10:
             raise InputError("the record is too short to look for a force in it")
@@ -539,7 +539,7 @@ def draw_spectra(fig: Figure, view: View) -> str:
     shown = view.order[:6]
     columns = 2 if len(shown) in (2, 4) else min(3, len(shown))
     rows = -(-len(shown) // columns)
-    fig.set_size_inches((4.6, 6.6, 7.7)[columns - 1], 2.1 * rows + 0.55)
+    fig.set_size_inches((5.2, 6.6, 7.7)[columns - 1], 2.1 * rows + 0.55)
     axes = fig.subplots(rows, columns, squeeze=False)
     step = float(trace.time[1] - trace.time[0])
     places = {p.channel: p for p in view.d.where}
@@ -554,11 +554,11 @@ def draw_spectra(fig: Figure, view: View) -> str:
         keep = keep if keep.sum() > 4 else f > 0
         ax.loglog(f[keep], p[keep], color=MUTED, lw=0.9, label="measured")
         _, old = density(unit.factor * (trace.measured[c] - trace.refit[c]), step)
-        ax.loglog(f[keep], old[keep], label="left over, old model refitted", **OLD)
+        ax.loglog(f[keep], old[keep], label="left over, old model", **OLD)
         least = old[keep].min()
         if view.named:
             _, new = density(unit.factor * (trace.measured[c] - trace.after[c]), step)
-            ax.loglog(f[keep], new[keep], label="left over, with what was found", **NEW)
+            ax.loglog(f[keep], new[keep], label="left over, new model", **NEW)
             least = min(least, new[keep].min())
         top = float(p[keep].max())
         ax.set_ylim(max(0.5 * least, 1e-8 * top), 3 * max(top, old[keep].max()))
@@ -588,36 +588,48 @@ def draw_plane(fig: Figure, view: View) -> str:
     """The missing force over motion, before and after; without one, the residual over the motion of its channel."""
     if not view.clouds:
         return _draw_channel_plane(fig, view)
-    columns = 2 if view.named else 1
-    fig.set_size_inches(3.7 * columns + (0 if view.named else 0.9), 2.9 * len(view.clouds) + 0.4)
-    axes = fig.subplots(len(view.clouds), columns, squeeze=False, sharey="row")
+    fig.set_size_inches(7.4, 2.9 * len(view.clouds) + 0.4)
+    axes = fig.subplots(len(view.clouds), 2, squeeze=False, sharey="row")
     for row, cloud in zip(axes, view.clouds, strict=True):
         kind = cloud.laws[0].kind if cloud.laws else "rate"
-        factor, text = _law_axis(kind)
-        x = factor * (cloud.rate if kind == "rate" else cloud.travel)
-        clouds_drawn = [(cloud.before, "on top of the old model", VERMILLION)]
+        over = {"rate": cloud.rate, "travel": cloud.travel}
+        factor, _ = _law_axis(kind)
         if cloud.after is not None:
-            clouds_drawn.append((cloud.after, "on top of the new model", BLUE))
+            panels = [
+                (kind, cloud.before, "on top of the old model", VERMILLION),
+                (kind, cloud.after, "on top of the new model", BLUE),
+            ]
+        else:
+            panels = [
+                (k, cloud.before, f"on top of the old model, over {k}", VERMILLION)
+                for k in ("rate", "travel")
+            ]
         law = _sum_of_laws(cloud)
-        for ax, (force, title, colour) in zip(row, clouds_drawn, strict=True):
-            _dots(ax, x, force, colour)
+        for ax, (axis_kind, force, title, colour) in zip(row, panels, strict=True):
+            scale, label = _law_axis(axis_kind)
+            _dots(ax, scale * over[axis_kind], force, colour)
             ax.set_title(title)
-            ax.set_xlabel(f"{text} of {cloud.pair[0]}–{cloud.pair[1]}")
+            ax.set_xlabel(f"{label} of {cloud.pair[0]}–{cloud.pair[1]}")
         if law is not None:
             axis, middle, low, high = law
             row[0].fill_between(factor * axis, low, high, color=BLUE, alpha=0.25, lw=0)
             row[0].plot(factor * axis, middle, color=BLUE, lw=1.6, label="the law that was found")
-        top = float(np.quantile(np.abs(clouds_drawn[0][0]), 0.998)) * 1.25
+        top = float(np.quantile(np.abs(cloud.before), 0.998)) * 1.25
         if law is not None:
             top = max(top, 1.15 * float(np.abs(law[1]).max()))
         row[0].set_ylim(-top, top)
         row[0].set_ylabel("missing force [N]")
     legend(fig, axes[0, 0])
     where = "the law, drawn over it, took no part in that" if view.named else "no law was assumed"
+    short = ""
+    if view.named:
+        short = (
+            " Where the dots fall short of the law, the refit has made up for a part with the old parameters."
+        )
     return (
         "Each dot is the force that the measurements ask for at one moment, on top of what the model says: reconstructed "
         f"from the residuals of all channels of a {'held-out' if view.trace and view.trace.held_out else 'fitted'} record through the linear model; "
-        f"{where}. What the sensors do not resolve is smoothed, so corners look rounder than they are."
+        f"{where}. What the sensors do not resolve is smoothed, so corners look rounder than they are.{short}"
     )
 
 
