@@ -125,7 +125,7 @@ def road_noise(seed, gain, pole, start, out):
 # --------------------------------------------------------------------------------------------- kernel
 
 
-def solve(q, l, kinds, P, GD, GS, d_free, s_free, f, z, d, s, z_next, h):
+def solve(q, l, kinds, differ, P, GD, GS, d_free, s_free, f, z, d, s, z_next, h):
     """Forces of all laws of one lane at the end of the step, by Gauss-Seidel over the laws, a secant in each."""
     a = l * q
     nl = kinds.shape[0]
@@ -146,7 +146,25 @@ def solve(q, l, kinds, P, GD, GS, d_free, s_free, f, z, d, s, z_next, h):
                     -1 - kinds[j], P[j * LAW_PARAMETERS : (j + 1) * LAW_PARAMETERS, a], d[j, l], s[j, l]
                 )
                 if gs < 0.0:
-                    new = min(max(-si / gs, -level), level)
+                    hold = -si / gs
+                    new = min(max(hold, -level), level)
+                    if abs(hold) > level and differ[j] == 0:
+                        # it slides at the end of the step: mean bound over the step, and the old sign up to the
+                        # instant of reversal, so that a step with a reversal is of second order too
+                        sign, was = (1.0 if hold > 0.0 else -1.0), s[j, l]
+                        for _ in range(4):
+                            end = si + gs * new
+                            mean = 0.5 * (
+                                level
+                                + law_bound(
+                                    -1 - kinds[j],
+                                    P[j * LAW_PARAMETERS : (j + 1) * LAW_PARAMETERS, a],
+                                    d[j, l],
+                                    end,
+                                )
+                            )
+                            part = was / (was - end) if was * end < 0.0 else 0.0
+                            new = sign * mean * (1.0 - 2.0 * part)
                 else:  # prescribed motion: nothing yields
                     new = level if si > 0.0 else (-level if si < 0.0 else 0.0)
             else:
@@ -367,12 +385,23 @@ def advance(size, tag, mats, ints, state, u, c, lanes):
                             for r in range(nl):
                                 df[r, l] += D[r * n + i, l * q] * t
                                 sf[r, l] += S[r * n + i, l * q] * t
-            solve(q, l, kinds, P, GD, GS, df, sf, f, z, d, s, z_next, h)
+            solve(q, l, kinds, differ, P, GD, GS, df, sf, f, z, d, s, z_next, h)
             for i in range(n):
                 t = y[i, l]
                 for j in range(nl):
                     t += G1[i * nl + j, l * q] * f[j, l]
                 x[i, l] = t
+            for j in range(
+                nl
+            ):  # what acted was a mean over the step; what outputs see is the force at its end
+                if kinds[j] < 0 and differ[j] == 0 and abs(s[j, l]) > 1e-9:
+                    t = law_bound(
+                        -1 - kinds[j],
+                        P[j * LAW_PARAMETERS : (j + 1) * LAW_PARAMETERS, l * q],
+                        d[j, l],
+                        s[j, l],
+                    )
+                    f[j, l] = t if s[j, l] > 0.0 else -t
 
 
 def measure(size, tag, mats, ints, state, u, c, lanes, out):

@@ -185,7 +185,7 @@ def test_friction_converges_as_the_step_shrinks():
     fine = simulate("quarter-car-isd", time, inputs, step=STEP / 32)["device_travel"]
     errors = [
         rms(simulate("quarter-car-isd", time, inputs, step=h)["device_travel"] - fine)
-        for h in (STEP, STEP / 4)
+        for h in (STEP, STEP / 8)
     ]
     assert errors[1] < 0.4 * errors[0] < 0.02 * rms(fine)
 
