@@ -11,8 +11,10 @@ by step until it is the real one. The currents found are rolled out as they are:
 bound of the optimum. Other schedules and starts end within some 0.5 % of it.
 
 **What is proven** (`Clairvoyant.lower`). Let the friction be any force within its level, as if it were a second
-actuator: the real friction is one of its choices, and the problem becomes convex. Its Lagrange dual, evaluated
-exactly by one Riccati sweep, is a lower bound for every sequence of currents that keeps the device off its end stops.
+actuator, and take the end stops away: the real friction is one of the choices, and the problem becomes convex. Its
+Lagrange dual, evaluated exactly by one Riccati sweep, is a lower bound for the car without end stops. (With them it is
+not proven, for a stop may push the right way. What is reached with and without them differs by 0.6 % at most, seeds 0-3.)
+Without friction and stops the two methods meet within 0.05 %, which checks both.
 """
 
 from __future__ import annotations
@@ -627,7 +629,7 @@ class Episode:
         return out
 
     def relaxation(self) -> float | None:
-        """A proven lower bound of the cost (see the module); None where a law besides one friction and stops is present."""
+        """A proven lower bound of the cost of the car without end stops (see the module); None where a law besides one friction and stops is present."""
         asm = self.single.assemblies[0]
         dry = [j for j, e in enumerate(asm.laws) if e.bound is not None]
         if len(dry) > 1 or any(e.bound is None and not isinstance(e, el.BumpStop) for e in asm.laws):
@@ -717,7 +719,7 @@ SCHEDULES = (Schedule.of(2.0, 1.0, 15), Schedule.of(2.0, 1.5, 15), Schedule.of(1
 
 @dataclass(frozen=True)
 class Clairvoyant:
-    """The outcome: `currents` (steps,) [A], the cost they reach, a proven lower bound, and the costs of all starts.
+    """The outcome: `currents` (steps,) [A], the cost they reach, a lower bound (proven without end stops), and the costs of all starts.
 
     `rms` (3,): body acceleration [m/s^2], suspension travel [m], dynamic tyre load [N] at the ends of control steps.
     """

@@ -832,8 +832,9 @@ def simulation(study: Study) -> Section:
     if known is not None:
         text.append(
             "The clairvoyant optimum knows the road of the whole episode and keeps all limits in the real network: what it reaches is an upper bound of the least cost. "
-            f"Proven is only that no currents that keep the device off its stops cost less than {known['lower'].mean():.3f}, so at least "
-            f"{percent((own_cost(series) - known['value'].mean()) / (own_cost(series) - known['lower'].mean()), 0, sign=False)} of the conceivable gain is reached by it."
+            f"Proven is only that no currents cost less than {known['lower'].mean():.3f} in the car without its end stops, where friction may be any force "
+            "within its level. So what is reached is at least "
+            f"{percent((own_cost(series) - known['value'].mean()) / (own_cost(series) - known['lower'].mean()), 0, sign=False)} of the conceivable gain."
         )
     return Section(
         "The car (Figure 10, Tables 7 and 8)",
