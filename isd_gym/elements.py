@@ -184,7 +184,7 @@ class TerminalInertia(Element):
     equation = "F = m a_terminal (absolute acceleration of one terminal)"
     source = "the m n dv1/dt term that equation (3) has and equation (4) drops"
     signature = "force in phase with absolute, not relative, acceleration"
-    choices = {"terminal": ("first", "second")}
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"terminal": ("first", "second")}
     mass: float = parameter("kg", 0.5, 60.0)
     terminal: str = "second"
 
@@ -345,7 +345,7 @@ class BumpStop(Element):
     equation = "F = k (|d| - clearance) sgn d + c v in contact, never pulling; 0 else"
     source = "deputy cylinder stroke of Table 1: +-100 mm / 4.056 = +-24.65 mm at the device"
     signature = "nothing below a travel, a stiff spring beyond it"
-    choices = {"side": ("both", "extension", "compression")}
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"side": ("both", "extension", "compression")}
     law = staticmethod(_stop)
     clearance: float = parameter("m", 1e-3, 0.1)
     stiffness: float = parameter("N/m", 1e4, 5e6)

@@ -35,7 +35,7 @@ LAW_PARAMETERS = 4  # numbers a law may read
 
 def _chain(functions: Sequence[Callable], fallback: Callable) -> Callable:
     """One compiled function that calls functions[code]."""
-    out = nb.njit(error_model="numpy")(fallback)
+    out: Callable = nb.njit(error_model="numpy")(fallback)
     for code, function in reversed(list(enumerate(functions))):
         out = _link(code, nb.njit(error_model="numpy")(function), out)
     return out
@@ -123,6 +123,10 @@ def road_noise(seed, gain, pole, start, out):
 
 
 # --------------------------------------------------------------------------------------------- kernel
+
+
+law_force: Callable  # bound when the kernel is compiled, from the laws registered by then
+law_bound: Callable
 
 
 def solve(q, l, kinds, differ, P, GD, GS, d_free, s_free, f, z, d, s, z_next, h):

@@ -343,7 +343,11 @@ class Network:
                 by_element[owner][name] = float(value)
             else:
                 masses[owner] = float(value)
-        changed = tuple(replace(e, **by_element[e.name]) if by_element[e.name] else e for e in self.elements)
+
+        def own(e: el.Element) -> dict[str, Any]:
+            return dict(by_element[e.name])
+
+        changed = tuple(replace(e, **own(e)) for e in self.elements)
         return replace(self, masses=masses, elements=changed)
 
     def with_element(self, element: el.Element | Mapping[str, Any], *, at: int | None = None) -> Network:
@@ -572,14 +576,14 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
     r, v, alpha = select(r_, n_moved), select(v_, n_moved), select(alpha_, n_moved)
     # what pushes on the nodes besides M, C and K: forces in, motors and laws out (positive in tension)
     push = np.zeros((total, width))
-    for j, c in enumerate(forces):
-        push[index[str(c.at)], F_.start + j] += 1.0
+    for j, channel in enumerate(forces):
+        push[index[str(channel.at)], F_.start + j] += 1.0
     motor_force: dict[str, np.ndarray] = {}
     for e in between:
         if isinstance(e, el.Motor):
             motor_force[e.name] = np.zeros(width)
-            for j, c in enumerate(currents):
-                if c.element == e.name:
+            for j, channel in enumerate(currents):
+                if channel.element == e.name:
                     motor_force[e.name][I_.start + j] = e.thrust_constant * e.ratio
             push -= np.outer(incidence(e.between), motor_force[e.name])
     push[:, f_] -= law_rows.T

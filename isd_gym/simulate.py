@@ -245,7 +245,7 @@ class Plant:
         c = np.zeros((max(total - 1, 1), max(len(self.currents), 1), width))
         for j, channel in enumerate(self.currents):
             values = effective_current(
-                self.networks[0], channel.element or "", wide(inputs[channel.name]), self.step
+                self.networks[0], str(channel.element), wide(inputs[channel.name]), self.step
             )
             c[:, j] = values[: len(c)]
         out = np.empty((samples, self.n_outputs, self.lanes))
