@@ -9,16 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 
 from .controller import Controller, Idle
-
-if TYPE_CHECKING:
-    from isd_gym.scoring import Entry
 
 Factory = Callable[..., Controller]
 
@@ -60,6 +57,16 @@ def _mpc(
     return mpc.Mpc(model, cost, control_step, **_settings("mpc", base, options), name=start or "mpc")
 
 
+def _friction(
+    model: Network, cost: StageCost, control_step: float, *, preview: bool = False, **options: Any
+) -> Controller:
+    from .friction import PREVIEW, FrictionMpc, FrictionMpcSettings
+
+    base = PREVIEW if preview else FrictionMpcSettings()
+    name = "mpc-friction-preview" if preview else "mpc-friction"
+    return FrictionMpc(model, cost, control_step, **_settings("friction", base, options), name=name)
+
+
 def _settings(module: str, base: Any, options: Mapping[str, Any]) -> dict[str, Any]:
     """Keyword `settings` of a controller with single fields replaced; `InputError` for a field that is not there."""
     import dataclasses
@@ -85,6 +92,8 @@ CONTROLLERS: dict[str, Factory] = {
     "lqr-full": _lqr_full,
     "mpc-paper": partial(_mpc, start="mpc-paper"),
     "mpc": _mpc,
+    "mpc-friction": _friction,
+    "mpc-friction-preview": partial(_friction, preview=True),
 }
 #: the plant of a controller that has its own
 PLANTS = {"passive": "quarter-car-passive"}
@@ -108,21 +117,4 @@ def make(
     return CONTROLLERS[name](network, cost or StageCost(), control_step, **options)
 
 
-def policy(
-    name: str, model: Network, cost: StageCost, control_step: float, options: Mapping[str, Any]
-) -> Entry | None:
-    """A baseline as an entry to score (`isd_gym.policies`); None for a name that is not a baseline's."""
-    from isd_gym.scoring import Entry
-
-    if name not in CONTROLLERS:
-        return None
-    return Entry(name, lambda: make(name, model, cost, control_step, **options))
-
-
-def _names() -> list[str]:
-    return [name for name in CONTROLLERS if name not in ("passive", "isd-passive")]
-
-
-policy.names = _names  # type: ignore[attr-defined]
-
-__all__ = ["CONTROLLERS", "PLANTS", "Controller", "make", "policy"]
+__all__ = ["CONTROLLERS", "PLANTS", "Controller", "make"]

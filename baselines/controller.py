@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ class Controller(ABC):
     from the present current (Table 5).
     """
 
-    observation: ClassVar[str] = "measured"
+    observation: str = "measured"  # what it wants to see of the environment
 
     def __init__(self, name: str, model: Network) -> None:
         self.name, self.model = name, model
@@ -65,7 +65,6 @@ class BatchController(Controller):
     def _command(self, obs: np.ndarray) -> np.ndarray:
         """Wanted currents (n,) for clean observations (6+, n)."""
 
-    # the memory of a controller is plain arrays: `copy.deepcopy` and pickle need no help
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numba as nb
 import numpy as np
@@ -27,6 +26,7 @@ from .controller import CURRENT, BatchController
 from .lqg import Estimator
 from .model import (
     ROAD_INTENSITY,
+    Model,
     Sensors,
     Weights,
     equivalent_damping,
@@ -252,7 +252,13 @@ def _plan(x, current, moves, road, m, iterations):
         np.zeros((N, nl)),
         np.zeros((N, ny)),
     )
-    xt, ct, ft, dt, yt = (np.zeros_like(xs), np.zeros_like(cs), np.zeros_like(fs), np.zeros_like(ds), np.zeros_like(ys))
+    xt, ct, ft, dt, yt = (
+        np.zeros_like(xs),
+        np.zeros_like(cs),
+        np.zeros_like(fs),
+        np.zeros_like(ds),
+        np.zeros_like(ys),
+    )
     gains, gain_k, nominal, trial = np.zeros((N, n + 1)), np.zeros(N), np.zeros((N, n + 1)), np.empty(N)
     broken = 0
     for e in range(cars):
@@ -272,7 +278,9 @@ def _plan(x, current, moves, road, m, iterations):
             alpha, better = 1.0, False
             for _ in range(5):
                 trial[:] = w
-                new = _roll(x0, current[e], trial, gains, nominal, gain_k, alpha, road[e], m, xt, ct, ft, dt, yt)
+                new = _roll(
+                    x0, current[e], trial, gains, nominal, gain_k, alpha, road[e], m, xt, ct, ft, dt, yt
+                )
                 if new < cost:
                     better = True
                     break
@@ -301,16 +309,15 @@ class FrictionMpcSettings:
     the stage cost. spread [-] scales the road's share in the friction's rate, floor [m/s] is its least. terminal_rate
     [m/s]: rate at which friction is linearised for the cost-to-go. preview: road ahead known."""
 
-    horizon: int = 30
+    horizon: int = 20
     iterations: int = 2
-    move: float = 1e-3
+    move: float = 0.05
     effort: float = 0.0
-    tyre_load: float = 0.0
-    centring: float = 0.02
+    tyre_load: float = 0.1
+    centring: float = 0.05
     spread: float = 1.0
-    floor: float = 0.01
+    floor: float = 0.005
     terminal_rate: float = 0.2
-    terminal_move: float = 0.01
     friction_noise: float = 300.0
     preview: bool = False
     sensors: Sensors = field(default_factory=Sensors)
@@ -319,6 +326,10 @@ class FrictionMpcSettings:
     def __post_init__(self) -> None:
         if self.horizon < 1 or self.iterations < 1:
             raise InputError("horizon and iterations must be at least 1")
+
+
+#: a road seen 0.25 s ahead is no longer a source of spread; what is left is the floor
+PREVIEW = FrictionMpcSettings(horizon=50, preview=True, spread=0.3)
 
 
 class FrictionMpc(BatchController):
@@ -331,12 +342,11 @@ class FrictionMpc(BatchController):
         control_step: float = 5e-3,
         settings: FrictionMpcSettings | None = None,
         name: str = "mpc-friction",
-        **_: Any,
     ) -> None:
         super().__init__(name, model)
         self.settings = s = settings or FrictionMpcSettings()
         if s.preview:
-            self.observation = "preview"  # type: ignore[misc]
+            self.observation = "preview"
         cost = cost or StageCost()
         self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)
         self.weights = w = Weights(
@@ -346,15 +356,17 @@ class FrictionMpc(BatchController):
         stops = {e.name: 0.0 for e in m.laws if e.bound is None}
         levels = m.levels()
         damping = {m.laws[j].name: equivalent_damping(levels[j], s.terminal_rate) for j in m.friction}
-        linear = prediction_model(model, control_step, damping=damping | stops, road_intensity=s.road_intensity)
+        linear = prediction_model(
+            model, control_step, damping=damping | stops, road_intensity=s.road_intensity
+        )
         self._idle = m.thrust == 0.0
         if not self._idle:
-            design = replace(w, move=max(w.move, s.terminal_move), centring=max(w.centring, 1e-3))
+            design = replace(w, move=max(w.move, 1e-3), centring=max(w.centring, 1e-3))
             _, V = move_regulator(linear, design)
             self._problem = self._pack(m, linear.A, V)
         self.reset()
 
-    def _pack(self, m, A_linear: np.ndarray, V: np.ndarray) -> tuple:
+    def _pack(self, m: Model, A_linear: np.ndarray, V: np.ndarray) -> tuple:
         s, nl = self.settings, len(m.laws)
         dry = np.array([e.bound is not None for e in m.laws], bool)
         # a friction is read at its rate, a stop at its elongation
@@ -399,5 +411,7 @@ class FrictionMpc(BatchController):
             return np.zeros(obs.shape[1])
         self.moves[:, :-1] = self.moves[:, 1:]
         self.moves[:, -1] = 0.0
-        self.fallbacks += _plan(x, obs[CURRENT], self.moves, self._road, self._problem, self.settings.iterations)
+        self.fallbacks += _plan(
+            x, obs[CURRENT], self.moves, self._road, self._problem, self.settings.iterations
+        )
         return obs[CURRENT] + self.moves[:, 0]

@@ -30,12 +30,12 @@ class LqgSettings:
     made up for. lead [s], foresight [s]: how far ahead the law and the sign of the device's rate are read, for the
     drive slews. width [m/s]: the sign is smoothed below it."""
 
-    effort: float = 3e-3
+    effort: float = 0.01
     tyre_load: float = 0.0
-    centring: float = 0.02
-    compensation: float = 0.9
+    centring: float = 0.03
+    compensation: float = 1.0
     lead: float = 0.01
-    foresight: float = 0.015
+    foresight: float = 0.025
     width: float = 0.02
     friction_noise: float = 300.0  # N, per step: how little the estimate trusts its friction
     sensors: Sensors = field(default_factory=Sensors)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from isd_gym import elements as el
-from isd_gym.batch import CURRENT_LIMIT, signal_channels, state_channels
+from isd_gym.batch import signal_channels, state_channels
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble
@@ -28,13 +28,18 @@ ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20
 
 @dataclass(frozen=True)
 class Sensors:
-    """Standard deviations a Kalman filter assumes; small, as the environment's sensors are clean."""
+    """Standard deviations a Kalman filter assumes; small, as the environment's sensors are clean.
+
+    `memory` [s]: how long the car's absolute speed, which nothing measures, is integrated from the acceleration before
+    the road's mean level is trusted more. Clean sensors would allow minutes; an accelerometer's bias does not.
+    """
 
     body_acceleration: float = 0.02  # m/s^2
     suspension_travel: float = 2e-5  # m
     suspension_travel_rate: float = 2e-3  # m/s
     device_travel: float = 2e-5  # m
     device_travel_rate: float = 2e-3  # m/s
+    memory: float = 5.0
 
     @property
     def covariance(self) -> np.ndarray:
@@ -75,9 +80,20 @@ class Model:
     laws: tuple[el.Element, ...]
     thrust: float  # N/A at the terminals of the motor; 0 without one
     motor_rate: np.ndarray  # row that gives the device's rate
-    nodes: (
-        np.ndarray
-    )  # rows that give displacement and velocity of every node, as the full observation has them
+    road_intensity: float  # m^2/s
+    # rows of displacement and velocity of every node, as the full observation has them
+    nodes: np.ndarray
+
+    @property
+    def heave(self) -> np.ndarray:
+        """The state (n,) of a car that rises as a whole at 1 m/s, nothing in it moving against anything."""
+        channels = state_channels(self.network)
+        speed = [
+            i for i, c in enumerate(channels) if c.quantity == "velocity" and c.at in self.network.masses
+        ]
+        height = [i for i, c in enumerate(channels) if c.quantity == "displacement"]
+        rows = np.vstack([self.nodes[speed], self.nodes[height], self.C[1:N_SENSORS]])
+        return np.linalg.lstsq(rows, np.arange(len(rows)) < len(speed), rcond=None)[0]
 
     @property
     def n(self) -> int:
@@ -195,6 +211,7 @@ def prediction_model(
         laws=tuple(asm.laws[j] for j in kept),
         thrust=motor.thrust_constant * motor.ratio if motor is not None else 0.0,
         motor_rate=out[4, x],
+        road_intensity=road_intensity,
         nodes=out[6:, x],
     )
 
@@ -226,13 +243,23 @@ class Weights:
         return self.cost.quadratic[3] + self.effort
 
 
+def _riccati(model: Model, *matrices: np.ndarray) -> np.ndarray:
+    try:
+        return solve_discrete_are(*matrices[:4], s=matrices[4] if len(matrices) > 4 else None)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"network '{model.network.name}' has no linear-quadratic controller: "
+            "something in it neither decays nor can be moved or seen"
+        ) from None
+
+
 def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     """LQR without friction: (gain K (n,) of ``I = -K x``, value matrix V (n, n))."""
     q = weights.signals[:, None]
     C, D = model.C @ model.A, model.C @ model.B + model.D  # signals at the end of the step
     Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
     N = (C.T @ (q[:, 0] * D))[:, None]
-    V = solve_discrete_are(model.A, model.B[:, None], Q, R, s=N)
+    V = _riccati(model, model.A, model.B[:, None], Q, R, N)
     K = np.linalg.solve(R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T)[0]
     return K, V
 
@@ -250,7 +277,7 @@ def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarr
     Q[n, n] += weights.current
     R += weights.current + weights.move
     N[n] += weights.current
-    V = solve_discrete_are(A, B, Q, R, s=N)
+    V = _riccati(model, A, B, Q, R, N)
     K = np.linalg.solve(R + B.T @ V @ B, B.T @ V @ A + N.T)[0]
     return K, V
 
@@ -261,7 +288,9 @@ def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None)
     W = model.W + (0.0 if noise is None else noise)
     # rounding may leave W indefinite by a hair; a whisper of noise on every state keeps the equation well posed
     W = W + 1e-12 * np.eye(model.n) * max(np.trace(W), 1e-12)
-    V = solve_discrete_are(model.A.T, C.T, W, sensors.covariance)
+    # a random walk of the absolute speed whose filter, against white road velocity, has this time constant
+    W = W + model.road_intensity * model.step / sensors.memory**2 * np.outer(model.heave, model.heave)
+    V = _riccati(model, model.A.T, C.T, W, sensors.covariance)
     return np.linalg.solve(C @ V @ C.T + sensors.covariance, C @ V).T
 
 
@@ -337,23 +366,3 @@ def statistical_linearisation(
         residual = levels[free.laws[j].name] * math.sqrt(1 - 2 / math.pi)
         noise += residual**2 * np.outer(free.G[:, j], free.G[:, j])
     return Linearised(model, damping, rms, noise)
-
-
-def tyre_aware(cost: StageCost, tyre_load: float) -> StageCost:
-    """The cost with the weight of the tyre load at least `tyre_load` [-]."""
-    return replace(cost, tyre_load=max(cost.tyre_load, tyre_load))
-
-
-__all__ = [
-    "CURRENT_LIMIT",
-    "Linearised",
-    "Model",
-    "Sensors",
-    "Weights",
-    "equivalent_damping",
-    "kalman_gain",
-    "move_regulator",
-    "prediction_model",
-    "regulator",
-    "statistical_linearisation",
-]

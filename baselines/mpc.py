@@ -24,10 +24,8 @@ from .model import (
     Model,
     Sensors,
     Weights,
-    equivalent_damping,
     move_regulator,
     prediction_model,
-    stationary,
     statistical_linearisation,
 )
 from .qp import Program, program
@@ -50,9 +48,9 @@ class MpcSettings:
 
     horizon: int = 20
     moves: tuple[int, ...] = (1, 1, 2, 3, 5, 8)
-    move: float = 0.01
+    move: float = 0.05
     tyre_load: float = 0.0
-    centring: float = 0.02
+    centring: float = 0.05
     terminal: bool = True
     friction: str = "planned"
     spread: float = 1.0
@@ -77,7 +75,7 @@ PAPER = MpcSettings(
 
 
 class Mpc(Controller):
-    """The quadratic program of one car. `plan` (horizon,): the currents [A] it means to command."""
+    """The quadratic program of one car. `plan` (horizon,) [A]; `status`: the solver's last word."""
 
     def __init__(
         self,
@@ -200,7 +198,7 @@ class Mpc(Controller):
         if not self._passive:
             self._moves = np.zeros(len(self.settings.moves))
             self._rates = np.zeros((self.settings.horizon, len(self._levels)))
-            self._planned_ahead = False
+            self._has_plan = False
 
     def act(self, observation: np.ndarray) -> float:
         obs = clean(np.asarray(observation)[None], self._last)
@@ -214,7 +212,7 @@ class Mpc(Controller):
 
     @property
     def plan(self) -> np.ndarray:
-        """Planned currents [A] over the horizon, relative to the present one."""
+        """Planned currents over the horizon, less the one at the time of planning [A]."""
         return self._currents @ self._moves
 
     def _solve(self, x: np.ndarray, present: float) -> np.ndarray:
@@ -255,10 +253,12 @@ class Mpc(Controller):
         if moves is None:
             # the rest of the last plan; without one, towards no current
             self.fallbacks += 1
-            moves = guess if self._planned_ahead else np.zeros(pieces)
-            if not self._planned_ahead:
+            moves = guess
+            if not self._has_plan:
+                moves = np.zeros(pieces)
                 moves[0] = -np.clip(present, -SLEW_LIMIT, SLEW_LIMIT)
-        self._planned_ahead = self.status != "idle" and moves is not None
+        else:
+            self._has_plan = True
         self._moves = moves
         if self._nf:
             rates = self._rates_given @ given + self._rates_moves @ moves
@@ -268,6 +268,3 @@ class Mpc(Controller):
     def _within(self, moves: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
         rows = self._rows @ moves
         return bool(np.all(rows >= low) and np.all(rows <= high))
-
-
-__all__ = ["PAPER", "Mpc", "MpcSettings", "equivalent_damping", "stationary"]

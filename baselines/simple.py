@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from isd_gym import elements as el
+from isd_gym.batch import signal_channels
 from isd_gym.cost import StageCost
 from isd_gym.network import Network
 
@@ -37,6 +38,7 @@ class Strut:
 
     @classmethod
     def of(cls, network: Network) -> Strut:
+        signal_channels(network)  # says what is missing if this is no car
         body, wheel = list(network.masses)[:2]
         between = [e for e in network.elements if e.place == "between"]
         motor = next((e for e in between if isinstance(e, el.Motor)), None)

@@ -1,0 +1,518 @@
+"""Baselines: the tools they are made of against closed forms, their limits on any road, their answer to any solver."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import baselines
+from baselines.controller import clean, limit
+from baselines.friction import FrictionMpc, FrictionMpcSettings, _plan
+from baselines.lqg import Estimator, Lqg, LqgSettings
+from baselines.model import (
+    Sensors,
+    Weights,
+    closed_loop_spread,
+    equivalent_damping,
+    move_regulator,
+    prediction_model,
+    regulator,
+    statistical_linearisation,
+)
+from baselines.mpc import Mpc, MpcSettings
+from baselines.qp import Outcome, program
+from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.cost import StageCost
+from isd_gym.env import ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+from isd_gym.network import Network, linearise
+
+STEP = 5e-3
+CAR = Network.load("quarter-car-isd")
+MEASURED = [n for n in baselines.CONTROLLERS if n not in ("lqr-full", "mpc-friction-preview")]
+
+
+def frictionless(net: Network = CAR) -> Network:
+    return replace(
+        net, elements=tuple(e for e in net.elements if e.name not in ("seal", "end_stop")), uncertainty={}
+    )
+
+
+def rollout(controller, *, cars=4, steps=400, seed=0, **options):
+    """Observations (steps, cars, 6+) and commands (steps, cars) of a controller on the road."""
+    env = ISDSuspensionVectorEnv(
+        cars, autoreset_mode="disabled", observation=controller.observation, **options
+    )
+    obs, _ = env.reset(seed=seed)
+    controller.reset_batch(cars)
+    seen, sent = [], []
+    for _ in range(steps):
+        command = controller.act_batch(obs)
+        seen.append(obs)
+        sent.append(np.array(command))
+        obs, *_ = env.step(np.reshape(command, (cars, 1)))
+    return np.array(seen), np.array(sent)
+
+
+def cost_change(controller, *, cars=8, steps=2000, seed=100, **options) -> float:
+    """Relative change of the cost against the conventional passive car, on the same roads."""
+    total = []
+    for car, network in ((controller, "quarter-car-isd"), (baselines.make("passive"), "quarter-car-passive")):
+        env = ISDSuspensionVectorEnv(
+            cars, network=network, autoreset_mode="disabled", observation=car.observation, **options
+        )
+        obs, _ = env.reset(seed=seed)
+        singles = None
+        if hasattr(car, "act_batch"):
+            car.reset_batch(cars)
+        else:
+            singles = [baselines.make(car.name) for _ in range(cars)]
+        total.append(0.0)
+        for _ in range(steps):
+            action = [c.act(o) for c, o in zip(singles, obs, strict=True)] if singles else car.act_batch(obs)
+            obs, reward, *_ = env.step(np.reshape(action, (cars, 1)))
+            total[-1] -= reward.mean()
+    return total[0] / total[1] - 1.0
+
+
+# --------------------------------------------------------------------------------------------- model
+
+
+def test_prediction_model_is_the_linearised_network():
+    """Frequency response of the discrete model at 1 Hz, current to body acceleration, against the continuous one."""
+    net = frictionless()
+    m, ss = prediction_model(net, 1e-4), linearise(net)
+    s = 2j * math.pi
+    z = np.exp(s * m.step)
+    hold = (1 - np.exp(-s * m.step)) / (s * m.step)
+    own = (m.C @ np.linalg.solve(z * np.eye(m.n) - m.A, m.B) + m.D)[:2] * hold * np.exp(s * m.step) ** 0
+    column = ss.inputs.index("current")
+    want = ss.response(np.array([1.0]))[0, :2, column]
+    assert np.abs(own / want - 1).max() < 2e-3
+
+
+def test_white_road_gives_the_spread_of_the_conventional_car():
+    """Section 2: 0.828 m/s², 7.16 mm and 516 N in expectation."""
+    m = prediction_model(Network.load("quarter-car-passive"), STEP)
+    rms = np.sqrt(np.diag(m.C @ closed_loop_spread(m, np.zeros(m.n)) @ m.C.T))
+    assert rms[[0, 1, 5]] == pytest.approx([0.828, 7.16e-3, 516.0], rel=4e-3)
+
+
+def test_equivalent_damping_is_the_least_squares_gain():
+    """f sqrt(2/pi)/sigma against the regression of f sgn(v) on Gaussian v."""
+    v = np.random.default_rng(0).normal(0.0, 0.07, 200_000)
+    fitted = v @ (500.0 * np.sign(v)) / (v @ v)
+    assert equivalent_damping(500.0, 0.07) == pytest.approx(fitted, rel=0.01)
+    assert equivalent_damping(500.0, 0.07) == pytest.approx(500.0 * math.sqrt(2 / math.pi) / 0.07, rel=1e-12)
+
+
+def test_statistical_linearisation_is_self_consistent():
+    weights = Weights(StageCost(), move=0.05, centring=0.05)
+    found = statistical_linearisation(CAR, STEP, weights)
+    m = found.model
+    K, _ = move_regulator(m, weights)
+    A = np.zeros((m.n + 1,) * 2)
+    A[:-1, :-1], A[:-1, -1], A[-1, -1] = m.A, m.B, 1.0
+    A -= np.outer(np.append(m.B, 1.0), K)
+    S = np.zeros_like(A)
+    for _ in range(20_000):
+        S = A @ S @ A.T
+        S[:-1, :-1] += m.W
+    row = np.append(prediction_model(CAR, STEP).S[0], 0.0)
+    assert math.sqrt(row @ S @ row) == pytest.approx(found.rate_rms["seal"], rel=0.01)
+    assert found.damping["seal"] == pytest.approx(equivalent_damping(500.0, found.rate_rms["seal"]), rel=0.01)
+
+
+def test_riccati_value_is_the_cost_of_the_rollout():
+    """The regulator's own law, rolled out on white road noise in its linear model, costs trace(V W) per step."""
+    m = prediction_model(frictionless(), STEP)
+    weights = Weights(StageCost(), effort=0.01, centring=0.1)
+    K, V = regulator(m, weights)
+    spread = closed_loop_spread(m, K)
+    y = m.C @ spread @ m.C.T
+    # the current that is paid for is the one chosen at the state: K S K
+    cost = weights.signals @ np.diag(y) + weights.current * (K @ spread @ K)
+    # signals at the end of the step carry the step's own noise, which no value function contains
+    assert cost == pytest.approx(np.trace(V @ m.W) + weights.signals @ np.diag(m.C @ m.W @ m.C.T), rel=1e-6)
+
+
+# ----------------------------------------------------------------------------------------- estimator
+
+
+def test_kalman_estimate_converges_to_the_true_state():
+    """From a wrong state, in the linear plant without noise: absolute velocity and tyre deflection are not measured."""
+    m = prediction_model(frictionless(), STEP)
+    filter_ = Estimator(m, Sensors(), 0.0)
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=(m.n, 1)) * np.sqrt(np.diag(m.W))[:, None] * 30
+    first = np.abs(x[:, 0]).max()
+    for _ in range(16_000):
+        current = rng.normal()
+        x = m.A @ x + m.B[:, None] * current
+        y = m.C[:5] @ x + m.D[:5, None] * current
+        estimate = filter_.update(np.vstack([y, [[current]]]))
+    assert np.abs(x - estimate).max() < 1e-3 * first
+
+
+def test_estimate_on_the_car_is_the_state():
+    """On the real car, friction and all. What the road did within the last 5 ms no sensor has seen yet: 1.4 mm, 270 N
+    of tyre load, of which a part is missing; everything else is within a few per cent of its RMS."""
+    full = baselines.make("lqr-full")
+    seen, _ = rollout(full, steps=1500)
+    filter_ = Estimator(full.prediction, Sensors(), 300.0)
+    filter_.reset(seen.shape[1])
+    errors, truth = [], []
+    for obs in seen:
+        estimate = filter_.update(clean(obs, np.zeros(len(obs))))
+        x = full._state @ obs.T[full._places]
+        errors.append(estimate - x)
+        truth.append(x)
+    m = full.prediction
+    rows = np.vstack([m.C[[1, 3]], m.nodes[1], m.C[5]])  # travel, device travel, body velocity, tyre load
+    error, true = (np.std(rows @ np.array(x)[300:], axis=(0, 2)) for x in (errors, truth))
+    assert np.all(error[:3] < [0.01 * true[0], 0.01 * true[1], 0.2 * true[2]])
+    assert error[3] < 0.3 * true[3]
+
+
+# ----------------------------------------------------------------------------------------------- MPC
+
+
+def test_stage_cost_is_the_objective():
+    """MPC's quadratic form of a plan is the sum of `StageCost` over the predicted steps (and the move weight)."""
+    cost = StageCost(tyre_load=0.2, current=0.05)
+    controller = Mpc(
+        CAR, cost, STEP, MpcSettings(horizon=6, moves=(1,) * 6, terminal=False, centring=0.0, move=0.3)
+    )
+    m = controller.linear.model
+    rng = np.random.default_rng(2)
+    scale = np.sqrt(np.diag(m.W)) + 1e-4
+
+    def objective(x0, present, moves):
+        x, c, total = x0, present, 0.0
+        for w in moves:
+            c = c + w
+            x = m.A @ x + m.B * c
+            y = m.C @ x + m.D * c
+            total += cost(y[0], y[1], y[5], c) + 0.3 * w * w
+        return total
+
+    for _ in range(3):
+        x0, present, moves = scale * rng.normal(size=m.n), rng.normal(), 0.2 * rng.normal(size=6)
+        given = np.concatenate([x0, [present], np.zeros(controller._linear_term.shape[1] - m.n - 1)])
+        q = controller._linear_term @ given
+        form = 0.5 * moves @ controller._P @ moves + q @ moves
+        direct = objective(x0, present, moves) - objective(x0, present, np.zeros(6))
+        assert form == pytest.approx(direct, rel=1e-9)
+
+
+def test_long_unconstrained_mpc_is_the_regulator():
+    """A horizon of 400 steps without cost-to-go gives the first move of the infinite-horizon regulator."""
+    settings = MpcSettings(
+        horizon=400, moves=(1,) * 400, terminal=False, friction="equivalent", centring=0.5, move=0.5
+    )
+    controller = Mpc(CAR, None, STEP, settings)
+    m = controller.linear.model
+    K, _ = move_regulator(m, controller.weights)
+    x = np.sqrt(np.diag(closed_loop_spread(m, np.zeros(m.n)) + 1e-12)) * 1e-3
+    free = -controller._inverse @ (controller._linear_term @ np.append(x, 0.01))
+    assert free[0] == pytest.approx(-K @ np.append(x, 0.01), rel=1e-3)
+
+
+def test_cost_to_go_makes_a_short_horizon_long():
+    """With the regulator's cost-to-go, 3 free moves and the infinite horizon agree exactly."""
+    controller = Mpc(CAR, None, STEP, MpcSettings(horizon=3, moves=(1, 1, 1), friction="equivalent"))
+    K, _ = move_regulator(controller.linear.model, controller.weights)
+    z = np.append(np.random.default_rng(3).normal(size=controller.linear.model.n) * 1e-4, 0.02)
+    free = -controller._inverse @ (controller._linear_term @ z)
+    assert free[0] == pytest.approx(-K @ z, rel=1e-6)
+
+
+@pytest.mark.parametrize("solver", ["osqp", "daqp", "piqp"])
+def test_solvers_agree(solver):
+    if solver != "osqp":
+        pytest.importorskip(solver)
+    rng = np.random.default_rng(4)
+    A = np.vstack([np.eye(4), np.tril(np.ones((4, 4)))])
+    low, high = -np.concatenate([np.full(4, 0.5), np.full(4, 0.8)]), np.full(8, 0.5)
+    R = rng.normal(size=(4, 4))
+    P = R @ R.T + np.eye(4)
+    solved = program(solver, P, A)
+    for _ in range(5):
+        q = 3 * rng.normal(size=4)
+        x = solved.solve(q, low, high, np.zeros(4)).x
+        assert x is not None
+        # optimality: no feasible point nearby or far is better
+        best = 0.5 * x @ P @ x + q @ x
+        assert np.all(A @ x >= low - 1e-3) and np.all(A @ x <= high + 1e-3)
+        trials = rng.uniform(-0.5, 0.5, size=(4000, 4))
+        inside = trials[np.all((trials @ A.T >= low) & (trials @ A.T <= high), axis=1)]
+        assert np.all(0.5 * np.einsum("ki,ij,kj->k", inside, P, inside) + inside @ q >= best - 2e-3)
+
+
+def test_soft_limits_bend_the_plan():
+    """A plan that would pass the limit of travel passes it by less once the limit counts."""
+    controller = baselines.make("mpc")
+    m = controller.linear.model
+    x = np.linalg.pinv(m.C[[1, 3]]) @ np.array([0.09, 0.0])  # 9 cm of travel
+    soft = controller._solve(x, 0.0)
+    assert "solved" in controller.status.lower()
+    controller.reset()
+    controller._soft_limits = controller._soft_limits * np.inf
+    hard = controller._solve(x, 0.0)
+    given = np.concatenate([x, [0.0], np.zeros(controller._linear_term.shape[1] - m.n - 1)])
+    travel = lambda moves: np.abs(controller._soft_given @ given + controller._soft_moves @ moves)[20:].max()  # noqa: E731
+    assert travel(soft) <= travel(hard) + 1e-9
+    assert not np.allclose(soft, hard)
+
+
+@pytest.mark.parametrize(
+    "status", ["primal infeasible", "maximum iterations reached", "unsolved", "problem non convex"]
+)
+def test_every_solver_status_has_a_defined_answer(status):
+    """Without a plan the current goes to zero at the slew limit; with one its rest is used. Both are counted."""
+    controller = baselines.make("mpc")
+
+    class Broken:
+        def solve(self, *_):
+            return Outcome(None, status)
+
+    rough = np.array([3.0, 0.02, -0.4, 0.01, 0.3, 2.0])
+    controller._program = controller._soft_program = Broken()
+    assert controller.act(rough) == pytest.approx(1.5)  # towards no current, 0.5 A a step
+    assert controller.fallbacks == 1 and controller.status == status
+    fresh = baselines.make("mpc")
+    fresh.act(rough)
+    before = fresh.plan
+    fresh._program = fresh._soft_program = Broken()
+    held = dict(present=rough[5] + before[0])
+    command = fresh.act(np.append(rough[:5], held["present"]))
+    assert fresh.fallbacks == 1
+    assert command == pytest.approx(held["present"] + before[1] - before[0], abs=0.2)
+
+
+def test_osqp_statuses_are_read(monkeypatch):
+    """Solved and inaccurate are taken, any other word is not, nor is a solution that is not finite."""
+    import osqp
+
+    qp = program("osqp", np.eye(2), np.eye(2))
+    kinds = {s: getattr(osqp.SolverStatus, s) for s in dir(osqp.SolverStatus) if s.startswith("OSQP_")}
+
+    class Info:
+        status = "word"
+
+    class Result:
+        info, x = Info(), np.zeros(2)
+
+    class Fake:
+        def update(self, **_): ...
+        def warm_start(self, **_): ...
+        def solve(self, **_):
+            return Result
+
+    qp._solver = Fake()
+    for name, value in kinds.items():
+        Result.info.status_val = value
+        Result.x = np.zeros(2)
+        taken = qp.solve(np.zeros(2), -np.ones(2), np.ones(2), np.zeros(2)).x is not None
+        assert taken == (name in ("OSQP_SOLVED", "OSQP_SOLVED_INACCURATE")), name
+        Result.x = np.array([np.nan, 0.0])
+        assert qp.solve(np.zeros(2), -np.ones(2), np.ones(2), np.zeros(2)).x is None
+
+
+# ---------------------------------------------------------------------------------- friction-aware MPC
+
+
+def test_expected_friction_balances_rate_and_force():
+    """The implicit friction: rate and force at the end of the step satisfy v = free + g f and f = level erf(...)."""
+    from baselines.friction import _forces
+
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        free, spread = rng.normal(0, 0.2), 10 ** rng.uniform(-3.5, -0.5)
+        g = -(10 ** rng.uniform(-6, -3))
+        f, d = np.zeros(1), np.zeros(1)
+        _forces(
+            np.array([free]),
+            np.array([True]),
+            np.array([500.0]),
+            np.zeros(1),
+            np.full(1, np.inf),
+            np.array([[g]]),
+            np.array([spread]),
+            f,
+            d,
+        )
+        v = free + g * f[0]
+        assert f[0] == pytest.approx(500.0 * math.erf(v / (math.sqrt(2) * spread)), abs=0.5)
+
+
+def test_one_sweep_solves_a_linear_problem():
+    """Without friction and inactive limits, DDP gives the regulator's move in one iteration."""
+    controller = FrictionMpc(
+        frictionless(), None, STEP, FrictionMpcSettings(horizon=10, iterations=1, tyre_load=0.0)
+    )
+    K, _ = move_regulator(controller.prediction, controller.weights)
+    x = np.random.default_rng(6).normal(size=(controller.prediction.n, 1)) * 1e-5
+    moves = np.zeros((1, 10))
+    _plan(x, np.array([0.01]), moves, np.zeros((1, 10)), controller._problem, 1)
+    assert moves[0, 0] == pytest.approx(-K @ np.append(x[:, 0], 0.01), rel=1e-6)
+
+
+def test_plan_is_a_local_minimum():
+    """At a plan on the real car, no small allowed change of any move costs less."""
+    from baselines.friction import _roll
+
+    controller = FrictionMpc(CAR, None, STEP, FrictionMpcSettings(iterations=60, horizon=12))
+    m = controller.prediction
+    x = np.linalg.pinv(m.C[[1, 2, 3, 4]]) @ np.array([0.01, 0.15, 0.003, -0.05])
+    moves = np.zeros((1, 12))
+    _plan(x[:, None], np.array([0.3]), moves, np.zeros((1, 12)), controller._problem, 60)
+    nl, ny = len(m.laws), len(controller._problem[15])
+    shapes = [(13, m.n), (13,), (12, nl), (12, nl), (12, ny)]
+    empty = np.zeros((12, m.n + 1))
+
+    def cost(w):
+        return _roll(
+            x,
+            0.3,
+            w.copy(),
+            empty,
+            empty,
+            np.zeros(12),
+            0.0,
+            np.zeros(12),
+            controller._problem,
+            *(np.zeros(shape) for shape in shapes),
+        )
+
+    best = cost(moves[0])
+    for k in range(12):
+        for delta in (0.05, -0.05):
+            other = moves[0].copy()
+            other[k] += delta
+            if abs(other[k]) <= SLEW_LIMIT:
+                assert cost(other) > best - 1e-4 * best
+
+
+# ----------------------------------------------------------------------------------- every controller
+
+
+@pytest.mark.parametrize("name", ["skyhook", "add", "lqg", "mpc-friction"])
+def test_act_batch_is_act(name):
+    batched, cars = baselines.make(name), 3
+    seen, sent = rollout(batched, cars=cars, steps=120)
+    for i in range(cars):
+        single = baselines.make(name)
+        single.reset()
+        own = [single.act(obs[i]) for obs in seen]
+        assert np.allclose(own, sent[:, i], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", list(baselines.CONTROLLERS))
+@pytest.mark.parametrize("road", ["H", "paper"])
+def test_limits_hold_on_any_road(name, road):
+    """|I| <= 5 A and |dI| <= 0.5 A per step, finite, on ISO class H (beyond any real road) and the paper's."""
+    controller = baselines.make(name)
+    env = ISDSuspensionVectorEnv(1, road=road, observation=controller.observation, autoreset_mode="disabled")
+    obs, _ = env.reset(seed=7)
+    controller.reset()
+    for _ in range(300):
+        command = controller.act(obs[0])
+        assert math.isfinite(command)
+        assert abs(command) <= CURRENT_LIMIT
+        assert abs(command - float(obs[0, 5])) <= SLEW_LIMIT + 1e-9
+        obs, _, terminated, *_ = env.step(np.array([[command]]))
+        assert not terminated.any()
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_no_observation_breaks_a_controller(name):
+    """Noise, nonsense, not-a-number and infinity in; finite currents within the limits out; and it recovers."""
+    controller = baselines.make(name)
+    controller.reset()
+    rng = np.random.default_rng(8)
+    for k in range(60):
+        obs = (rng.normal(size=6) * 10 ** rng.uniform(-2, 6)).astype(np.float32)
+        if k % 3 == 0:
+            obs[rng.integers(6)] = rng.choice([np.nan, np.inf, -np.inf])
+        command = controller.act(obs)
+        assert math.isfinite(command) and abs(command) <= CURRENT_LIMIT
+    calm = np.zeros(6, np.float32)
+    for _ in range(8000):
+        calm[5] = command = controller.act(calm)
+    assert abs(command) < 0.5
+
+
+@pytest.mark.parametrize("name", ["lqg", "mpc", "mpc-friction"])
+def test_wrong_model_is_survived(name):
+    """The controller believes in equation (8) as printed, the plant is the default car: limits hold, nothing breaks."""
+    controller = baselines.make(name, model="quarter-car-eq8")
+    assert controller.model.name == "quarter-car-eq8"
+    env = ISDSuspensionVectorEnv(1, autoreset_mode="disabled")
+    obs, _ = env.reset(seed=9)
+    controller.reset()
+    for _ in range(300):
+        command = controller.act(obs[0])
+        assert abs(command - float(obs[0, 5])) <= SLEW_LIMIT + 1e-9
+        obs, _, terminated, *_ = env.step(np.array([[command]]))
+        assert not terminated.any()
+
+
+def test_ranking_on_the_papers_road():
+    """Paired with the passive car over 80 s: LQG and the friction-aware MPC well below, preview far below."""
+    assert cost_change(baselines.make("lqg")) < -0.17
+    assert cost_change(baselines.make("mpc-friction")) < -0.17
+    assert cost_change(baselines.make("mpc-friction-preview"), cars=2) < -0.40
+    assert cost_change(baselines.make("isd-passive")) == pytest.approx(0.03, abs=0.03)
+
+
+def test_mpc_beats_passive_and_the_toolbox_horizons_do_not():
+    assert cost_change(baselines.make("mpc"), cars=2, steps=1500) < -0.10
+    assert cost_change(baselines.make("mpc-paper"), cars=2, steps=1500) > 0.0
+
+
+def test_fallback_counts_survive_a_reset():
+    controller = baselines.make("mpc")
+    controller.fallbacks = 3
+    controller.reset()
+    assert controller.fallbacks == 3
+
+
+def test_controllers_pickle():
+    for name in ("lqg", "mpc-friction", "skyhook"):
+        controller = baselines.make(name)
+        other = pickle.loads(pickle.dumps(controller))
+        obs = np.array([1.0, 0.01, 0.1, 0.002, 0.05, 0.3], np.float32)
+        assert other.act(obs) == controller.act(obs)
+
+
+def test_limit_holds_what_is_not_a_number():
+    present = np.array([1.0, 4.8, -2.0])
+    assert np.array_equal(limit(np.array([np.nan, 9.0, -9.0]), present), [1.0, 5.0, -2.5])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: baselines.make("nonsense"), "no controller 'nonsense'"),
+        (lambda: baselines.make("mpc", horizn=3), "no option 'horizn'"),
+        (lambda: baselines.make("mpc", solver="nonsense"), "no solver 'nonsense'"),
+        (lambda: baselines.make("mpc", horizon=2), "horizon"),
+        (lambda: baselines.make("lqg", model="force-rig"), "is no car"),
+        (lambda: baselines.make("skyhook", model="force-rig"), "is no car"),
+    ],
+)
+def test_bad_input_is_one_clear_line(call, words):
+    with pytest.raises(InputError, match=words) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_of_lqg_matter_as_they_say():
+    """Without compensation the linear law loses most of its effect to friction."""
+    with_it, without = Lqg(CAR), Lqg(CAR, settings=LqgSettings(compensation=0.0))
+    assert cost_change(with_it, cars=4) < cost_change(without, cars=4) - 0.04
