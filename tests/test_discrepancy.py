@@ -23,7 +23,9 @@ def table(columns, name: str) -> Table:
 
 def run(kind: str, seed: int, **choices) -> tuple[Diagnosis, object]:
     case = make_case(kind, seed, **choices)
-    d = diagnose([table(case.estimation, "estimation")], case.model, validate=[table(case.validation, "validation")])
+    d = diagnose(
+        [table(case.estimation, "estimation")], case.model, validate=[table(case.validation, "validation")]
+    )
     return d, case
 
 

@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..network import Channel, Network, assemble
 from ..simulate import effective_current
 from .fit import Fit, Fitter
-from .hypotheses import Hypothesis, Motion, Probe, Structure, add, hypotheses, pairs, probes
+from .hypotheses import SERIES, Hypothesis, Motion, Probe, Structure, add, hypotheses, pairs, probes
 from .problem import Array, Noise, Problem, Record, Whitener, bare, carry, innovations, noise_of, whitener
 
 
@@ -28,7 +28,7 @@ class Screened:
     inverse: bool = False
 
     def structure_at(self, fit: Fit) -> Structure:
-        return add(fit.structure, self.hypothesis, self.start)
+        return add(advanced(fit), self.hypothesis, self.start)
 
 
 def motions(problem: Problem, fit: Fit) -> dict[tuple[str, str], Motion]:
@@ -117,6 +117,7 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
     r = r - Q @ (Q.T @ r)
 
     jobs: list[tuple[Hypothesis, Probe, list[Structure]]] = []
+    fitted = replace(structure, network=net)
     for h in candidates:
         pair_motion = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
         current = spread = 1.0
@@ -136,14 +137,7 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
             )
         for probe in probes(h, net, pair_motion, force, current, spread):
             try:
-                built = [
-                    add(
-                        Structure(net, structure.free, structure.hypotheses, structure.names, structure.ties),
-                        h,
-                        v,
-                    )
-                    for v in probe.ways
-                ]
+                built = [add(fitted, h, v) for v in probe.ways]
                 for b in built:
                     assemble(bare(b.network))
             except (InputError, np.linalg.LinAlgError):
@@ -184,9 +178,11 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
         if np.any(left < 1e-3 * size):
             continue
         amplitude, *_ = np.linalg.lstsq(s, r, rcond=None)
-        if not probe.signed and np.any(amplitude <= 0):
+        wrong = not probe.signed and bool(np.any(amplitude <= 0))
+        if wrong and h.effect not in SERIES:
             continue
-        gain = float(r @ (s @ amplitude))
+        # what is put in series changes the order of the equations: a small one says little about a large one
+        gain = 0.0 if wrong else float(r @ (s @ amplitude))
         values = dict(probe.values)
         if h.effect == "cogging_force":
             sine, cosine = amplitude * probe.values["amplitude"]
@@ -321,13 +317,24 @@ def judge(problem: Problem, W: Whitener, rival: Rival) -> None:
 BLOCKS = 20
 
 
-def shortlist(found: Sequence[Screened], limit: int) -> list[list[Screened]]:
+def shortlist(found: Sequence[Screened], limit: int, moved: Sequence[str]) -> list[list[Screened]]:
     """The best hypotheses, each with its probes, best first."""
     groups: dict[Hypothesis, list[Screened]] = {}
     for s in found:
-        if s.hypothesis in groups or len(groups) < limit:
+        always = s.hypothesis.effect in SERIES and bool(set(s.hypothesis.where) & set(moved))
+        if s.hypothesis in groups or len(groups) < limit or always:
             groups.setdefault(s.hypothesis, []).append(s)
     return list(groups.values())
+
+
+def advanced(fit: Fit) -> Structure:
+    """The structure with the effects found so far at their fitted values, the base at its prior."""
+    found = {f.path: f.back(float(v)) for f, v in zip(fit.structure.free, fit.x, strict=True) if f.owner >= 0}
+    return (
+        replace(fit.structure, network=fit.structure.network.with_parameters(found))
+        if found
+        else fit.structure
+    )
 
 
 def starts(
@@ -348,7 +355,7 @@ def starts(
             for key in s.grows:
                 values[key] *= factor if not s.inverse else 1 / factor
             try:
-                trials.append(add(current.structure, h, values))
+                trials.append(add(advanced(current), h, values))
             except InputError:
                 continue
     if not trials:
@@ -385,7 +392,7 @@ def compete(
     hot = trust(problem, current, floors)
     W = whitener(residuals(problem, current), hot)
     found = screen(problem, Fitter(problem, W), current, list(hypotheses(current.structure.network)))
-    chosen = shortlist(found, limit)
+    chosen = shortlist(found, limit, problem.network.moved_nodes)
     # heats are run over the beginning of every record, the final over all of it
     short = Problem(
         problem.network,

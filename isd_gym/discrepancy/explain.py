@@ -53,7 +53,7 @@ def when(
     if not e.mean() > 0:
         return "everywhere"
     width = max(1, int(0.02 / record.rate))
-    e = np.convolve(e, np.ones(width) / width, mode="same")
+    e = np.asarray(np.convolve(e, np.ones(width) / width, mode="same"), dtype=np.float64)
     best = (1.6, "everywhere")  # a condition must raise the energy by this factor to be worth saying
 
     def consider(mask: NDArray[np.bool_], text: str) -> None:

@@ -227,7 +227,9 @@ def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> t
     White noise of deviation `least` is added in thought: bands where a record happens to be quieter than any model
     can be trusted to be are not weighed by how quiet they are.
     """
-    gram, rhs, count, total = np.zeros((order, order)), np.zeros(order), 0, 0.0
+    gram: Array = np.zeros((order, order))
+    rhs: Array = np.zeros(order)
+    count, total = 0, 0.0
     for x in series:
         lags = np.lib.stride_tricks.sliding_window_view(x, order + 1)[:, ::-1]
         gram += lags[:, 1:].T @ lags[:, 1:]
@@ -236,9 +238,9 @@ def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> t
         count += len(lags)
     total += count * least**2
     gram += count * least**2 * np.eye(order)
-    ridge = 1e-9 * np.trace(gram) / order + 1e-300
+    ridge = 1e-9 * float(np.trace(gram)) / order + 1e-300
     a = np.linalg.solve(gram + ridge * np.eye(order), rhs)
-    variance = max(total - 2 * a @ rhs + a @ gram @ a, 1e-300) / max(count, 1)
+    variance = max(float(total - 2 * a @ rhs + a @ gram @ a), 1e-300) / max(count, 1)
     return np.concatenate([[1.0], -a]), math.sqrt(variance)
 
 
@@ -247,7 +249,7 @@ def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> White
     taps = []
     for j in range(residuals[0].shape[1]):
         series = [r[:, j] - r[:, j].mean() for r in residuals]
-        a, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8), float(floor[j]))
+        a, sigma = autoregression(series, min(order, min(map(len, series)) // 8), float(floor[j]))
         taps.append(a / max(sigma, 1e-300))
     return Whitener(tuple(taps))
 
@@ -257,7 +259,7 @@ def innovations(residuals: Sequence[Array], floor: Array, order: int = 20) -> fl
     total = 0.0
     for j in range(residuals[0].shape[1]):
         series = [r[:, j] - r[:, j].mean() for r in residuals]
-        _, sigma = autoregression(series, min(order, min(len(s) for s in series) // 8), float(floor[j]))
+        _, sigma = autoregression(series, min(order, min(map(len, series)) // 8), float(floor[j]))
         total += 2 * sum(len(s) for s in series) * math.log(max(sigma, 1e-300))
     return total
 
