@@ -659,10 +659,10 @@ def road_level(study: Study) -> Section:
     )
 
 
-def policies(study: Study) -> list[str]:
-    wanted = ("isd-passive", "lqg", "mpc-paper", "mpc", "mpc-friction")
-    names = [n for n in wanted if n in CONTROLLERS]
-    return names if not study.quick else [n for n in names if n != "mpc-friction"]
+#: controllers driven on the series network; SLOW ones on fewer episodes
+QUICK = ("isd-passive", "lqg", "mpc-paper", "mpc")
+SLOW = ("mpc-friction",)
+SLOW_EPISODES = 8
 
 
 def drive_all(study: Study, plant: str, names: Sequence[str], episodes: int, duration: float) -> Score:
@@ -685,26 +685,26 @@ def _triple(row: dict[str, Any]) -> list[float]:
     ]
 
 
+def _score_row(row: dict[str, Any], label: str) -> Sequence[str]:
+    cells = [f"{row['policy']}{label}", f"{row['cost']['value']:.3f}"]
+    for key, scale, digits in (
+        ("body_acceleration_rms", 1.0, 3),
+        ("suspension_travel_rms", 1e3, 2),
+        ("tyre_load_rms", 1.0, 0),
+    ):
+        q = row[key]
+        cells.append(f"{q['value'] * scale:.{digits}f}\u00a0({percent(q.get('change'))})")
+    return (*cells, percent(row["share_of_reachable_gain"], 0, sign=False))
+
+
 def _score_rows(found: Score, label: str) -> list[Sequence[str]]:
-    rows: list[Sequence[str]] = []
-    for row in found.policies:
-        cells = [f"{row['policy']}{label}", f"{row['cost']['value']:.3f}"]
-        for key, scale, digits in (
-            ("body_acceleration_rms", 1.0, 3),
-            ("suspension_travel_rms", 1e3, 2),
-            ("tyre_load_rms", 1.0, 0),
-        ):
-            q = row[key]
-            cells.append(f"{q['value'] * scale:.{digits}f}\u00a0({percent(q.get('change'))})")
-        cells.append(percent(row["share_of_reachable_gain"], 0, sign=False))
-        rows.append(tuple(cells))
-    return rows
+    return [_score_row(row, label) for row in found.policies]
 
 
 def simulation(study: Study) -> Section:
     """Figure 10, Table 7, Table 8 beside it: series network and printed equation."""
     episodes, duration = (2, 10.0) if study.quick else (32, 20.0)
-    series = drive_all(study, SERIES, policies(study), episodes, duration)
+    series = drive_all(study, SERIES, [n for n in QUICK if n in CONTROLLERS], episodes, duration)
     few = [n for n in ("lqg", "mpc") if n in CONTROLLERS]
     printed = drive_all(study, PRINTED, ["isd-passive", *few], 2 if study.quick else 8, duration)
     rows: list[Sequence[str]] = []
@@ -716,6 +716,10 @@ def simulation(study: Study) -> Section:
                 cells.append(value if what == "passive" else f"{value}\u00a0({percent(v / p - 1)})")
             rows.append((*cells, "–"))
     rows += _score_rows(series, "")
+    slow = [n for n in SLOW if n in CONTROLLERS and not study.quick]
+    others = drive_all(study, SERIES, slow, SLOW_EPISODES, duration).policies if slow else []
+    others = [r for r in others if r["policy"] in slow]
+    rows += [_score_row(r, f", {SLOW_EPISODES} episodes") for r in others]
     rows += [r for r in _score_rows(printed, ", printed eq. (8)") if not r[0].startswith("passive")]
     known = known_optimum(SERIES, episodes=episodes, duration=duration)
     first = next(iter(series.runs))
@@ -768,12 +772,15 @@ def simulation(study: Study) -> Section:
             + ", not in size",
         )
     )
-    reached = all(c <= w + 0.002 for c, w in zip(change, want8, strict=True))
+    triples = {name: change} | {f"{r['policy']} ({SLOW_EPISODES} episodes)": _triple(r) for r in others}
+    reached = any(all(c <= w + 0.002 for c, w in zip(t, want8, strict=True)) for t in triples.values())
+    study.figures["slow"] = others
     study.claims.append(
         Claim(
             "Table 8",
             f"{percent(want8[0])}, {percent(want8[1])}, {percent(want8[2])} on the bench",
-            f"inside the causal bound; {name} reaches {percent(change[0])}, {percent(change[1])}, {percent(change[2])} in simulation",
+            "inside the causal bound; in simulation "
+            + "; ".join(f"{n} reaches {', '.join(percent(c) for c in t)}" for n, t in triples.items()),
             "plausible, and reached here" if reached else "plausible: not excluded by any bound",
         )
     )

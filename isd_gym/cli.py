@@ -221,7 +221,7 @@ def _print_score(result: Any) -> None:
 
     from .scoring import PAPER
 
-    console = Console(width=None if sys.stdout.isatty() else 110)
+    console = Console(width=None if sys.stdout.isatty() else 118)
 
     def table(title: str | None, *heads: str) -> Table:
         made = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
@@ -387,7 +387,7 @@ def _print_diagnosis(result: Any) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 110)
+    console = Console(width=None if sys.stdout.isatty() else 118)
     console.print(result.summary, highlight=False, markup=False, soft_wrap=True)
     stages = [s for s in ("before", "refit", "after", "noise_floor") if s in result.gap]
     console.print("\nRMS error on held-out data, relative to the measured signal's deviation:")
