@@ -576,7 +576,7 @@ _PLAIN = {f.__name__: f for f in (solve, advance, measure, record, drive)}
 
 
 @functools.cache
-def _bind(stamp: int) -> Kernel:
+def _bind(stamp: int) -> dict[str, Any]:
     smooth, dry = _laws()
     names: dict[str, Any] = {
         "law_force": _chain([c.law for c in smooth], _no_law),  # type: ignore[misc]
@@ -586,10 +586,12 @@ def _bind(stamp: int) -> Kernel:
         # the name of a function is part of its key in numba's cache on disk: the stamp keeps old laws out
         plain.__qualname__ = f"{name}_{stamp:x}"
         names[name] = nb.njit(plain, nogil=True, error_model="numpy", cache=True)
-    globals().update(names)
-    return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
+    return names
 
 
 def kernel() -> Kernel:
     """The compiled kernel with every law that is registered now."""
-    return _bind(_stamp())
+    names = _bind(_stamp())
+    # compilation is lazy and reads the module's globals: they must be those of the laws registered now
+    globals().update(names)
+    return Kernel(names["advance"], names["measure"], names["record"], names["drive"])

@@ -5,6 +5,7 @@ import pytest
 import reference
 from scipy.signal import lsim, sawtooth
 
+from isd_gym import kernel
 from isd_gym.network import Channel, Network, linearise
 from isd_gym.road import paper_road
 from isd_gym.simulate import Plant, simulate
@@ -239,6 +240,8 @@ def test_an_element_of_ones_own_needs_nothing_but_its_class():
         force: float = el.parameter("N", 1.0, 1e3)
         length: float = el.parameter("m", 1e-3, 1.0)
 
+    kernel.kernel()
+    before = kernel.law_force
     try:
         el.register(Magnet)
         net = Network.load("quarter-car-isd").with_element(
@@ -250,6 +253,8 @@ def test_an_element_of_ones_own_needs_nothing_but_its_class():
         assert rms(a["suspension_travel"] - b["suspension_travel"]) > 0.01 * rms(b["suspension_travel"])
     finally:
         el.TYPES.pop("test_magnet")
+    kernel.kernel()  # code compiled from now on must not know the element that is gone
+    assert kernel.law_force is before
 
 
 def test_simulate_refuses_bad_input():

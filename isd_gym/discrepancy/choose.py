@@ -128,10 +128,12 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
                 1e-9,
             )
         if h.place == "channel":
-            j = problem.channels.index(h.where[0])
+            column = problem.channels.index(h.where[0])
             spread = max(
                 float(
-                    np.std(np.concatenate([problem.records[i].measured[:, j] for i in problem.estimation]))
+                    np.std(
+                        np.concatenate([problem.records[i].measured[:, column] for i in problem.estimation])
+                    )
                 ),
                 1e-12,
             )
