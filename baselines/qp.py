@@ -60,16 +60,20 @@ class Osqp:
 
 
 class Daqp:
-    """DAQP, an active-set solver (`pip install daqp`)."""
+    """DAQP, an active-set solver (`pip install daqp`). It starts from the limits that held at the last solution."""
+
+    INFINITE = 1e30  # its own sign for no limit
 
     def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
         import daqp
 
-        self._daqp, self._P, self._A = daqp, np.ascontiguousarray(P), np.ascontiguousarray(A)
-        self._sense = np.zeros(len(A), np.int32)
+        self._solver: Any = daqp.Model()
+        m, n = A.shape
+        self._solver.setup(np.ascontiguousarray(P), np.zeros(n), np.ascontiguousarray(A), np.ones(m), -np.ones(m))
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
-        x, _, flag, _ = self._daqp.solve(self._P, q, self._A, high, low, self._sense)
+        self._solver.update(f=q, bupper=np.minimum(high, self.INFINITE), blower=np.maximum(low, -self.INFINITE))
+        x, _, flag, _ = self._solver.solve()
         good = flag > 0 and bool(np.isfinite(x).all())
         return Outcome(np.array(x) if good else None, str(flag))
 
