@@ -12,6 +12,7 @@ from isd_gym.env import MEASURED
 from isd_gym.network import Network
 
 BOUNDS = np.array([bound for _, _, bound in MEASURED])
+_BOUNDS = BOUNDS[:, None]
 CURRENT = 5  # place of the present current in the observation
 
 
@@ -76,16 +77,16 @@ def clean(observations: np.ndarray, last: np.ndarray) -> np.ndarray:
         broken = ~np.isfinite(obs)
         obs[broken] = 0.0
         obs[CURRENT] = np.where(broken[CURRENT], last, obs[CURRENT])
-    bounds = BOUNDS[:, None]
-    np.clip(obs[:6], -bounds, bounds, out=obs[:6])
+    six = obs[:6]  # minimum and maximum: np.clip costs a single car several times as much
+    np.minimum(np.maximum(six, -_BOUNDS, out=six), _BOUNDS, out=six)
     return obs
 
 
 def limit(wanted: np.ndarray, present: np.ndarray) -> np.ndarray:
     """Table 5: |I| <= 5 A and |dI| <= 0.5 A; a command that is not a number holds the present current."""
     wanted = np.where(np.isfinite(wanted), wanted, present)
-    step = np.clip(wanted - present, -SLEW_LIMIT, SLEW_LIMIT)
-    return np.clip(present + step, -CURRENT_LIMIT, CURRENT_LIMIT)
+    step = np.minimum(np.maximum(wanted - present, -SLEW_LIMIT), SLEW_LIMIT)
+    return np.minimum(np.maximum(present + step, -CURRENT_LIMIT), CURRENT_LIMIT)
 
 
 class Idle(BatchController):

@@ -59,6 +59,7 @@ class Estimator:
         )
         self.gain = kalman_gain(model, sensors, noise)
         self.levels = model.levels()
+        self._dry = model.friction
         self._implicit = model.S @ model.G + model.SF  # rate of a law at the end of the step, by its force
         self.reset(1)
 
@@ -70,10 +71,10 @@ class Estimator:
         """Forces (nl, n) that hold or resist at the end of a step that would end at `x_free` (n, cars) without them."""
         f = np.zeros_like(self.f)
         free = self.model.S @ x_free
-        for _ in range(3 if len(self.model.friction) > 1 else 1):
-            for j in self.model.friction:
+        for _ in range(3 if len(self._dry) > 1 else 1):
+            for j in self._dry:
                 rest = free[j] + self._implicit[j] @ f - self._implicit[j, j] * f[j]
-                f[j] = np.clip(-rest / self._implicit[j, j], -self.levels[j], self.levels[j])
+                f[j] = np.minimum(np.maximum(rest / -self._implicit[j, j], -self.levels[j]), self.levels[j])
         return f
 
     def update(self, obs: np.ndarray, road: np.ndarray | None = None) -> np.ndarray:

@@ -217,13 +217,14 @@ class Mpc(Controller):
 
     def _solve(self, x: np.ndarray, present: float) -> np.ndarray:
         """Moves (pieces,) [A per step] for a state and a current; a fallback is counted, never raised."""
-        given = np.append(x, present)
+        parts = [x, np.array([present])]
         if self._nf:
             beyond = (
                 self._levels * erf(self._rates / (np.sqrt(2) * self._deviations))
                 - self._damping * self._rates
             )
-            given = np.append(given, beyond.ravel())
+            parts.append(beyond.ravel())
+        given = np.concatenate(parts)
         q = self._linear_term @ given
         guess = self._later @ self._moves
         pieces = len(guess)
