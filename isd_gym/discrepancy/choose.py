@@ -15,8 +15,31 @@ from ..errors import InputError
 from ..network import Channel, Network, assemble
 from ..simulate import effective_current
 from .fit import Fit, Fitter
-from .hypotheses import SERIES, Hypothesis, Motion, Probe, Structure, add, hypotheses, pairs, probes
-from .problem import Array, Noise, Problem, Record, Whitener, bare, carry, innovations, noise_of, whitener
+from .hypotheses import (
+    GROUND,
+    SERIES,
+    Hypothesis,
+    Motion,
+    Probe,
+    Structure,
+    add,
+    base_structure,
+    hypotheses,
+    pairs,
+    probes,
+)
+from .problem import (
+    Array,
+    Noise,
+    Problem,
+    Record,
+    Whitener,
+    bare,
+    innovations,
+    motion_rows_of,
+    noise_of,
+    whitener,
+)
 
 
 @dataclass
@@ -197,7 +220,7 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
         elif h.effect == "sensor_gain":
             values["gain"] = 1.0 + 0.05 * float(amplitude[0])
         else:
-            factor = float(np.clip(amplitude[0], -50 if probe.signed else 0.1, 50))
+            factor = 1.0 if wrong else float(np.clip(amplitude[0], -50 if probe.signed else 0.1, 50))
             for key in probe.grows:
                 values[key] = values[key] / factor if probe.inverse else values[key] * factor
         found.append(Screened(h, values, gain, probe.grows, probe.inverse))
@@ -297,14 +320,8 @@ def settled(
 
 def judge(problem: Problem, W: Whitener, rival: Rival) -> None:
     """Held-out records: parameters as found, initial states and offsets from the record's own samples."""
-    f = Fitter(problem, W).fit(
-        rival.fit.structure,
-        rival.fit.x,
-        rival.held.initial if rival.held else None,
-        rival.held.offset if rival.held else None,
-        records=problem.validation,
-        frozen=True,
-        iterations=4,
+    f = Fitter(problem, W).follow(
+        rival.fit.structure, rival.fit.x, problem.validation, rival.held.initial if rival.held else None
     )
     rival.held = f
     blocks = []
@@ -339,6 +356,10 @@ def advanced(fit: Fit) -> Structure:
     )
 
 
+#: multiples of the amplitude that the score test gives, and of a compliance, which it says little about
+AMPLITUDES, LARGE = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0), (80.0,)
+
+
 def starts(
     problem: Problem, current: Fit, group: list[Screened], floors: Array
 ) -> list[tuple[Structure, Array]]:
@@ -352,7 +373,7 @@ def starts(
         return [(s.structure_at(current), s.structure_at(current).start) for s in group[:3]]
     trials: list[Structure] = []
     for s in group[:6]:
-        for factor in (1.0,) if not s.grows else (0.5, 1.0, 2.0, 5.0, 12.0, 30.0):
+        for factor in (1.0,) if not s.grows else AMPLITUDES + LARGE * s.inverse:
             values = dict(s.start)
             for key in s.grows:
                 values[key] *= factor if not s.inverse else 1 / factor
@@ -365,7 +386,7 @@ def starts(
     scores = np.zeros(len(trials))
     nets = [t.network for t in trials]
     for i in problem.estimation:
-        x0 = np.stack([carried(current, t)[i] for t in trials], axis=1)
+        x0 = np.stack([carried(problem, current, t)[i] for t in trials], axis=1)
         try:
             y = problem.simulate(nets, i, x0, like=nets[0])
         except (InputError, np.linalg.LinAlgError):
@@ -395,20 +416,33 @@ def compete(
     W = whitener(residuals(problem, current), hot)
     found = screen(problem, Fitter(problem, W), current, list(hypotheses(current.structure.network)))
     chosen = shortlist(found, limit, problem.network.moved_nodes)
-    # heats are run over the beginning of every record, the final over all of it
+    # heats are run over that part of every record where the gap is widest, the final over all of it
+    left = dict(zip(problem.estimation, residuals(problem, current), strict=True))
+    windows = {i: _heat(problem.records[i], W(left[i])) for i in problem.estimation}
     short = Problem(
         problem.network,
-        [_heat(r, h) for r, h in zip(problem.records, problem.held, strict=True)],
+        [windows[i].of(r) if i in windows else r for i, r in enumerate(problem.records)],
         problem.held,
         problem.step,
     )
     heat = Fitter(short, W)
+    begin = {
+        i: current.initial[i]
+        if w.first == 0
+        else heat.guess(
+            current.network,
+            i,
+            Fitter(problem, W).along(current.structure, current.x, i, current.initial[i], [w.first])[0],
+        )
+        for i, w in windows.items()
+    }
+    shortened = replace(current, initial=begin)
 
     def one(group: list[Screened]) -> Rival | None:
         tries: list[tuple[float, Fit]] = []
         for structure, x in starts(problem, current, group, floors):
             try:
-                f = heat.fit(structure, x, carried(current, structure), current.offset, iterations=3)
+                f = heat.fit(structure, x, carried(short, shortened, structure), current.offset, iterations=3)
             except (InputError, np.linalg.LinAlgError):
                 continue
             tries.append((innovations(residuals(short, f), hot) + f.prior, f))
@@ -425,9 +459,9 @@ def compete(
         """From the heat to the whole of the records, with the heat's coarse weights."""
         try:
             W = whitener(residuals(short, r.fit), trust(short, r.fit, floors))
-            r.fit = Fitter(problem, W).fit(
-                r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, iterations=5
-            )
+            known = carried(problem, current, r.fit.structure)
+            known |= {i: r.fit.initial[i] for i, w in windows.items() if w.first == 0}
+            r.fit = Fitter(problem, W).fit(r.fit.structure, r.fit.x, known, r.fit.offset, iterations=5)
             r.likelihood = innovations(residuals(problem, r.fit), hot) + r.fit.prior
         except (InputError, np.linalg.LinAlgError):
             r.likelihood = math.inf
@@ -491,15 +525,124 @@ CONTAINS = {
 }
 
 
-def carried(fit: Fit, structure: Structure) -> dict[int, Array]:
+def simpler(problem: Problem, rival: Rival) -> list[tuple[Hypothesis, Structure]]:
+    """What a set of effects becomes with one of them left out, or replaced by a special case of it.
+
+    Each with the hypothesis that went, starting from the values found.
+    """
+    structure = rival.fit.structure
+    network = rival.fit.network
+    found = [
+        (
+            h,
+            {
+                f.name: getattr(network.element(name), f.name)
+                for f in el.parameter_fields(type(network.element(name)))
+            },
+        )
+        for h, name in zip(structure.hypotheses, structure.names, strict=True)
+    ]
+    motion = motions(problem, rival.fit)
+    out = []
+    for k, (h, values) in enumerate(found):
+        swaps: list[list[tuple[Hypothesis, dict[str, float]]]] = [[]] if len(found) > 1 else []
+        m = motion.get((h.where[0], h.where[-1]))
+        for effect in CONTAINS.get(h.effect, ()):
+            rate = float(np.sqrt(np.mean(m.v**2))) if m is not None else 0.0
+            swaps.append([(Hypothesis(effect, h.where), _special(h.effect, effect, values, rate))])
+        for swap in swaps:
+            try:
+                out.append((h, rebuilt(problem.network, [*found[:k], *swap, *found[k + 1 :]])))
+            except (InputError, KeyError, StopIteration):
+                continue
+    return out
+
+
+def _special(effect: str, simple: str, values: dict[str, float], rate: float) -> dict[str, float]:
+    """Start values of a special case; `rate` [m/s]: RMS of the rate of elongation."""
+    if effect == "stribeck_friction":
+        share = math.exp(-((rate / values["stribeck_velocity"]) ** 2))
+        return {"level": values["level"] + (values["static_level"] - values["level"]) * share}
+    if simple == "linear_damping":
+        return {"damping": 0.5 * (values["extension"] + values["compression"])}
+    return {
+        key: values[key]
+        for key in ("level", "stiffness")
+        if key in {f.name for f in el.parameter_fields(el.TYPES[simple])}
+    }
+
+
+def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, dict[str, float]]]) -> Structure:
+    """The owner's model with `effects` added one after the other; nodes that are not there any more are their twins."""
+    structure = base_structure(network)
+    for h, values in effects:
+        known = {
+            *structure.network.nodes,
+            *(e.name for e in structure.network.elements),
+            *(c.name for c in network.outputs),
+        }
+        where = []
+        for node in h.where:
+            while node not in known and node != GROUND and "_" in node:
+                node = node.rpartition("_")[0]
+            where.append(node)
+        structure = add(structure, replace(h, where=tuple(where)), values)
+    return structure
+
+
+def carried(problem: Problem, fit: Fit, structure: Structure) -> dict[int, Array]:
+    """Initial states of a fit in the coordinates of another structure: nodes move as they did.
+
+    A node that came in between moves like the terminal it was split from.
+    """
     source, target = assemble(bare(fit.network)), assemble(bare(structure.network))
-    return {i: carry(source, target, x0) for i, x0 in fit.initial.items()}
+    before, net = source.network, target.network
+    free = [n for n in net.nodes if n not in net.moved_nodes]
+    own = [n for n in before.nodes if n not in before.moved_nodes]
+    if not target.size[0]:
+        return {i: np.zeros(0) for i in fit.initial}
+    rows = motion_rows_of(target)
+    inputs = {str(c.at): c.name for c in net.inputs if c.quantity == "displacement"}
+    known = motion_rows_of(source)
+    out = {}
+    for i, x0 in fit.initial.items():
+        record = problem.records[i]
+        motion = known @ x0
+        want = np.zeros((2, len(free)))
+        for k, node in enumerate(free):
+            twin = node
+            while twin not in before.nodes and "_" in twin:
+                twin = twin.rpartition("_")[0]
+            if twin in own:
+                want[:, k] = motion[own.index(twin)], motion[len(own) + own.index(twin)]
+            elif twin in inputs:
+                r = record.inputs[inputs[twin]]
+                want[:, k] = r[0], 0.05 * (r[1] - r[0]) / record.step
+        out[i] = np.linalg.lstsq(rows, want.ravel(), rcond=None)[0]
+    return out
 
 
-def _heat(record: Record, held: bool) -> Record:
-    return (
-        record if held else record.part(0, max(int(0.4 * len(record)), min(len(record), 2000)), record.name)
-    )
+@dataclass(frozen=True)
+class Window:
+    """Samples first..first+size-1 of a record."""
+
+    first: int
+    size: int
+
+    def of(self, record: Record) -> Record:
+        return record.part(self.first, self.first + self.size, record.name)
+
+
+def _heat(record: Record, residual: Array) -> Window:
+    """The stretch of a record, two fifths of it, in which the whitened residual (n, channels) is largest.
+
+    In a sweep an effect may be silent for most of the time.
+    """
+    size = min(max(int(0.4 * len(record)), 2000), len(record))
+    energy = np.concatenate([[0.0], np.cumsum(np.sum(residual**2, axis=1))])
+    gain = energy[size:] - energy[:-size]
+    # a start from rest is known, one in mid-motion must be fitted: the beginning wins where it is nearly as good
+    return Window(0 if gain[0] > 0.7 * gain.max() else int(np.argmax(gain)), size)
 
 
 def _beginning(record: Record) -> Record:

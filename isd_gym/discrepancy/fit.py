@@ -7,7 +7,8 @@ states and free offsets of every record are fitted along.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,10 +68,11 @@ class Fitter:
         span = max(spans) or 0.01
         return rows, np.full(len(rows), 2.0 * span)
 
-    def guess(self, network: Network, index: int) -> Array:
+    def guess(self, network: Network, index: int, about: Array | None = None) -> Array:
         """An initial state from the first samples: displacements and their slopes as measured, the rest small.
 
         Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
+        `about` (states,): where a simulation of what came before ended; it is believed to a tenth of the motion.
         """
         record = self.problem.records[index]
         pure = bare(network)
@@ -81,7 +83,10 @@ class Fitter:
         if not n0:
             return np.zeros(0)
         rows, scale = self.state_scale(network, index)
-        A, b = [rows / scale[:, None]], [np.zeros(len(rows))]
+        if about is not None:
+            scale = 0.05 * scale
+        centre = np.zeros(n0) if about is None else about
+        A, b = [rows / scale[:, None]], [rows @ centre / scale]
         count = min(max(5, int(0.02 / record.rate)), len(record))
         t = np.arange(count) * record.rate
         x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
@@ -99,9 +104,42 @@ class Fitter:
                 if not asm.outputs_by_difference[k]:
                     wide = sigma / max(t[-1], 1e-9) * 2
                     A.append(asm.outputs[k : k + 1, x] / wide)
-                    b.append(np.array([(slope + 0.5 * 0.0) / wide]))
+                    b.append(np.array([slope / wide]))
         x0 = np.linalg.lstsq(np.vstack(A), np.concatenate(b), rcond=None)[0]
         return x0 if np.isfinite(x0).all() else np.zeros(n0)
+
+    def along(
+        self, structure: Structure, x: Array, index: int, initial: Array, at: Sequence[int]
+    ) -> list[Array]:
+        """States (states,) that the simulation from `initial` has at the compared samples `at`.
+
+        They are read off the motion of the nodes, so that records can be cut and joined anywhere.
+        """
+        net = structure.at(x)
+        pure = bare(net)
+        nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
+        record = self.problem.records[index]
+        watched = replace(pure, outputs=tuple(Channel(f"_{n}", "displacement", "m", at=n) for n in nodes))
+        probe = Problem(watched, [replace(record, taps=None, thin=1)], [False], self.problem.step)
+        network = replace(
+            net, outputs=watched.outputs, elements=tuple(e for e in net.elements if e.place != "channel")
+        )
+        y = probe.simulate([network], 0, initial[:, None], like=net)[:, :, 0]
+        v = np.gradient(y, record.step, axis=0)
+        asm = assemble(pure)
+        moved = [c.name for c in pure.inputs if c.quantity == "displacement"]
+        r = np.stack([record.inputs[c] for c in moved], axis=1) if moved else np.zeros((len(y), 0))
+        rate = np.gradient(r, record.step, axis=0) if moved else r
+        cols = {part: asm.columns(part) for part in ("x", "r", "v")}
+        position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
+        rows = np.vstack([position[:, cols["x"]], 0.05 * velocity[:, cols["x"]]])
+        out = []
+        for k in at:
+            k = min(k * record.thin, len(y) - 1)
+            rest = [m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k] for m in (position, velocity)]
+            seen = np.concatenate([y[k] - rest[0], 0.05 * (v[k] - rest[1])])
+            out.append(np.linalg.lstsq(rows, seen, rcond=None)[0])
+        return out
 
     def simulate_point(self, structure: Structure, x: Array, index: int, initial: Array) -> Array:
         net = structure.at(x)
@@ -135,6 +173,56 @@ class Fitter:
         dp = (out[:, :, 1 : 1 + p] - point[:, :, None]) / steps
         ds = (out[:, :, 1 + p :] - point[:, :, None]) / state_step
         return point, dp, ds
+
+    def follow(
+        self,
+        structure: Structure,
+        x: Array,
+        records: Sequence[int],
+        initial: dict[int, Array] | None = None,
+        *,
+        iterations: int = 4,
+    ) -> Fit:
+        """Initial states and offsets of `records` with the parameters as they are, one record after the other.
+
+        A record that goes on where the one before it ended begins from where the simulation of that one ended.
+        """
+        problem, net = self.problem, structure.at(x)
+        n0 = assemble(bare(net)).size[0]
+        fits: list[Fit] = []
+        last: tuple[int, Fit] | None = None
+        for i in records:
+            starts = []
+            if initial and i in initial and len(initial[i]) == n0:
+                starts = [initial[i]]
+            elif n0:
+                starts = [self.guess(net, i)]
+                if last is not None and problem.records[i].follows(problem.records[last[0]]):
+                    k, end = last[0], len(problem.records[last[0]]) - 1
+                    before, now = self.along(structure, x, k, last[1].initial[k], (end - 1, end))
+                    ahead = 2 * now - before
+                    starts = [self.guess(net, i, ahead), ahead, *starts]
+                if len(starts) > 1:
+                    zero = {i: np.zeros(len(problem.channels))}
+                    costs = [self._cost(structure, x, {i: s}, zero, [i]) for s in starts]
+                    starts = [starts[int(np.argmin(costs))]]
+            f = self.fit(
+                structure,
+                x,
+                {i: starts[0]} if starts else None,
+                records=[i],
+                frozen=True,
+                iterations=iterations,
+            )
+            last = (i, f)
+            fits.append(f)
+        total = fits[0]
+        for f in fits[1:]:
+            total.initial |= f.initial
+            total.offset |= f.offset
+            total.outputs |= f.outputs
+            total.cost += f.cost
+        return total
 
     # -- fitting ----------------------------------------------------------------------------------------
     def fit(

@@ -56,6 +56,11 @@ class Record:
     def time(self) -> Array:
         return np.asarray(self.start + self.rate * np.arange(len(self)), dtype=np.float64)
 
+    def follows(self, other: Record) -> bool:
+        """Whether this record is the stretch right after `other`."""
+        end = other.start + len(other) * other.rate
+        return self.name == other.name and abs(self.start - end) < 0.5 * self.rate
+
     def part(self, first: int, stop: int, name: str) -> Record:
         """Compared samples first..stop-1 as a record of their own."""
         cut = slice(first * self.thin, (stop - 1) * self.thin + 1)

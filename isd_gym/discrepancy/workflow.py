@@ -28,6 +28,7 @@ from .choose import (
     residuals,
     settled,
     share_of_force,
+    simpler,
     trust,
 )
 from .explain import law, next_experiment, places
@@ -252,9 +253,7 @@ class Workflow:
     ) -> tuple[Array, Fit]:
         """NRMSE of every channel on the held-out stretches, initial states by plain least squares."""
         W = plain(self.problem, self.floors)
-        f = Fitter(self.problem, W).fit(
-            structure, x, frozen_state, records=self.problem.validation, frozen=True, iterations=4
-        )
+        f = Fitter(self.problem, W).follow(structure, x, self.problem.validation, frozen_state)
         r = np.concatenate(residuals(self.problem, f))
         return np.sqrt(np.mean(r**2, axis=0)) / self.spread, f
 
@@ -318,7 +317,7 @@ class Workflow:
         stand(final)
         noise = noise_levels(p, final.held)  # type: ignore[arg-type]
         floor = np.array([n.deviation for n in noise]) / self.spread
-        floor = np.minimum(floor, stand(final).nrmse)
+        self.floor = floor = np.minimum(floor, stand(final).nrmse)
         quiet = min(float(passed(W, noise).mean()), 0.999 * stand(final).score)
         # the owner's model as it is
         owner = base_structure(self.network)
@@ -341,6 +340,8 @@ class Workflow:
                 break
             depth -= 1
         chosen = path[depth]
+        if depth:
+            chosen = self.prune(chosen, [r for stage in stages for r in stage], stand, quiet, table)
         self.notes += [f"tried {t}" for t in table]
         rivals = [r for r in stages[depth - 1][:6] if r is not chosen] if depth else []
         for r in [base, chosen, *rivals]:
@@ -353,17 +354,9 @@ class Workflow:
         gap_before = float(np.sqrt(np.maximum(before**2 - floor**2, 0)).max())
         gap_refit = float(np.sqrt(np.maximum(refit.nrmse**2 - floor**2, 0)).max())
         gap_after = float(np.sqrt(np.maximum(after.nrmse**2 - floor**2, 0)).max())
-        # simpler relatives first, then who is still abreast
+        # who is still abreast
         abreast: list[Rival] = []
         if depth:
-            for r in sorted(rivals, key=lambda r: len(r.fit.x)):
-                if (
-                    len(r.fit.x) < len(chosen.fit.x)
-                    and r.hypotheses[-1].effect in CONTAINS.get(chosen.hypotheses[-1].effect, ())
-                    and not self.beaten(stand(r), stand(chosen), quiet)
-                ):
-                    chosen = r
-                    break
             for r in stages[depth - 1][:6]:
                 if r is chosen or self.beaten(stand(r), stand(chosen), quiet) or self.same(r, chosen, W):
                     continue
@@ -392,6 +385,49 @@ class Workflow:
             standing=stood,
         )
         return self.report(verdict, base, chosen, rivals, abreast, W, floor, before, stood, quiet, explained)
+
+    def prune(
+        self,
+        chosen: Rival,
+        known: list[Rival],
+        stand: Callable[[Rival], Standing],
+        quiet: float,
+        table: list[str],
+    ) -> Rival:
+        """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
+        p = self.problem
+        while True:
+            least = trust(p, chosen.fit, self.floors)
+            now = stand(chosen)
+            level = innovations(residuals(p, chosen.fit), least) + chosen.fit.prior
+            for gone, structure in simpler(p, chosen):
+                swapped = len(structure.hypotheses) == len(chosen.hypotheses)
+                r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
+                if r is None:
+                    try:
+                        fit, value = settled(
+                            p, structure, structure.start, self.floors, rounds=2, least=least
+                        )
+                    except (InputError, np.linalg.LinAlgError):
+                        continue
+                    r = Rival(structure.hypotheses, fit, value)
+                then = stand(r)
+                loss = innovations(residuals(p, r.fit), least) + r.fit.prior - level
+                moved = float(np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0)).max())
+                if swapped:
+                    better = self.beaten(then, now, quiet) and moved >= MATERIAL and loss > 30.0
+                else:
+                    share = max(
+                        (then.score - now.score) / max(then.score - quiet, 1e-12),
+                        self.plain_share(then.nrmse, now.nrmse, self.floor),
+                    )
+                    better = share >= HALF and moved >= MATERIAL and loss > 60.0
+                if not better:
+                    table.append(f"{gone.label}: not needed (2 log L {-loss:+.0f} without it)")
+                    chosen = r
+                    break
+            else:
+                return chosen
 
     def plain_share(self, last: Array, now: Array, floor: Array) -> float:
         f = np.maximum(floor, 1e-12)
