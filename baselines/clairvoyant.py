@@ -47,14 +47,14 @@ CONTROL_STEP = 5e-3  # s
 PIECE = 40  # control steps that share a step length
 CAUTION = 0.5  # how much more than its curvature a deviation at the end of a piece is taken to cost
 ALPHAS = (1.0, 0.4, 0.1, 0.0)  # step lengths tried
-advance: Any = None  # the kernel's functions, bound when first needed: see _bind
+advance_one: Any = None  # the kernel's functions for one car and for many, bound when first needed: see _bind
+measure_one: Any = None
+advance: Any = None
 measure: Any = None
 SLACK = 1e-9  # the currents stay this far inside the limits [A]
 
 
 def _forward(
-    size,
-    tag,
     mats,
     ints,
     u,
@@ -89,8 +89,8 @@ def _forward(
     steps, nz = current.shape[0], rows.shape[0]
     slew, most = limits[0], limits[1]
     state, begin = start.copy(), start.copy()
-    c = np.zeros((sub, max(1, ints[1]), 1))
-    y = np.empty((ints[4], 1))
+    c = np.zeros((sub, max(1, ints[2]), 1))
+    y = np.empty((ints[6], 1))
     dz = np.empty(nz + 1)
     last_begin = 0.0
     many = alphas.shape[0]
@@ -130,8 +130,8 @@ def _forward(
                 I[k] = last
                 for i in range(sub):
                     c[i, 0, 0] = last
-                advance(size, tag, mats, ints, state, u[k * sub : (k + 1) * sub + 1], c, 1)
-                measure(size, tag, mats, ints, state, u[(k + 1) * sub], c[sub - 1], 1, y)
+                advance_one(mats, ints, state, u[k * sub : (k + 1) * sub + 1], c, 1)
+                measure_one(mats, ints, state, u[(k + 1) * sub], c[sub - 1], 1, y)
                 total += qi * last * last
                 for m in range(3):
                     Y[k, m] = y[m, 0]
@@ -155,13 +155,13 @@ def _forward(
         first = stop
 
 
-def _jacobian(size, tag, mats, ints, u, S, I, rows, sub, delta, FZ, YZ):
+def _jacobian(mats, ints, u, S, I, rows, sub, delta, FZ, YZ):
     """Differences of the next state and the outputs with respect to (z, I), every control step."""
     steps, nz = I.shape[0], rows.shape[0]
     lanes = nz + 2
     state = np.empty((S.shape[1], lanes))
-    c = np.zeros((sub, max(1, ints[1]), lanes))
-    y = np.empty((ints[4], lanes))
+    c = np.zeros((sub, max(1, ints[2]), lanes))
+    y = np.empty((ints[6], lanes))
     w = np.empty((sub + 1, u.shape[1], lanes))
     for k in range(steps):
         for i in range(sub + 1):
@@ -173,8 +173,8 @@ def _jacobian(size, tag, mats, ints, u, S, I, rows, sub, delta, FZ, YZ):
                 state[rows[l], l] += delta
             for i in range(sub):
                 c[i, 0, l] = I[k] + (delta if l == nz else 0.0)
-        advance(size, tag, mats, ints, state, w, c, lanes)
-        measure(size, tag, mats, ints, state, w[sub], c[sub - 1], lanes, y)
+        advance(mats, ints, state, w, c, lanes)
+        measure(mats, ints, state, w[sub], c[sub - 1], lanes, y)
         for l in range(nz + 1):
             for i in range(nz):
                 FZ[k, i, l] = (state[rows[i], l] - state[rows[i], nz + 1]) / delta
@@ -419,9 +419,10 @@ _PLAIN = (_forward, _jacobian)
 
 @functools.cache
 def _bind(stamp: int) -> tuple[Callable, Callable]:
-    bound = kernel()
+    one, many = kernel("one"), kernel("shared")
     scope = globals()
-    scope["advance"], scope["measure"] = bound.advance, bound.measure
+    scope["advance_one"], scope["measure_one"] = one.advance, one.measure
+    scope["advance"], scope["measure"] = many.advance, many.measure
     out = []
     for plain in _PLAIN:
         plain.__qualname__ = f"{plain.__name__}_{stamp:x}"  # as the kernel's: its laws are compiled in
@@ -468,12 +469,7 @@ class Episode:
         wanted = ("body_acceleration", "suspension_travel", "tyre_load")
         extra = [c for c in signal_channels(network) if c.name in wanted]
         self.single = Plant(bare, PHYSICS_STEP, extra=extra)
-        memory = [
-            self.single.n + self.single.n_laws + j
-            for j, e in enumerate(self.single.assemblies[0].laws)
-            if isinstance(e, el.Hysteresis)
-        ]
-        self.rows = np.array([*range(self.single.n), *memory], np.int64)
+        self.rows = np.array([*range(self.single.n), *self.single.memory], np.int64)
         self.nz = len(self.rows)
         self.many = Plant(bare, PHYSICS_STEP, lanes=self.nz + 2, extra=extra)
         h = PHYSICS_STEP
@@ -486,23 +482,6 @@ class Episode:
         self.q, self.qi = np.array([a, l, f]), i
         self.limits = np.array([slew_limit - SLACK, CURRENT_LIMIT - SLACK])
         self.start = self.single.state()
-        self._gs = self._friction_entries(self.single.n, self.single.n_laws)
-
-    def _friction_entries(self, n: int, nl: int) -> list[int]:
-        """Rows of `mats` that hold how much a friction force slows its own sliding."""
-        asm = self.single.assemblies[0]
-        m, nc = max(len(self.single.u_columns), 1), max(len(self.single.currents), 1)
-        before = 1 + n * n + 2 * n * m + n * nc + 2 * n * nl + 2 * nl * (n + m + nc) + nl * nl
-        return [before + j * nl + j for j, e in enumerate(asm.laws) if e.bound is not None]
-
-    def softened(self, softness: float) -> tuple[np.ndarray, np.ndarray]:
-        """Matrices of the two plants with friction like a damper below ``softness * |g| * level``."""
-        out = []
-        for plant in (self.single, self.many):
-            mats = plant.mats.copy()
-            mats[self._gs] *= 1.0 + softness
-            out.append(mats)
-        return out[0], out[1]
 
     def value(self, Y: np.ndarray, I: np.ndarray) -> float:
         """Mean stage cost of outputs (steps, 3) and currents (steps,)."""
@@ -531,8 +510,6 @@ class Episode:
         limits = np.array([1e9, 1e9]) if wide else self.limits
         _compiled()[0](
             *(
-                p.size,
-                p.tag,
                 mats,
                 p.ints,
                 self.u,
@@ -558,7 +535,7 @@ class Episode:
     ) -> np.ndarray:
         """DDP at one softness of the friction and one barrier `mu`, from `currents` strictly inside the limits."""
         jacobian = _compiled()[1]
-        one, many = self.softened(softness)
+        one, many = (plant.softened(softness) for plant in (self.single, self.many))
         p = self.many
         N, nz = self.steps, self.nz
         ff, fb = np.zeros(N), np.zeros((N, nz + 1))
@@ -585,7 +562,7 @@ class Episode:
         failed = 0
         for _ in range(iterations):
             if not failed:
-                jacobian(p.size, p.tag, many, p.ints, self.u, S, I, self.rows, self.sub, 1e-7, FZ, YZ)
+                jacobian(many, p.ints, self.u, S, I, self.rows, self.sub, 1e-7, FZ, YZ)
             while True:
                 ok = _backward(
                     FZ, YZ, Y, I, self.q, self.qi, mu, duals, self.limits, reg, PIECE, ff, fb, values, slopes

@@ -126,30 +126,55 @@ class Batch:
             raise InputError(
                 f"network '{network.name}' has more than one current; the environment drives one"
             )
-        self.ints = np.concatenate([plant.ints, [self.lanes, self.substeps, *columns.values()]])
         self._blank = plant.state()
-        self.states = np.tile(self._blank, (self.blocks, 1))
-        self.cars = np.zeros((9, count))
-        self.cars[7] = NO_SATURATION
+        _, m, nc = (int(i) for i in plant.ints[:3])
+        # behind the states of the blocks the kernel puts their inputs
+        self._work = np.zeros(
+            (self.blocks * len(self._blank) + (self.substeps + 1) * m + self.substeps * nc, self.lanes)
+        )
+        self._cars = np.zeros((10 + len(self.channels), count))
+        self._cars[7] = NO_SATURATION
         lag, delay, saturation = (
             next((e for e in network.elements if isinstance(e, kind)), None)
             for kind in (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
         )
         if isinstance(lag, el.ActuatorLag) and lag.time_constant > 0:
-            self.cars[6] = math.exp(-physics_step / lag.time_constant)
+            self._cars[6] = math.exp(-physics_step / lag.time_constant)
         if isinstance(saturation, el.ThrustSaturation):
-            self.cars[7] = saturation.current
+            self._cars[7] = saturation.current
         if isinstance(delay, el.ActuatorDelay):
-            self.cars[8] = delay.delay / physics_step
-        depth = int(self.cars[8].max()) + 2 if self.cars[8].any() else 0
-        self.commands = np.zeros((count, depth))
-        self.counters = np.zeros(count, np.uint64)
-        self.rough = np.zeros(count)
-        self.ways = np.zeros((2, count), np.int64)
+            self._cars[8] = delay.delay / physics_step
+        depth = int(self._cars[8].max()) + 2 if self._cars[8].any() else 0
+        self._belts = np.zeros((count, depth + round(preview / physics_step)))
+        self._ways = np.zeros((3, count), np.int64)
         self.table = np.zeros(0)
-        self.ahead = np.zeros((count, round(preview / physics_step)))
-        self.out = np.zeros((len(self.channels), count))
+        driven = any(e is not None for e in (lag, delay, saturation))
+        self._ints = np.concatenate(
+            [plant.ints, [self.lanes, self.substeps, *columns.values(), driven, depth]]
+        )
         self.speeds = np.full(count, self.speed)
+        self._arguments()
+
+    def _arguments(self) -> None:
+        """The arguments of the kernel, and what is seen of them from here: views, made once."""
+        self._drive = self.plant.kernel.drive
+        self._drive_arguments = (
+            *(self.mats.reshape(-1), self._ints, self._work.reshape(-1), self._cars),
+            *(self._ways, self.table, self._belts),
+        )
+        depth = self._ints[-1]
+        self.states = self._work[: self.blocks * len(self._blank)]
+        self.cars, self.rough, self.out = self._cars[:9], self._cars[9], self._cars[10:]
+        self.commands, self.ahead = self._belts[:, :depth], self._belts[:, depth:]
+        self.ways, self.counters = self._ways[:2], self._ways[2].view(np.uint64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        views = ("states", "cars", "rough", "out", "commands", "ahead", "ways", "counters")
+        return {k: v for k, v in self.__dict__.items() if k not in (*views, "_drive", "_drive_arguments")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._arguments()
 
     def _road_input(self) -> int:
         return next(i for i, c in enumerate(self.network.inputs) if c.quantity == "displacement")
@@ -219,6 +244,7 @@ class Batch:
             begin, old = np.arange(self.count), self.ways.copy()
             self.ways[:] = np.where(old[1] > 0, old + begin * (len(fixed) - slot), 0)
             self.table, slot = table.ravel(), len(fixed)
+            self._arguments()
         self.table[i * slot : i * slot + len(fixed)] = fixed
         self.ways[:, i] = i * slot, i * slot + len(fixed)
 
@@ -229,31 +255,15 @@ class Batch:
         values = {k: nominal[k] * float(rng.uniform(*v)) for k, v in self._spread.items() if k in nominal}
         asm = assemble(self._bare.with_parameters(values), self.channels)
         part = discretise(asm, self.plant.step, self.plant.u_columns)
-        flat = np.concatenate([b.ravel() for b in (*part.blocks, part.params, part.quiet, *part.outputs)])
         block, lane = divmod(i, self.lanes)
         size = len(self.plant.mats)
-        self.mats[block * size + 1 : (block + 1) * size, lane] = flat
+        self.mats[block * size : (block + 1) * size, lane] = part.numbers
 
     # ----------------------------------------------------------------------------------------- step
 
     def step(self) -> np.ndarray:
         """Run one control step with the currents in `self.cars[0]`; returns `out` (signals, count), SI units."""
-        p = self.plant
-        p.kernel.drive(
-            p.size,
-            p.tag,
-            self.mats,
-            self.ints,
-            self.states,
-            self.cars,
-            self.counters,
-            self.rough,
-            self.ways,
-            self.table,
-            self.commands,
-            self.ahead,
-            self.out,
-        )
+        self._drive(*self._drive_arguments)
         return self.out
 
     @property

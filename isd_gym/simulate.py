@@ -26,15 +26,23 @@ SI = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": 
 
 @dataclass(frozen=True)
 class Discrete:
-    """One network at one step: the matrices of the kernel (see `kernel.advance`), without a lane axis."""
+    """One network at one step, as the kernel reads it: a column of its pool of numbers, and what is in it.
 
+    Rows of a step: the n states, then for every law what a quiet car needs (elongation of a smooth law, rate of a dry
+    one), then for every law the other of the two. Its columns: states, inputs u at the start and at the end of the
+    step, currents c, forces of the laws at the start, elongations at the start (only if `differ`).
+    """
+
+    # x at the end of the step = A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), laws as in the assembly
     blocks: tuple[np.ndarray, ...]
-    params: np.ndarray
-    quiet: np.ndarray
-    outputs: tuple[np.ndarray, ...]
-    kinds: tuple[int, ...]
-    differ: tuple[int, ...]
-    fast: int
+    outputs: tuple[np.ndarray, ...]  # of x, u, c and the forces of the laws
+    numbers: (
+        np.ndarray
+    )  # step, matrix of a step, what the forces at its end add, parameters, quiet spans, outputs
+    sizes: tuple[int, ...]  # n, m, nc, nl, smooth laws, fast, ny, stored rows, stored columns, any differ
+    kinds: tuple[int, ...]  # laws in the kernel's order: smooth ones first
+    differ: tuple[int, ...]  # 1 where the rate of a law is a difference of its elongations
+    order: tuple[int, ...]  # place of each of them in the assembly
 
 
 def _columns(asm: Assembly, keep: Sequence[int] | None) -> list[int]:
@@ -55,7 +63,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     """Exact discretisation of the linear part: `columns` first-order hold, currents and friction zero-order hold."""
     from .kernel import LAW_PARAMETERS, law_code
 
-    n, laws = asm.size[0], asm.laws
+    n, laws = asm.size[0], list(asm.laws)
     x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
     A = asm.rate[:, x]
     B = np.hstack([asm.rate[:, u], asm.rate[:, c], asm.rate[:, f]])
@@ -69,52 +77,85 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     else:
         Ad, hold, late = np.zeros((0, 0)), np.zeros((0, k)), np.zeros((0, k))
     early = hold - late
+    U0, U1, G0, G1 = early[:, :m], late[:, :m], early[:, m + nc :], late[:, m + nc :].copy()
     kinds = tuple(law_code(type(e)) for e in laws)
     dry = np.array([code < 0 for code in kinds], bool)
-    G0, G1 = early[:, m + nc :].copy(), late[:, m + nc :].copy()
-    G1[:, dry] += G0[:, dry]
+    G1[:, dry] += G0[:, dry]  # dry friction holds its force over the whole step
     G0[:, dry] = 0.0
-    E, R = asm.elongation, asm.elongation_rate.copy()
-    differ = np.array(asm.by_difference, bool)
+    order = np.argsort(dry, kind="stable")
+    kinds, laws, dry = tuple(kinds[j] for j in order), [laws[j] for j in order], dry[order]
+    nl, ns = len(laws), int(np.sum(~dry))
+    start, end = G0[:, order], G1[:, order]
+    E, R = asm.elongation[order], asm.elongation_rate[order]
+    differ = np.array(asm.by_difference, bool)[order]
     R[differ] = E[differ] / step
-    D, DU, DC = E[:, x], E[:, u], E[:, c]
-    S, SU, SC = R[:, x], R[:, u], R[:, c]
-    GD, GS = D @ G1 + E[:, f], S @ G1 + R[:, f]
-    params = np.zeros((len(laws), LAW_PARAMETERS))
+    own = list(range(f.start, f.stop))
+    own = [own[j] for j in order]
+    blank = np.zeros((n, nl * bool(differ.any())))
+    states = np.hstack([Ad, U0, U1, hold[:, m : m + nc], start, blank])
+
+    def seen(by: np.ndarray) -> np.ndarray:
+        """Rows of what the laws see, without the forces at the end of the step."""
+        at = by[:, x] @ states
+        at[:, n + m : n + 2 * m] += by[:, u]
+        at[:, n + 2 * m : n + 2 * m + nc] += by[:, c]
+        return at
+
+    D, S = seen(E), seen(R)
+    if differ.any():
+        S[:, -nl:] -= np.diag(differ / step)
+    GD, GS = E[:, x] @ end + E[:, own], R[:, x] @ end + R[:, own]
+    smooth = ~dry[:, None]
+    rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
+    gains = np.vstack([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)])
+    params = np.zeros((nl, LAW_PARAMETERS))
     for j, e in enumerate(laws):
         numbers = e.law_parameters()
         params[j, : len(numbers)] = numbers
-    quiet = np.array([[e.quiet()] for e in laws]).reshape(len(laws), 1)
     # the quiet way: at most one constant friction, and stops that nothing touches
-    held = np.abs(GD[:, dry]) @ params[dry, :1] if len(laws) else quiet
+    yields = np.diag(GS)[ns:]
+    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]) @ params[ns:, 0]
     fast = (
-        sum(dry) <= 1
+        nl - ns <= 1
         and not differ.any()
-        and all(
-            (type(e).bound is el.CoulombFriction.bound and GS[j, j] < 0)
-            if dry[j]
-            else quiet[j, 0] > held[j, 0]
-            for j, e in enumerate(laws)
-        )
+        and bool((spans > 0).all() and (yields < 0).all())
+        and all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
     )
+    with np.errstate(divide="ignore"):
+        quiet = np.concatenate([np.maximum(spans, 0.0), -1.0 / yields])
     O = asm.outputs
+    zero = np.zeros((len(O), 1))
+    seen_outside = np.hstack(
+        [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], O[:, own], zero.repeat(blank.shape[1], 1)]
+    )
+    width = rows.shape[1]
     return Discrete(
-        blocks=(
-            *(Ad, _pad(early[:, :m]), _pad(late[:, :m]), _pad(hold[:, m : m + nc]), G0, G1),
-            *(D, _pad(DU), _pad(DC), S, _pad(SU), _pad(SC), GD, GS),
+        blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
+        outputs=(O[:, x], O[:, u], _pad(O[:, c]), O[:, f]),
+        numbers=np.concatenate(
+            [[step], _stored(rows, 4), _stored(gains, 1), params.ravel(), quiet, _stored(seen_outside, 4)]
         ),
-        params=params,
-        quiet=np.maximum(quiet - held, 0.0),
-        outputs=(O[:, x], _pad(O[:, u]), _pad(O[:, c]), O[:, f]),
+        sizes=(
+            *(n, m, nc, nl, ns, int(fast), len(O), -(-len(rows) // 8) * 8, -(-width // 4) * 4),
+            int(differ.any()),
+        ),
         kinds=kinds,
         differ=tuple(int(d) for d in differ),
-        fast=int(fast),
+        order=tuple(int(j) for j in order),
     )
 
 
 def _pad(block: np.ndarray) -> np.ndarray:
-    """At least one column: the kernel always reads the first input and the first current."""
+    """At least one column: what drives a car's current may do so even where the car has no motor."""
     return block if block.shape[1] else np.zeros((len(block), 1))
+
+
+def _stored(matrix: np.ndarray, columns: int) -> np.ndarray:
+    """A matrix column by column, filled up with zeros to a multiple of 8 rows and of `columns` columns."""
+    high, wide = matrix.shape
+    out = np.zeros((-(-wide // columns) * columns, -(-high // 8) * 8))
+    out[:wide, :high] = matrix.T
+    return out.ravel()
 
 
 class Plant:
@@ -132,11 +173,8 @@ class Plant:
         lanes: int = 1,
         extra: Sequence[Channel] = (),
     ) -> None:
-        from .kernel import kernel
-
         if not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
             raise InputError(f"the step must be a positive number of seconds, not {step!r}")
-        self.kernel = kernel()
         several = not isinstance(networks, Network)
         self.networks: list[Network] = list(networks) if several else [networks]  # type: ignore[list-item,arg-type]
         self.lanes = len(self.networks) if several else lanes
@@ -167,45 +205,74 @@ class Plant:
         self.pack([stepped[id(asm)] for asm in self.assemblies], several)
 
     def pack(self, parts: Sequence[Discrete], several: bool) -> None:
+        from .kernel import kernel
+
         first = parts[0]
         for other in parts[1:]:
-            if other.kinds != first.kinds or [b.shape for b in other.blocks] != [
-                b.shape for b in first.blocks
-            ]:
+            if (other.kinds, other.differ, other.sizes[:5], other.sizes[6:]) != (
+                *(first.kinds, first.differ),
+                *(first.sizes[:5], first.sizes[6:]),
+            ):
                 raise InputError("the lanes' networks differ in structure, not only in parameters")
-        n, m, nc = self.assemblies[0].size[0], max(len(self.u_columns), 1), max(len(self.currents), 1)
-        nl, ny = len(first.kinds), len(self.channels)
-        flat = [
-            np.concatenate([b.ravel() for b in (*p.blocks, p.params, p.quiet, *p.outputs)]) for p in parts
-        ]
-        fast = min(p.fast for p in parts)
-        rows = np.stack(flat, axis=1)
-        self.mats = np.vstack([np.full((1, rows.shape[1]), self.step), rows])
-        self.ints = np.array([m, nc, nl, fast, ny, *first.kinds, *first.differ], np.int64)
-        self.size = np.zeros((0,) * n)
-        self.tag = np.zeros((0,) * (2 if self.lanes == 1 else int(several)))
-        self.n, self.n_laws, self.n_outputs = n, nl, ny
+        self.mats = np.stack([p.numbers for p in parts], axis=1)
+        self.ints = np.array([*first.sizes, *first.kinds, *first.differ], np.int64)
+        self.ints[5] = min(p.sizes[5] for p in parts)
+        self.n, self.n_laws, self.n_outputs = first.sizes[0], first.sizes[3], first.sizes[6]
+        self.order = first.order
+        self.variant = "one" if self.lanes == 1 else "own" if several else "shared"
+        self.kernel = kernel(self.variant)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k != "kernel"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        from .kernel import kernel
+
+        self.__dict__.update(state)
+        self.kernel = kernel(self.variant)
 
     def state(self, initial: np.ndarray | None = None) -> np.ndarray:
         """A fresh kernel state; `initial` (n,) or (n, lanes) in the coordinates of the assembly."""
-        n, nl, lanes = self.n, self.n_laws, self.lanes
-        state = np.zeros((2 * n + 7 * nl, lanes))
-        if initial is not None and n:
-            state[:n] = np.asarray(initial, float).reshape(n, -1)
+        rows, cols = self.ints[7], self.ints[8]
+        room = -(-self.n_outputs // 8) * 8  # for the outputs
+        state = np.zeros((cols + rows + 9 * self.n_laws + 3 + room, self.lanes))
+        if initial is not None and self.n:
+            state[: self.n] = np.asarray(initial, float).reshape(self.n, -1)
             self._start_laws(state)
         return state
 
+    @property
+    def memory(self) -> list[int]:
+        """Rows of the kernel's state that hold the states of the hysteresis laws."""
+        first = int(self.ints[7] + self.ints[8]) + self.n_laws
+        laws = self.assemblies[0].laws
+        return [first + j for j, i in enumerate(self.order) if isinstance(laws[i], el.Hysteresis)]
+
+    def softened(self, softness: float) -> np.ndarray:
+        """`mats` with dry friction like a damper below ``softness * |g| * level``, g what a force adds to its own rate."""
+        from .kernel import LAW_PARAMETERS
+
+        n, nl, ns, rows, cols = (int(self.ints[i]) for i in (0, 3, 4, 7, 8))
+        gains = 1 + cols * rows
+        mats = self.mats.copy()
+        for j in range(ns, nl):
+            mats[gains + j * rows + n + j] *= 1.0 + softness
+            mats[gains + nl * rows + nl * LAW_PARAMETERS + j] /= 1.0 + softness
+        return mats
+
     def _start_laws(self, state: np.ndarray) -> None:
         """Elongations, rates and smooth forces that belong to the initial state, moved nodes at rest."""
-        n, nl = self.n, self.n_laws
-        x = state[:n]
-        f, z, d, s = (state[n + i * nl : n + (i + 1) * nl] for i in range(4))
+        n, m, nc, nl = (int(i) for i in self.ints[:4])
+        first = int(self.ints[7] + self.ints[8])
+        x, f = state[:n], state[n + 2 * m + nc :][:nl]
+        z, d, s = (state[first + i * nl : first + (i + 1) * nl] for i in (1, 2, 3))
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
             cols = asm.columns("x")
-            d[:, lane] = asm.elongation[:, cols] @ x[:, lane]
-            s[:, lane] = asm.elongation_rate[:, cols] @ x[:, lane]
-            for j, e in enumerate(asm.laws):
+            order = list(self.order)
+            d[:, lane] = asm.elongation[order, cols] @ x[:, lane]
+            s[:, lane] = asm.elongation_rate[order, cols] @ x[:, lane]
+            for j, e in enumerate(asm.laws[i] for i in order):
                 if e.law is not None:
                     p = np.array(e.law_parameters())
                     f[j, lane], z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)
@@ -232,7 +299,7 @@ class Plant:
             values = np.asarray(values, float)
             return values[:, None] if values.ndim == 1 else values
 
-        u = np.zeros((total, max(len(self.labels), 1), width))
+        u = np.zeros((total, len(self.labels), width))
         for j, (part, name) in enumerate(self.labels):
             if part in ("r", "F"):
                 u[:, j] = wide(inputs[name])
@@ -242,16 +309,16 @@ class Plant:
                 r = wide(inputs[name])
                 v = np.gradient(r, self.step, axis=0)
                 u[:, j] = v if part == "v" else np.gradient(v, self.step, axis=0)
-        c = np.zeros((max(total - 1, 1), max(len(self.currents), 1), width))
+        c = np.zeros((max(total - 1, 1), len(self.currents), width))
         for j, channel in enumerate(self.currents):
             values = effective_current(
                 self.networks[0], str(channel.element), wide(inputs[channel.name]), self.step
             )
             c[:, j] = values[: len(c)]
         out = np.empty((samples, self.n_outputs, self.lanes))
-        state = self.state(initial)
+        state = self.state(initial).ravel()
         self.kernel.record(
-            self.size, self.tag, self.mats, self.ints, state, u, c, self.lanes, every, int(shared), out
+            self.mats.ravel(), self.ints, state, u.ravel(), c.ravel(), every, width, self.lanes, out
         )
         for j, difference in enumerate(self._by_difference):
             if difference:

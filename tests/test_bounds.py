@@ -70,9 +70,9 @@ def test_law_rolled_out_costs_what_riccati_says():
         force = -(point.gain @ x)
         u = np.stack([road[k], road[k + 1]])[:, None]
         c = force[None, None]
-        plant.kernel.advance(plant.size, plant.tag, plant.mats, plant.ints, state, u, c, lanes)
+        plant.kernel.advance(plant.mats, plant.ints, state, u, c, lanes)
         if k >= 2000:  # stationary by then
-            plant.kernel.measure(plant.size, plant.tag, plant.mats, plant.ints, state, u[1], c[0], lanes, out)
+            plant.kernel.measure(plant.mats, plant.ints, state, u[1], c[0], lanes, out)
             total += np.mean(out[[0, 1, 5]] ** 2, axis=1)
     cost = float(point.weights @ total / (steps - 2000))
     # 48 x 6 s: the standard error is about 1.5 %

@@ -1,0 +1,178 @@
+"""A car is the same car to the last bit: alone, beside others, with matrices of its own or shared ones."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from isd_gym.batch import Batch
+from isd_gym.network import Channel, Network
+from isd_gym.simulate import Plant
+
+STEP = 1e-3
+LANES = 7  # no multiple of what one instruction works on
+SUSPENSION, DEVICE, DAMPER, TYRE = (
+    ("body", "wheel"),
+    ("piston", "joint"),
+    ("joint", "wheel"),
+    ("wheel", "road"),
+)
+LAWS = {
+    "friction and end stop": (),
+    "stops touched at once": (
+        {"type": "bump_stop", "between": SUSPENSION, "clearance": 8e-3, "stiffness": 2e5, "damping": 500.0},
+        {"type": "bump_stop", "between": DAMPER, "clearance": 4e-3, "stiffness": 5e4},
+    ),
+    "hysteresis": (
+        {"type": "hysteresis", "between": SUSPENSION, "level": 200.0, "stiffness": 5e4},
+        {"type": "hysteresis", "between": DEVICE, "level": 90.0, "stiffness": 1e5, "exponent": 2.0, "shape": 0.4},
+    ),
+    "Stribeck": (
+        {"type": "stribeck_friction", "between": SUSPENSION, "level": 60.0, "static_level": 110.0, "stribeck_velocity": 0.05},
+    ),
+    "three coupled frictions": (
+        {"type": "coulomb_friction", "between": SUSPENSION, "level": 100.0},
+        {"type": "coulomb_friction", "between": DAMPER, "level": 150.0},
+    ),
+    "backlash": ({"type": "backlash", "between": DAMPER, "gap": 2e-3, "stiffness": 2e5},),
+    "smooth laws": (
+        {"type": "quadratic_damping", "between": DAMPER, "damping": 2000.0},
+        {"type": "asymmetric_damping", "between": SUSPENSION, "extension": 400.0, "compression": -200.0},
+        {"type": "cubic_stiffness", "between": SUSPENSION, "stiffness": 2e7},
+        {"type": "gas_spring", "between": SUSPENSION, "force": 800.0, "length": 0.2},
+        {"type": "cogging_force", "between": DEVICE, "amplitude": 80.0, "pitch": 6e-3},
+        {"type": "tyre_lift_off", "between": TYRE, "stiffness": 192e3, "load": 2000.0},
+    ),
+}  # fmt: skip
+
+
+def car(laws) -> Network:
+    net = Network.load("quarter-car-isd")
+    for i, law in enumerate(laws):
+        net = net.with_element({"name": f"law_{i}", **law})
+    return net
+
+
+def in_series() -> Network:
+    """A mass that hangs on backlash and compliance in series: a node whose velocity is only a difference."""
+    return Network.from_dict(
+        {
+            "schema": "isd-model/1",
+            "name": "in series",
+            "masses": {"mass": 50.0},
+            "elements": [
+                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 2e4},
+                {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 80.0},
+                {"name": "play", "type": "backlash", "between": ["mass", "middle"], "gap": 2e-3, "stiffness": 5e5},
+                {"name": "rub", "type": "coulomb_friction", "between": ["mass", "middle"], "level": 20.0},
+                {"name": "rod", "type": "series_compliance", "between": ["middle", "road"], "stiffness": 3e5},
+            ],
+            "inputs": [{"name": "road", "quantity": "displacement", "at": "road", "unit": "m"}],
+            "outputs": [
+                {"name": "a", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
+                {"name": "force", "quantity": "force", "element": "rod", "unit": "N"},
+            ],
+        }
+    )  # fmt: skip
+
+
+def drives(steps: int) -> dict[str, np.ndarray]:
+    """A road and a current for every lane, from standstill to far into the stops."""
+    rng = np.random.default_rng(5)
+    size = np.linspace(0.0, 6.0, LANES)
+    road = np.cumsum(rng.standard_normal((steps, LANES)), axis=0) * 6.3e-4 * size
+    time = np.arange(steps)[:, None] * STEP
+    return {"road": road, "current": 5.0 * np.sin(9.0 * time + np.arange(LANES)) * (size > 2.0)}
+
+
+@pytest.mark.parametrize("case", [*LAWS, "in series"])
+def test_a_lane_is_the_car_alone_with_any_matrices(case):
+    net = in_series() if case == "in series" else car(LAWS[case])
+    inputs = {k: v for k, v in drives(1501).items() if k in [c.name for c in net.inputs]}
+    shared = Plant(net, STEP, lanes=LANES).run(inputs, samples=1501)
+    own = Plant([net] * LANES, STEP).run(inputs, samples=1501)
+    assert np.isfinite(shared).all()
+    assert np.ptp(shared[-1], axis=1).all()  # the lanes differ: equality below is no accident
+    np.testing.assert_array_equal(shared, own)
+    single = Plant(net, STEP)
+    for l in range(LANES):
+        alone = single.run({k: v[:, l] for k, v in inputs.items()}, samples=1501)
+        np.testing.assert_array_equal(shared[:, :, l], alone[:, :, 0])
+
+
+def test_a_car_clear_of_its_stop_does_not_feel_its_neighbour_on_it():
+    """Blocks in which some cars touch their stop and some do not, beside blocks in which none or all do."""
+    net, device = Network.load("quarter-car-isd"), Channel("device", "displacement", "m", between=DEVICE)
+    inputs = drives(2001)
+    together = Plant(net, STEP, lanes=LANES, extra=[device]).run(inputs, samples=2001)
+    clear = np.abs(together[:, -1]).max(axis=0) < net.parameters["end_stop.clearance"]
+    assert clear.any() and not clear.all()
+    for half in (np.flatnonzero(clear), np.flatnonzero(~clear)):
+        part = {k: v[:, half] for k, v in inputs.items()}
+        apart = Plant(net, STEP, lanes=len(half), extra=[device]).run(part, samples=2001)
+        np.testing.assert_array_equal(together[:, :, half], apart)
+
+
+def test_levels_of_their_own_are_the_networks_of_their_own():
+    """Lanes that differ in a parameter, as the diagnosis runs them, each against its network alone."""
+    net = car(LAWS["Stribeck"])
+    nets = [net.with_parameters({"seal.level": 100.0 * i, "body.mass": 300.0 + 9 * i}) for i in range(LANES)]
+    inputs = {k: v[:, 5] for k, v in drives(1501).items()}
+    together = Plant(nets, STEP).run(inputs, samples=1501)
+    for l, one in enumerate(nets):
+        np.testing.assert_array_equal(together[:, :, l], Plant(one, STEP).run(inputs, samples=1501)[:, :, 0])
+
+
+@pytest.mark.parametrize("case", LAWS)
+def test_smaller_steps_lead_to_the_same_motion(case):
+    """What is solved for in a step is found: no law's force is left over where a step has several."""
+    net = car(LAWS[case])
+    inputs = {k: v[:, 4] for k, v in drives(1001).items()}
+    coarse = Plant(net, STEP).run(inputs, samples=1001)[:, :, 0]
+    held = {"current": np.repeat(inputs["current"], 8)[:8001]}
+    held["road"] = np.interp(np.arange(8001) / 8, np.arange(1001), inputs["road"])
+    fine = Plant(net, STEP / 8).run(held, every=8, samples=1001)[:, :, 0]
+    error = np.sqrt(np.mean((coarse - fine) ** 2, axis=0)) / fine.std(axis=0)
+    assert error.max() < 0.03
+
+
+@pytest.mark.parametrize("model", ["quarter-car-isd", "quarter-car-passive"])
+@pytest.mark.parametrize("spread", [{}, {"body.mass": (0.8, 1.2)}])
+def test_a_car_of_a_batch_is_the_car_alone(model, spread):
+    """Two blocks, the last one not full; a car without a motor has no current to be driven by."""
+    count, net = 131, Network.load(model)
+    rng = np.random.default_rng(1)
+    currents = rng.uniform(-5, 5, (300, count))
+
+    def drive(batch: Batch, cars: list[int]) -> np.ndarray:
+        for i, c in enumerate(cars):
+            batch.reset(i, np.random.default_rng(c))
+        out = []
+        for row in currents:
+            batch.cars[0] = row[cars]
+            out.append(batch.step().copy())
+        return np.array(out)
+
+    many = drive(Batch(count, net, randomize=spread, road_="C+bump"), list(range(count)))
+    assert np.isfinite(many).all()
+    for i in (0, 64, 127, 128, 130):
+        np.testing.assert_array_equal(
+            many[:, :, i], drive(Batch(1, net, randomize=spread, road_="C+bump"), [i])[:, :, 0]
+        )
+
+
+@pytest.mark.parametrize("twin", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])
+def test_a_copied_batch_goes_on_alike_and_on_its_own(twin):
+    batch = Batch(3, Network.load("quarter-car-isd"), preview=0.1)
+    for i in range(3):
+        batch.reset(i, np.random.default_rng(i))
+    batch.step()
+    other = twin(batch)
+    for current in (5.0, -5.0, 2.0):
+        batch.cars[0] = other.cars[0] = current
+        np.testing.assert_array_equal(batch.step(), other.step())
+        np.testing.assert_array_equal(batch.road_ahead(), other.road_ahead())
+    before = other.out.copy()
+    batch.step()
+    np.testing.assert_array_equal(other.out, before)
