@@ -69,10 +69,14 @@ class Daqp:
 
         self._solver: Any = daqp.Model()
         m, n = A.shape
-        self._solver.setup(np.ascontiguousarray(P), np.zeros(n), np.ascontiguousarray(A), np.ones(m), -np.ones(m))
+        self._solver.setup(
+            np.ascontiguousarray(P), np.zeros(n), np.ascontiguousarray(A), np.ones(m), -np.ones(m)
+        )
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
-        self._solver.update(f=q, bupper=np.minimum(high, self.INFINITE), blower=np.maximum(low, -self.INFINITE))
+        self._solver.update(
+            f=q, bupper=np.minimum(high, self.INFINITE), blower=np.maximum(low, -self.INFINITE)
+        )
         x, _, flag, _ = self._solver.solve()
         good = flag > 0 and bool(np.isfinite(x).all())
         return Outcome(np.array(x) if good else None, str(flag))
