@@ -274,11 +274,11 @@ def plain(problem: Problem, floors: Array) -> Whitener:
 def trust(problem: Problem, fit: Fit, floors: Array) -> Array:
     """White noise to reckon with when a residual is to be whitened (channels,): the measurement's, or what is unexplained.
 
-    Only noise may be weighed by its spectrum. While much of the residual is missing physics, whitening would trade what
-    is large and slow against what is small and fast; so nothing finer than a third of it is trusted.
+    Only noise may be weighed by its spectrum. Missing physics is counted as if it were white: whitening would trade what
+    is large and slow in it against what is small and fast.
     """
-    rms = np.sqrt(np.mean(np.concatenate(residuals(problem, fit)) ** 2, axis=0))
-    return np.asarray(np.maximum(floors, 0.3 * rms), dtype=np.float64)
+    square = np.mean(np.concatenate(residuals(problem, fit)) ** 2, axis=0)
+    return np.asarray(np.sqrt(np.maximum(floors**2, square - floors**2)), dtype=np.float64)
 
 
 def settled(

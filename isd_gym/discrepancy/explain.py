@@ -65,7 +65,7 @@ def when(
                 best = (ratio, text)
 
     for (a, b), m in motion.items():
-        d, v = m.d[: n * record.thin : record.thin][:n], m.v[: n * record.thin : record.thin][:n]
+        d, v = record.seen(m.d[: record.samples]), record.seen(m.v[: record.samples])
         if len(d) < n:
             continue
         turn = np.zeros(n, bool)
@@ -83,7 +83,7 @@ def when(
             )
     for c in problem.network.inputs:
         if c.quantity == "current":
-            current = np.abs(record.inputs[c.name])[:: record.thin][:n]
+            current = np.abs(record.seen(record.inputs[c.name]))
             level = float(np.quantile(current, 0.8))
             consider(current > level, f"{c.name} above {level:.3g} A")
     return best[1]

@@ -37,6 +37,9 @@ class Record:
     start: float = 0.0  # [s] time of the first sample
     taps: Array | None = None  # low-pass that model and data both pass, where derivatives need one
     thin: int = 1  # of the filtered outputs every `thin`-th sample is compared
+    margin: int = (
+        0  # compared samples left out at either end, where the low-pass had to guess; inputs reach over them
+    )
 
     def __len__(self) -> int:
         """Samples of the outputs that are compared."""
@@ -54,7 +57,11 @@ class Record:
 
     @property
     def time(self) -> Array:
-        return np.asarray(self.start + self.rate * np.arange(len(self)), dtype=np.float64)
+        return np.asarray(self.start + self.rate * (self.margin + np.arange(len(self))), dtype=np.float64)
+
+    def seen(self, values: Array) -> Array:
+        """Those of `values` (samples, ...) at the inputs' samples that are compared."""
+        return values[self.margin * self.thin :: self.thin][: len(self)]
 
     def follows(self, other: Record) -> bool:
         """Whether this record is the stretch right after `other`."""
@@ -63,7 +70,7 @@ class Record:
 
     def part(self, first: int, stop: int, name: str) -> Record:
         """Compared samples first..stop-1 as a record of their own."""
-        cut = slice(first * self.thin, (stop - 1) * self.thin + 1)
+        cut = slice(first * self.thin, (stop - 1 + 2 * self.margin) * self.thin + 1)
         return replace(
             self,
             name=name,
@@ -174,7 +181,7 @@ class Problem:
                         elif isinstance(e, el.SensorBias):
                             out[:, j, lane] += e.bias
         if record.taps is not None:
-            out = low_pass(out, record.taps, record.thin)
+            out = record.seen(low_pass(out, record.taps))
         return out
 
     def _start(self, plant: Plant, initial: Array | None, like: Network | None, record: Record) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..data import Table, check, read_table
 from ..errors import InputError
-from ..network import Network
+from ..network import Channel, Network
 from ..simulate import SI
 from ..units import convert
 from .choose import (
@@ -133,7 +133,7 @@ def derivatives(records: list[Record], network: Network) -> list[Record]:
         return records
     needs = [c for c in network.inputs if c.quantity == "displacement"]
     step = records[0].step
-    cutoff = min(_bandwidth(r.inputs[c.name], r.step, order) for r in records for c in needs)
+    cutoff = min(_bandwidth(r, network, c, order) for r in records for c in needs)
     nyquist = 0.5 / step
     if cutoff > 0.7 * nyquist or any(abs(r.step - step) > 1e-3 * step for r in records):
         return records
@@ -144,6 +144,8 @@ def derivatives(records: list[Record], network: Network) -> list[Record]:
     cutoff = 0.85 * nyquist / thin
     size = min(2 * math.ceil(4.0 / (cutoff * step)) + 1, 2 * (min(r.samples for r in records) // 8) + 1)
     taps = firwin(size, cutoff, fs=1 / step, window=("kaiser", 6.0))
+    # derivative and comparison each pass the filter, which has to guess what was before and after the record
+    margin = min(math.ceil(len(taps) / thin), min(r.samples for r in records) // (8 * thin))
     out = []
     for r in records:
         inputs, slopes = dict(r.inputs), {}
@@ -157,8 +159,9 @@ def derivatives(records: list[Record], network: Network) -> list[Record]:
                 r,
                 inputs=inputs,
                 slopes=slopes,
-                measured=low_pass(r.measured, taps, thin),
+                measured=low_pass(r.measured, taps)[margin * thin : r.samples - margin * thin : thin],
                 taps=taps,
+                margin=margin,
                 thin=thin,
             )
         )
@@ -174,25 +177,48 @@ def _derivative_needed(network: Network, node: str) -> int:
     return 1 if reads or any(e.linear()[1] for e in here) else 0
 
 
-def _bandwidth(x: Array, step: float, order: int) -> float:
-    """Frequency [Hz] up to which the displacement's derivative of that order is signal, not noise.
+def _bandwidth(record: Record, network: Network, channel: Channel, order: int) -> float:
+    """Frequency [Hz] up to which a displacement's derivative of that order is signal, not noise.
 
-    Its spectrum falls with the motion and rises again with the noise that differentiation blows up:
-    the valley between them divides the two. Infinite where what lies above it is too little to matter.
+    Where noise matters, the band ends where the model makes half as much power again of the measured motion as the
+    measured force has: that is noise. Without a force to compare with it ends in the valley between motion and noise.
+    Infinite where noise is too little to matter.
     """
     from scipy.signal import welch
 
+    x, step = record.inputs[channel.name], record.step
     a = np.diff(x, order)
-    n = min(1024, len(a) // 4)
+    n = min(2048, len(a) // 4)
     f, s = welch(a, 1 / step, nperseg=n)
     width = max(3, len(f) // 64)
-    smooth = np.exp(np.convolve(np.log(np.maximum(s, 1e-300)), np.ones(width) / width, mode="same"))
-    peak = int(np.argmax(smooth[: max(2, len(f) // 2)]))
-    valley = peak + int(np.argmin(smooth[peak : len(f) - width]))
-    noise = math.sqrt(s[valley:].sum() / max(s.sum(), 1e-300))
-    if noise < 0.02:
+
+    def smooth(density: Array) -> Array:
+        window = np.ones(width) / width
+        return np.exp(np.convolve(np.log(np.maximum(density, 1e-300)), window, mode="same"))
+
+    level = smooth(s)
+    peak = int(np.argmax(level[: max(2, len(f) // 2)]))
+    valley = peak + int(np.argmin(level[peak : len(f) - width]))
+    if math.sqrt(s[valley:].sum() / max(s.sum(), 1e-300)) < 0.02:
         return math.inf
-    return float(max(f[valley], 20 * f[1]))
+    end = float(f[valley])
+    cell = next(
+        (j for j, c in enumerate(network.outputs) if c.quantity == "force" and c.at == channel.at), None
+    )
+    if cell is not None:
+        w = 2 * math.pi * f
+        here = [e for e in network.elements if e.place == "between" and channel.at in e.where]
+        k, c, b = (sum(e.linear()[q] for e in here) for q in range(3))
+        made = s / np.maximum(2 * np.sin(0.5 * w * step), 1e-9) ** (2 * order)
+        made = smooth(made * np.abs(k + 1j * w * c - w**2 * b) ** 2)
+        force = record.measured[:, cell]
+        _, s = welch(force - force.mean(), 1 / step, nperseg=n)
+        seen = smooth(s)
+        made = made * (seen[:valley].sum() / max(made[:valley].sum(), 1e-300))  # the parameters may be off
+        peak = int(np.argmax(seen[: max(2, len(f) // 2)]))
+        above = np.flatnonzero(made[peak:] > 1.5 * seen[peak:])
+        end = float(f[peak + above[0]]) if len(above) else end
+    return max(end, float(20 * f[1]))
 
 
 def split_records(
@@ -539,7 +565,7 @@ class Workflow:
                 f = Fitter(self.whole, W).fit(structure, x, records=[i], frozen=True, iterations=3)
                 says.append({c: f.outputs[i][:, j] for j, c in enumerate(self.whole.channels)})
             measured = {c: record.measured[:, j] for j, c in enumerate(self.whole.channels)}
-            thin = {k: v[:: record.thin][: len(record)] for k, v in record.inputs.items()}
+            thin = {k: record.seen(v) for k, v in record.inputs.items()}
             out.append(Trace(record.name, self.whole.held[i], record.time, thin, measured, *says))
         return tuple(out)
 
