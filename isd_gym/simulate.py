@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +36,20 @@ class Discrete:
     # x at the end of the step = A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), laws as in the assembly
     blocks: tuple[np.ndarray, ...]
     outputs: tuple[np.ndarray, ...]  # of x, u, c and the forces of the laws
-    numbers: (
-        np.ndarray
-    )  # step, matrix of a step, what the forces at its end add, parameters, quiet spans, outputs
+    yields: tuple[
+        np.ndarray, np.ndarray
+    ]  # what forces add to elongations and to rates, laws in the kernel's order
+    # the step, its matrix, what the forces at its end add, parameters and quiet spans of the laws, outputs
+    numbers: np.ndarray
     sizes: tuple[int, ...]  # n, m, nc, nl, smooth laws, fast, ny, stored rows, stored columns, any differ
     kinds: tuple[int, ...]  # laws in the kernel's order: smooth ones first
     differ: tuple[int, ...]  # 1 where the rate of a law is a difference of its elongations
     order: tuple[int, ...]  # place of each of them in the assembly
 
 
-def _columns(asm: Assembly, keep: Sequence[int] | None) -> list[int]:
+def _columns(asm: Assembly) -> list[int]:
     """Columns of the base vector that enter linearly over the step: r, v, alpha, F where something uses them."""
     start, stop = asm.columns("r").start, asm.columns("F").stop
-    if keep is not None:
-        return list(keep)
     used = (
         np.any(asm.rate != 0, axis=0)
         | np.any(asm.outputs != 0, axis=0)
@@ -61,7 +61,7 @@ def _columns(asm: Assembly, keep: Sequence[int] | None) -> list[int]:
 
 def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     """Exact discretisation of the linear part: `columns` first-order hold, currents and friction zero-order hold."""
-    from .kernel import LAW_PARAMETERS, law_code
+    from .kernel import law_code
 
     n, laws = asm.size[0], list(asm.laws)
     x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
@@ -108,21 +108,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     smooth = ~dry[:, None]
     rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
     gains = np.vstack([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)])
-    params = np.zeros((nl, LAW_PARAMETERS))
-    for j, e in enumerate(laws):
-        numbers = e.law_parameters()
-        params[j, : len(numbers)] = numbers
-    # the quiet way: at most one constant friction, and stops that nothing touches
-    yields = np.diag(GS)[ns:]
-    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]) @ params[ns:, 0]
-    fast = (
-        nl - ns <= 1
-        and not differ.any()
-        and bool((spans > 0).all() and (yields < 0).all())
-        and all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
-    )
-    with np.errstate(divide="ignore"):
-        quiet = np.concatenate([np.maximum(spans, 0.0), -1.0 / yields])
+    fast, of_laws = _law_numbers(laws, ns, GD, GS, bool(differ.any()))
     O = asm.outputs
     zero = np.zeros((len(O), 1))
     seen_outside = np.hstack(
@@ -132,8 +118,9 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     return Discrete(
         blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
         outputs=(O[:, x], O[:, u], _pad(O[:, c]), O[:, f]),
+        yields=(GD, GS),
         numbers=np.concatenate(
-            [[step], _stored(rows, 4), _stored(gains, 1), params.ravel(), quiet, _stored(seen_outside, 4)]
+            [[step], _stored(rows, 4), _stored(gains, 1), of_laws, _stored(seen_outside, 4)]
         ),
         sizes=(
             *(n, m, nc, nl, ns, int(fast), len(O), -(-len(rows) // 8) * 8, -(-width // 4) * 4),
@@ -143,6 +130,51 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
         differ=tuple(int(d) for d in differ),
         order=tuple(int(j) for j in order),
     )
+
+
+def _law_numbers(
+    laws: Sequence[el.Element], ns: int, GD: np.ndarray, GS: np.ndarray, differ: bool
+) -> tuple[bool, np.ndarray]:
+    """Whether the quiet way is open to a car with these laws, and what the kernel reads of them."""
+    from .kernel import LAW_PARAMETERS
+
+    params = np.zeros((len(laws), LAW_PARAMETERS))
+    for j, e in enumerate(laws):
+        numbers = e.law_parameters()
+        params[j, : len(numbers)] = numbers
+    # the quiet way: at most one constant friction, and stops that nothing touches
+    yields = GS.diagonal()[ns:]
+    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]) @ params[ns:, 0]
+    fast = (
+        len(laws) - ns <= 1
+        and not differ
+        and bool((spans > 0).all() and (yields < 0).all())
+        and all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
+    )
+    with np.errstate(divide="ignore"):
+        return fast, np.concatenate([params.ravel(), np.maximum(spans, 0.0), -1.0 / yields])
+
+
+def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
+    """The same network with other parameters of its laws (in the assembly's order): its linear part is the same."""
+    _, _, _, nl, ns, _, ny, rows, cols, differ = part.sizes
+    fast, of_laws = _law_numbers([laws[i] for i in part.order], ns, *part.yields, bool(differ))
+    numbers, end = part.numbers.copy(), len(part.numbers) - cols * (-(-ny // 8) * 8)
+    numbers[end - len(of_laws) : end] = of_laws
+    return replace(part, numbers=numbers, sizes=(*part.sizes[:5], int(fast), *part.sizes[6:]))
+
+
+def _law_elements(network: Network) -> tuple[el.Element, ...]:
+    return tuple(e for e in network.elements if e.place == "between" and (e.law or e.bound) is not None)
+
+
+def _linear_part(network: Network) -> tuple[Any, ...]:
+    """All that the equations of a network depend on but the parameters of its laws."""
+    elements = (
+        (type(e), e.name, e.where) if (e.law or e.bound) and not any(e.linear()) else e
+        for e in network.elements
+    )
+    return (*network.masses.items(), network.inputs, network.outputs, *elements)
 
 
 def _pad(block: np.ndarray) -> np.ndarray:
@@ -179,10 +211,19 @@ class Plant:
         self.networks: list[Network] = list(networks) if several else [networks]  # type: ignore[list-item,arg-type]
         self.lanes = len(self.networks) if several else lanes
         self.step, self.extra = float(step), tuple(extra)
-        once = {id(net): assemble(net, extra) for net in self.networks}  # many lanes may share a network
+        # many lanes may share a network, or differ in the parameters of their laws alone
+        once: dict[int, Assembly] = {}
+        linear: dict[tuple[Any, ...], Assembly] = {}
+        for net in self.networks:
+            if id(net) not in once:
+                key = _linear_part(net)
+                if key not in linear:
+                    once[id(net)] = linear[key] = assemble(net, extra)
+                else:
+                    once[id(net)] = replace(linear[key], network=net, laws=_law_elements(net))
         self.assemblies = [once[id(net)] for net in self.networks]
         first = self.assemblies[0]
-        used = sorted({c for asm in self.assemblies for c in _columns(asm, None)})
+        used = sorted({c for asm in linear.values() for c in _columns(asm)})
         self.u_columns = used
         self.channels = (*first.network.outputs, *extra)
         self._by_difference = first.outputs_by_difference
@@ -201,8 +242,12 @@ class Plant:
                     parts.append((part, channels[column - span.start].name))
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
         self.currents = [c for c in first.network.inputs if c.quantity == "current"]
-        stepped = {id(asm): discretise(asm, self.step, used) for asm in once.values()}
-        self.pack([stepped[id(asm)] for asm in self.assemblies], several)
+        stepped = {id(asm.rate): (asm, discretise(asm, self.step, used)) for asm in linear.values()}
+        whole = {}
+        for asm in once.values():
+            like, discrete = stepped[id(asm.rate)]
+            whole[id(asm)] = discrete if asm is like else with_laws(discrete, asm.laws)
+        self.pack([whole[id(asm)] for asm in self.assemblies], several)
 
     def pack(self, parts: Sequence[Discrete], several: bool) -> None:
         from .kernel import kernel

@@ -114,10 +114,13 @@ def test_a_car_clear_of_its_stop_does_not_feel_its_neighbour_on_it():
         np.testing.assert_array_equal(together[:, :, half], apart)
 
 
-def test_levels_of_their_own_are_the_networks_of_their_own():
-    """Lanes that differ in a parameter, as the diagnosis runs them, each against its network alone."""
+@pytest.mark.parametrize("other", [{}, {"body.mass": 9.0}])
+def test_parameters_of_their_own_are_networks_of_their_own(other):
+    """Lanes that differ in parameters of laws alone, or of the linear part too, each against its network alone."""
     net = car(LAWS["Stribeck"])
-    nets = [net.with_parameters({"seal.level": 100.0 * i, "body.mass": 300.0 + 9 * i}) for i in range(LANES)]
+    steps = {"seal.level": 60.0, "end_stop.clearance": -3e-3, "law_0.static_level": 10.0, **other}
+    start = net.parameters
+    nets = [net.with_parameters({k: start[k] + i * v for k, v in steps.items()}) for i in range(LANES)]
     inputs = {k: v[:, 5] for k, v in drives(1501).items()}
     together = Plant(nets, STEP).run(inputs, samples=1501)
     for l, one in enumerate(nets):
