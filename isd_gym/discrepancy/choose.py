@@ -274,11 +274,11 @@ def plain(problem: Problem, floors: Array) -> Whitener:
 def trust(problem: Problem, fit: Fit, floors: Array) -> Array:
     """White noise to reckon with when a residual is to be whitened (channels,): the measurement's, or what is unexplained.
 
-    Only noise may be weighed by its spectrum. Missing physics is counted as if it were white: whitening would trade what
-    is large and slow in it against what is small and fast.
+    Only noise may be weighed by its spectrum. Missing physics counts as white noise of ten times its power, so that even
+    what is crowded in a tenth of the band is not weighed down against what is small and elsewhere.
     """
     square = np.mean(np.concatenate(residuals(problem, fit)) ** 2, axis=0)
-    return np.asarray(np.sqrt(np.maximum(floors**2, square - floors**2)), dtype=np.float64)
+    return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
 
 
 def settled(
