@@ -184,6 +184,7 @@ def score(
     ground = find_road(road)
     belief = Network.load(model) if model else None
     entries = [find(name, plant, model=belief) for name in policies]
+    known = _reachable(plant, ground, speed, episodes, seed, duration)
     with _progress() as update:
         _warm_up(update)
         result = run(
@@ -195,9 +196,10 @@ def score(
             episodes=episodes,
             seed=seed,
             duration=duration,
-            clairvoyant=_reachable(plant, ground, speed, episodes, seed, duration),
+            clairvoyant=known,
             progress=update,
         )
+    result.references |= _references(result, plant, ground, known)
     _write_json(json_file, result.to_dict())
     if report is not None:
         from .plots import score_report
@@ -212,6 +214,36 @@ def _reachable(plant: Any, road: Any, speed: float, episodes: int, seed: int, du
     for point in entry_points(group="isd_gym.references", name="clairvoyant"):
         return point.load()(plant, road, speed, episodes, seed, duration)
     return None
+
+
+def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str]:
+    """What puts the table in place, a line each: the clairvoyant optimum, and the causal bound beside the best policy."""
+    from .cost import StageCost
+
+    lines = {}
+    if known is not None:
+        own, least = result.runs["passive"].cost(StageCost()).mean(), known.mean()
+        lines["clairvoyant"] = (
+            f"Clairvoyant optimum, these very roads known in advance: cost J {least:.3f} ({100 * (least / own - 1):+.1f} %)"
+        )
+    best = min(result.policies, key=lambda row: row["cost"]["value"])
+    changes = [
+        best[f"{k}_rms"].get("change") for k in ("body_acceleration", "suspension_travel", "tyre_load")
+    ]
+    if best["policy"] == "passive" or None in changes:
+        return lines
+    for point in entry_points(group="isd_gym.references", name="lq_front"):
+        try:
+            front = point.load()(changes[2], [changes[1]], network=plant, speed=result.speed, road=road)
+        except InputError:  # a road or a car for which there is no such bound
+            continue
+        if len(front):
+            a, l, f = (f"{100 * c:+.1f} %" for c in changes)
+            lines["causal_bound"] = (
+                f"Causal LQ bound (any force, full state, no friction, no limits): at the travel ({l}) and tyre load ({f}) of "
+                f"{best['policy']}, acceleration {100 * front[0, 1]:+.1f} % at best; {best['policy']}: {a}"
+            )
+    return lines
 
 
 def _print_score(result: Any) -> None:
@@ -285,9 +317,9 @@ def _print_score(result: Any) -> None:
                 strict=True,
             )
         ]
-        console.print(f"The paper's {name}: " + ", ".join(parts), style="dim", highlight=False)
+        console.print(f"The paper's {name}: " + ", ".join(parts), style="dim", highlight=False, markup=False)
     for line in result.references.values():
-        console.print(line, style="dim", highlight=False)
+        console.print(line, style="dim", highlight=False, markup=False)
 
 
 @app.command()

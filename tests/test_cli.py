@@ -38,6 +38,19 @@ def test_importing_the_package_stays_light():
     assert time.perf_counter() - begin < 10  # a hang, not a benchmark: benchmarks/ measures it
 
 
+def test_score_ends_with_what_puts_it_in_place(tmp_path):
+    """On a road of the score: the paper's tables, the clairvoyant optimum, the causal bound; all below the share."""
+    done = run("score", "passive", "lqg", "--episodes", 1, "--json", tmp_path / "s.json")
+    assert done.returncode == 0, done.stderr
+    text = " ".join(done.stdout.split())
+    for words in ("of the gain", "travel [mm] 7.60 -> 6.30", "Clairvoyant optimum", "Causal LQ bound"):
+        assert words in text
+    data = json.loads((tmp_path / "s.json").read_text())
+    assert set(data["references"]) == {"clairvoyant", "causal_bound"}
+    row = next(r for r in data["policies"] if r["policy"] == "lqg")
+    assert 0 < row["share_of_reachable_gain"] < 1
+
+
 def test_score_prints_the_table_and_writes_json(tmp_path):
     done = run(
         "score", "passive", "isd-passive", "--episodes", 2, "--duration", 2, "--json", tmp_path / "s.json"
