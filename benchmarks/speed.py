@@ -1,6 +1,7 @@
 """Speed against Gymnasium's CartPole in the same run: `python benchmarks/speed.py [--json FILE]` (under a minute).
 
-Medians of alternating repetitions, single thread. `random` draws new currents over the full range at every step.
+Medians of alternating repetitions, processor time of a single thread, so that other work on the machine counts little.
+`random` draws new currents over the full range at every step; with 5 A throughout every car ends on its stop.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from isd_gym.simulate import Plant
 
 
 def seconds(run: Callable[[], None]) -> float:
-    begin = time.perf_counter()
+    begin = time.process_time()
     run()
-    return time.perf_counter() - begin
+    return time.process_time() - begin
 
 
 def single(steps: int = 20_000) -> float:
@@ -47,20 +48,24 @@ def single(steps: int = 20_000) -> float:
     return float(np.median([seconds(balance) / seconds(drive) for _ in range(5)]))
 
 
-def batch(random: bool, count: int = 1024, steps: int = 300) -> tuple[float, float]:
+def batch(currents: str, count: int = 1024, steps: int = 300) -> tuple[float, float]:
     """(ratio to CartPole's own vector environment, million steps per second) of `gymnasium.make_vec`."""
     cars, poles = gym.make_vec("ISDSuspension-v0", count), gym.make_vec("CartPole-v1", count)
     rng = np.random.default_rng(0)
-    draws = [(rng.uniform(-5, 5, (count, 1)) * random).astype(np.float32) for _ in range(50)]
+    draws = [
+        (rng.uniform(-5, 5, (count, 1)) if currents == "random" else np.full((count, 1), float(currents)))
+        for _ in range(50)
+    ]
+    draws = [draw.astype(np.float32) for draw in draws]
     pushes = poles.action_space.sample()
     poles.reset(seed=0)
 
     def drive() -> None:
         cars.reset(seed=0)
-        begin = time.perf_counter()
+        begin = time.process_time()
         for k in range(steps):
             cars.step(draws[k % 50])
-        spent.append(time.perf_counter() - begin)
+        spent.append(time.process_time() - begin)
 
     def balance() -> None:
         for _ in range(steps):
@@ -84,21 +89,50 @@ def hour() -> float:
     return min(seconds(lambda: plant.run(inputs, every=5, samples=720_001)) for _ in range(3))
 
 
+def trial(more: dict[str, object] | None, lanes: int = 30, steps: int = 10_000) -> tuple[float, float]:
+    """Milliseconds to make ready and to run what the diagnosis runs: one network a lane, their friction levels differ.
+
+    The road is twice the paper's at 2 ms, the current a sine that drives the car into its stops now and then.
+    """
+    net = Network.load("quarter-car-isd")
+    net = net if more is None else net.with_element({"name": "more", **more})
+    nets = [net.with_parameters({"seal.level": 300.0 + 10 * i}) for i in range(lanes)]
+    time_ = np.arange(steps + 1) * 2e-3
+    inputs = {
+        "road": 2 * paper_road().heights(steps * 2e-3, step=2e-3, rng=np.random.default_rng(0))[: steps + 1],
+        "current": 5.0 * np.sin(7.5 * time_),
+    }
+    plant = Plant(nets, 2e-3)
+    plant.run(inputs, samples=steps + 1)  # compiled by now
+    ready = min(seconds(lambda: Plant(nets, 2e-3)) for _ in range(5))
+    return 1e3 * ready, 1e3 * min(seconds(lambda: plant.run(inputs, samples=steps + 1)) for _ in range(3))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
     file = parser.parse_args().json
-    idle, moving = batch(False), batch(True)
+    idle, moving, stopped = batch("0"), batch("random"), batch("5")
     figures = {
         "gymnasium.make, over CartPole-v1": single(),
         "make_vec 1024 without current, over CartPole's own": idle[0],
         "  million steps per second": idle[1],
         "make_vec 1024 with random currents, over CartPole's own": moving[0],
         "  million steps per second, random": moving[1],
+        "make_vec 1024 on the end stops (5 A throughout), over CartPole's": stopped[0],
         "one hour of driving at 1 ms [s]": hour(),
     }
+    suspension = ["body", "wheel"]
+    for name, more in {
+        "no other law": None,
+        "hysteresis": {"type": "hysteresis", "between": suspension, "level": 200.0, "stiffness": 1e5},
+        "quadratic damping": {"type": "quadratic_damping", "between": suspension, "damping": 2000.0},
+    }.items():
+        ready, run = trial(more)
+        figures[f"30 lanes, {name}: made ready [ms]"] = ready
+        figures[f"30 lanes, {name}: 10,000 steps of 2 ms [ms]"] = run
     for name, value in figures.items():
-        print(f"{name:<58} {value:8.2f}")
+        print(f"{name:<65} {value:8.2f}")
     if file:
         file.write_text(json.dumps(figures, indent=1) + "\n")
 
