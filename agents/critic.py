@@ -14,8 +14,6 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.sac.policies import Actor
-from stable_baselines3.sac.policies import SACPolicy as _SACPolicy
 from torch import nn
 
 
@@ -32,17 +30,52 @@ class Squares(nn.Module):
         return torch.cat([0.1 * self.linear(x).square(), self.hidden(x)], dim=1)
 
 
+class Bilinear(nn.Module):
+    """``[s s', s (W r), hidden(x)]``: products of the state's columns s, with each other and with the road ahead r.
+
+    What a linear car's future costs is a sum of just these, so that the critic is nearly linear in what it learns.
+    """
+
+    def __init__(self, inputs: int, seen: int, core: list[int], width: int) -> None:
+        super().__init__()
+        self.seen, self.core, k = seen, core, len(core)
+        self.register_buffer("pairs", torch.triu_indices(k, k), persistent=False)
+        self.cross = nn.Linear(max(inputs - seen, 1), k)
+        self.road = inputs > seen
+        self.hidden = nn.Sequential(nn.Linear(inputs, width), nn.Tanh())
+        self.width = k * (k + 1) // 2 + 2 * k + width
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        s = x[:, self.core]
+        road = x[:, self.seen :] if self.road else torch.zeros_like(x[:, :1])
+        pairs: Any = self.pairs
+        return torch.cat([0.3 * s[:, pairs[0]] * s[:, pairs[1]], s, s * self.cross(road), self.hidden(x)], dim=1)
+
+
+class Adam(torch.optim.Adam):
+    """Adam whose parameter groups may have a `factor` on the learning rate, which Stable-Baselines3 sets for all alike."""
+
+    def step(self, closure: Any = None) -> Any:
+        rates = [group["lr"] for group in self.param_groups]
+        for group in self.param_groups:
+            group["lr"] *= group.get("factor", 1.0)
+        out = super().step(closure)
+        for group, rate in zip(self.param_groups, rates, strict=True):
+            group["lr"] = rate
+        return out
+
+
 class _Two(nn.Module):
     """Actor's and critic's networks, as `ActorCriticPolicy` wants them."""
 
-    def __init__(self, inputs: int, seen: int, actor: list[int], critic: int) -> None:
+    def __init__(self, inputs: int, seen: int, core: list[int], actor: list[int], critic: int) -> None:
         super().__init__()
         self.seen = seen
         layers: list[nn.Module] = []
         for a, b in zip([seen, *actor], actor, strict=False):
             layers += [nn.Linear(a, b), nn.Tanh()]
         self.policy_net = nn.Sequential(*layers)
-        self.value_net = Squares(inputs, critic)
+        self.value_net = Bilinear(inputs, seen, core, critic) if core else Squares(inputs, critic)
         self.latent_dim_pi, self.latent_dim_vf = actor[-1], self.value_net.width
 
     def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -58,19 +91,30 @@ class _Two(nn.Module):
 class PPOPolicy(ActorCriticPolicy):
     """`ActorCriticPolicy` with the critic above; net_arch: {"pi": [...], "vf": [width]}."""
 
-    def __init__(self, *args: Any, seen: int, **kwargs: Any) -> None:
-        self.seen = seen
+    def __init__(
+        self, *args: Any, seen: int, core: list[int] | None = None, critic_rate: float = 1.0, **kwargs: Any
+    ) -> None:
+        self.seen, self.core, self.critic_rate = seen, list(core or []), critic_rate
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
         arch: Any = self.net_arch
-        self.mlp_extractor = _Two(self.features_dim, self.seen, arch["pi"], arch["vf"][0])  # type: ignore[assignment]
+        self.mlp_extractor = _Two(self.features_dim, self.seen, self.core, arch["pi"], arch["vf"][0])  # type: ignore[assignment]
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        critic = [*self.mlp_extractor.value_net.parameters(), *self.value_net.parameters()]
+        own = {id(p) for p in critic}
+        actor = [p for p in self.parameters() if id(p) not in own]
+        groups = [{"params": actor}, {"params": critic, "factor": self.critic_rate}]
+        self.optimizer = Adam(groups, lr=lr_schedule(1), eps=1e-6)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {**super()._get_constructor_parameters(), "seen": self.seen}
+        own = dict(seen=self.seen, core=self.core, critic_rate=self.critic_rate)
+        return {**super()._get_constructor_parameters(), **own}
 
 
-class _First(BaseFeaturesExtractor):
+class First(BaseFeaturesExtractor):
     """The first columns."""
 
     def __init__(self, space: spaces.Box, seen: int) -> None:
@@ -78,30 +122,3 @@ class _First(BaseFeaturesExtractor):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return x[:, : self.features_dim]
-
-
-class Quadratic(BaseFeaturesExtractor):
-    """The columns and squares of linear combinations of them."""
-
-    def __init__(self, space: spaces.Box, width: int) -> None:
-        super().__init__(space, space.shape[0] + width)
-        self.linear = nn.Linear(space.shape[0], width)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return torch.cat([x, 0.1 * self.linear(x).square()], dim=1)
-
-
-class SACPolicy(_SACPolicy):
-    """SAC's policy with an actor that sees the first `seen` columns."""
-
-    def __init__(self, *args: Any, seen: int, **kwargs: Any) -> None:
-        self.seen = seen
-        super().__init__(*args, **kwargs)
-
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
-        space = self.observation_space
-        assert isinstance(space, spaces.Box)
-        return super().make_actor(_First(space, self.seen))
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {**super()._get_constructor_parameters(), "seen": self.seen}

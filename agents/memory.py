@@ -1,13 +1,15 @@
-"""What a policy sees: measured signals, their latest changes and leaky integrals, each over a fixed physical scale.
+"""What a policy sees: measured signals, their changes, leaky integrals and a Kalman estimate, over fixed scales.
 
 One observation is not the state of the car. Changes over the last steps carry what the sensors do not measure (the
 tyre's force follows from the balance of forces, the oil's deflection from the body's acceleration), and the leaky
-integral of the body's acceleration is its absolute velocity. Fixed scales instead of running statistics: a
+integral of the body's acceleration is its absolute velocity. A `Filter` says the same in the coordinates of the state:
+the estimate that the LQG acts on, and what the LQG would do. Fixed scales instead of running statistics: a
 policy means the same thing in training, in a checkpoint and in a car. Numpy alone, float32, one row a car.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -18,12 +20,65 @@ from isd_gym.errors import InputError
 
 
 @dataclass(frozen=True)
+class Filter:
+    """The steady Kalman filter of `baselines.lqg`, as plain matrices, in coordinates z of about unit size.
+
+    ``free = A z + B I``; friction f in [-1, 1] of its level holds, ``S free = K f``, or slides, one row of S and K each;
+    ``z+ = x + L (y - C x - D I - F f)`` with ``x = free + G f``; y: the first signals, I: `current` among them [A].
+    Then the law ``I* = law z - force tanh(rate z)`` [A], of which ``(I* - I) / slew`` within ±`reach` is told, and
+    the `offset` [A] that the policy's head keeps from it, if it does.
+    """
+
+    A: tuple[tuple[float, ...], ...]
+    B: tuple[float, ...]
+    G: tuple[tuple[float, ...], ...]
+    S: tuple[tuple[float, ...], ...]
+    K: tuple[tuple[float, ...], ...]
+    C: tuple[tuple[float, ...], ...]
+    D: tuple[float, ...]
+    F: tuple[tuple[float, ...], ...]
+    L: tuple[tuple[float, ...], ...]
+    law: tuple[float, ...]
+    rate: tuple[float, ...]
+    force: float
+    slew: float = 0.5
+    reach: float = 2.0
+    current: int = 5
+
+    def __post_init__(self) -> None:
+        n, nf, ny = len(self.B), len(self.K), len(self.D)
+        shapes = dict(A=(n, n), B=(n,), G=(n, nf), S=(nf, n), K=(nf, nf), C=(ny, n), D=(ny,), F=(ny, nf), L=(n, ny))
+        for name, shape in (shapes | dict(law=(n,), rate=(n,))).items():
+            try:
+                value = np.array(getattr(self, name), float)
+            except (TypeError, ValueError):
+                raise InputError(f"memory: filter's {name} is not a matrix") from None
+            if value.size != math.prod(shape) or not np.isfinite(value).all():
+                raise InputError(f"memory: filter's {name} must have shape {shape}, not {value.shape}")
+        if not (all(self.K[j][j] > 0 for j in range(nf)) and self.slew > 0 and math.isfinite(self.force)):
+            raise InputError("memory: filter's diagonal of K and slew must be > 0, its force finite")
+
+    @property
+    def width(self) -> int:
+        """Number of features: the estimate, the friction, the law, the offset from it."""
+        return len(self.B) + len(self.K) + 2
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Filter:
+        return cls(**{k: tuples(v) for k, v in data.items()})
+
+
+def tuples(value: Any) -> Any:
+    return tuple(tuples(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+@dataclass(frozen=True)
 class Memory:
     """How features are made of observations.
 
     scale: of each signal [its SI unit]. change: of its change over one control step; changes of order 1 to `order` are
     fed, each over it. leak: signal index -> (time constant [s], scale) of leaky integrals.
-    step: control step [s]. No scale means that the signals pass unchanged.
+    filter: an estimate fed besides. step: control step [s]. No scale means that the signals pass unchanged.
     """
 
     scale: tuple[float, ...] = ()
@@ -31,6 +86,7 @@ class Memory:
     order: int = 0
     leak: tuple[tuple[int, float, float], ...] = ()
     step: float = 5e-3
+    filter: Filter | None = None
 
     def __post_init__(self) -> None:
         if self.order < 0 or (self.order > 0 and len(self.change) != len(self.scale)):
@@ -45,7 +101,12 @@ class Memory:
         """Number of features of `signals` measured signals."""
         if self.scale and signals != len(self.scale):
             raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
-        return signals * (1 + self.order) + len(self.leak)
+        return signals * (1 + self.order) + self.extra
+
+    @property
+    def extra(self) -> int:
+        """Number of features besides the signals and their changes."""
+        return len(self.leak) + (self.filter.width if self.filter else 0)
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -59,6 +120,7 @@ class Memory:
                 order=int(data.get("order", 0)),
                 leak=tuple((int(i), float(t), float(s)) for i, t, s in data.get("leak", ())),
                 step=float(data.get("step", 5e-3)),
+                filter=Filter.from_dict(data["filter"]) if data.get("filter") else None,
             )
         except (TypeError, ValueError, AttributeError) as error:
             raise InputError(f"memory: {error}") from None
@@ -84,6 +146,7 @@ class Recall:
             (i, np.float32(1 - memory.step / tau), np.float32(memory.step / scale))
             for i, tau, scale in memory.leak
         ]
+        self.filter = _Filter(memory.filter, count) if memory.filter else None
         self.begin(np.ones(count, bool), observations)
 
     def begin(self, which: np.ndarray, observations: np.ndarray) -> None:
@@ -91,6 +154,8 @@ class Recall:
         f, n = self.features, self._signals
         f[which] = 0.0
         f[which, :n] = observations[which] / self.scale
+        if self.filter:
+            self.filter.wanted[which] = 0.0
 
     def see(self, observations: np.ndarray) -> np.ndarray:
         """Take in the next observations (count, signals); returns `features`, valid until the next call."""
@@ -103,4 +168,50 @@ class Recall:
         f[:, n * self.memory.order : n * (self.memory.order + 1)] = new
         for j, (i, keep, gain) in enumerate(self.leaks, n * (self.memory.order + 1)):
             f[:, j] = f[:, j] * keep + observations[:, i] * gain
+        if self.filter:
+            self.filter.see(f[:, -self.filter.width :], observations)
         return f
+
+
+class _Filter:
+    """The arithmetic of `Filter`, on rows of its features."""
+
+    def __init__(self, given: Filter, count: int) -> None:
+        #: what the law commands [A] (count, 1)
+        self.wanted = np.zeros((count, 1), np.float32)
+
+        def array(name: str, *shape: int) -> np.ndarray:
+            return np.array(getattr(given, name), float).reshape(shape)
+
+        n, nf, ny = len(given.B), len(given.K), len(given.D)
+        L, C, S = array("L", n, ny), array("C", ny, n), array("S", nf, n)
+        self.width, self.n, self.nf, self.ny = given.width, n, nf, ny
+        self.given = given
+        # rows: estimate and current; then friction; then signals
+        predict = np.vstack([array("A", n, n).T, array("B", 1, n)])
+        correct = np.eye(n) - L @ C
+        K = array("K", nf, nf)
+        self.stick = (predict @ S.T / np.diag(K)).astype(np.float32)
+        self.others = (K / np.diag(K)[:, None] - np.eye(nf)).T.astype(np.float32)
+        self.free = np.vstack([predict[:n] @ correct.T, predict[n:] @ correct.T - (L @ array("D", ny))[None]])
+        self.free = self.free.astype(np.float32)
+        self.force = (array("G", n, nf).T @ correct.T - (L @ array("F", ny, nf)).T).astype(np.float32)
+        self.gain = L.T.astype(np.float32)
+        self.rows = np.stack([array("law", n), array("rate", n)], axis=1).astype(np.float32)
+
+    def see(self, features: np.ndarray, observations: np.ndarray) -> None:
+        n, given = self.n, self.given
+        current = observations[:, given.current : given.current + 1]
+        now = np.concatenate([features[:, :n], current], axis=1)
+        rest = now @ self.stick
+        friction = np.clip(rest, -1.0, 1.0)
+        for _ in range(2 if self.nf > 1 else 0):
+            for j in range(self.nf):
+                friction[:, j] = np.clip(rest[:, j] - friction @ self.others[:, j], -1.0, 1.0)
+        z = now @ self.free + friction @ self.force + observations[:, : self.ny] @ self.gain
+        features[:, :n] = z
+        features[:, n:-2] = friction
+        rows = z @ self.rows
+        self.wanted = rows[:, :1] - np.float32(given.force) * np.tanh(rows[:, 1:])
+        share = (self.wanted - current) / np.float32(given.slew)
+        features[:, -2:-1] = np.clip(share, -given.reach, given.reach)

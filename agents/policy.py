@@ -39,28 +39,48 @@ SHIPPED = Path(__file__).parent / "policies"
 class Head:
     """From a number in [-1, 1] to the commanded current [A].
 
-    mode `target`: the share of `limit` [A]; `increment`: the present current plus the share of `slew` [A].
+    mode `target`: the share of `limit` [A]; `increment`: the present current plus the share of `slew` [A]; `residual`: what
+    the law of the memory's filter commands plus an offset, which keeps `keep` of itself at each step and
+    gains the share of `gain` [A].
     """
 
     mode: str = "target"
     limit: float = CURRENT_LIMIT
     slew: float = SLEW_LIMIT
+    keep: float = 0.9
+    gain: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.mode not in ("target", "increment"):
-            raise InputError(f"action mode must be target or increment, not {self.mode!r}")
+        if self.mode not in ("target", "increment", "residual"):
+            raise InputError(f"action mode must be target, increment or residual, not {self.mode!r}")
         if not (0 < self.limit < math.inf and 0 < self.slew < math.inf):
             raise InputError("the action's limit and slew must be > 0")
 
-    def current(self, share: np.ndarray, observations: np.ndarray) -> np.ndarray:
-        """Commanded current (count, 1) [A] of `share` (count, 1) and `observations` (count, signals)."""
+    def current(
+        self, share: np.ndarray, observations: np.ndarray, recall: Recall | None = None
+    ) -> np.ndarray:
+        """Commanded current (count, 1) [A] of `share` (count, 1) and `observations` (count, signals).
+
+        `recall`: the cars' memory, which a residual reads, and where its offset is kept.
+        """
         if self.mode == "target":
             return share * np.float32(self.limit)
+        if self.mode == "residual":
+            assert recall is not None and recall.filter is not None
+            offset = recall.features[:, -1:]
+            offset *= np.float32(self.keep)
+            offset += np.float32(self.gain) * share
+            return np.clip(recall.filter.wanted + offset, -self.limit, self.limit)
         now = observations[:, CURRENT_SIGNAL : CURRENT_SIGNAL + 1]
         return np.clip(now + share * np.float32(self.slew), -self.limit, self.limit)
 
     def share(self, current: np.ndarray, observations: np.ndarray) -> np.ndarray:
-        """The number in [-1, 1] (count, 1) that commands `current` (count, 1) [A], as nearly as there is one."""
+        """The number in [-1, 1] (count, 1) that commands `current` (count, 1) [A], as nearly as there is one.
+
+        None of a residual: it starts from the law itself.
+        """
+        if self.mode == "residual":
+            return np.zeros_like(current)
         if self.mode == "target":
             return np.clip(current / np.float32(self.limit), -1.0, 1.0)
         now = observations[:, CURRENT_SIGNAL : CURRENT_SIGNAL + 1]
@@ -152,6 +172,8 @@ class Policy:
         if not weights:
             raise InputError("the policy has no layers")
         self.memory, self.head = memory or Memory(), head or Head()
+        if self.head.mode == "residual" and self.memory.filter is None:
+            raise InputError("a residual action needs a memory with a filter")
         self.activation, self.output, self.clip, self.name = activation, output, float(clip), name
         #: the network it was trained on
         self.model = network
@@ -172,7 +194,7 @@ class Policy:
         self.scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
         if self.mean.shape != (features,) or self.scale.shape != (features,) or not (self.scale > 0).all():
             raise InputError(f"the normalisation needs {features} means and positive scales")
-        self.signals = (features - len(self.memory.leak)) // (1 + self.memory.order)
+        self.signals = (features - self.memory.extra) // (1 + self.memory.order)
         if self.memory.width(self.signals) != features:
             raise InputError(
                 f"the policy has {features} inputs, its memory gives {self.memory.width(self.signals)}"
@@ -210,7 +232,7 @@ class Policy:
             features = recall.features
         else:
             features = recall.see(obs)
-        return self.head.current(self.share(features), obs)[:, 0]
+        return self.head.current(self.share(features), obs, recall)[:, 0]
 
     def share(self, features: np.ndarray) -> np.ndarray:
         """The network itself: features (count, features) -> (count, 1) in [-1, 1]."""

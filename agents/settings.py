@@ -39,41 +39,48 @@ class Settings:
     cars: int
     preview: float = 0.4  # s of road that the critic knows, see `critic`
     memory: Memory = MEMORY
+    filter: bool = True  # the LQG's estimate and law among the features
     # increments of the current: exploration noise adds up to a smooth current instead of drowning in the drive's slew
     # (PPO from nothing for 3 minutes, passive J 0.874: increments 0.700, targets 0.892)
     head: Head = field(default_factory=lambda: Head("increment"))
     reward_scale: float = 0.1
     reward_offset: float = 0.8  # near the mean, so that values are small; it changes no optimum
-    teacher: str | None = "lqg"  # imitated at the start, see `warm`; None: from nothing
-    warm_steps: int = 2000  # of 64 cars
-    warm_updates: int = 2000
+    teacher: str | None = "mpc-friction"  # imitated at the start, see `warm`; None: from nothing
+    warm_steps: int = 2500  # of 64 cars
+    warm_updates: int = 2500
     averaging: float = 0.97  # kept of the mean of the actor's weights at an update; the mean is the policy
-    evaluations: int = 40  # over the whole training
+    evaluations: int = 20  # over the whole training
     checkpoint_seconds: float = 60.0
 
 
 @dataclass(frozen=True)
 class PPOSettings(Settings):
-    steps: int = 30_000_000
-    cars: int = 512
-    horizon: int = 64  # steps of each car between updates
-    batch: int = 8192
+    steps: int = 8_000_000
+    cars: int = 1024
+    group: int = 8  # cars on one road, see `vec.GroupBuffer`
+    horizon: int = 128  # steps of each car between updates
+    batch: int = 4096
     epochs: int = 2  # fresh roads cost less than another pass
-    learning_rate: float = 1e-3  # falls linearly to a fiftieth
-    gamma: float = 0.995
-    gae_lambda: float = 0.95
+    learning_rate: float = 4e-4  # falls linearly to a fiftieth
+    critic_rate: float = 5.0  # of the critic, as a multiple
+    critic_steps: int = 1_000_000  # of the critic alone, at the start
+    gamma: float = 0.997
+    gae_lambda: float = 0.99
     clip_range: float = 0.2
-    log_std: float = -1.4  # increments of 0.25 of the slew limit: nearly all of a good law is at either limit
+    log_std: float = -0.9  # increments of 0.4 of the slew limit: nearly all of a good law is at either limit
     actor: tuple[int, ...] = (64, 64)
     critic: tuple[int, ...] = (64,)
 
-    def algorithm(self, seen: int) -> dict[str, Any]:
+    def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
         """Keyword arguments of `stable_baselines3.PPO`."""
         import torch
 
         from .critic import PPOPolicy
+        from .vec import GroupBuffer
 
         return dict(
+            rollout_buffer_class=GroupBuffer,
+            rollout_buffer_kwargs=dict(group=self.group),
             policy=PPOPolicy,
             n_steps=self.horizon,
             batch_size=self.batch,
@@ -83,8 +90,12 @@ class PPOSettings(Settings):
             gae_lambda=self.gae_lambda,
             clip_range=self.clip_range,
             ent_coef=0.0,
+            vf_coef=1.0,
+            max_grad_norm=10.0,
             policy_kwargs=dict(
                 seen=seen,
+                core=core,
+                critic_rate=self.critic_rate,
                 net_arch=dict(pi=list(self.actor), vf=list(self.critic)),
                 activation_fn=torch.nn.Tanh,
                 log_std_init=self.log_std,
@@ -94,29 +105,35 @@ class PPOSettings(Settings):
 
 @dataclass(frozen=True)
 class SACSettings(Settings):
-    steps: int = 4_000_000
-    cars: int = 64
-    batch: int = 512
+    steps: int = 2_000_000
+    cars: int = 256
+    group: int = 8  # cars on one road, see `sac`
+    batch: int = 2048
     averaging: float = 0.999
-    buffer: int = 500_000
+    buffer: int = 1_000_000
     updates: int = 1  # a step of all cars
-    warm_up: int = 4096
-    critic_updates: int = 2000  # of the critic alone, at the start
-    n_steps: int = 5  # of the returns: 25 ms, half a period of the wheel's hop passes in two
-    log_std: float = -1.0
-    learning_rate: float = 1e-3
-    gamma: float = 0.99
-    tau: float = 0.01
-    entropy: str | float = "auto_0.001"
+    warm_up: int = 2048  # steps before the first update; SB3 acts at random in them
+    critic_updates: int = 2500  # of the critic alone, at the start
+    log_std: float = -1.4
+    learning_rate: float = 5e-5
+    critic_rate: float = 20.0  # of the critic, as a multiple
+    n_steps: int = 24  # of the returns: 0.12 s
+    gamma: float = 0.995
+    tau: float = 0.02
+    entropy: float = 1e-4  # what a step may cost, as a share of it, for exploring by a quarter of the slew limit
     actor: tuple[int, ...] = (64, 64)
-    critic: tuple[int, ...] = (64, 64)
+    critic: tuple[int, ...] = (64,)
 
-    def algorithm(self, seen: int) -> dict[str, Any]:
-        """Keyword arguments of `stable_baselines3.SAC`."""
-        from .critic import Quadratic, SACPolicy
+    def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
+        """Keyword arguments of `sac.GroupSAC`."""
+        from .sac import SACPolicy
+        from .vec import GroupReplayBuffer
 
         return dict(
             policy=SACPolicy,
+            group=self.group,
+            replay_buffer_class=GroupReplayBuffer,
+            replay_buffer_kwargs=dict(group=self.group, n_steps=self.n_steps, gamma=self.gamma),
             learning_rate=Falling(self.learning_rate),
             buffer_size=self.buffer,
             learning_starts=self.warm_up,
@@ -126,12 +143,11 @@ class SACSettings(Settings):
             train_freq=1,
             gradient_steps=self.updates,
             ent_coef=self.entropy,
-            n_steps=self.n_steps,
             policy_kwargs=dict(
                 seen=seen,
+                core=core,
+                critic_rate=self.critic_rate,
                 net_arch=dict(pi=list(self.actor), qf=list(self.critic)),
-                features_extractor_class=Quadratic,
-                features_extractor_kwargs=dict(width=64),
             ),
         )
 

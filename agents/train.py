@@ -29,13 +29,14 @@ from isd_gym.policies import find, passive
 from isd_gym.road import road as find_road
 from isd_gym.scoring import Entry, drive, score
 
+from .memory import Memory
 from .policy import Policy
 from .settings import RANDOMIZE, SETTINGS, PPOSettings, SACSettings
 
 SCHEMA = "isd-training/1"
 ENV_ID = "ISDSuspension-v0"
 #: validation roads, seen neither in training (seeds from 2e6) nor in scoring (seeds from 0)
-VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 16
+VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
 BASELINES = ("lqg", "mpc")  # shown beside the progress, where they exist
@@ -92,6 +93,7 @@ class Run:
     ) -> None:
         self.out, self.algorithm, self.seed, self.plant = out, algorithm, seed, plant
         self.road, self.speed, self.spread, self.settings, self.say = road, speed, spread, settings, say
+        self.memory = self._memory()
         self.asked = {
             "schema": SCHEMA,
             "algorithm": algorithm,
@@ -106,6 +108,19 @@ class Run:
         self.average: dict[str, np.ndarray] = {}
         #: what a checkpoint carries besides the learner
         self.state: dict[str, Any] = {"seconds": 0.0, "environment_seconds": 0.0, "curve": []}
+
+    def _memory(self) -> Memory:
+        """What the policy sees: the settings' memory, with the filter of this network if it is asked for and exists."""
+        s = self.settings
+        if not s.filter:
+            return s.memory
+        try:
+            from .estimate import lqg_filter
+
+            return replace(s.memory, filter=lqg_filter(self.plant))
+        except (InputError, ImportError) as error:
+            self.say(f"no filter for this network, the policy sees signals and changes alone: {error}")
+            return s.memory
 
     # ------------------------------------------------------------------------------------- the folder
 
@@ -182,17 +197,20 @@ class Run:
             observation="preview" if s.preview else "measured",
             preview=s.preview,
         )
-        return Remember(inner, s.memory, s.head, s.reward_scale, s.reward_offset)
+        group = s.group if cars == s.cars else 1
+        return Remember(inner, self.memory, s.head, s.reward_scale, s.reward_offset, group)
 
     def go(self) -> dict[str, Any]:
         import torch
-        from stable_baselines3 import PPO, SAC
+        from stable_baselines3 import PPO
+
+        from .sac import GroupSAC
 
         s = self.settings
         checkpoint = self._claim()
         torch.set_num_threads(1)  # nets this small lose more to threads than they gain
         env = self._environment(s.cars)
-        kind: Any = {"ppo": PPO, "sac": SAC}[self.algorithm]
+        kind: Any = {"ppo": PPO, "sac": GroupSAC}[self.algorithm]
         tensorboard = str(self.out / "tensorboard") if find_spec("tensorboard") else None
         if checkpoint is not None:
             self.state = json.loads((checkpoint / "state.json").read_text())
@@ -213,7 +231,7 @@ class Run:
                     seed=self._seed(0),
                     device="cpu",
                     tensorboard_log=tensorboard,
-                    **s.algorithm(env.seen),
+                    **s.algorithm(env.seen, env.core),
                 )
             if s.teacher is not None:
                 self._imitate(model)
@@ -270,7 +288,7 @@ class Run:
         return build(
             self.average,
             activation="tanh" if self.algorithm == "ppo" else "relu",
-            memory=self.settings.memory,
+            memory=self.memory,
             head=self.settings.head,
             name=self.algorithm,
             network=self.plant,
@@ -432,6 +450,11 @@ def _callback(run: Run, env: Any) -> Any:
                 # the critic learns the warm policy's worth before the actor follows it
                 model: Any = self.model
                 model.actor.requires_grad_(model._n_updates >= run.settings.critic_updates)
+            if isinstance(run.settings, PPOSettings):
+                policy: Any = self.model.policy
+                moves = self.model.num_timesteps >= run.settings.critic_steps
+                for part in (policy.mlp_extractor.policy_net, policy.action_net):
+                    part.requires_grad_(moves)
             if self.model.num_timesteps >= self.due:
                 self._tick()
                 run.look(self.model, env)

@@ -1,0 +1,68 @@
+"""The LQG's estimate and law as a `Filter`: what a policy may remember instead of finding it out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from baselines.lqg import Lqg
+from baselines.model import N_SENSORS
+from isd_gym.batch import SLEW_LIMIT
+from isd_gym.env import ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+
+from .memory import Filter, tuples
+
+CARS, STEPS, FORGET = 32, 1500, 300  # of the drive that gives the spread of the state
+SEED = 800_000  # roads that nothing else uses
+
+
+def lqg_filter(network: Network, control_step: float = 5e-3) -> Filter:
+    """The filter and law of `baselines.lqg` for `network`, in coordinates of unit spread as the LQG drives it.
+
+    Raises `InputError` for a network that has none: no car, no motor.
+    """
+    controller = Lqg(network, control_step=control_step)
+    m = controller.prediction
+    if m.thrust == 0.0:
+        raise InputError(f"network '{network.name}' has no motor")
+    back = np.linalg.cholesky(_spread(controller, network, control_step))
+    T = np.linalg.inv(back)
+    dry = m.friction
+    levels, S = m.levels()[dry], m.S[dry]
+    matrices = dict(
+        A=T @ m.A @ back,
+        B=T @ m.B,
+        G=T @ m.G[:, dry] * levels,
+        S=S @ back,
+        K=-(S @ m.G[:, dry] + m.SF[np.ix_(dry, dry)]) * levels,
+        C=m.C[:N_SENSORS] @ back,
+        D=m.D[:N_SENSORS],
+        F=m.F[:N_SENSORS, dry] * levels,
+        L=T @ controller.estimator.gain,
+        law=controller._law @ back,
+        rate=controller._rate @ back / controller.settings.width,
+    )
+    plain: dict[str, Any] = {k: tuples(np.asarray(v).tolist()) for k, v in matrices.items()}
+    return Filter(**plain, force=float(controller._force), slew=SLEW_LIMIT)
+
+
+def _spread(controller: Lqg, network: Network, control_step: float) -> np.ndarray:
+    """Second moments (n, n) of the estimate while `controller` drives `network`."""
+    env = ISDSuspensionVectorEnv(
+        CARS, network=network, control_step=control_step, autoreset_mode="disabled"
+    )
+    obs, _ = env.reset(seed=SEED)
+    controller.reset_batch(CARS)
+    seen = []
+    for k in range(STEPS):
+        obs, *_ = env.step(controller.act_batch(obs)[:, None])
+        if k >= FORGET:
+            seen.append(controller.estimator.x.T.copy())
+    x = np.concatenate(seen)
+    moments = x.T @ x / len(x)
+    size = np.sqrt(np.diag(moments))
+    # a hair on the diagonal: two coordinates may move as one
+    return moments + 1e-6 * np.diag(size**2)
