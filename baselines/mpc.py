@@ -250,7 +250,10 @@ class Mpc(Controller):
                     np.append(guess, [0.0, 0.0]),
                 )
                 self.status = outcome.status
-                moves = None if outcome.x is None else outcome.x[:pieces]
+                if outcome.x is None:  # then without the soft limits
+                    self.fallbacks += 1
+                else:
+                    moves = outcome.x[:pieces]
         if moves is None:
             # the rest of the last plan; without one, towards no current
             self.fallbacks += 1

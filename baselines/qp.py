@@ -47,6 +47,7 @@ class Osqp:
             max_iter=1000,
             check_termination=10,
             adaptive_rho=True,
+            adaptive_rho_interval=25,  # at the default of 50 it cycles where two limits nearly coincide
             polishing=False,
         )
         self._good = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
