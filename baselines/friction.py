@@ -5,7 +5,12 @@ resists at the end of the step). What a road that is not known will add to the f
 expected friction is ``f erf(v / (sqrt(2) sigma_k))`` with the spread sigma_k that the road has caused k steps ahead,
 which is statistical linearisation about the plan instead of about rest, and makes the problem smooth. The plan is
 improved by Gauss-Newton differential dynamic programming (Tassa, Mansard and Todorov, 2014); one input and its box
-need no solver: a sweep back and a sweep forward over the horizon, compiled.
+need no solver: a sweep back and a sweep forward over the horizon, compiled. So there is no quadratic program here, and
+no OSQP; the optimum is a local one.
+
+Tuned one setting at a time on roads 1000-1015, J against passive: -23.86 % as shipped; horizon 40 -23.87, six sweeps
+-23.86, no weight on tyre load -23.86 (and +3.0 % of it for +2.5), centring 0.01/0.1 -23.29/-23.48, move 0.01/0.1
+-23.67/-23.35; with the true state for the estimate -24.21. It is a plateau; `docs/controllers.md` has the whole table.
 """
 
 from __future__ import annotations

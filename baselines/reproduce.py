@@ -1067,6 +1067,8 @@ def sweep(study: Study) -> Section:
     picture = study.picture(fig, "sweep", "Sweep", "Cost over thrust constant, control step and slew limit",
                             "What the paper leaves open: change of cost against passive, by the LQG controller (tuned once, at the middle) and by the clairvoyant optimum.")  # fmt: skip
     gains = {r["value"]: r["change"] for r in figures["clairvoyant"]}
+    want8 = [q / p - 1 for p, q in zip(*list(PAPER.values())[1], strict=True)]
+    met = [(r["value"], r["change"]) for r in figures["lqg"] if r["change"] and r["change"][1] <= want8[0]]
     study.evidence += [
         (
             "thrust constant K_f [N/A]",
@@ -1083,7 +1085,17 @@ def sweep(study: Study) -> Section:
     ]
     return Section(
         "What the paper leaves open: thrust constant, control step, slew limit",
-        ["The thrust constant, the control step and the horizons are not printed, and all three decide what the motor can do against 500 N of friction."],
+        [
+            "The thrust constant, the control step and the horizons are not printed, and all three decide what the motor can do against 500 N of friction. "
+            + (
+                f"Table 8's acceleration ({percent(want8[0])}; travel {percent(want8[1])}, tyre load {percent(want8[2])}) is within reach of the LQG "
+                "controller, as it was tuned at the middle, at "
+                + "; at ".join(f"{value}: {', '.join(percent(c) for c in change[1:])}" for value, change in met)
+                + "."
+                if met
+                else ""
+            )
+        ],
         [
             Table(
                 "Change against the conventional passive car",
