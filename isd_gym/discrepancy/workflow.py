@@ -47,6 +47,7 @@ ADEQUATE = 0.75
 AHEAD = 1.1
 STRETCH = 5.0  # [s] held-out records are judged in stretches, each from an initial state of its own
 DEPTH = 3  # effects at once
+TURNS = 2  # runners-up that are tried first where one effect is not enough
 
 #: a nuisance is a few per cent of the force (current, signal) at its place; what is named must be more
 SHARE = 0.05
@@ -297,36 +298,60 @@ class Workflow:
         structure = base_structure(self.network)
         fit, value = settled(p, structure, structure.start, self.floors)
         base = Rival((), fit, value)
-        stages: list[list[Rival]] = []
-        path = [base]
+        path, stages = self.walk([base], [])
+        if len(path) > 2 or self.excess(path[-1]) > MATERIAL:
+            # what comes first may lead astray: the runners-up get their turn
+            for runner in stages[0][1 : 1 + TURNS] if stages else []:
+                say(f"starting over with {runner.hypotheses[-1].label}")
+                other = self.walk([base, runner], stages[:1])
+                if self.better(other[0][-1], path[-1]):
+                    path, stages = other
+        return self.conclude(base, path, stages)
+
+    def excess(self, rival: Rival) -> float:
+        """Largest excess of the held-out error over noise, as a share of a channel's deviation."""
+        p = self.problem
+        W = whitener(residuals(p, rival.fit), trust(p, rival.fit, self.floors))
+        here = self.stand(rival, W)
+        noise = np.array([n.deviation for n in noise_levels(p, rival.held)]) / self.spread  # type: ignore[arg-type]
+        return float(np.sqrt(np.maximum(here.nrmse**2 - noise**2, 0.0)).max())
+
+    def better(self, other: Rival, best: Rival) -> bool:
+        """Whether the excess that `other` leaves on the held-out records is smaller by a tenth."""
+        p = self.problem
+        W = whitener(residuals(p, other.fit), trust(p, other.fit, self.floors))
+        a, b = self.stand(other, W), self.stand(best, W)
+        quiet = float(passed(W, noise_levels(p, other.held)).mean())  # type: ignore[arg-type]
+        return a.score * AHEAD < b.score if a.score < quiet else AHEAD * (a.score - quiet) < b.score - quiet
+
+    def walk(self, path: list[Rival], stages: list[list[Rival]]) -> tuple[list[Rival], list[list[Rival]]]:
+        """Forward addition, one effect at a time, from the last rival of `path` on."""
+        p, say = self.problem, self.say
+        path, stages = list(path), list(stages)
         while len(path) <= DEPTH:
             now = path[-1]
-            W = whitener(residuals(p, now.fit), trust(p, now.fit, self.floors))
-            here = self.stand(now, W)
-            noise = noise_levels(p, now.held)  # type: ignore[arg-type]
-            left = np.sqrt(
-                np.maximum(here.nrmse**2 - (np.array([n.deviation for n in noise]) / self.spread) ** 2, 0.0)
-            )
-            if left.max() < MATERIAL:
+            left = self.excess(now)
+            if left < MATERIAL:
                 break
             say(
-                f"looking for what is missing ({'; '.join(h.label for h in now.hypotheses) or 'refitted model'}: excess up to {100 * left.max():.1f} %)"
+                f"looking for what is missing ({'; '.join(h.label for h in now.hypotheses) or 'refitted model'}: excess up to {100 * left:.1f} %)"
             )
             rivals, least = compete(p, now.fit, self.floors)
             if not rivals:
                 break
-            stages.append(rivals)
             best = rivals[0]
             gain = innovations(residuals(p, now.fit), least) + now.fit.prior - best.likelihood
             say(f"  best: {best.hypotheses[-1].label} (2 log L +{gain:.0f})")
+            stages.append(rivals)
             if gain < 60.0:
                 break
             path.append(best)
-            then = self.stand(best, W)
+            W = whitener(residuals(p, now.fit), trust(p, now.fit, self.floors))
+            here, then = self.stand(now, W), self.stand(best, W)
             moved = float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max())
             if moved < MATERIAL or share_of_force(p, best.fit, best.fit.structure.names[-1]) < SHARE:
                 break
-        return self.conclude(base, path, stages)
+        return path, stages
 
     # -- conclusion ---------------------------------------------------------------------------------------
     def conclude(self, base: Rival, path: list[Rival], stages: list[list[Rival]]) -> Diagnosis:
@@ -473,7 +498,9 @@ class Workflow:
         """Whether the rival is no alternative: more parameters without gain, the best as a special case, or equal outputs."""
         a, b = rival.hypotheses[-1], best.hypotheses[-1]
         inside = b.effect in CONTAINS.get(a.effect, ()) and set(a.where) == set(b.where)
-        return inside or (a.effect == b.effect and a.where == b.where)
+        # more parameters, a worse fit, and nothing gained on the held-out records: a mimic
+        wordy = len(rival.fit.x) > len(best.fit.x) and rival.likelihood - best.likelihood > 30.0
+        return inside or wordy or (a.effect == b.effect and a.where == b.where)
 
     def confidence(self, best: Standing, refit: Standing, others: list[Standing], quiet: float) -> float:
         """Share of block resamplings of the held-out records in which the choice stays what it is, never quite 1."""
@@ -675,7 +702,7 @@ def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quanti
     """Every free parameter with its 95 % interval, from the curvature under the residual's own coloured noise."""
     fit = rival.fit
     W = whitener(residuals(problem, fit), trust(problem, fit, floors))
-    f = Fitter(problem, W).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=3)
+    f = Fitter(problem, W).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
     out: dict[str, Quantity] = {}
     if f.hessian is None or not len(f.x):
         return out
