@@ -49,7 +49,9 @@ class Bilinear(nn.Module):
         s = x[:, self.core]
         road = x[:, self.seen :] if self.road else torch.zeros_like(x[:, :1])
         pairs: Any = self.pairs
-        return torch.cat([0.3 * s[:, pairs[0]] * s[:, pairs[1]], s, s * self.cross(road), self.hidden(x)], dim=1)
+        return torch.cat(
+            [0.3 * s[:, pairs[0]] * s[:, pairs[1]], s, s * self.cross(road), self.hidden(x)], dim=1
+        )
 
 
 class Adam(torch.optim.Adam):
@@ -106,7 +108,7 @@ class PPOPolicy(ActorCriticPolicy):
         critic = [*self.mlp_extractor.value_net.parameters(), *self.value_net.parameters()]
         own = {id(p) for p in critic}
         actor = [p for p in self.parameters() if id(p) not in own]
-        groups = [{"params": actor}, {"params": critic, "factor": self.critic_rate}]
+        groups: list[dict[str, Any]] = [{"params": actor}, {"params": critic, "factor": self.critic_rate}]
         self.optimizer = Adam(groups, lr=lr_schedule(1), eps=1e-6)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

@@ -51,9 +51,7 @@ def lqg_filter(network: Network, control_step: float = 5e-3) -> Filter:
 
 def _spread(controller: Lqg, network: Network, control_step: float) -> np.ndarray:
     """Second moments (n, n) of the estimate while `controller` drives `network`."""
-    env = ISDSuspensionVectorEnv(
-        CARS, network=network, control_step=control_step, autoreset_mode="disabled"
-    )
+    env = ISDSuspensionVectorEnv(CARS, network=network, control_step=control_step, autoreset_mode="disabled")
     obs, _ = env.reset(seed=SEED)
     controller.reset_batch(CARS)
     seen = []

@@ -47,7 +47,9 @@ class Filter:
 
     def __post_init__(self) -> None:
         n, nf, ny = len(self.B), len(self.K), len(self.D)
-        shapes = dict(A=(n, n), B=(n,), G=(n, nf), S=(nf, n), K=(nf, nf), C=(ny, n), D=(ny,), F=(ny, nf), L=(n, ny))
+        shapes = dict(
+            A=(n, n), B=(n,), G=(n, nf), S=(nf, n), K=(nf, nf), C=(ny, n), D=(ny,), F=(ny, nf), L=(n, ny)
+        )
         for name, shape in (shapes | dict(law=(n,), rate=(n,))).items():
             try:
                 value = np.array(getattr(self, name), float)

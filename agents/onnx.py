@@ -43,6 +43,40 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
     recall = memory.start(np.zeros((1, n), np.float32))
     width = recall.features.shape[1]
 
+    def estimate(filter: Any, at: int) -> list[str]:
+        """The blocks of a filter's features, which begin at column `at`; the law's current is named `wanted`."""
+        if filter.nf > 1:
+            raise InputError(
+                f"policy '{policy.name}': the ONNX export knows one dry friction, not {filter.nf}"
+            )
+        given = filter.given
+        current = part("observation", given.current, given.current + 1, "present")
+        now = node("Concat", [part("memory", at, at + filter.n, "estimate"), current], "before", axis=1)
+        rest = node("MatMul", [now, constant("stick", filter.stick)], "rest")
+        friction = node("Clip", [rest, constant("left", -1.0), constant("right", 1.0)], "friction")
+        free = node("MatMul", [now, constant("free", filter.free)], "unheld")
+        held = node("MatMul", [friction, constant("force", filter.force)], "held")
+        heard = part("observation", 0, filter.ny, "heard")
+        told = node("MatMul", [heard, constant("gain", filter.gain)], "told")
+        z = node("Mul", [node("Sum", [free, held, told], "z0"), "keep"], "z")
+        law = node("MatMul", [z, constant("law", filter.rows[:, :1])], "linear")
+        turn = node("Tanh", [node("MatMul", [z, constant("rate", filter.rows[:, 1:])], "rates")], "turn")
+        push = node("Mul", [turn, constant("push", given.force)], "pushed")
+        wanted = node("Sub", [law, push], "law_current")
+        ahead = node(
+            "Div", [node("Sub", [wanted, current], "lacking"), constant("law_slew", given.slew)], "ahead"
+        )
+        ahead = node(
+            "Clip", [ahead, constant("near", -given.reach), constant("far", given.reach)], "told_ahead"
+        )
+        end = at + filter.width
+        return [
+            z,
+            node("Mul", [friction, "keep"], "held_on"),
+            node("Mul", [ahead, "keep"], "law_share"),
+            node("Mul", [part("memory", end - 1, end, "old_offset"), "keep"], "offset"),
+        ]
+
     def part(source: str, begin: int, end: int, output: str) -> str:
         ends = [
             constant(f"{output}.{k}", np.array([v], np.int64))
@@ -63,8 +97,12 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
             "Mul", [part("observation", i, i + 1, f"signal{j}"), constant(f"gain{j}", gain)], f"fed{j}"
         )
         blocks.append(node("Mul", [node("Add", [old, new], f"sum{j}"), keep], f"integral{j}"))
-    node("Concat", blocks, "next_memory", axis=1)
-    x = node("Sub", ["next_memory", constant("mean", policy.mean)], "centred")
+    offset = ""
+    if recall.filter is not None:
+        blocks += estimate(recall.filter, n * (memory.order + 1) + len(recall.leaks))
+        offset = blocks[-1]
+    features = node("Concat", blocks, "features", axis=1)
+    x = node("Sub", [features, constant("mean", policy.mean)], "centred")
     x = node("Div", [x, constant("spread", policy.scale)], "normal")
     if np.isfinite(policy.clip):
         x = node("Clip", [x, constant("low", -policy.clip), constant("high", policy.clip)], "clipped")
@@ -78,12 +116,20 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
     else:
         x = node("Clip", [x, constant("minus_one", -1.0), "one"], "share")
     head = policy.head
-    if head.mode == "target":
+    if head.mode == "residual":
+        gained = node("Mul", [x, constant("head_gain", head.gain)], "gained")
+        kept = node("Mul", [offset, constant("head_keep", head.keep)], "kept_offset")
+        blocks[-1] = node("Add", [kept, gained], "new_offset")
+        wanted = node("Add", ["law_current", blocks[-1]], "wanted")
+        node("Clip", [wanted, constant("lowest", -head.limit), constant("highest", head.limit)], "current")
+    elif head.mode == "target":
         node("Mul", [x, constant("limit", head.limit)], "current")
     else:
         step = node("Mul", [x, constant("slew", head.slew)], "step")
         wanted = node("Add", [part("observation", CURRENT_SIGNAL, CURRENT_SIGNAL + 1, "now"), step], "wanted")
         node("Clip", [wanted, constant("lowest", -head.limit), constant("highest", head.limit)], "current")
+
+    node("Concat", blocks, "next_memory", axis=1)
 
     def tensor(name: str, columns: int) -> Any:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["cars", columns])

@@ -19,6 +19,7 @@ from torch import nn
 
 from .critic import Bilinear, First
 
+
 class Critic(nn.Module):
     """Action values (cars, 1) of observations and actions: `Bilinear`, the action being one more column of the state."""
 
@@ -38,8 +39,10 @@ class Critic(nn.Module):
 class SACPolicy(_SACPolicy):
     """SAC's policy with an actor that sees the first `seen` columns, and the critic above."""
 
-    def __init__(self, *args: Any, seen: int, core: list[int], critic_rate: float = 1.0, **kwargs: Any) -> None:
-        self.seen, self.core, self.critic_rate = seen, core, critic_rate
+    def __init__(
+        self, *args: Any, seen: int, core: list[int] | None = None, critic_rate: float = 1.0, **kwargs: Any
+    ) -> None:
+        self.seen, self.core, self.critic_rate = seen, list(core or []), critic_rate
         super().__init__(*args, **kwargs)
 
     def make_actor(self, features_extractor: Any = None) -> Actor:

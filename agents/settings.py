@@ -120,7 +120,9 @@ class SACSettings(Settings):
     n_steps: int = 24  # of the returns: 0.12 s
     gamma: float = 0.995
     tau: float = 0.02
-    entropy: float = 1e-4  # what a step may cost, as a share of it, for exploring by a quarter of the slew limit
+    entropy: float = (
+        1e-4  # what a step may cost, as a share of it, for exploring by a quarter of the slew limit
+    )
     actor: tuple[int, ...] = (64, 64)
     critic: tuple[int, ...] = (64,)
 

@@ -39,7 +39,7 @@ ENV_ID = "ISDSuspension-v0"
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
-BASELINES = ("lqg", "mpc")  # shown beside the progress, where they exist
+BASELINES = ("lqg", "mpc-friction")  # shown beside the progress, where they exist
 
 
 def train(

@@ -137,7 +137,9 @@ class GroupBuffer(RolloutBuffer):
 class GroupReplayBuffer(ReplayBuffer):
     """Samples whole groups: `group` cars in a row drove on the same road at the same time; returns over `n_steps`."""
 
-    def __init__(self, *args: Any, group: int = 1, n_steps: int = 1, gamma: float = 1.0, **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, group: int = 1, n_steps: int = 1, gamma: float = 1.0, **kwargs: Any
+    ) -> None:
         self.group, self.n_steps, self.gamma = group, n_steps, gamma
         super().__init__(*args, **kwargs)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import pickle
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import zipfile
 from dataclasses import replace
+from functools import cache
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -31,12 +33,20 @@ needs_sb3 = pytest.mark.skipif(
 )
 
 
-def small_policy(rng: np.random.Generator, head: Head | None = None) -> Policy:
-    sizes = [MEMORY.width(6), 8, 1]
+def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Memory = MEMORY) -> Policy:
+    sizes = [memory.width(6), 8, 1]
     layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
     return Policy(
-        layers, memory=MEMORY, head=head or Head("increment"), network=Network.load("quarter-car-isd")
+        layers, memory=memory, head=head or Head("increment"), network=Network.load("quarter-car-isd")
     )
+
+
+@cache
+def filtered() -> Memory:
+    """The memory with the LQG's estimate of the default car."""
+    from agents.estimate import lqg_filter
+
+    return replace(MEMORY, filter=lqg_filter(Network.load("quarter-car-isd")))
 
 
 @pytest.fixture
@@ -83,6 +93,43 @@ def test_each_car_has_a_memory_of_its_own(rng):
             many.begin(np.array([True, False, False]), row)
             np.testing.assert_array_equal(many.features[0], MEMORY.start(row).features[0])
     np.testing.assert_array_equal(many.features[1], alone.features[0])
+
+
+def test_a_residual_of_nothing_is_the_lqg():
+    """The filter in float32 and in its own coordinates commands what `baselines.lqg` does, stick and slip included."""
+    from baselines import make
+
+    memory = filtered()
+    layers = [(np.zeros((1, memory.width(6))), np.zeros(1))]
+    policy = Policy(layers, memory=memory, head=Head("residual"))
+    assert Memory.from_dict(json.loads(json.dumps(memory.to_dict()))) == memory
+    lqg = make("lqg", model=Network.load("quarter-car-isd"))
+    env = gymnasium.make_vec("ISDSuspension-v0", 8, autoreset_mode="disabled")
+    obs, _ = env.reset(seed=5)
+    lqg.reset_batch(8)
+    apart, features = [], []
+    for _ in range(600):
+        wanted = lqg.act_batch(obs)
+        present = obs[:, 5]
+        own = present + np.clip(policy.act_batch(obs) - present, -0.5, 0.5)
+        apart.append(np.abs(own - wanted).max())
+        features.append(policy._recall.features.copy())
+        obs, *_ = env.step(wanted[:, None])
+    assert np.max(apart) < 2e-3  # A
+    z = np.array(features)[100:, :, -10:-3]
+    size = np.sqrt((z**2).mean(axis=(0, 1)))  # coordinates of about unit size
+    assert size.min() > 0.4 and size.max() < 2.0
+
+
+def test_a_filter_that_does_not_fit_is_refused():
+    data = filtered().to_dict()
+    for spoil in ({"B": [1.0]}, {"K": [[-1.0]]}, {"A": [["x"]]}):
+        with pytest.raises(InputError, match="filter"):
+            Memory.from_dict({**data, "filter": {**data["filter"], **spoil}})
+    with pytest.raises(InputError, match="memory"):
+        Memory.from_dict({**data, "filter": {**data["filter"], "more": 1}})
+    with pytest.raises(InputError, match="filter"):
+        small_policy(np.random.default_rng(0), Head("residual"))
 
 
 @pytest.mark.parametrize(
@@ -233,6 +280,28 @@ def test_a_shipped_policy_is_what_its_score_says(name):
     assert policy.info["training"]["command"].startswith(f"isd-gym train {name}")
 
 
+def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path):
+    """What is shipped is whole (its checksum is that of its weights), small, and ahead of the passive car."""
+    for name in ("ppo", "sac"):
+        head = json.loads((SHIPPED / name / JSON_NAME).read_text())
+        blob = (SHIPPED / name / WEIGHTS_NAME).read_bytes()
+        assert hashlib.sha256(blob).hexdigest() == head["weights"]["sha256"] and len(blob) < 100_000
+        assert head["training"]["curve"] and head["training"]["versions"]
+    code = (
+        "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None\n"
+        "from isd_gym.cli import main\n"
+        "sys.argv = ['isd-gym', 'score', 'passive', 'lqg', 'ppo', 'sac', '--episodes', '2', '--json', 's.json']\n"
+        "main()"
+    )
+    subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    rows = {r["policy"]: r for r in json.loads((tmp_path / "s.json").read_text())["policies"]}
+    for name in ("ppo", "sac"):
+        assert rows[name]["cost"]["change"] < -0.15
+        assert rows[name]["tyre_load_rms"]["change"] < 0.05
+        assert rows[name]["share_of_reachable_gain"] > 0.3
+        assert rows[name]["control_time"]["median"] < 1e-3  # 1 kHz
+
+
 # ------------------------------------------------------------------------- Stable-Baselines3's archives
 
 
@@ -368,17 +437,17 @@ def test_a_zip_is_not_loaded_as_a_policy(tmp_path):
         Policy.load(tmp_path / "x.zip")
 
 
-@pytest.mark.parametrize("mode", ["increment", "target"])
+@pytest.mark.parametrize("mode", ["increment", "target", "residual"])
 @pytest.mark.parametrize("output", ["clip", "tanh"])
 def test_onnx_is_the_policy(rng, tmp_path, mode, output):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from agents.onnx import export_onnx
 
-    policy = small_policy(rng, Head(mode))
+    policy = small_policy(rng, Head(mode), filtered() if mode == "residual" else MEMORY)
     policy.output = output
     session = runtime.InferenceSession(export_onnx(policy, tmp_path / "p.onnx"))
-    memory, first = np.zeros((2, MEMORY.width(6)), np.float32), np.ones((2, 1), np.float32)
+    memory, first = np.zeros((2, policy.memory.width(6)), np.float32), np.ones((2, 1), np.float32)
     x = rng.normal(size=(8, 2, 6)).astype(np.float32) * np.array(MEMORY.scale, np.float32)
     policy.reset_batch(2)
     for row in x:
@@ -402,7 +471,9 @@ def brief(monkeypatch):
     monkeypatch.setattr(module, "drive", lambda *a, drive=module.drive, **k: drive(*a, **k, duration=0.5))
     monkeypatch.setattr(module, "score", lambda *a, score=module.score, **k: score(*a, **k, duration=0.5))
     few = dict(warm_steps=300, warm_updates=20, preview=0.05, evaluations=4, checkpoint_seconds=0.0)
-    ppo = PPOSettings(steps=2048, cars=16, horizon=16, batch=64, epochs=1, **few)
+    ppo = PPOSettings(
+        steps=2048, cars=16, horizon=16, batch=64, epochs=1, critic_steps=256, teacher="lqg", **few
+    )
     sac = SACSettings(
         steps=1024, cars=16, batch=32, buffer=512, warm_up=64, critic_updates=4, teacher=None, **few
     )
@@ -470,7 +541,13 @@ def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
     from agents.train import train
 
     settings = replace(
-        brief["sac"], teacher="lqg", steps=16, warm_steps=600, warm_updates=400, critic_updates=10
+        brief["sac"],
+        teacher="lqg",
+        filter=False,
+        steps=16,
+        warm_steps=600,
+        warm_updates=400,
+        critic_updates=10,
     )
     report = train("sac", tmp_path / "run", settings=settings, say=lambda line: None)
     first = report["training"]["curve"][0]
@@ -500,7 +577,8 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
     import torch
     from gymnasium import spaces
 
-    from agents.critic import PPOPolicy, SACPolicy
+    from agents.critic import PPOPolicy
+    from agents.sac import SACPolicy
 
     box = spaces.Box(-1.0, 1.0, (6,), np.float32)
     action = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -514,6 +592,52 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
             assert not torch.equal(policy.predict_values(x), policy.predict_values(y))
         else:
             assert not torch.equal(policy.critic(x, same)[0], policy.critic(y, same)[0])
+
+
+@needs_sb3
+def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
+    import torch
+    from gymnasium import spaces
+
+    from agents.vec import GroupBuffer, GroupReplayBuffer, Remember
+    from isd_gym.sb3 import make_vec_env
+
+    env = Remember(
+        make_vec_env(4, rescale=False, stagger=True, max_episode_steps=8), MEMORY, Head("increment"), group=2
+    )
+    env.seed(3)
+    env.reset()
+    for _ in range(12):  # over the ends of episodes
+        obs, reward, done, _ = env.step(np.zeros((4, 1), np.float32))
+        np.testing.assert_array_equal(obs[0::2], obs[1::2])
+        np.testing.assert_array_equal(done[0::2], done[1::2])
+    assert not np.array_equal(obs[0], obs[2])
+
+    one = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    buffer = GroupBuffer(3, one, one, device="cpu", n_envs=4, gamma=0.9, gae_lambda=1.0, group=2)
+    road = np.array([[1.0, 1.0, -4.0, -4.0]])  # what the road does to both cars of a group
+    own = np.array([[0.5, -0.5, 0.25, -0.25]])
+    for k in range(3):
+        zero = torch.zeros(4)
+        last = own if k == 2 else 0 * own
+        buffer.add(np.zeros((4, 1)), np.zeros((4, 1)), (road + last)[0], np.zeros(4), zero, zero)
+    buffer.compute_returns_and_advantage(torch.zeros(4), np.zeros(4))
+    np.testing.assert_allclose(buffer.advantages, own * [[0.81], [0.9], [1.0]], atol=1e-6)
+
+    replay = GroupReplayBuffer(40, one, one, device="cpu", n_envs=4, group=2, n_steps=3, gamma=0.5)
+    for k in range(10):
+        now = np.full((4, 1), k, np.float32)
+        ends = np.full(4, k == 4)
+        replay.add(now, now + 1, now, np.arange(4) + k, ends, [{"TimeLimit.truncated": True}] * 4)
+    batch = replay.sample(64)
+    begin, end = batch.observations[:, 0].numpy(), batch.next_observations[:, 0].numpy()
+    assert np.array_equal(begin[0::2], begin[1::2]) and begin.max() <= 7
+    np.testing.assert_array_equal(end, np.where((begin <= 4) & (begin > 2), 5, begin + 3))
+    steps = end - begin
+    np.testing.assert_allclose(batch.discounts[:, 0], 0.5**steps)
+    car = batch.rewards[:, 0].numpy() - sum(np.where(j < steps, 0.5**j * (begin + j), 0) for j in range(3))
+    car /= sum(np.where(j < steps, 0.5**j, 0) for j in range(3))
+    np.testing.assert_allclose(car.reshape(-1, 2)[:, 1] - car.reshape(-1, 2)[:, 0], 1.0, atol=1e-5)
 
 
 @needs_sb3
@@ -545,7 +669,7 @@ def test_the_study_s_interval_is_that_of_seeds_and_roads(rng):
     assert 0.002 < high - low < 0.04
     costs = {"passive": [1.0, 1.0], "mpc": [0.8, 0.7], "ppo/0": [0.7, 0.6], "ppo/1": [0.6, 0.7]}
     text = study.table({"costs": {"here": costs}})
-    assert "| here | ppo | 2 | 0.6500 | -35.0 %" in text
+    assert "| here | ppo | 2 | 0.6500 | -35.0 %" in text and "| here | mpc (best MPC) |" in text
 
 
 @needs_sb3
