@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -497,9 +497,27 @@ def _plug_in() -> None:
     """Commands of the packages above this one (train, reproduce, ...): entry points `isd_gym.commands`."""
     wanted = next((a for a in sys.argv[1:] if not a.startswith("-")), None)
     for point in sorted(entry_points(group="isd_gym.commands"), key=lambda p: p.name):
-        # loaded only when asked for, or when all commands are listed
-        if wanted in (None, point.name):
-            app.command(name=point.name)(point.load())
+        # imported only when it is to run; --help and "did you mean" need its name and first sentence alone
+        app.command(name=point.name)(point.load() if point.name == wanted else _mention(point))
+
+
+def _mention(point: EntryPoint) -> Callable[[], None]:
+    """A stand-in for a command with its docstring, read from the source without importing what the command needs."""
+    import ast
+    from importlib.util import find_spec
+
+    def stand_in() -> None: ...
+
+    package, *parts = point.module.split(".")
+    try:
+        spec = find_spec(package)  # of a package at the top: nothing is run
+        folder = Path(((spec and spec.submodule_search_locations) or [""])[0])
+        tree = ast.parse(folder.joinpath(*parts).with_suffix(".py").read_text(encoding="utf-8"))
+        found = [f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == point.attr]
+        stand_in.__doc__ = ast.get_docstring(found[0])
+    except (OSError, ValueError, SyntaxError, IndexError):
+        stand_in.__doc__ = f"Of {point.module}."
+    return stand_in
 
 
 def main() -> None:
