@@ -94,16 +94,24 @@ def test_without_friction_and_stops_reached_and_proven_meet():
     assert 0.0 <= found.gap < 0.001
 
 
-@pytest.mark.slow
-def test_no_causal_controller_is_better_on_its_road():
+def _costs(name: str, episodes: int) -> np.ndarray:
     from isd_gym.policies import find
     from isd_gym.scoring import drive
 
     net = Network.load("quarter-car-isd")
-    known = oracle.reachable(net)
-    for name in ("lqg", "isd-passive"):
-        cost = drive(find(name, net), net).cost(StageCost())
-        assert np.all(cost > known)
+    return drive(find(name, net), net, episodes=episodes).cost(StageCost())
+
+
+@pytest.mark.parametrize("name", ["lqg", "mpc-friction", "mpc-friction-preview"])
+def test_no_controller_is_better_on_the_first_roads(name):
+    known = oracle.reference(episodes=2)
+    assert np.all(_costs(name, 2) > known["value"]) and np.all(known["value"] > known["lower"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["isd-passive", "skyhook", "add", "lqg", "lqr-full", "mpc", "mpc-friction"])
+def test_no_causal_controller_is_better_on_its_road(name):
+    assert np.all(_costs(name, 32) > oracle.reachable("quarter-car-isd"))
 
 
 @pytest.mark.slow
