@@ -46,7 +46,8 @@ class MpcSettings:
     them. move [1/A^2], tyre_load [-], centring [-]: weights beside the stage cost. terminal: cost-to-go of the linear
     regulator after the horizon. friction: "equivalent" leaves it at the damper of equation (9); "planned" adds what the
     friction is beyond the damper along the last plan, known in advance as its rates are, averaged over what the road
-    may add to them (`spread` [-] scales that). solver: see `qp`.
+    may add to them (`spread` [-] scales that). solver: osqp, daqp or piqp (the last two to be installed; compared in
+    `docs/controllers.md`). friction_noise [N]: how little the estimate trusts its friction.
     """
 
     horizon: int = 20

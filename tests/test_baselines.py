@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -251,6 +252,43 @@ def test_solvers_agree(solver):
         trials = rng.uniform(-0.5, 0.5, size=(4000, 4))
         inside = trials[np.all((trials @ A.T >= low) & (trials @ A.T <= high), axis=1)]
         assert np.all(0.5 * np.einsum("ki,ij,kj->k", inside, P, inside) + inside @ q >= best - 2e-3)
+
+
+@pytest.mark.parametrize("solver", ["daqp", "piqp"])
+def test_solvers_drive_alike(solver):
+    """The same observations, warm starts and all: the currents of OSQP, within its accuracy."""
+    pytest.importorskip(solver)
+    env = ISDSuspensionVectorEnv(1, autoreset_mode="disabled")
+    first, other = baselines.make("mpc"), baselines.make("mpc", solver=solver)
+    obs, _ = env.reset(seed=11)
+    limited = 0
+    for _ in range(400):
+        command = first.act(obs[0])
+        assert other.act(obs[0]) == pytest.approx(command, abs=0.02)
+        limited += abs(command - obs[0, 5]) > 0.49
+        obs, *_ = env.step(np.array([[command]]))
+    assert limited > 20 and other.fallbacks == 0
+
+
+def test_a_solver_that_is_missing_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    with pytest.raises(InputError, match="pip install daqp"):
+        baselines.make("mpc", solver="daqp")
+
+
+def test_without_the_soft_program_the_hard_plan_is_used():
+    controller, plain = baselines.make("mpc"), baselines.make("mpc")
+    m = controller.linear.model
+    x = np.linalg.pinv(m.C[[1, 3]]) @ np.array([0.09, 0.0])  # 9 cm of travel
+
+    class Broken:
+        def solve(self, *_):
+            return Outcome(None, "maximum iterations reached")
+
+    controller._soft_program = Broken()
+    plain._soft_limits = plain._soft_limits * np.inf
+    assert np.array_equal(controller._solve(x, 0.0), plain._solve(x, 0.0))
+    assert (controller.fallbacks, plain.fallbacks) == (1, 0)
 
 
 def test_soft_limits_bend_the_plan():
