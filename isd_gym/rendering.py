@@ -689,7 +689,7 @@ class _Scene:
     def _legend(self, factor: float) -> None:
         c, u, shot = self.canvas, self.u, self.shot
         margin, foot = 10 * u, self.height - 11 * u
-        load = f"tyre load {_number(shot.tyre_load / 1e3, 2)} kN"
+        load = f"dynamic tyre load {_number(shot.tyre_load / 1e3, 2)} kN"
         c.text(load, self.x, self.height - 26 * u, size=9.5, anchor="center")
         # Rulers: what a length in the picture stands for
         tall = next((mm for mm in (10, 20, 50, 100, 200, 500, 1000) if mm * 1e-3 * self.scale > 8 * u), 2000)

@@ -203,7 +203,11 @@ class View:
 
     def equation(self, e: Effect) -> str:
         cls = el.TYPES.get(e.effect)
-        return cls.equation if cls is not None else ""
+        # as a reader writes it: the equations of the code are ASCII
+        text = cls.equation if cls is not None else ""
+        for plain, mark in (("F in ", "F ∈ "), ("^2", "²"), ("^3", "³"), (" - ", " − ")):
+            text = text.replace(plain, mark)
+        return text
 
     def source(self, e: Effect) -> str:
         cls = el.TYPES.get(e.effect)

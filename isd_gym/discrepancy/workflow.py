@@ -382,11 +382,13 @@ class Workflow:
             share = (last.score - now.score) / max(last.score - quiet, 1e-12)
             shares = self.plain_share(last.nrmse, now.nrmse, floor)
             moved = float(np.sqrt(np.maximum(last.nrmse**2 - now.nrmse**2, 0.0)).max())
-            table.append(
-                f"{path[depth].hypotheses[-1].label}: share {share:.2f} / {shares:.2f}, moved {moved:.3f}"
-            )
             size = share_of_force(p, path[depth].fit, path[depth].fit.structure.names[-1])
-            table[-1] += f", size {size:.3f}"
+            table.append(
+                f"{path[depth].hypotheses[-1].label}: "
+                f"{f'removes {max(share, shares):.0%} of' if share > 0 else 'adds to'} the held-out excess error "
+                f"(needed {HALF:.0%}), moves a channel by {moved:.1%} of its deviation (needed {MATERIAL:.0%}), "
+                f"gives {size:.1%} of the force, current or signal at its place (needed {SHARE:.0%})"
+            )
             if max(share, shares) >= HALF and moved >= MATERIAL and share > 0 and size >= SHARE:
                 break
             depth -= 1
@@ -474,7 +476,9 @@ class Workflow:
                     )
                     better = share >= HALF and moved >= MATERIAL and loss > 60.0
                 if not better:
-                    table.append(f"{gone.label}: not needed (2 log L {-loss:+.0f} without it)")
+                    table.append(
+                        f"{gone.label}: not needed (without it, twice the log likelihood: {-loss:+.0f})"
+                    )
                     chosen = r
                     break
             else:
@@ -646,6 +650,8 @@ class Workflow:
                 r.likelihood - chosen.likelihood,
                 "cannot be told apart on these data"
                 if r in abreast
+                else "errs more on the held-out records than the old model does"
+                if stood[id(r)].score > refit.score
                 else "explains less of the held-out records",
             )
             for r in ([chosen, *abreast] if verdict == "ambiguous" else rivals)
