@@ -161,6 +161,10 @@ class Mpc(Controller):
         self._inverse = np.linalg.inv(self._P)
         ends = np.cumsum(s.moves) - 1
         self._rows = np.vstack([np.eye(pieces), self._currents[ends]])
+        self._high = np.repeat(
+            [SLEW_LIMIT, CURRENT_LIMIT], pieces
+        )  # less the present current, the second half
+        self._low = -self._high
         self._program: Program = program(s.solver, self._P, self._rows)
         # acceleration and travel are softly limited: two slacks more, in a program that is seldom needed
         self._soft_given = signals[:, :2, given].transpose(1, 0, 2).reshape(2 * N, -1)
@@ -232,8 +236,9 @@ class Mpc(Controller):
         q = self._linear_term @ given
         guess = self._later @ self._moves
         pieces = len(guess)
-        low, high = np.full(len(self._rows), -SLEW_LIMIT), np.full(len(self._rows), SLEW_LIMIT)
-        low[pieces:], high[pieces:] = -CURRENT_LIMIT - present, CURRENT_LIMIT - present
+        low, high = self._low.copy(), self._high.copy()
+        low[pieces:] -= present
+        high[pieces:] -= present
         moves = -self._inverse @ q  # the optimum without limits; often it is within them
         self.status = "solved"
         if not self._within(moves, low, high):
@@ -242,7 +247,7 @@ class Mpc(Controller):
             moves = outcome.x
         if moves is not None:
             ahead = self._soft_given @ given
-            if np.any(np.abs(ahead + self._soft_moves @ moves) > self._soft_limits):
+            if (np.abs(ahead + self._soft_moves @ moves) > self._soft_limits).any():
                 outcome = self._soft_program.solve(
                     np.append(q, [SLACK_LINEAR, SLACK_LINEAR]),
                     np.concatenate(
@@ -270,9 +275,9 @@ class Mpc(Controller):
         self._moves = moves
         if self._nf:
             rates = self._rates_given @ given + self._rates_moves @ moves
-            self._rates = np.vstack([rates[1:], rates[-1:]])
+            self._rates[:-1], self._rates[-1] = rates[1:], rates[-1]
         return moves
 
     def _within(self, moves: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
         rows = self._rows @ moves
-        return bool(np.all(rows >= low) and np.all(rows <= high))
+        return bool(((rows >= low) & (rows <= high)).all())
