@@ -97,18 +97,19 @@ def one(name, estimation, validation, model, answer, detail):
     closed = "-" if d.closed is None else f"{d.closed:.3f}"
     print(f"{g:6s} {name} {seconds:5.1f}s closed {closed} {d.verdict} {row['found']} <- {answer}", flush=True)
     if detail and "w" in captured:
-        w = captured["w"].detail
+        w = captured["w"].weighed
+        refit, after = ([*d.gap[row].values()] for row in ("refit", "after"))
         print(
-            f"        before {text(w['before'])} refit {text(w['refit'])} after {text(w['after'])} floor {text(w['floor'])}"
+            f"        before {text(w.before)} refit {text(refit)} after {text(after)} floor {text(w.floor)}"
         )
         print(
-            f"        V {w['V'][0]:.3f} -> {w['V'][1]:.3f} (noise {w['quiet']:.3f}) explained {w['share']:.3f} gaps {text(w['gaps'])} abreast {[r.hypotheses[-1].label for r in w['abreast']]}"
+            f"        noise {w.quiet:.3f} explained {w.explained:.3f} gaps {text(w.gaps)} abreast {[r.hypotheses[-1].label for r in w.abreast]}"
         )
-        for t in w["table"]:
+        for t in w.table:
             print("        ", t)
-        for stage in w["stages"]:
+        for stage in w.stages:
             for r in stage[:5]:
-                s = w["standing"].get(id(r))
+                s = w.stood.get(id(r))
                 values = {
                     q.path.split(".")[-1]: float(f"{q.back(x):.3g}")
                     for q, x in zip(r.fit.structure.free, r.fit.x, strict=True)

@@ -604,7 +604,7 @@ def carried(problem: Problem, fit: Fit, structure: Structure) -> dict[int, Array
     rows = motion_rows_of(target)
     inputs = {str(c.at): c.name for c in net.inputs if c.quantity == "displacement"}
     known = motion_rows_of(source)
-    out = {}
+    out: dict[int, Array] = {}
     for i, x0 in fit.initial.items():
         record = problem.records[i]
         motion = known @ x0
@@ -618,7 +618,7 @@ def carried(problem: Problem, fit: Fit, structure: Structure) -> dict[int, Array
             elif twin in inputs:
                 r = record.inputs[inputs[twin]]
                 want[:, k] = r[0], 0.05 * (r[1] - r[0]) / record.step
-        out[i] = np.linalg.lstsq(rows, want.ravel(), rcond=None)[0]
+        out[i] = np.asarray(np.linalg.lstsq(rows, want.ravel(), rcond=None)[0], dtype=np.float64)
     return out
 
 

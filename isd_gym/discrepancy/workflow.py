@@ -257,6 +257,29 @@ class Standing:
     nrmse: Array
 
 
+@dataclass
+class Weighed:
+    """A set of effects on trial: what was chosen, what it explains of the held-out records, and who is abreast of it."""
+
+    verdict: str
+    chosen: Rival
+    rivals: list[Rival]
+    abreast: list[Rival]
+    whitener: Whitener
+    floor: Array  # noise of every channel, as a share of its deviation
+    quiet: float  # score of pure noise
+    before: Array  # NRMSE of the owner's model
+    explained: float  # share of the refitted model's excess error
+    gaps: tuple[float, float, float]  # largest excess NRMSE before, refitted, after
+    table: list[str]
+    stages: list[list[Rival]]
+    stood: dict[int, Standing]
+
+    @property
+    def refit_gap(self) -> float:
+        return self.gaps[1]
+
+
 class Workflow:
     def __init__(
         self,
@@ -299,14 +322,19 @@ class Workflow:
         fit, value = settled(p, structure, structure.start, self.floors)
         base = Rival((), fit, value)
         path, stages = self.walk([base], [])
-        if len(path) > 2 or self.excess(path[-1]) > MATERIAL:
+        best = self.weigh(base, path, stages)
+        if (
+            stages
+            and best.refit_gap >= MATERIAL
+            and (best.explained < ADEQUATE or len(best.chosen.hypotheses) > 1)
+        ):
             # what comes first may lead astray: the runners-up get their turn
-            for runner in stages[0][1 : 1 + TURNS] if stages else []:
+            for runner in stages[0][1 : 1 + TURNS]:
                 say(f"starting over with {runner.hypotheses[-1].label}")
-                other = self.walk([base, runner], stages[:1])
-                if self.better(other[0][-1], path[-1]):
-                    path, stages = other
-        return self.conclude(base, path, stages)
+                other = self.weigh(base, *self.walk([base, runner], stages[:1]))
+                if self.better(other, best):
+                    best = other
+        return self.conclude(base, best)
 
     def excess(self, rival: Rival) -> float:
         """Largest excess of the held-out error over noise, as a share of a channel's deviation."""
@@ -316,13 +344,13 @@ class Workflow:
         noise = np.array([n.deviation for n in noise_levels(p, rival.held)]) / self.spread  # type: ignore[arg-type]
         return float(np.sqrt(np.maximum(here.nrmse**2 - noise**2, 0.0)).max())
 
-    def better(self, other: Rival, best: Rival) -> bool:
-        """Whether the excess that `other` leaves on the held-out records is smaller by a tenth."""
-        p = self.problem
-        W = whitener(residuals(p, other.fit), trust(p, other.fit, self.floors))
-        a, b = self.stand(other, W), self.stand(best, W)
-        quiet = float(passed(W, noise_levels(p, other.held)).mean())  # type: ignore[arg-type]
-        return a.score * AHEAD < b.score if a.score < quiet else AHEAD * (a.score - quiet) < b.score - quiet
+    def better(self, other: Weighed, best: Weighed) -> bool:
+        """Whether the excess that `other` leaves on the held-out records is smaller by a tenth, or as small with fewer effects."""
+        a = self.stand(other.chosen, other.whitener)
+        b = self.stand(best.chosen, other.whitener)
+        mine, theirs = (max(r.score - other.quiet, 0.01 * other.quiet) for r in (a, b))
+        fewer = len(other.chosen.hypotheses) < len(best.chosen.hypotheses)
+        return mine < AHEAD * theirs if fewer else AHEAD * mine < theirs
 
     def walk(self, path: list[Rival], stages: list[list[Rival]]) -> tuple[list[Rival], list[list[Rival]]]:
         """Forward addition, one effect at a time, from the last rival of `path` on."""
@@ -354,7 +382,8 @@ class Workflow:
         return path, stages
 
     # -- conclusion ---------------------------------------------------------------------------------------
-    def conclude(self, base: Rival, path: list[Rival], stages: list[list[Rival]]) -> Diagnosis:
+    def weigh(self, base: Rival, path: list[Rival], stages: list[list[Rival]]) -> Weighed:
+        """Of the effects added on the way, those that earn their place, and who else explains as much."""
         p = self.problem
         final = path[-1]
         W = whitener(residuals(p, final.fit), trust(p, final.fit, self.floors))
@@ -395,7 +424,6 @@ class Workflow:
         chosen = path[depth]
         if depth:
             chosen = self.prune(chosen, [r for stage in stages for r in stage], stand, quiet, table)
-        self.notes += [f"tried {t}" for t in table]
         rivals = [r for r in stages[depth - 1][:6] if r is not chosen] if depth else []
         for r in [base, chosen, *rivals]:
             stand(r)
@@ -422,22 +450,27 @@ class Workflow:
             verdict = "ambiguous"
         else:
             verdict = "missing_effect"
-        self.detail = dict(
-            share=explained,
-            before=before,
-            refit=refit.nrmse,
-            after=after.nrmse,
-            floor=floor,
-            quiet=quiet,
-            V=(refit.score, after.score),
-            table=table,
-            chosen=chosen,
-            abreast=abreast,
-            gaps=(gap_before, gap_refit, gap_after),
-            stages=stages,
-            standing=stood,
+        gaps = (gap_before, gap_refit, gap_after)
+        return Weighed(
+            verdict, chosen, rivals, abreast, W, floor, quiet, before, explained, gaps, table, stages, stood
         )
-        return self.report(verdict, base, chosen, rivals, abreast, W, floor, before, stood, quiet, explained)
+
+    def conclude(self, base: Rival, w: Weighed) -> Diagnosis:
+        self.notes += [f"tried {t}" for t in w.table]
+        self.weighed = w
+        return self.report(
+            w.verdict,
+            base,
+            w.chosen,
+            w.rivals,
+            w.abreast,
+            w.whitener,
+            w.floor,
+            w.before,
+            w.stood,
+            w.quiet,
+            w.explained,
+        )
 
     def prune(
         self,
