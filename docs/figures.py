@@ -10,9 +10,10 @@ matplotlib.use("svg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import FancyArrowPatch, Rectangle
+from PIL import Image
 
 from isd_gym.network import Channel, Network, linearise
-from isd_gym.policies import conventional
+from isd_gym.policies import conventional, find
 from isd_gym.road import iso_road, paper_road, road
 from isd_gym.simulate import simulate
 
@@ -246,9 +247,23 @@ def projection() -> None:
     save(fig, "projection")
 
 
+def show() -> None:
+    """A frame of ``isd-gym show mpc --against passive``, after eight seconds; the picture of the README."""
+    from isd_gym.rendering import Renderer
+    from isd_gym.show import snapshots
+
+    drawn = Renderer("rgb_array", width=1000, height=560, cars=2)
+    policies = [find("mpc", CAR), find("passive", CAR)]
+    for k, shots in enumerate(snapshots(policies, CAR, seconds=8.0)):
+        if k % 4 == 0:
+            frame = drawn.draw(*shots)
+    drawn.close()
+    Image.fromarray(frame).save(HERE / "show.png", optimize=True)
+
+
 if __name__ == "__main__":
     HERE.mkdir(exist_ok=True)
     road("paper")
-    for make in (network, force_test, sticking, roads, response, projection):
+    for make in (network, force_test, sticking, roads, response, projection, show):
         make()
         print(make.__name__)

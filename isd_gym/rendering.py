@@ -866,14 +866,14 @@ def _plot(
 ) -> None:
     """One live plot: its title with the RMS of what is shown, below it the curves."""
     u = c.unit
-    c.text(title, x0, y0, size=11 if len(data) == 1 else 10)
     place = x1 - c.text(unit, x1, y0, size=10, colour=MUTED, anchor="right") - 4 * u
     for rows, colour in reversed(list(zip(data, CAR_COLOURS, strict=False))):
         rms = float(np.sqrt(np.mean(rows[:, column] ** 2)))
         digits = max(0, min(scale.digits, 2 - math.floor(math.log10(max(rms, 1e-9)))))
         words = _number(rms, digits, sign=False)
         place -= c.text(words, place, y0, size=10, face="Bold", colour=colour, anchor="right") + 6 * u
-    c.text("RMS", place + 2 * u, y0, size=10, colour=MUTED, anchor="right")
+    place -= c.text("RMS", place + 2 * u, y0, size=10, colour=MUTED, anchor="right")
+    c.text(title, x0, y0, size=11 if len(data) == 1 else 10, room=place - 4 * u - x0)
     left, top = x0 + 26 * u, y0 + 14 * u
     right, bottom = x1, y1
     middle, unit_height = (top + bottom) / 2, (bottom - top) / 2 / 3.0
