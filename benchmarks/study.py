@@ -29,7 +29,8 @@ from isd_gym.policies import conventional, find
 from isd_gym.scoring import Entry, drive
 
 SCHEMA = "isd-study/1"
-BASELINES = ("passive", "isd-passive", "lqg", "mpc", "mpc-friction")
+#: of the MPCs the best (`isd-gym score` has all of them)
+BASELINES = ("passive", "isd-passive", "lqg", "mpc-friction")
 #: name -> road, speed [m/s], factors on the plant's parameters; every controller keeps believing in the nominal car
 CONDITIONS: dict[str, tuple[str, float, dict[str, float]]] = {
     "training road": ("paper", 20.0, {}),
@@ -202,8 +203,10 @@ def draw(study: dict[str, Any], out: Path) -> list[Path]:
         axes.plot(
             x, [row["cost"] for row in training["curve"]], color=colours[name], alpha=0.7, label=name.upper()
         )
-    references = next(iter(study["training"].values()))["references"] if study["training"] else {}
+    references = {k: j for training in study["training"].values() for k, j in training["references"].items()}
     for name, j in references.items():
+        if "passive" in name:  # far above
+            continue
         axes.axhline(j, color="0.5", linestyle=":", linewidth=1)
         axes.text(axes.get_xlim()[1], j, f" {name}", va="center", fontsize=8)
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
@@ -214,19 +217,21 @@ def draw(study: dict[str, Any], out: Path) -> list[Path]:
     plt.close(figure)
 
     conditions = list(study["costs"])
+    rows = -(-len(conditions) // 4)
     figure, grid = plt.subplots(
-        1, len(conditions), figsize=(3 * len(conditions), 3.5), sharey=True, layout="constrained"
+        rows, -(-len(conditions) // rows), figsize=(12, 2.6 * rows), sharey=True, layout="constrained"
     )
-    for axes, condition in zip(grid, conditions, strict=True):
+    for axes, condition in zip(np.ravel(grid), conditions, strict=False):
         by = groups(study["costs"][condition])
-        names = [n for n in by if n != "passive"]
+        rival = best_mpc(by)
+        names = [n for n in by if "passive" not in n and n != rival]
         for i, name in enumerate(names):
-            v, low, high = change(by[name], by["passive"][0], np.random.default_rng(0))
+            v, low, high = change(by[name], by[rival][0], np.random.default_rng(0))
             axes.plot([100 * low, 100 * high], [i, i], color=colours.get(name, "0.4"), linewidth=3)
             axes.plot(100 * v, i, "o", color=colours.get(name, "0.4"))
         axes.set_yticks(range(len(names)), names)
         axes.axvline(0.0, color="0.8", linewidth=1)
-        axes.set(title=condition, xlabel="J against passive [%]")
+        axes.set(title=condition, xlabel=f"J against {rival} [%]", ylim=(-0.5, len(names) - 0.5))
     second = out / "study.svg"
     figure.savefig(second)
     plt.close(figure)
