@@ -108,3 +108,73 @@ def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
     x = rng.standard_normal((50000, 1))
     W = whitener([x], np.array([1e-3]))
     assert passed(W, [Noise(1.0, 0.0, 0.0)])[0] == pytest.approx(float(np.mean(W(x) ** 2)), rel=0.03)
+
+
+def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
+    from isd_gym.discrepancy.fit import Fitter
+    from isd_gym.discrepancy.hypotheses import base_structure
+    from isd_gym.discrepancy.problem import Problem, Record, Whitener
+
+    net = Network.load("quarter-car-isd")
+    rng = np.random.default_rng(5)
+    time = np.arange(0.0, 4.0, 2e-3)
+    road = 0.01 * np.sin(9.0 * time) + 0.003 * np.sin(40.0 * time)
+    current = np.repeat(rng.uniform(-4, 4, len(time) // 50), 50)
+    record = Record(
+        "drive", 2e-3, {"road": road, "current": current}, np.zeros((len(time), len(net.outputs)))
+    )
+    structure = base_structure(net)
+    problem = Problem(net, [record, record.part(1000, 2000, "drive")], [False, False])
+    assert problem.records[1].follows(record.part(0, 1000, "drive"))
+    assert not problem.records[1].follows(record.part(0, 900, "drive"))
+    fitter = Fitter(problem, Whitener(tuple(np.ones(1) for _ in net.outputs)))
+    rest = np.zeros(7)
+    whole = fitter.simulate_point(structure, structure.start, 0, rest)
+    (state,) = fitter.along(structure, structure.start, 0, rest, [1000])
+    piece = fitter.simulate_point(structure, structure.start, 1, state)
+    error = np.sqrt(np.mean((piece - whole[1000:2000]) ** 2, axis=0)) / whole.std(axis=0)
+    assert error.max() < 0.01
+
+
+def test_what_a_filter_had_to_guess_is_not_compared() -> None:
+    from isd_gym.discrepancy.problem import Problem, Record, low_pass
+
+    net = Network.load("force-rig-eq6").without_element("seal")
+    step = 2e-3
+    time = np.arange(0.0, 4.0, step)
+    x = 0.01 * np.sin(12.0 * time)  # begins and ends in mid-motion
+    v, a = 0.12 * np.cos(12.0 * time), -1.44 * np.sin(12.0 * time)
+    name = net.inputs[0].name
+    taps = np.hanning(101) / np.hanning(101).sum()
+    force = 95.0 * a + 1293.0 * v + 709e3 * x
+    seen = low_pass(force[:, None], taps)[100:-100:5]
+    record = Record("rig", step, {name: x}, seen, {name: (v, a)}, taps=taps, thin=5, margin=20)
+    problem = Problem(net, [record, record.part(50, 200, "rig")], [False, False])
+    values = {e.name: e for e in net.elements}
+    assert set(values) >= {"inerter"}
+    y = problem.simulate([net], 0, None)[:, 0, 0]
+    part = problem.simulate([net], 1, None)[:, 0, 0]
+    assert len(y) == len(seen)
+    np.testing.assert_allclose(part, y[50:200], atol=1e-9 * np.abs(y).max())
+    np.testing.assert_allclose(y, seen[:, 0], atol=2e-3 * np.abs(seen).max())
+
+
+def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
+    from isd_gym.discrepancy.choose import rebuilt
+    from isd_gym.discrepancy.hypotheses import Hypothesis
+
+    rig = Network.load("force-rig-eq6").without_element("seal")
+    top = rig.moved_nodes[0]
+    effects = [
+        (
+            Hypothesis("stribeck_friction", (top, "ground")),
+            {"level": 300.0, "static_level": 500.0, "stribeck_velocity": 0.1},
+        ),
+        (Hypothesis("series_compliance", (top, "ground")), {"stiffness": 7e5}),
+    ]
+    inner = rebuilt(rig, effects).network.element("stribeck_friction").where[0]
+    assert inner != top
+    last = (Hypothesis("quadratic_damping", (inner, "ground")), {"damping": 100.0})
+    # without the compliance there is no node between, and what stood there stands at the terminal again
+    without = rebuilt(rig, [effects[0], last]).network
+    assert without.element("quadratic_damping").where == (top, "ground")
