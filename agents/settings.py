@@ -108,20 +108,20 @@ class PPOSettings(Settings):
 @dataclass(frozen=True)
 class SACSettings(Settings):
     evaluations: int = 10
-    warm_updates: int = 2000
-    steps: int = 1_000_000
+    warm_steps: int = 1500
+    steps: int = 600_000
     cars: int = 256
     group: int = 8  # cars on one road, see `sac`
-    batch: int = 1024
+    batch: int = 2048
     averaging: float = 0.999
-    buffer: int = 400_000  # nearly what the present policy did: the returns over n steps want it fresh
+    buffer: int = 1_000_000
     updates: int = 1  # a step of all cars
     warm_up: int = 2048  # steps before the first update; SB3 acts at random in them
     critic_updates: int = 1500  # of the critic alone, at the start
     log_std: float = -1.4
-    learning_rate: float = 5e-5
-    critic_rate: float = 20.0  # of the critic, as a multiple
-    n_steps: int = 48  # of the returns: 0.24 s
+    learning_rate: float = 1e-4
+    critic_rate: float = 10.0  # of the critic, as a multiple
+    n_steps: int = 24  # of the returns: 0.12 s
     gamma: float = 0.995
     tau: float = 0.02
     entropy: float = 1e-4  # tuned by itself (SB3's auto) the temperature overshot and drowned the values
