@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -17,6 +17,7 @@ from ..simulate import effective_current
 from .fit import Fit, Fitter
 from .hypotheses import (
     GROUND,
+    PROBE,
     SERIES,
     Hypothesis,
     Motion,
@@ -100,6 +101,57 @@ def force_scale(problem: Problem, fit: Fit) -> float:
     return scale or 1.0
 
 
+def together(
+    problem: Problem, fit: Fit, networks: Sequence[Network]
+) -> Iterator[tuple[list[int], int, Array]]:
+    """Outputs of many networks over every estimation record: (which networks, record, outputs (n, channels, lanes)).
+
+    Lanes of one structure run together; what breaks down is left out.
+    """
+    groups: dict[tuple, list[int]] = {}
+    for k, net in enumerate(networks):
+        asm = assemble(bare(net))
+        outside = tuple(type(e).__name__ for e in net.elements if e.place != "between")
+        groups.setdefault((outside, asm.size, tuple(type(e).__name__ for e in asm.laws)), []).append(k)
+    for members in groups.values():
+        for begin in range(0, len(members), 48):
+            chunk = members[begin : begin + 48]
+            nets = [networks[k] for k in chunk]
+            for i in problem.estimation:
+                x0 = np.repeat(fit.initial[i][:, None], len(nets), axis=1)
+                try:
+                    yield chunk, i, problem.simulate(nets, i, x0, like=fit.network)
+                except (InputError, np.linalg.LinAlgError):
+                    continue
+
+
+def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
+    """What each force law of the library, too small to be named, would do: record -> (n, channels, laws).
+
+    Every law at every place gives `share` of the data's typical force.
+    """
+    motion = motions(problem, fit)
+    force = force_scale(problem, fit)
+    networks = []
+    for h in hypotheses(fit.network):
+        if h.place != "between" or h.effect in SERIES or h.effect == "stribeck_friction":
+            continue
+        tried = probes(h, fit.network, motion.get((h.where[0], h.where[1])), force, 1.0, 1.0)
+        for probe in tried[:: max(1, len(tried) // 2)][:2]:
+            try:
+                built = add(replace(fit.structure, network=fit.network), h, probe.ways[0]).network
+                assemble(bare(built))
+            except (InputError, np.linalg.LinAlgError):
+                continue
+            networks.append(built)
+    out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
+    point = {i: y for _, i, y in together(problem, fit, [fit.network])}
+    for chunk, i, y in together(problem, fit, networks):
+        change = (y - point[i]) * (share / PROBE)
+        out[i][:, :, chunk] = np.where(np.isfinite(change), change, 0.0)
+    return out
+
+
 def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypothesis]) -> list[Screened]:
     """Score test of every candidate: what its response would take off the residual that the base cannot."""
     structure, net = fit.structure, fit.network
@@ -168,29 +220,15 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
             except (InputError, np.linalg.LinAlgError):
                 continue
             jobs.append((h, probe, built))
-    # lanes of one structure run together
-    groups: dict[tuple, list[tuple[int, int]]] = {}
-    for a, (h, _, built) in enumerate(jobs):
-        for way, one in enumerate(built):
-            asm = assemble(bare(one.network))
-            kinds = tuple(type(e).__name__ for e in asm.laws)
-            groups.setdefault((h.effect if h.place != "between" else "", asm.size, kinds), []).append(
-                (a, way)
-            )
     response = [np.zeros((rows + p, len(built))) for _, _, built in jobs]
-    for members in groups.values():
-        for begin in range(0, len(members), 48):
-            chunk = members[begin : begin + 48]
-            nets = [jobs[a][2][way].network for a, way in chunk]
-            for i, (start, stop, y) in spans.items():
-                x0 = np.repeat(fit.initial[i][:, None], len(nets), axis=1)
-                try:
-                    out = problem.simulate(nets, i, x0, like=net)
-                except (InputError, np.linalg.LinAlgError):
-                    continue
-                w = fitter.weights(out - y[:, :, None]).reshape(stop - start, -1)
-                for lane, (a, way) in enumerate(chunk):
-                    response[a][start:stop, way] = w[:, lane]
+    members = [(a, way) for a, (_, _, built) in enumerate(jobs) for way in range(len(built))]
+    networks = [jobs[a][2][way].network for a, way in members]
+    for chunk, i, out in together(problem, fit, networks):
+        start, stop, y = spans[i]
+        w = fitter.weights(out - y[:, :, None]).reshape(stop - start, -1)
+        for lane, k in enumerate(chunk):
+            a, way = members[k]
+            response[a][start:stop, way] = w[:, lane]
     found: list[Screened] = []
     for (h, probe, _), s in zip(jobs, response, strict=True):
         if not np.isfinite(s).all():
@@ -486,6 +524,19 @@ def compete(
             r.likelihood = math.inf
         return r
 
+    def elsewhere(r: Rival, factor: float) -> tuple[Fit, float] | None:
+        """The fit begun again with another shape: from one start a fit may end in a place of its own."""
+        x = r.fit.x.copy()
+        path = f"{r.fit.structure.names[-1]}.{SHAPE[r.hypotheses[-1].effect]}"
+        x[[f.path for f in r.fit.structure.free].index(path)] += math.log(factor)
+        try:
+            begun = Fitter(problem, plain(problem, cold)).fit(
+                r.fit.structure, x, r.fit.initial, r.fit.offset, iterations=5
+            )
+            return settled(problem, r.fit.structure, begun.x, floors, begun, iterations=4, least=cold)
+        except (InputError, np.linalg.LinAlgError):
+            return None
+
     rivals: dict[tuple[Hypothesis, ...], Rival] = {}
     with ThreadPoolExecutor(2) as pool:
         for r in pool.map(one, chosen):
@@ -499,6 +550,13 @@ def compete(
         leaves = [trust(problem, r.fit, floors) for r in ranked]
         cold = np.min(leaves, axis=0)
         ranked = [r for r in pool.map(polish, ranked) if math.isfinite(r.likelihood)]
+        ranked.sort(key=lambda r: r.likelihood)
+        trials = [
+            (r, factor) for r in ranked[:2] if r.hypotheses[-1].effect in SHAPE for factor in (0.5, 2.0)
+        ]
+        for (r, _), again in zip(trials, pool.map(lambda t: elsewhere(*t), trials), strict=True):
+            if again is not None and again[1] < r.likelihood:
+                r.fit, r.likelihood = again
     ranked.sort(key=lambda r: r.likelihood)
     return simplest_first(ranked), cold
 
@@ -515,6 +573,16 @@ def simplest_first(ranked: list[Rival]) -> list[Rival]:
             return [r, *(q for q in ranked if q is not r)]
     return ranked
 
+
+#: the parameter that shapes a law (on a logarithmic scale): where fits have several optima
+SHAPE = {
+    "stribeck_friction": "stribeck_velocity",
+    "bump_stop": "clearance",
+    "hysteresis": "stiffness",
+    "gas_spring": "length",
+    "backlash": "gap",
+    "thrust_saturation": "current",
+}
 
 #: effects that contain another as a special case
 CONTAINS = {

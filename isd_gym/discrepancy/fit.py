@@ -325,6 +325,29 @@ class Fitter:
         prior = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
         return Fit(structure, x, initial, offset, outs, total, prior, H if p else None)
 
+    def shift(self, fit: Fit, responses: dict[int, Array]) -> Array:
+        """By how much the parameters would be off (parameters, m) if the records held `responses` (n, channels, m) as well."""
+        problem, structure = self.problem, fit.structure
+        p = len(fit.x)
+        sigma = np.array([f.sigma for f in structure.free])
+        H = np.diag(1 / sigma**2)
+        m = next(iter(responses.values())).shape[2]
+        g = np.zeros((p, m))
+        free = np.flatnonzero(problem.free_offset)
+        for i, s in responses.items():
+            y, dp, ds = self.lanes(structure, fit.x, i, fit.initial[i])
+            const = np.zeros((len(y), y.shape[1], len(free)))
+            for k, j in enumerate(free):
+                const[:, j, k] = 1.0
+            W = self.weights(np.concatenate([dp, ds, const, s], axis=2)).reshape(len(y) * y.shape[1], -1)
+            a, b, c = W[:, :p], W[:, p : W.shape[1] - m], W[:, W.shape[1] - m :]
+            if b.shape[1]:
+                Q, _ = np.linalg.qr(b)
+                a, c = a - Q @ (Q.T @ a), c - Q @ (Q.T @ c)
+            H += a.T @ a
+            g += a.T @ c
+        return np.asarray(np.linalg.solve(H, g), dtype=np.float64)
+
     def _cost(
         self,
         structure: Structure,

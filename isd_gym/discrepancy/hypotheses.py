@@ -308,6 +308,9 @@ class Motion:
     a: np.ndarray
 
 
+PROBE = 0.05  # share of the data's typical force that a probe gives
+
+
 @dataclass(frozen=True)
 class Probe:
     """Start values to try. `ways`: value sets whose responses are projected together; `grows`: what scales with amplitude."""
@@ -342,7 +345,7 @@ def probes(
     d, v, a = motion.d, motion.v, motion.a
     rms = lambda x: max(float(np.sqrt(np.mean(np.square(x)))), 1e-12)  # noqa: E731
     reach = max(float(np.abs(d).max()), 1e-9)
-    e = 0.05 * force
+    e = PROBE * force
     if kind == "coulomb_friction":
         return [one({"level": e}, "level")]
     if kind == "stribeck_friction":

@@ -30,6 +30,7 @@ from .choose import (
     share_of_force,
     simpler,
     trust,
+    unmodelled,
 )
 from .explain import law, next_experiment, places
 from .fit import Fit, Fitter
@@ -49,6 +50,8 @@ STRETCH = 5.0  # [s] held-out records are judged in stretches, each from an init
 DEPTH = 3  # effects at once
 TURNS = 2  # runners-up that are tried first where one effect is not enough
 
+#: share of the typical force that each small effect, unmodelled, may have (one sigma)
+SMALL = 0.005
 #: a nuisance is a few per cent of the force (current, signal) at its place; what is named must be more
 SHARE = 0.05
 
@@ -738,7 +741,11 @@ def owner_pair(network: Network, h: Hypothesis) -> tuple[str, str] | None:
 
 
 def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quantity]:
-    """Every free parameter with its 95 % interval, from the curvature under the residual's own coloured noise."""
+    """Every free parameter with its 95 % interval.
+
+    Noise counts by the curvature under the residual's own coloured noise; the small effects that every rig has and no
+    model holds count by how far each of them, `SMALL` of the force, would drag the parameter.
+    """
     fit = rival.fit
     W = whitener(residuals(problem, fit), trust(problem, fit, floors))
     f = Fitter(problem, W).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
@@ -747,11 +754,17 @@ def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quanti
         return out
     sigma = np.array([q.sigma for q in f.structure.free])
     H = f.hessian + np.diag(1 / sigma**2)
-    covariance = np.linalg.inv(H)
+    variance = np.maximum(np.diag(np.linalg.inv(H)), 0.0)
+    try:
+        dragged = Fitter(problem, W).shift(f, unmodelled(problem, f, SMALL))
+        variance = variance + np.sum(dragged**2, axis=1)
+    except (InputError, np.linalg.LinAlgError):
+        pass
+    # no wider than what was known before
+    variance = np.minimum(variance, sigma**2)
     known = problem.network.parameters
     for k, q in enumerate(f.structure.free):
-        s = math.sqrt(max(covariance[k, k], 0.0)) * 1.5
-        x = f.x[k]
+        s, x = math.sqrt(variance[k]), f.x[k]
         unit = fit.network.unit_of(q.path)
         out[q.path] = Quantity(q.back(x), q.back(x - 1.96 * s), q.back(x + 1.96 * s), unit, known.get(q.path))
     return out
