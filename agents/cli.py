@@ -90,7 +90,8 @@ def convert(
     if out is None and onnx is None:
         raise InputError("nothing to write: give --out DIR or --onnx FILE")
     if archive.suffix == ".zip":
-        typer.echo(f"{archive}: {WARNING}", err=True)
+        if archive.is_file():
+            typer.echo(f"{archive}: {WARNING}", err=True)
         policy = run(archive, normalize=normalize, network=network)
     else:
         policy = Policy.load(archive)

@@ -22,7 +22,8 @@ def open_policy(
     if path.suffix == ".zip":
         from .convert import WARNING, convert
 
-        print(f"{name}: {WARNING}", file=sys.stderr)
+        if path.is_file():
+            print(f"{name}: {WARNING}", file=sys.stderr)
         first = convert(path, name=path.stem)
     elif name in names() or path.is_dir() or path.name == "policy.json":
         first = Policy.load(path.parent if path.name == "policy.json" else path)

@@ -60,7 +60,7 @@ def train(
     `randomize`: True for `settings.RANDOMIZE`, or ranges as the environment takes them. The policy kept is the one of
     least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
     """
-    if find_spec("stable_baselines3") is None:
+    if not (find_spec("stable_baselines3") and find_spec("torch")):
         raise InputError('training needs Stable-Baselines3 and torch: pip install "isd-gym[agents]"')
     if algorithm not in SETTINGS:
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")

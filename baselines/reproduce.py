@@ -48,7 +48,7 @@ from .clairvoyant import clairvoyant
 from .clairvoyant import reference as known_optimum
 
 SCHEMA = "isd-reproduction/1"
-KIND = "a reproduction"
+KIND = "reproduction"
 PARTS = ("index.html", "reproduction.json", "*.png")
 SERIES, PRINTED = "quarter-car-isd", "quarter-car-eq8"
 RIG, RIG_PRINTED = "force-rig", "force-rig-eq6"
@@ -1226,8 +1226,9 @@ def command(
 
     Example: isd-gym reproduce --out reproduction
     """
-    from isd_gym.cli import _progress, _warm_up, _write_json
+    from isd_gym.cli import _check_file, _progress, _warm_up, _write_json
 
+    _check_file(json_file)
     check_folder(out, KIND, "reproduction.json", PARTS)
     with _progress() as update:
         _warm_up(update)

@@ -36,10 +36,11 @@ def _write_json(path: Path | None, data: dict[str, Any]) -> None:
         write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
-def _check_folder(path: Path | None) -> None:
-    """Refuse a file that cannot be written before the work, not after it."""
-    if path is not None and not path.parent.is_dir():
-        raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
+def _check_file(path: Path | None) -> None:
+    if path is not None:
+        from .files import check_file
+
+        check_file(path)
 
 
 class _SeveralValues(TyperCommand):
@@ -175,7 +176,7 @@ def score(
     from .road import road as find_road
     from .scoring import score as run
 
-    _check_folder(json_file)
+    _check_file(json_file)
     if report is not None:
         from .plots import check_report
 
@@ -331,7 +332,7 @@ def simulate(
     out: Annotated[
         Path, typer.Option("--out", help="Where the outputs go; the suffix says the format.", metavar="FILE")
     ],
-    step: Annotated[float, typer.Option(help="Largest physics step [s].")] = 1e-3,
+    step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
 ) -> None:
     """Simulate a model for the inputs of a table; writes its outputs at the same times.
 
@@ -341,7 +342,7 @@ def simulate(
     from .network import Network
     from .simulate import simulate as run
 
-    _check_folder(out)
+    _check_file(out)
     network = Network.load(model)
     table = read_table(data, expected={c.name: c.unit for c in network.inputs})
     outputs = run(network, table.time, table.columns, step=step)
@@ -391,7 +392,7 @@ def diagnose(
     from .report import check_target, write_report
 
     check_target(out)
-    _check_folder(json_file)
+    _check_file(json_file)
     network = Network.load(model)
     options: dict[str, Any] = {
         "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
@@ -466,7 +467,7 @@ def show(
     from .road import road as find_road
     from .show import film, live
 
-    _check_folder(out)
+    _check_file(out)
     if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)
@@ -521,16 +522,33 @@ def _mention(point: EntryPoint) -> Callable[[], None]:
 
 
 def main() -> None:
-    """Run the command line; bad input is one line on stderr and exit status 2."""
+    """Run the command line; bad input is one line on stderr and exit status 2, Ctrl-C one and 130."""
     try:
         _plug_in()
-        app()
+        code = app(standalone_mode=False)
     except InputError as error:
         typer.echo(f"isd-gym: {error}", err=True)
-        sys.exit(2)
+        code = 2
     except KeyboardInterrupt:
+        code = 130
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # of the parser of the command line, whichever typer brings
+            raise
+        code = _explain(error)
+    if code == 130:
         typer.echo("isd-gym: stopped", err=True)
-        sys.exit(130)
+    sys.exit(code)
+
+
+def _explain(error: Any) -> int:
+    """What is wrong with a command line, in one line; the help where nothing was asked for."""
+    context, text = getattr(error, "ctx", None), " ".join(error.format_message().split())
+    if not sys.argv[1:]:
+        error.show()
+    else:
+        path = context.command_path if context is not None else "isd-gym"
+        typer.echo(f"{path}: {text} (see {path} --help)", err=True)
+    return int(error.exit_code)
 
 
 if __name__ == "__main__":

@@ -17,9 +17,11 @@ from .errors import InputError
 def whole(path: str | Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place when the block ends well, and is gone when it does not."""
     path = Path(path)
-    if not path.parent.is_dir():
-        raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    check_file(path)
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    except OSError as error:
+        raise InputError(f"cannot write '{path}' ({error.strerror})") from None
     os.close(handle)
     temporary = Path(name)
     try:
@@ -30,6 +32,15 @@ def whole(path: str | Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_file(path: str | Path) -> None:
+    """Raise `InputError` where no file can be written: before long work, not after it."""
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
+    if path.is_dir():
+        raise InputError(f"cannot write '{path}': it is a folder; name a file")
 
 
 def write_text(path: str | Path, text: str) -> None:

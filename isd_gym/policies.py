@@ -5,6 +5,7 @@ Each entry point is a function ``open(name, model, cost, control_step, options) 
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -73,4 +74,7 @@ def find(
         if entry is not None:
             return entry
         known += getattr(opener, "names", list)()
-    raise InputError(f"no policy '{name}': neither a policy folder nor one of {', '.join(known)}")
+    known = list(dict.fromkeys(known))
+    near = get_close_matches(name, known, 1)
+    asked = f" (did you mean '{near[0]}'?)" if near else ""
+    raise InputError(f"no policy '{name}'{asked}: neither a policy folder nor one of {', '.join(known)}")

@@ -38,8 +38,7 @@ def snapshots(
     """
     from .env import CONTROL_STEP, ISDSuspensionEnv
 
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise InputError(f"seconds must be positive, not {seconds}")
+    _check_length(seconds)
     network = Network.load(network)
     cars: list[Any] = []  # name, controller, environment, observation
     for entry in entries:
@@ -66,6 +65,11 @@ def snapshots(
         yield tuple(replace(env.snapshot(), label=name) for name, _, env, _ in cars)
 
 
+def _check_length(seconds: float) -> None:
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise InputError(f"seconds must be positive, not {seconds}")
+
+
 @contextmanager
 def _renderer(mode: Any, cars: int, scale: float = 1.0) -> Iterator[Any]:
     from .rendering import Renderer
@@ -90,6 +94,7 @@ def film(
     from .env import CONTROL_STEP
     from .rendering import write_video
 
+    _check_length(drive.get("seconds", 10.0))
     gif = Path(path).suffix.lower() == ".gif"
     fps = 25.0 if gif else 50.0
     every = round(1.0 / (fps * CONTROL_STEP))

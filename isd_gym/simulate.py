@@ -451,6 +451,8 @@ def simulate(
     dt = (time[-1] - time[0]) / (len(time) - 1)
     if dt <= 0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
         raise InputError("time must be uniformly sampled and increasing")
+    if not step > 0:
+        raise InputError(f"the physics step must be positive, not {step}")
     every = max(1, math.ceil(dt / step - 1e-9))
     plant = Plant(network, dt / every, extra=extra)
     needs = {name for part, name in plant.labels if part in ("v", "alpha")}

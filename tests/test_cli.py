@@ -114,3 +114,66 @@ def test_networks_can_be_printed_and_read_back(tmp_path):
     (tmp_path / "mine.json").write_text(text)
     assert Network.load(tmp_path / "mine.json") == Network.load("force-rig")
     assert "quarter-car-eq8" in run("networks").stdout
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["scroe"], "Did you mean 'score'?"),
+        (["score"], "Missing argument"),
+        (["score", "mpcc"], "did you mean 'mpc'?"),
+        (["score", "passive", "--raod", "C"], "No such option: --raod"),
+        (["score", "passive", "--json", "there"], "it is a folder"),
+        (["simulate", "quarter-car-isd", "d.csv", "--out", "o.csv", "--step", "0"], "--step"),
+        (["show", "mpc", "--seconds", "nan", "--out", "a.gif"], "seconds must be positive"),
+        (["reproduce", "--out", "r", "--json", "no/such/x.json"], "no folder 'no/such'"),
+        (["train", "dqn", "--out", "r"], "'dqn' is not one of"),
+    ],
+)
+def test_a_slip_of_the_pen_is_one_line_and_leaves_nothing(args, message, tmp_path):
+    (tmp_path / "there").mkdir()
+    done = run(*args, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["there"]
+
+
+@pytest.mark.parametrize(
+    ("missing", "args", "extra"),
+    [
+        ("pygame", ["show", "passive", "--out", "a.gif"], "render"),
+        ("minari", ["record", "passive", "--out", "drives"], "record"),
+        ("torch", ["train", "ppo", "--out", "run"], "agents"),
+    ],
+)
+def test_a_missing_extra_is_named(missing, args, extra, tmp_path):
+    code = (
+        f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['isd-gym', *{args!r}]\n"
+        "from isd_gym.cli import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 2, done.stderr
+    assert f'pip install "isd-gym[{extra}]"' in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
+    """Stopped in the middle of the drives, whose start the first line of a policy shows."""
+    code = (
+        "import sys, isd_gym.scoring as s; drive = s.drive\n"
+        "def stopping(*args, **kwargs):\n"
+        "    import os, signal; os.kill(os.getpid(), signal.SIGINT); return drive(*args, **kwargs)\n"
+        "s.drive = stopping; sys.argv = ['isd-gym', 'score', 'passive', '--report', 'r', '--json', 's.json']\n"
+        "from isd_gym.cli import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "isd-gym: stopped\n"
+    assert not list(tmp_path.iterdir())
