@@ -649,11 +649,11 @@ def _sum_of_laws(cloud: Cloud) -> tuple[Array, Array, Array, Array] | None:
 
 
 def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
-    """Mean of y in bins of x that hold enough samples: middles and means."""
+    """Median of y in bins of x that hold enough samples: middles and medians, which few wild dots do not move."""
     edges = np.linspace(float(np.quantile(x, 0.002)), float(np.quantile(x, 0.998)), bins + 1)
     index = np.digitize(x, edges) - 1
     pick = [k for k in range(bins) if np.sum(index == k) >= 10]
-    return np.array([x[index == k].mean() for k in pick]), np.array([y[index == k].mean() for k in pick])
+    return np.array([x[index == k].mean() for k in pick]), np.array([np.median(y[index == k]) for k in pick])
 
 
 def _draw_channel_plane(fig: Figure, view: View) -> str:
@@ -688,12 +688,14 @@ def _draw_channel_plane(fig: Figure, view: View) -> str:
 
 
 def _dots(ax: Axes, x: Array, y: Array, colour: str) -> None:
-    """A cloud, its mean along x, and an axis that leaves out the last two thousandths of x."""
+    """A cloud, its median along x, and an axis that leaves out the last two thousandths of x."""
     thin = max(1, len(x) // 2500)
     ax.axhline(0, color=MUTED, lw=0.6)
     ax.plot(x[::thin], y[::thin], ".", color=colour, ms=2.2, mew=0, alpha=0.55)
     middle, mean = _trend(x, y)
-    ax.plot(middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="mean of the dots")
+    ax.plot(
+        middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="median of the dots"
+    )
     low, high = np.quantile(x, [0.001, 0.999])
     margin = 0.05 * (high - low) or 1.0
     ax.set_xlim(low - margin, high + margin)
