@@ -42,7 +42,7 @@ CONDITIONS: dict[str, tuple[str, float, dict[str, float]]] = {
     "friction 50 % higher": ("paper", 20.0, {"seal.level": 1.5}),
 }
 #: on the training road more roads, to tell policies apart that differ by a tenth of a per cent
-TIMES = {"training road": 4}
+TIMES = {"training road": 8}
 RESAMPLES = 4000
 
 
@@ -246,7 +246,7 @@ def main() -> None:
     one = commands.add_parser("collect")
     one.add_argument("runs", nargs="*", type=Path)
     one.add_argument("--out", type=Path, required=True)
-    one.add_argument("--episodes", type=int, default=32)
+    one.add_argument("--episodes", type=int, default=16)
     one.add_argument("--seed", type=int, default=0)
     runs = commands.add_parser("train")
     runs.add_argument("--out", type=Path, required=True)
