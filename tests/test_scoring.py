@@ -138,6 +138,7 @@ def test_the_conventional_car_keeps_the_networks_own_masses():
 
 def test_unknown_policy_lists_the_known():
     with pytest.raises(
-        InputError, match="no policy 'mcp': neither a policy folder nor one of passive, isd-passive"
+        InputError,
+        match=r"no policy 'mcp' \(did you mean 'mpc'\?\): neither a policy folder nor one of passive, isd-passive",
     ):
         find("mcp", CAR)
