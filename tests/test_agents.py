@@ -288,7 +288,11 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path
         assert hashlib.sha256(blob).hexdigest() == head["weights"]["sha256"] and len(blob) < 100_000
         assert head["training"]["curve"] and head["training"]["versions"]
     code = (
-        "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None\n"
+        "import sys\n"
+        "class Without:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name in ('torch', 'stable_baselines3'): raise ModuleNotFoundError(name)\n"
+        "sys.meta_path.insert(0, Without())\n"
         "from isd_gym.cli import main\n"
         "sys.argv = ['isd-gym', 'score', 'passive', 'lqg', 'ppo', 'sac', '--episodes', '2', '--json', 's.json']\n"
         "main()"
