@@ -214,7 +214,7 @@ def edit(path: Path, **changes: object) -> None:
         (lambda d: edit(d / JSON_NAME, memory={"scale": "x"}), "memory"),
         (lambda d: edit(d / JSON_NAME, memory={"scale": [1.0]}), "memory"),
         (lambda d: edit(d / JSON_NAME, action={"mode": "jump"}), "mode"),
-        (lambda d: edit(d / JSON_NAME, action={"gain": 2}), "gain"),
+        (lambda d: edit(d / JSON_NAME, action={"boost": 2}), "boost"),
         (lambda d: edit(d / JSON_NAME, actor={"layers": []}), "activation|layers"),
     ],
 )
