@@ -2,6 +2,9 @@
 
 python benchmarks/diagnose.py FOLDER [NAME ...] [--json FILE] [--detail]
 python benchmarks/diagnose.py --suite [KIND ...] --seeds 1 2
+python benchmarks/diagnose.py --again FILE
+
+Seconds are processor time, both threads together.
 """
 
 from __future__ import annotations
@@ -42,6 +45,42 @@ def same(found, answer) -> bool:
             return False
         left.remove(hit)
     return True
+
+
+#: parameter of an effect -> its name in the sealed truth of a folder of rigs
+SEALED = {
+    "quadratic_damping.damping": "c2dev",
+    "cubic_stiffness.stiffness": "k3",
+    "bump_stop.clearance": "bump_gap",
+    "bump_stop.stiffness": "bump_k",
+    "thrust_saturation.current": "sat_I",
+    "actuator_lag.time_constant": "lag_tau",
+    "linear_damping.damping": "ct",
+    "stribeck_friction.level": "f",
+    "stribeck_friction.static_level": "stribeck_fs",
+    "stribeck_friction.stribeck_velocity": "stribeck_vs",
+}
+
+
+def truths(row) -> dict[str, float]:
+    """The sealed values of the parameters of what was named, as far as the truth tells them."""
+    truth = row["truth"]
+    if isinstance(truth, dict):
+        out = {k: truth[v] for k, v in SEALED.items() if v in truth}
+        if "bw_A" in truth:  # dz = A v - beta (|v| z + v |z|): stiffness A, saturation at A / (2 beta)
+            out["hysteresis.stiffness"] = truth["bw_A"]
+            out["hysteresis.level"] = truth["bw_A"] / (2 * truth["bw_beta"])
+        places = dict((e, set(w)) for e, w in row["found"])
+        key = "strut_f" if places.get("coulomb_friction") == {"body", "wheel"} else "f"
+        if key in truth:
+            out["coulomb_friction.level"] = truth[key]
+        return out
+    return {
+        f"{e['type']}.{k}": v
+        for e in truth
+        for k, v in e.items()
+        if isinstance(v, int | float) and not isinstance(v, bool)
+    }
 
 
 def grade(verdict: str, found, answer) -> str:
@@ -142,7 +181,10 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[1])
     parser.add_argument("--json")
     parser.add_argument("--detail", action="store_true")
+    parser.add_argument("--again", help="print the figures of a file written with --json, and run nothing")
     args = parser.parse_args()
+    if args.again:
+        return summary(json.loads(Path(args.again).read_text()))
     rows = []
     if args.folder:
         folder = Path(args.folder)
@@ -204,6 +246,20 @@ def summary(rows) -> None:
     closed = [r["closed"] for r in rows if r.get("closed") is not None]
     if closed:
         print(f"closed   median {np.median(closed):.3f}, least {min(closed):.3f}")
+    errors, inside = [], []
+    for r in rows:
+        if r["grade"] != "right":
+            continue
+        known = truths(r)
+        for name, (value, low, high) in r.get("parameters", {}).items():
+            if known.get(name):
+                errors.append(abs(value / known[name] - 1))
+                inside.append(low <= known[name] <= high)
+    if errors:
+        print(
+            f"values   error median {100 * np.median(errors):.1f} %, "
+            f"95 % intervals hold {sum(inside)} of {len(inside)}"
+        )
     print(
         f"time     median {np.median([r['seconds'] for r in rows]):.1f} s, longest {max(r['seconds'] for r in rows):.1f} s"
     )

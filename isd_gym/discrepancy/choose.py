@@ -319,6 +319,11 @@ def trust(problem: Problem, fit: Fit, floors: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
 
 
+def finer(least: Array, floors: Array) -> Array:
+    """White noise to reckon with when fits are compared (channels,), a tenth of what their weights reckon with."""
+    return np.asarray(np.maximum(floors, 0.1 * least), dtype=np.float64)
+
+
 def settled(
     problem: Problem,
     structure: Structure,
@@ -343,7 +348,7 @@ def settled(
     for _ in range(rounds):
         f = Fitter(problem, W).fit(structure, x, initial, offset, iterations=iterations)
         least = trust(problem, f, floors) if least is None else least
-        value = innovations(residuals(problem, f), least) + f.prior
+        value = innovations(residuals(problem, f), finer(least, floors)) + f.prior
         if best is not None and value > best[1] - 2.0:
             if value < best[1]:
                 best = f, value
@@ -483,7 +488,7 @@ def compete(
                 f = heat.fit(structure, x, carried(short, shortened, structure), current.offset, iterations=3)
             except (InputError, np.linalg.LinAlgError):
                 continue
-            tries.append((innovations(residuals(short, f), hot) + f.prior, f))
+            tries.append((innovations(residuals(short, f), finer(hot, floors)) + f.prior, f))
         if not tries:
             return None
         value, f = min(tries, key=lambda t: t[0])
@@ -491,7 +496,9 @@ def compete(
             f = heat.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
         except (InputError, np.linalg.LinAlgError):
             return None
-        return Rival(f.structure.hypotheses, f, innovations(residuals(short, f), hot) + f.prior)
+        return Rival(
+            f.structure.hypotheses, f, innovations(residuals(short, f), finer(hot, floors)) + f.prior
+        )
 
     def lengthen(r: Rival) -> Rival:
         """From the heat to the whole of the records, with the heat's coarse weights."""
@@ -500,7 +507,7 @@ def compete(
             known = carried(problem, current, r.fit.structure)
             known |= {i: r.fit.initial[i] for i, w in windows.items() if w.first == 0}
             r.fit = Fitter(problem, W).fit(r.fit.structure, r.fit.x, known, r.fit.offset, iterations=5)
-            r.likelihood = innovations(residuals(problem, r.fit), hot) + r.fit.prior
+            r.likelihood = innovations(residuals(problem, r.fit), finer(hot, floors)) + r.fit.prior
         except (InputError, np.linalg.LinAlgError):
             r.likelihood = math.inf
         return r
@@ -568,10 +575,22 @@ def simplest_first(ranked: list[Rival]) -> list[Rival]:
     best = ranked[0]
     for r in ranked[1:]:
         h, b = r.hypotheses[-1], best.hypotheses[-1]
+        if not itself(best.fit, -1) and itself(r.fit, -1) and r.likelihood - best.likelihood < 60.0:
+            return [r, *(q for q in ranked if q is not r)]
         relative = h.effect in CONTAINS.get(b.effect, ()) and set(h.where) == set(b.where)
         if relative and r.likelihood - best.likelihood < 30.0:
             return [r, *(q for q in ranked if q is not r)]
     return ranked
+
+
+def itself(fit: Fit, which: int | None = None) -> bool:
+    """Whether the effects (or that one) are what their names say: a Stribeck curve falls with speed.
+
+    One that rises mimics damping. It may be a step on the way, but is never named.
+    """
+    names = fit.structure.names if which is None else fit.structure.names[which:]
+    found = (fit.network.element(name) for name in names)
+    return all(not isinstance(e, el.StribeckFriction) or e.level <= e.static_level for e in found)
 
 
 #: the parameter that shapes a law (on a logarithmic scale): where fits have several optima

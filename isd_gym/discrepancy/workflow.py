@@ -21,6 +21,8 @@ from .choose import (
     CONTAINS,
     Rival,
     compete,
+    finer,
+    itself,
     judge,
     measured_noise,
     noise_levels,
@@ -371,7 +373,11 @@ class Workflow:
             if not rivals:
                 break
             best = rivals[0]
-            gain = innovations(residuals(p, now.fit), least) + now.fit.prior - best.likelihood
+            gain = (
+                innovations(residuals(p, now.fit), finer(least, self.floors))
+                + now.fit.prior
+                - best.likelihood
+            )
             say(f"  best: {best.hypotheses[-1].label} (2 log L +{gain:.0f})")
             stages.append(rivals)
             if gain < 60.0:
@@ -425,6 +431,9 @@ class Workflow:
                 break
             depth -= 1
         chosen = path[depth]
+        if 0 < depth < len(path) - 1:
+            self.settle_again(chosen, path[-1])
+            stood.pop(id(chosen), None)
         if depth:
             chosen = self.prune(chosen, [r for stage in stages for r in stage], stand, quiet, table)
         rivals = [r for r in stages[depth - 1][:6] if r is not chosen] if depth else []
@@ -442,12 +451,17 @@ class Workflow:
         abreast: list[Rival] = []
         if depth:
             for r in stages[depth - 1][:6]:
-                if r is chosen or self.beaten(stand(r), stand(chosen), quiet) or self.same(r, chosen, W):
+                if (
+                    r is chosen
+                    or not itself(r.fit)
+                    or self.beaten(stand(r), stand(chosen), quiet)
+                    or self.same(r, chosen, W)
+                ):
                     continue
                 abreast.append(r)
         if gap_refit < MATERIAL:
             verdict = "no_discrepancy" if gap_before < MATERIAL else "parameters_only"
-        elif depth == 0 or explained < ADEQUATE:
+        elif depth == 0 or explained < ADEQUATE or not itself(chosen.fit):
             verdict = "unknown_effect"
         elif abreast:
             verdict = "ambiguous"
@@ -475,6 +489,24 @@ class Workflow:
             w.explained,
         )
 
+    def settle_again(self, rival: Rival, richer: Rival) -> None:
+        """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""
+        p = self.problem
+        there = dict(zip((f.path for f in richer.fit.structure.free), richer.fit.x, strict=True))
+        x = np.array(
+            [there.get(f.path, v) for f, v in zip(rival.fit.structure.free, rival.fit.x, strict=True)]
+        )
+        least = trust(p, rival.fit, self.floors)
+        fine = finer(least, self.floors)
+        try:
+            fit, _ = settled(p, rival.fit.structure, x, self.floors, rounds=2, least=least)
+        except (InputError, np.linalg.LinAlgError):
+            return
+        likelihood, old = (innovations(residuals(p, f), fine) + f.prior for f in (fit, rival.fit))
+        if likelihood < old:
+            rival.fit, rival.held = fit, None
+            rival.likelihood += likelihood - old
+
     def prune(
         self,
         chosen: Rival,
@@ -487,8 +519,9 @@ class Workflow:
         p = self.problem
         while True:
             least = trust(p, chosen.fit, self.floors)
+            fine = finer(least, self.floors)
             now = stand(chosen)
-            level = innovations(residuals(p, chosen.fit), least) + chosen.fit.prior
+            level = innovations(residuals(p, chosen.fit), fine) + chosen.fit.prior
             for gone, structure in simpler(p, chosen):
                 swapped = len(structure.hypotheses) == len(chosen.hypotheses)
                 r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
@@ -501,7 +534,7 @@ class Workflow:
                         continue
                     r = Rival(structure.hypotheses, fit, value)
                 then = stand(r)
-                loss = innovations(residuals(p, r.fit), least) + r.fit.prior - level
+                loss = innovations(residuals(p, r.fit), fine) + r.fit.prior - level
                 moved = float(np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0)).max())
                 if swapped:
                     better = self.beaten(then, now, quiet) and moved >= MATERIAL and loss > 30.0
@@ -567,7 +600,7 @@ class Workflow:
         floor: Array,
     ) -> tuple[Gate, ...]:
         """The five gates with their figures."""
-        least = trust(self.problem, chosen.fit, self.floors)
+        least = finer(trust(self.problem, chosen.fit, self.floors), self.floors)
         gain = sum(
             k * (innovations(residuals(self.problem, r.fit), least) + r.fit.prior)
             for r, k in ((base, 1), (chosen, -1))
