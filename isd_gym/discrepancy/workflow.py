@@ -431,7 +431,9 @@ class Workflow:
                 break
             depth -= 1
         chosen = path[depth]
-        if 0 < depth < len(path) - 1:
+        if depth and not itself(chosen.fit, -1):
+            chosen = next((r for r in stages[depth - 1] if itself(r.fit)), chosen)
+        elif 0 < depth < len(path) - 1:
             self.settle_again(chosen, path[-1])
             stood.pop(id(chosen), None)
         if depth:
