@@ -287,7 +287,8 @@ def noise_levels(problem: Problem, fit: Fit) -> list[Noise]:
     out = []
     for j in range(len(problem.channels)):
         series = [problem.records[i].measured[:, j] - y[:, j] for i, y in fit.outputs.items()]
-        out.append(noise_of(series, problem.records[next(iter(fit.outputs))].rate))
+        record = problem.records[next(iter(fit.outputs))]
+        out.append(noise_of(series, record.rate, white=record.taps is not None))
     return out
 
 
@@ -296,7 +297,8 @@ def measured_noise(problem: Problem, records: Sequence[int]) -> Array:
     out = []
     for j in range(len(problem.channels)):
         series = [problem.records[i].measured[:, j] for i in records]
-        noise = noise_of(series, problem.records[records[0]].rate).deviation
+        first = problem.records[records[0]]
+        noise = noise_of(series, first.rate, white=first.taps is not None).deviation
         out.append(max(noise, 0.01 * float(np.std(np.concatenate(series)))))
     return np.array(out)
 

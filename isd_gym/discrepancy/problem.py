@@ -276,10 +276,11 @@ def innovations(residuals: Sequence[Array], floor: Array, order: int = 20) -> fl
     return total
 
 
-def noise_of(series: Sequence[Array], step: float) -> Noise:
+def noise_of(series: Sequence[Array], step: float, *, white: bool = False) -> Noise:
     """Coloured measurement noise in residuals (n,): white plus AR(1), fitted to the spectrum above the motion.
 
-    Below some 15 Hz signal and model error cover the noise, so its level there is that of the law found above.
+    Below some 15 Hz signal and model error cover the noise, so its level there is that of the law found above. It is never
+    more than the series itself. `white`: what a low-pass left of the spectrum tells a level, but no colour.
     """
     density, frequency = [], np.zeros(0)
     length = min(1024, min(len(x) for x in series))
@@ -289,9 +290,11 @@ def noise_of(series: Sequence[Array], step: float) -> Noise:
     s = np.maximum(np.sum(density, axis=0) / sum(len(x) for x in series), 1e-300)
     w = 2 * np.pi * frequency * step
     top = frequency[-1]
-    pick = (frequency > max(min(15.0, 0.3 * top), 2 * frequency[1])) & (frequency < 0.98 * top)
+    pick = (frequency > max(min(15.0, 0.3 * top), 2 * frequency[1])) & (
+        frequency < (0.7 if white else 0.98) * top
+    )
     best: tuple[float, Noise] = (math.inf, Noise(0.0, 0.0, 0.0))
-    for phi in (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93):
+    for phi in (0.0,) if white else (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93):
         shape = 1.0 / (1 + phi**2 - 2 * phi * np.cos(w[pick]))
         for share in (1.0,) if phi == 0 else (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9):
             model = share + (1 - share) * shape * (1 - phi) ** 2
@@ -302,7 +305,9 @@ def noise_of(series: Sequence[Array], step: float) -> Noise:
             if error < best[0] - 1e-9:
                 unit = math.exp(level) / (2 * step)
                 best = error, Noise(unit * share, unit * (1 - share) * (1 - phi) ** 2, phi)
-    return best[1]
+    noise = best[1]
+    share = min(1.0, float(np.var(np.concatenate(series))) / max(noise.deviation**2, 1e-300))
+    return Noise(noise.white * share, noise.drive * share, noise.phi)
 
 
 @dataclass(frozen=True)
