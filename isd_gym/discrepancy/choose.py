@@ -326,6 +326,13 @@ def finer(least: Array, floors: Array) -> Array:
     return np.asarray(np.maximum(floors, 0.1 * least), dtype=np.float64)
 
 
+def gap(problem: Problem, fit: Fit) -> float:
+    """Mean over channels of the residual's power over that of the signal: how wide the gap is, whatever its spectrum."""
+    r = np.concatenate(residuals(problem, fit))
+    y = np.concatenate([problem.records[i].measured for i in fit.outputs])
+    return float(np.mean(np.mean(r**2, axis=0) / np.maximum(np.var(y, axis=0), 1e-300)))
+
+
 def settled(
     problem: Problem,
     structure: Structure,
@@ -552,6 +559,9 @@ def compete(
             if r is not None and math.isfinite(r.likelihood):
                 rivals[r.hypotheses] = r
         ranked = sorted(rivals.values(), key=lambda r: r.likelihood)[:finals]
+        # a likelihood under coloured noise may miss who closes most of the gap
+        closest = min(rivals.values(), key=lambda r: gap(short, r.fit), default=None)
+        ranked += [closest] if closest is not None and closest not in ranked else []
         ranked = [r for r in pool.map(lengthen, ranked) if math.isfinite(r.likelihood)]
         if not ranked:
             return [], hot
@@ -567,6 +577,10 @@ def compete(
             if again is not None and again[1] < r.likelihood:
                 r.fit, r.likelihood = again
     ranked.sort(key=lambda r: r.likelihood)
+    widths = [gap(problem, r.fit) for r in ranked]
+    closest = ranked[int(np.argmin(widths))] if ranked else None
+    if closest is not None and 2.0 * min(widths) < widths[0]:
+        ranked = [closest, *(r for r in ranked if r is not closest)]
     return simplest_first(ranked), cold
 
 

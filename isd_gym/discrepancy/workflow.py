@@ -22,6 +22,7 @@ from .choose import (
     Rival,
     compete,
     finer,
+    gap,
     itself,
     judge,
     measured_noise,
@@ -380,7 +381,7 @@ class Workflow:
             )
             say(f"  best: {best.hypotheses[-1].label} (2 log L +{gain:.0f})")
             stages.append(rivals)
-            if gain < 60.0:
+            if gain < 60.0 and HALF * gap(p, now.fit) < gap(p, best.fit):
                 break
             path.append(best)
             W = whitener(residuals(p, now.fit), trust(p, now.fit, self.floors))
@@ -538,14 +539,17 @@ class Workflow:
                 then = stand(r)
                 loss = innovations(residuals(p, r.fit), fine) + r.fit.prior - level
                 moved = float(np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0)).max())
+                wider = gap(p, r.fit) / gap(p, chosen.fit)
                 if swapped:
-                    better = self.beaten(then, now, quiet) and moved >= MATERIAL and loss > 30.0
+                    better = (
+                        self.beaten(then, now, quiet) and moved >= MATERIAL and (loss > 30.0 or wider > 1.5)
+                    )
                 else:
                     share = max(
                         (then.score - now.score) / max(then.score - quiet, 1e-12),
                         self.plain_share(then.nrmse, now.nrmse, self.floor),
                     )
-                    better = share >= HALF and moved >= MATERIAL and loss > 60.0
+                    better = share >= HALF and moved >= MATERIAL and (loss > 60.0 or wider > 2.0)
                 if not better:
                     table.append(
                         f"{gone.label}: not needed (without it, twice the log likelihood: {-loss:+.0f})"
@@ -607,6 +611,7 @@ class Workflow:
             k * (innovations(residuals(self.problem, r.fit), least) + r.fit.prior)
             for r, k in ((base, 1), (chosen, -1))
         )
+        halved = gap(self.problem, chosen.fit) < HALF * gap(self.problem, base.fit)
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - best.nrmse**2, 0.0)).max())
         size = min(share_of_force(self.problem, chosen.fit, name) for name in chosen.fit.structure.names)
         lead = min((o.score - quiet for o in others), default=math.inf) / max(
@@ -617,10 +622,11 @@ class Workflow:
         return (
             Gate(
                 "significant",
-                gain > 60.0,
+                gain > 60.0 or halved,
                 gain,
                 60.0,
-                "twice the log likelihood gained over the refitted model, its own coloured noise allowed for",
+                "twice the log likelihood gained over the refitted model, its own coloured noise allowed for"
+                + (" (or half of the gap's power closed, as here)" if halved else ""),
             ),
             Gate(
                 "material",
