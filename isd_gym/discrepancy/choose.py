@@ -579,7 +579,8 @@ def compete(
     ranked.sort(key=lambda r: r.likelihood)
     widths = [gap(problem, r.fit) for r in ranked]
     closest = ranked[int(np.argmin(widths))] if ranked else None
-    if closest is not None and 2.0 * min(widths) < widths[0]:
+    half = 0.5 * gap(problem, current)
+    if closest is not None and min(widths) < half < widths[0]:
         ranked = [closest, *(r for r in ranked if r is not closest)]
     return simplest_first(ranked), cold
 
