@@ -327,10 +327,14 @@ def finer(least: Array, floors: Array) -> Array:
 
 
 def gap(problem: Problem, fit: Fit) -> float:
-    """Mean over channels of the residual's power over that of the signal: how wide the gap is, whatever its spectrum."""
+    """Geometric mean over channels of the residual's power over the signal's: how wide the gap is, whatever its spectrum.
+
+    One channel that drifts does not drown the others.
+    """
     r = np.concatenate(residuals(problem, fit))
     y = np.concatenate([problem.records[i].measured for i in fit.outputs])
-    return float(np.mean(np.mean(r**2, axis=0) / np.maximum(np.var(y, axis=0), 1e-300)))
+    share = np.mean(r**2, axis=0) / np.maximum(np.var(y, axis=0), 1e-300)
+    return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))
 
 
 def settled(
