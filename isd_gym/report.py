@@ -441,6 +441,14 @@ def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array
 # ------------------------------------------------------------------------------------------------- the figures
 
 
+def _name_rows(ax: Any, names: Sequence[str]) -> None:
+    """One named row each from the top down, without lines or ticks."""
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.grid(False, axis="y")
+    ax.tick_params(axis="y", length=0)
+
+
 def draw_gap(fig: Figure, view: View) -> str:
     """Held-out error of every channel at every stage."""
     d = view.d
@@ -466,10 +474,7 @@ def draw_gap(fig: Figure, view: View) -> str:
     ]
     ax.set_xticks(ticks, [f"{t:g} %" for t in ticks])
     ax.minorticks_off()
-    ax.set_yticks(rows, [channel_text(c) for c in view.order])
-    ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.grid(False, axis="y")
-    ax.tick_params(axis="y", length=0)
+    _name_rows(ax, [channel_text(c) for c in view.order])
     ax.set_xlabel("RMS error on held-out data, relative to the measured signal's deviation")
     legend(fig, ax)
     return (
@@ -804,10 +809,7 @@ def draw_parameters(fig: Figure, view: View) -> str:
         )
         ax.plot(x, y, "o", color=BLUE, ms=4.5)
     ax.axvline(0, color=MUTED, lw=0.8)
-    ax.set_yticks(range(len(rows)), [path for path, _, _ in rows])
-    ax.set_ylim(len(rows) - 0.4, -0.6)
-    ax.grid(False, axis="y")
-    ax.tick_params(axis="y", length=0)
+    _name_rows(ax, [path for path, _, _ in rows])
     ax.set_xlabel("deviation from the model as given [%]")
     legend(fig, ax)
     return (

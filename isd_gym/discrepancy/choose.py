@@ -16,7 +16,6 @@ from ..network import Channel, Network, assemble
 from ..simulate import effective_current
 from .fit import Fit, Fitter
 from .hypotheses import (
-    GROUND,
     PROBE,
     SERIES,
     Hypothesis,
@@ -28,6 +27,7 @@ from .hypotheses import (
     hypotheses,
     pairs,
     probes,
+    twin,
 )
 from .problem import (
     Array,
@@ -162,10 +162,7 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
     parts = []
     for i in problem.estimation:
         y, dp, ds = fitter.lanes(structure, fit.x, i, fit.initial[i])
-        free = np.flatnonzero(problem.free_offset)
-        const = np.zeros((len(y), y.shape[1], len(free)))
-        for k, j in enumerate(free):
-            const[:, j, k] = 1.0
+        const = problem.constants(i)
         r = problem.records[i].measured - y - fit.offset[i]
         W = fitter.weights(np.concatenate([r[:, :, None], dp, ds, const], axis=2))
         parts.append((i, y, W.reshape(-1, W.shape[2])))
@@ -689,12 +686,8 @@ def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, dict[str, floa
             *(e.name for e in structure.network.elements),
             *(c.name for c in network.outputs),
         }
-        where = []
-        for node in h.where:
-            while node not in known and node != GROUND and "_" in node:
-                node = node.rpartition("_")[0]
-            where.append(node)
-        structure = add(structure, replace(h, where=tuple(where)), values)
+        where = tuple(twin(node, known) for node in h.where)
+        structure = add(structure, replace(h, where=where), values)
     return structure
 
 
@@ -718,13 +711,11 @@ def carried(problem: Problem, fit: Fit, structure: Structure) -> dict[int, Array
         motion = known @ x0
         want = np.zeros((2, len(free)))
         for k, node in enumerate(free):
-            twin = node
-            while twin not in before.nodes and "_" in twin:
-                twin = twin.rpartition("_")[0]
-            if twin in own:
-                want[:, k] = motion[own.index(twin)], motion[len(own) + own.index(twin)]
-            elif twin in inputs:
-                r = record.inputs[inputs[twin]]
+            like = twin(node, before.nodes)
+            if like in own:
+                want[:, k] = motion[own.index(like)], motion[len(own) + own.index(like)]
+            elif like in inputs:
+                r = record.inputs[inputs[like]]
                 want[:, k] = r[0], 0.05 * (r[1] - r[0]) / record.step
         out[i] = np.asarray(np.linalg.lstsq(rows, want.ravel(), rcond=None)[0], dtype=np.float64)
     return out

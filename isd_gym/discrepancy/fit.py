@@ -333,12 +333,9 @@ class Fitter:
         H = np.diag(1 / sigma**2)
         m = next(iter(responses.values())).shape[2]
         g = np.zeros((p, m))
-        free = np.flatnonzero(problem.free_offset)
         for i, s in responses.items():
             y, dp, ds = self.lanes(structure, fit.x, i, fit.initial[i])
-            const = np.zeros((len(y), y.shape[1], len(free)))
-            for k, j in enumerate(free):
-                const[:, j, k] = 1.0
+            const = problem.constants(i)
             W = self.weights(np.concatenate([dp, ds, const, s], axis=2)).reshape(len(y) * y.shape[1], -1)
             a, b, c = W[:, :p], W[:, p : W.shape[1] - m], W[:, W.shape[1] - m :]
             if b.shape[1]:
@@ -398,10 +395,7 @@ class Fitter:
             outs[i] = y
             if not (np.isfinite(y).all() and np.isfinite(dp).all() and np.isfinite(ds).all()):
                 return math.inf, H, g, {}, {}
-            free = np.flatnonzero(problem.free_offset)
-            const = np.zeros((len(record), y.shape[1], len(free)))
-            for k, j in enumerate(free):
-                const[:, j, k] = 1.0
+            const = problem.constants(i)
             stack = np.concatenate([(record.measured - y)[:, :, None], dp, ds, const], axis=2)
             W = self.weights(stack).reshape(-1, stack.shape[2])
             G = W.T @ W

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -201,6 +201,13 @@ def split(network: Network, pair: tuple[str, ...], stem: str) -> tuple[Network, 
     # two terminals in the owner's order, so that the sign of elongation stays
     gap = (keep, node)
     return _Opened.of(network, tuple(moved)), gap
+
+
+def twin(node: str, known: Collection[str]) -> str:
+    """The node of `known` that one which `split` put in was split from; a known one is its own."""
+    while node not in known and "_" in node:
+        node = node.rpartition("_")[0]
+    return node
 
 
 class _Opened:

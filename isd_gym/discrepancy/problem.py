@@ -123,6 +123,13 @@ class Problem:
     def validation(self) -> list[int]:
         return [i for i, h in enumerate(self.held) if h]
 
+    def constants(self, index: int) -> Array:
+        """What a free offset does to record `index`: (samples, channels, free offsets), one where the channel is its own."""
+        free = np.flatnonzero(self.free_offset)
+        out = np.zeros((len(self.records[index]), len(self.channels), len(free)))
+        out[:, free, np.arange(len(free))] = 1.0
+        return out
+
     def simulate(
         self,
         networks: Sequence[Network],
@@ -209,11 +216,6 @@ def carrier(source: Assembly, target: Assembly) -> Array:
         return np.zeros((target.size[0], source.size[0]))
     own, other = motion_rows_of(target, both), motion_rows_of(source, both)
     return np.asarray(np.linalg.lstsq(own, other, rcond=None)[0], dtype=np.float64)
-
-
-def carry(source: Assembly, target: Assembly, initial: Array) -> Array:
-    """The initial state of one network in the coordinates of another."""
-    return carrier(source, target) @ initial
 
 
 # ------------------------------------------------------------------------------------------- weights

@@ -37,7 +37,7 @@ from .choose import (
 )
 from .explain import law, next_experiment, places
 from .fit import Fit, Fitter
-from .hypotheses import Hypothesis, Structure, base_structure
+from .hypotheses import Hypothesis, Structure, base_structure, twin
 from .problem import Array, Problem, Record, Whitener, innovations, low_pass, passed, whitener
 from .result import Contender, Diagnosis, Effect, Gate, Place, Quantity, Trace
 
@@ -773,12 +773,8 @@ def owner_pair(network: Network, h: Hypothesis) -> tuple[str, str] | None:
     if h.place == "element":
         return network.element(h.where[0]).between
     known = {*network.nodes, "ground"}
-    out = []
-    for n in h.where:
-        while n not in known:
-            n = n.rsplit("_", 1)[0] if "_" in n else next(iter(known))
-        out.append(n)
-    return out[0], out[1]
+    first, second = (twin(n, known) for n in h.where)
+    return first, second
 
 
 def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quantity]:
