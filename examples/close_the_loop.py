@@ -21,6 +21,7 @@ from isd_gym.data import Table
 from isd_gym.discrepancy import Diagnosis, diagnose
 from isd_gym.network import Network
 from isd_gym.policies import passive
+from isd_gym.report import write_report
 from isd_gym.road import road
 from isd_gym.scoring import Entry, Score, score
 from isd_gym.simulate import simulate
@@ -68,8 +69,7 @@ def main() -> None:
         change = "" if cost.get("change") is None else f"  {100 * cost['change']:+.1f} %"
         print(f"{row['policy']:16s} J {cost['value']:.3f}{change}")
     if args.out:
-        found.save(args.out)
-        print(f"report: {args.out / 'report.html'}")
+        print(f"report: {write_report(found, args.out)}")
     if args.json:
         args.json.write_text(json.dumps(result.to_dict(), indent=1) + "\n")
 
