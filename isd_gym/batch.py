@@ -73,7 +73,8 @@ class Batch:
 
     network: the plant. road, speed [m/s]: fixed, or ranges in `randomize`. control_step must be a whole multiple of
     physics_step [s]. duration [s] is the length of fixed profiles. randomize: parameter path -> (low, high) factors on its
-    value; 'speed' -> (low, high) [m/s]; 'road' -> a list of roads. preview [s] of road is drawn ahead.
+    value; 'speed' -> (low, high) [m/s]; 'road' -> a list of roads. preview [s] of road, in whole control steps, is
+    drawn ahead.
     """
 
     def __init__(
@@ -145,12 +146,13 @@ class Batch:
         if isinstance(delay, el.ActuatorDelay):
             self._cars[8] = delay.delay / physics_step
         depth = int(self._cars[8].max()) + 2 if self._cars[8].any() else 0
-        self._belts = np.zeros((count, depth + round(preview / physics_step)))
+        self.points = round(preview / control_step)
+        self._belts = np.zeros((count, depth + self.points * self.substeps))
         self._ways = np.zeros((3, count), np.int64)
         self.table = np.zeros(0)
         driven = any(e is not None for e in (lag, delay, saturation))
         self._ints = np.concatenate(
-            [plant.ints, [self.lanes, self.substeps, *columns.values(), driven, depth]]
+            [plant.ints, [self.lanes, self.substeps, *columns.values(), driven, depth, 0]]
         )
         self.speeds = np.full(count, self.speed)
         self._arguments()
@@ -162,14 +164,16 @@ class Batch:
             *(self.mats.reshape(-1), self._ints, self._work.reshape(-1), self._cars),
             *(self._ways, self.table, self._belts),
         )
-        depth = self._ints[-1]
+        depth = self._ints[-2]
         self.states = self._work[: self.blocks * len(self._blank)]
         self.cars, self.rough, self.out = self._cars[:9], self._cars[9], self._cars[10:]
-        self.commands, self.ahead = self._belts[:, :depth], self._belts[:, depth:]
+        self.commands = self._belts[:, :depth]
+        # one control step after another is a ring that begins at ints[-1]; a car's points lie side by side
+        self.rings = self._belts[:, depth:].reshape(self.count, self.substeps, self.points)
         self.ways, self.counters = self._ways[:2], self._ways[2].view(np.uint64)
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("states", "cars", "rough", "out", "commands", "ahead", "ways", "counters")
+        views = ("states", "cars", "rough", "out", "commands", "rings", "ways", "counters")
         return {k: v for k, v in self.__dict__.items() if k not in (*views, "_drive", "_drive_arguments")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -214,15 +218,15 @@ class Batch:
         self.commands[i] = 0.0
         self.counters[i] = rng.integers(0, 2**64, dtype=np.uint64)
         self.rough[i] = 0.0
-        fixed = ground.fixed(speed, h, round(self.duration / h) + self.ahead.shape[1], rng)
+        fixed = ground.fixed(speed, h, round(self.duration / h) + self.points * self.substeps, rng)
         self._place(i, fixed)
         block, lane = divmod(i, self.lanes)
         size = len(self._blank)
         self.states[block * size : (block + 1) * size, lane] = self._blank[:, lane]
-        if self.ahead.shape[1]:
+        if self.points:
             from .kernel import road_noise
 
-            rough = np.empty(self.ahead.shape[1])
+            rough = np.empty(self.points * self.substeps)
             self.counters[i] = road_noise(self.counters[i], self.cars[2, i], self.cars[3, i], 0.0, rough)
             self.rough[i] = rough[-1]
             if len(fixed):
@@ -230,7 +234,7 @@ class Batch:
                 rough[:count] += fixed[:count]
                 rough[count:] += fixed[-1]
                 self.ways[0, i] += count
-            self.ahead[i] = rough
+            self.rings[i] = np.roll(rough.reshape(self.points, self.substeps), self._ints[-1], axis=0).T
 
     def _place(self, i: int, fixed: np.ndarray) -> None:
         """Give car i its fixed profile, in a slot of the table; the kernel holds the last height after its end."""
@@ -276,9 +280,18 @@ class Batch:
         """Height of the road under the wheel now [m] (count,)."""
         return self.cars[4]
 
-    def road_ahead(self) -> np.ndarray:
-        """Road ahead relative to the height under the wheel [m], one point a control step, (count, points)."""
-        return self.ahead[:, self.substeps - 1 :: self.substeps] - self.cars[4][:, None]
+    def road_ahead(self, out: np.ndarray | None = None) -> np.ndarray:
+        """Road ahead relative to the height under the wheel [m], one point a control step, (count, points).
+
+        out (count, up to `points`): where to write, in its own type.
+        """
+        from .kernel import preview
+
+        if out is None:
+            out = np.empty((self.count, self.points))
+        if self.points:
+            preview(self.rings[:, -1], self._ints[-1], self.cars[4], out)
+        return out
 
 
 def nodes_of_device(network: Network) -> tuple[str | None, str | None]:

@@ -71,7 +71,7 @@ class Task:
         self.cost = cost if isinstance(cost, StageCost) else StageCost(**(cost or {}))
         extra = state_channels(net)
         self.points = round(preview / control_step) if observation == "preview" else 0
-        look = preview if self.points else 0.0
+        look = self.points * control_step
         if picture:  # the road in front of the car is part of the picture
             look = max(look, PICTURE_WINDOW / min(speed, *(randomize or {}).get("speed", (speed,))))
             look = control_step * math.ceil(look / control_step)
@@ -117,7 +117,7 @@ class Task:
             state[:, self._heights] -= self.batch.road_height[:, None]
             obs[:, N_MEASURED:] = state
         elif self.observation == "preview":
-            obs[:, N_MEASURED:] = self.batch.road_ahead()[:, : self.points]
+            self.batch.road_ahead(obs[:, N_MEASURED:])
         return self._sense(obs) if self._sensors else obs
 
     def _sense(self, obs: np.ndarray) -> np.ndarray:

@@ -146,6 +146,19 @@ def road_noise(seed, gain, pole, start, out):
     return counter
 
 
+@nb.njit(error_model="numpy", cache=True)
+def preview(rings, begin, heights, out):
+    """Road ahead of cars relative to their `heights` [m]: out (N, points); rings (N, >= points) begin at `begin`."""
+    size, count = rings.shape[1], out.shape[1]
+    first = min(size - begin, count)
+    for e in range(out.shape[0]):
+        height = heights[e]
+        for i in range(first):
+            out[e, i] = rings[e, begin + i] - height
+        for i in range(count - first):
+            out[e, first + i] = rings[e, i] - height
+
+
 # --------------------------------------------------------------------------------------------- kernel
 
 law_force: Callable  # made of the laws that are registered when the kernel is compiled
@@ -593,16 +606,17 @@ def record(mats, ints, state, u, c, every, width, lanes, out):
 def drive(mats, ints, states, cars, ways, table, belts):
     """One control step of a batch, block by block of `lanes` cars.
 
-    ints[-7:] = lanes, physics steps per control step, the columns of u that take the road's height, rate and
-    acceleration (-1: none), whether the drive does more than hold its current, and past currents that are kept.
+    ints[-8:] = lanes, physics steps per control step, the columns of u that take the road's height, rate and
+    acceleration (-1: none), whether the drive does more than hold its current, past currents that are kept, and
+    where the road drawn ahead begins now.
     cars (10 + outputs, N): 0 commanded current [A], 1 state of the drive's lag [A], 2 gain [m] and 3 pole of the rough
     road, 4 last height [m], 5 last rate [m/s], 6 pole of the lag (0: none), 7 saturation [A], 8 delay [steps], 9 height
     of the rough road [m], then the outputs. ways (3, N): next place in `table`, its end, and the rough road's counter.
-    belts (N, ..): past currents, newest first, then the road drawn ahead. In `states`, room for the inputs follows
-    those of all blocks.
+    belts (N, ..): past currents, newest first, then the road drawn ahead, a ring for each physics step of a control
+    step (`ahead`). In `states`, room for the inputs follows those of all blocks.
     """
-    lanes, substeps, col_r, col_v, col_a = ints[-7], ints[-6], ints[-5], ints[-4], ints[-3]
-    drives, depth = ints[-2], ints[-1]
+    lanes, substeps, col_r, col_v, col_a = ints[-8], ints[-7], ints[-6], ints[-5], ints[-4]
+    drives, depth, begin = ints[-3], ints[-2], ints[-1]
     lanes = 1 if ONE else lanes
     m, nc, nl, ny, rows, cols = ints[1], ints[2], ints[3], ints[6], ints[7], ints[8]
     total = cars.shape[1]
@@ -614,8 +628,8 @@ def drive(mats, ints, states, cars, ways, table, belts):
     c_at = u_at + (substeps + 1) * m * lanes
     u, c = states[u_at:c_at], states[c_at : c_at + substeps * nc * lanes]
     h = mats[0]
-    look = belts.shape[1] - depth
-    plain = look == 0 and table.shape[0] == 0
+    points = (belts.shape[1] - depth) // substeps
+    plain = points == 0 and table.shape[0] == 0
     for b in range(blocks):
         first = b * lanes
         count = min(lanes, total - first)
@@ -649,11 +663,10 @@ def drive(mats, ints, states, cars, ways, table, belts):
                         ways[0, e] += 1
                     elif ways[1, e] > 0:
                         r += table[ways[1, e] - 1]
-                    if look > 0:
-                        now = belts[e, depth]
-                        for i in range(depth, depth + look - 1):
-                            belts[e, i] = belts[e, i + 1]
-                        belts[e, depth + look - 1] = r
+                    if points > 0:
+                        i = depth + k * points + begin
+                        now = belts[e, i]
+                        belts[e, i] = r
                         r = now
                     height[l] = r
             o = (k + 1) * m * lanes
@@ -684,6 +697,8 @@ def drive(mats, ints, states, cars, ways, table, belts):
             to, source = cars[10 + i, first:end], state[y + i * lanes : y + (i + 1) * lanes]
             for l in range(count):
                 to[l] = source[l]
+    if points > 0:
+        ints[-1] = (begin + 1) % points
 
 
 def driven(cars, belts, depth, e):
