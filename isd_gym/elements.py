@@ -113,9 +113,14 @@ class Element:
         return out
 
 
-def parameter_fields(cls: type[Element]) -> list[Field]:
+def parameter_fields(cls: type[Element]) -> tuple[Field, ...]:
     """The numeric parameters of an element class, in order."""
-    return [f for f in fields(cls) if "unit" in f.metadata]
+    if cls not in _PARAMETERS:
+        _PARAMETERS[cls] = tuple(f for f in fields(cls) if "unit" in f.metadata)
+    return _PARAMETERS[cls]
+
+
+_PARAMETERS: dict[type[Element], tuple[Field, ...]] = {}
 
 
 TYPES: dict[str, type[Element]] = {}

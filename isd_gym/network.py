@@ -19,6 +19,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import resources
@@ -180,16 +181,7 @@ class Network:
     # --------------------------------------------------------------------------------- validation
 
     def __post_init__(self) -> None:
-        for node, mass in self.masses.items():
-            if node == GROUND:
-                raise InputError("the ground has no mass: remove it from masses")
-            if (
-                isinstance(mass, bool)
-                or not isinstance(mass, int | float)
-                or not math.isfinite(mass)
-                or mass <= 0
-            ):
-                raise InputError(f"masses: '{node}' must be a positive number of kg, not {mass!r}")
+        self._check_masses()
         if not self.elements:
             raise InputError("the model has no elements")
         _unique([e.name for e in self.elements], "element")
@@ -229,6 +221,18 @@ class Network:
             if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 <= sigma < math.inf:
                 raise InputError(f"uncertainty: '{key}' must be a relative sigma >= 0, not {sigma!r}")
         self._check_connected()
+
+    def _check_masses(self) -> None:
+        for node, mass in self.masses.items():
+            if node == GROUND:
+                raise InputError("the ground has no mass: remove it from masses")
+            if (
+                isinstance(mass, bool)
+                or not isinstance(mass, int | float)
+                or not math.isfinite(mass)
+                or mass <= 0
+            ):
+                raise InputError(f"masses: '{node}' must be a positive number of kg, not {mass!r}")
 
     def _check_input(self, c: Channel, motors: set[str]) -> None:
         if c.quantity == "current":
@@ -302,6 +306,10 @@ class Network:
         return tuple(str(c.at) for c in self.inputs if c.quantity == "displacement")
 
     @cached_property
+    def _assembly(self) -> Assembly:
+        return _assemble(self, ())
+
+    @cached_property
     def parameters(self) -> dict[str, float]:
         """Every number of the model by its path: 'body.mass', 'oil.stiffness', ..."""
         out = {f"{node}.mass": float(m) for node, m in self.masses.items()}
@@ -332,23 +340,25 @@ class Network:
 
     def with_parameters(self, values: Mapping[str, float]) -> Network:
         """A copy with the parameters at the given paths replaced."""
-        masses, by_element = dict(self.masses), {e.name: dict[str, float]() for e in self.elements}
+        masses = dict(self.masses)
+        kinds = {e.name: type(e) for e in self.elements}
+        changes: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
             owner, _, name = path.rpartition(".")
             if path not in self.parameters:
                 raise InputError(f"no parameter '{path}'; there are {', '.join(self.parameters)}")
-            if owner in by_element and name in {
-                f.name for f in el.parameter_fields(type(self.element(owner)))
-            }:
-                by_element[owner][name] = float(value)
+            if owner in kinds and name in {f.name for f in el.parameter_fields(kinds[owner])}:
+                changes.setdefault(owner, {})[name] = float(value)
             else:
                 masses[owner] = float(value)
-
-        def own(e: el.Element) -> dict[str, Any]:
-            return dict(by_element[e.name])
-
-        changed = tuple(replace(e, **own(e)) for e in self.elements)
-        return replace(self, masses=masses, elements=changed)
+        elements = tuple(replace(e, **changes[e.name]) if e.name in changes else e for e in self.elements)
+        # numbers alone do not change what was checked of the structure
+        out = copy(self)
+        for name in ("parameters", "_assembly"):
+            out.__dict__.pop(name, None)
+        out.__dict__.update(masses=masses, elements=elements)
+        out._check_masses()
+        return out
 
     def with_element(self, element: el.Element | Mapping[str, Any], *, at: int | None = None) -> Network:
         """A copy with one more element, appended (or at a position in the list)."""
@@ -515,6 +525,10 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
     Raises `InputError` where the massless part is singular or an output asks for what the network does not define
     (the acceleration of a massless node).
     """
+    return _assemble(network, extra) if extra else network._assembly
+
+
+def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     moved = network.moved_nodes
     free = tuple(n for n in network.nodes if n not in moved)
     index = {n: i for i, n in enumerate(free + moved)}

@@ -10,9 +10,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter, oaconvolve, welch
+from scipy.signal import oaconvolve, welch
 
 from .. import elements as el
 from ..network import Assembly, Network, assemble
@@ -196,7 +197,15 @@ class Problem:
         if initial is None or like is None:
             return np.zeros((plant.n, lanes))
         source = assemble(bare(like))
-        maps = {id(asm): carrier(source, asm) for asm in plant.assemblies}
+        # most lanes differ in parameters that the motion of the nodes does not depend on
+        known: dict[bytes, Array] = {}
+        maps = {}
+        for asm in plant.assemblies:
+            if id(asm) not in maps:
+                key = asm.position.tobytes() + asm.velocity.tobytes()
+                if key not in known:
+                    known[key] = carrier(source, asm)
+                maps[id(asm)] = known[key]
         return np.stack([maps[id(asm)] @ initial[:, k] for k, asm in enumerate(plant.assemblies)], axis=1)
 
 
@@ -229,10 +238,22 @@ class Whitener:
 
     def __call__(self, residual: Array) -> Array:
         """residual (n, channels, ...) -> same shape, whitened along time."""
-        out = np.empty_like(residual)
+        wide = residual.reshape(*residual.shape[:2], -1)
+        out = np.empty(wide.shape)
         for j, a in enumerate(self.taps):
-            out[:, j] = lfilter(a, [1.0], residual[:, j], axis=0)
-        return out
+            _filter(a, wide[:, j], out[:, j])
+        return out.reshape(residual.shape)
+
+
+@nb.njit(cache=True, nogil=True)
+def _filter(taps, x, out):
+    """out[t] = sum over k of taps[k] x[t - k], for every column of x (n, columns)."""
+    for t in range(len(x)):
+        for c in range(x.shape[1]):
+            out[t, c] = taps[0] * x[t, c]
+        for k in range(1, min(len(taps), t + 1)):
+            for c in range(x.shape[1]):
+                out[t, c] += taps[k] * x[t - k, c]
 
 
 def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> tuple[Array, float]:
