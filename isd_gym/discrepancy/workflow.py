@@ -187,8 +187,9 @@ def _derivative_needed(network: Network, node: str) -> int:
 def _bandwidth(record: Record, network: Network, channel: Channel, order: int) -> float:
     """Frequency [Hz] up to which a displacement's derivative of that order is signal, not noise.
 
-    Where noise matters, the band ends where the model makes half as much power again of the measured motion as the
-    measured force has: that is noise. Without a force to compare with it ends in the valley between motion and noise.
+    Where noise matters and a force is measured at the node, the band ends where the model makes, from there on up, half as
+    much power again of the measured motion as the force has: that is noise. A missing effect does so in places only.
+    Without a force to compare with the band ends in the valley between motion and noise.
     Infinite where noise is too little to matter.
     """
     from scipy.signal import welch
@@ -222,9 +223,8 @@ def _bandwidth(record: Record, network: Network, channel: Channel, order: int) -
         _, s = welch(force - force.mean(), 1 / step, nperseg=n)
         seen = smooth(s)
         made = made * (seen[:valley].sum() / max(made[:valley].sum(), 1e-300))  # the parameters may be off
-        peak = int(np.argmax(seen[: max(2, len(f) // 2)]))
-        above = np.flatnonzero(made[peak:] > 1.5 * seen[peak:])
-        end = float(f[peak + above[0]]) if len(above) else end
+        signal = np.flatnonzero(made[: len(f) - width] < 1.5 * seen[: len(f) - width])
+        end = float(f[signal[-1]])
     return max(end, float(20 * f[1]))
 
 
