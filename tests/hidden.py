@@ -829,6 +829,11 @@ def make_case(
         found.append([e["type"], None])
     answer: list[list[Any]] | str = "unknown" if secret.unknown else found
     pool = {"car": _car_nuisances, "rig": _rig_nuisances}.get(group, lambda r: [])(r)
+    for e in pool:  # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
+        power = {"cubic_stiffness": 1.0, "quadratic_damping": 0.5}.get(e["type"], 0.0)
+        for key in ("stiffness", "damping"):
+            if key in e:
+                e[key] /= secret.level**power
     taken = {(e["type"], str(e.get("between") or e.get("element"))) for e in hidden}
     pool = [n for n in pool if (n["type"], str(n.get("between") or n.get("element"))) not in taken]
     count = (2 if group == "rig" else int(r.integers(2, 5))) if nuisances is None else nuisances

@@ -27,6 +27,7 @@ from .hypotheses import (
     hypotheses,
     pairs,
     probes,
+    standing,
     twin,
 )
 from .problem import (
@@ -627,6 +628,9 @@ CONTAINS = {
     "hysteresis": ("coulomb_friction", "linear_stiffness"),
     "asymmetric_damping": ("linear_damping",),
     "backlash": ("series_compliance",),
+    "gas_spring": ("linear_stiffness",),  # long
+    "bump_stop": ("linear_stiffness",),  # without clearance
+    "cogging_force": ("linear_stiffness",),  # of a pitch longer than the travel
 }
 
 
@@ -652,7 +656,10 @@ def simpler(problem: Problem, rival: Rival) -> list[tuple[Hypothesis, Structure]
     for k, (h, values) in enumerate(found):
         swaps: list[list[tuple[Hypothesis, dict[str, float]]]] = [[]] if len(found) > 1 else []
         m = motion.get((h.where[0], h.where[-1]))
+        beside = {e.type for e in standing(network, h.where)}
         for effect in CONTAINS.get(h.effect, ()):
+            if effect in beside:  # that would be another value of a parameter which is known
+                continue
             rate = float(np.sqrt(np.mean(m.v**2))) if m is not None else 0.0
             swaps.append([(Hypothesis(effect, h.where), _special(h.effect, effect, values, rate))])
         for swap in swaps:
@@ -670,6 +677,11 @@ def _special(effect: str, simple: str, values: dict[str, float], rate: float) ->
         return {"level": values["level"] + (values["static_level"] - values["level"]) * share}
     if simple == "linear_damping":
         return {"damping": 0.5 * (values["extension"] + values["compression"])}
+    if effect == "gas_spring":
+        return {"stiffness": values["force"] * values["exponent"] / values["length"]}
+    if effect == "cogging_force":
+        slope = 2 * math.pi * values["amplitude"] / values["pitch"] * math.cos(values["phase"])
+        return {"stiffness": max(slope, 1.0)}
     return {
         key: values[key]
         for key in ("level", "stiffness")
@@ -836,4 +848,7 @@ def share_of_force(problem: Problem, fit: Fit, name: str) -> float:
         return 1.0
     sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
     own = y[:, [x.name for x in here].index(name)]
+    if isinstance(e, el.AsymmetricDamping) and any(isinstance(x, el.LinearDamping) for x in here):
+        # what both directions have in common is that damper's
+        own = own * abs(e.extension - e.compression) / (2 * rms([e.extension, e.compression]))
     return rms(own) / max(rms(y @ sign), 1e-300)

@@ -549,7 +549,12 @@ class Workflow:
                         (then.score - now.score) / max(then.score - quiet, 1e-12),
                         self.plain_share(then.nrmse, now.nrmse, self.floor),
                     )
-                    better = share >= HALF and moved >= MATERIAL and (loss > 60.0 or wider > 2.0)
+                    size = share_of_force(
+                        p, chosen.fit, chosen.fit.structure.names[chosen.hypotheses.index(gone)]
+                    )
+                    better = (
+                        share >= HALF and moved >= MATERIAL and size >= SHARE and (loss > 60.0 or wider > 2.0)
+                    )
                 if not better:
                     table.append(
                         f"{gone.label}: not needed (without it, twice the log likelihood: {-loss:+.0f})"
