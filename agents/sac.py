@@ -3,21 +3,75 @@
 The gradient of a deterministic part of the policy is the critic's slope by the action, and one step of 5 ms changes
 a value by a thousandth of what the road does. Cars of a group drive on the same road; the critic is fitted to
 the temporal differences less their mean over the group, so that the road is no noise. What a value has in common for
-all cars of a road stays open, and no gradient of the actor depends on it.
+all cars of a road stays open, and no gradient of the actor depends on it. The critic knows the road ahead, which no action
+changes (Mao et al., ICLR 2019); the actor sees the first `seen` columns, which are all that a car can measure.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
+from gymnasium import spaces
 from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.utils import polyak_update
+from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import Actor
 from stable_baselines3.sac.policies import SACPolicy as _SACPolicy
 from torch import nn
 
-from .critic import Bilinear, First
+
+class Bilinear(nn.Module):
+    """``[s s', s (W r), hidden(x)]``: products of the state's columns s, with each other and with the road ahead r.
+
+    What a linear car's future costs is a sum of just these, so that the critic is nearly linear in what it learns.
+    """
+
+    def __init__(self, inputs: int, seen: int, core: list[int], width: int) -> None:
+        super().__init__()
+        self.seen, self.core, k = seen, core, len(core)
+        one, other = torch.triu_indices(k, k)
+        # products of columns by way of matrices, which is quicker than gathering columns
+        self.one: torch.Tensor
+        self.other: torch.Tensor
+        self.register_buffer("one", torch.eye(k)[:, one], persistent=False)
+        self.register_buffer("other", 0.3 * torch.eye(k)[:, other], persistent=False)
+        self.cross = nn.Linear(max(inputs - seen, 1), k)
+        self.road = inputs > seen
+        self.hidden = nn.Sequential(nn.Linear(inputs, width), nn.Tanh())
+        self.width = k * (k + 1) // 2 + 2 * k + width
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        s = x[:, self.core]
+        road = x[:, self.seen :] if self.road else torch.zeros_like(x[:, :1])
+        return torch.cat([(s @ self.one) * (s @ self.other), s, s * self.cross(road), self.hidden(x)], dim=1)
+
+
+class Adam(torch.optim.Adam):
+    """Adam whose parameter groups may have a `factor` on the learning rate, which Stable-Baselines3 sets for all alike."""
+
+    def step(self, closure: Any = None) -> Any:
+        rates = [group["lr"] for group in self.param_groups]
+        for group in self.param_groups:
+            group["lr"] *= group.get("factor", 1.0)
+        out = super().step(closure)
+        for group, rate in zip(self.param_groups, rates, strict=True):
+            group["lr"] = rate
+        return out
+
+
+class First(BaseFeaturesExtractor):
+    """The first columns."""
+
+    def __init__(self, space: spaces.Box, seen: int) -> None:
+        super().__init__(space, seen)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x[:, : self.features_dim]
 
 
 class Critic(nn.Module):
@@ -56,22 +110,75 @@ class SACPolicy(_SACPolicy):
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        from .critic import Adam
-
         groups = [{"params": list(self.critic.parameters()), "factor": self.critic_rate}]
         self.critic.optimizer = Adam(groups, lr=lr_schedule(1))
+        self.critic_target.requires_grad_(False)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         own = dict(seen=self.seen, core=self.core, critic_rate=self.critic_rate)
         return {**super()._get_constructor_parameters(), **own}
 
 
-class GroupSAC(SAC):
-    """SAC whose critic is fitted to what differs within a group of `group` cars."""
+class GroupReplayBuffer(ReplayBuffer):
+    """Samples whole groups: `group` cars in a row drove on the same road at the same time; returns over `n_steps`."""
 
-    def __init__(self, *args: Any, group: int = 1, **kwargs: Any) -> None:
-        self.group = group
+    def __init__(
+        self, *args: Any, group: int = 1, n_steps: int = 1, gamma: float = 1.0, **kwargs: Any
+    ) -> None:
+        self.group, self.n_steps, self.gamma = group, n_steps, gamma
         super().__init__(*args, **kwargs)
+
+    def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
+        """`discounts` (rows, 1) is what is left of the value after the steps: episodes end by time alone."""
+        count = max(batch_size // self.group, 1)
+        held = self.buffer_size if self.full else self.pos
+        steps = min(self.n_steps, held)
+        # the newest transitions begin no whole window
+        start = np.random.randint(held - steps + 1, size=count)  # noqa: NPY002 (seeded by SB3)
+        group = np.random.randint(self.n_envs // self.group, size=count)  # noqa: NPY002
+        window = (start[:, None] + np.arange(steps) + (self.pos if self.full else 0)) % self.buffer_size
+
+        def see(array: np.ndarray) -> np.ndarray:  # (groups, steps, cars)
+            return array.reshape(len(array), -1, self.group)[window, group[:, None]]
+
+        reward, lived = see(self.rewards), np.full(len(group) * self.group, steps)
+        ends = see(self.dones)
+        if ends.any():  # what an episode leaves at its end is the value of its last state
+            running = np.cumprod(1.0 - ends, axis=1)
+            reward[:, 1:] *= running[:, :-1]
+            lived = 1 + running[:, :-1].sum(axis=1).astype(int).ravel()
+        discounts = np.float32(self.gamma) ** np.arange(steps, dtype=np.float32)
+        reward = np.einsum("gkc,k->gc", reward, discounts).ravel()
+        rows = np.repeat(window[:, 0], self.group)
+        cars = (group[:, None] * self.group + np.arange(self.group)).ravel()
+        last = (rows + lived - 1) % self.buffer_size
+        discount = np.float32(self.gamma) ** lived.astype(np.float32)
+        data = (
+            self.observations[rows, cars],
+            self.actions[rows, cars],
+            self.next_observations[last, cars],
+            np.zeros((len(rows), 1), np.float32),
+            reward[:, None],
+            discount[:, None],
+        )
+        return ReplayBufferSamples(*(torch.from_numpy(d) for d in data))
+
+
+class GroupSAC(SAC):
+    """SAC whose critic is fitted to what differs within a group of `group` cars.
+
+    `exploration`: standard deviation of noise on the actions besides the policy's own, which vanishes near the limits.
+    """
+
+    def __init__(self, *args: Any, group: int = 1, exploration: float = 0.0, **kwargs: Any) -> None:
+        self.group, self.exploration = group, exploration
+        super().__init__(*args, **kwargs)
+
+    def _sample_action(self, *args: Any, **kwargs: Any) -> tuple[np.ndarray, np.ndarray]:
+        actions, _ = super()._sample_action(*args, **kwargs)
+        noise = np.random.standard_normal(actions.shape)  # noqa: NPY002 (seeded by SB3)
+        actions = np.clip(actions + self.exploration * noise, -1.0, 1.0).astype(np.float32)
+        return actions, actions
 
     def common(self, error: torch.Tensor) -> torch.Tensor:
         """The error (rows, 1) less its mean over the group."""
@@ -98,7 +205,8 @@ class GroupSAC(SAC):
             critic.optimizer.step()
             if moves:
                 actions, log_prob = actor.action_log_prob(data.observations)
-                actor_loss = alpha * log_prob.mean() - critic(data.observations, actions)[0].mean()
+                # the averaged critic's slope: less noise
+                actor_loss = alpha * log_prob.mean() - target(data.observations, actions)[0].mean()
                 actor.optimizer.zero_grad()
                 actor_loss.backward()
                 actor.optimizer.step()

@@ -1,9 +1,8 @@
 """The tuned settings of training, one block per algorithm: everything that was chosen, and why.
 
 Two things decide most of it. What one action of 5 ms changes is a thousandth of what the road does, so that the road
-must not be noise: cars in groups on one road, a critic that is told the road ahead and learns how the cars of a group
-differ (`vec`, `critic`, `sac`). And a critic that lags behind the policy leads it astray: it starts alone,
-and learns faster than the policy. The simulation runs at millions of steps a second, so that the learner is what
+must not be noise: cars in groups on one road learn from how they differ (`ppo`, `sac`). And a critic's errors lead the
+policy astray: PPO has none, SAC's looks over many steps, starts alone and learns faster than the policy. The simulation runs at millions of steps a second, so that the learner is what
 costs: small networks, large batches. What was tried, with figures: docs/guides/study.md.
 """
 
@@ -38,7 +37,6 @@ class Settings:
 
     steps: int  # control steps of all cars together
     cars: int
-    preview: float = 0.4  # s of road that the critic knows, see `critic`
     memory: Memory = MEMORY
     filter: bool = True  # the LQG's estimate and law among the features
     # increments of the current: exploration noise adds up to a smooth current instead of drowning in the drive's slew
@@ -57,56 +55,51 @@ class Settings:
 
 @dataclass(frozen=True)
 class PPOSettings(Settings):
-    steps: int = 8_000_000
+    steps: int = 40_000_000
     cars: int = 1024
-    group: int = 8  # cars on one road, see `vec.GroupBuffer`
-    horizon: int = 128  # steps of each car between updates
+    group: int = 8  # cars on one road, see `ppo`
+    horizon: int = 320  # steps of each car between updates
+    tail: int = 128  # of them at the end only to see what the others led to
     batch: int = 4096
     epochs: int = 2  # fresh roads cost less than another pass
     learning_rate: float = 4e-4  # falls linearly to a fiftieth
-    critic_rate: float = 5.0  # of the critic, as a multiple
-    critic_steps: int = 1_000_000  # of the critic alone, at the start
-    gamma: float = 0.997
-    gae_lambda: float = 0.99
+    gamma: float = 0.99  # half a second: what an action does is over by then
     clip_range: float = 0.2
     log_std: float = -0.9  # increments of 0.4 of the slew limit: nearly all of a good law is at either limit
+    averaging: float = 0.98
     actor: tuple[int, ...] = (64, 64)
-    critic: tuple[int, ...] = (64,)
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
         """Keyword arguments of `stable_baselines3.PPO`."""
         import torch
 
-        from .critic import PPOPolicy
-        from .vec import GroupBuffer
+        from .ppo import GroupBuffer, PPOPolicy
 
         return dict(
             rollout_buffer_class=GroupBuffer,
-            rollout_buffer_kwargs=dict(group=self.group),
+            rollout_buffer_kwargs=dict(group=self.group, tail=self.tail),
             policy=PPOPolicy,
             n_steps=self.horizon,
             batch_size=self.batch,
             n_epochs=self.epochs,
             learning_rate=Falling(self.learning_rate),
             gamma=self.gamma,
-            gae_lambda=self.gae_lambda,
             clip_range=self.clip_range,
             ent_coef=0.0,
-            vf_coef=1.0,
+            vf_coef=0.0,
             max_grad_norm=10.0,
             policy_kwargs=dict(
-                seen=seen,
-                core=core,
-                critic_rate=self.critic_rate,
-                net_arch=dict(pi=list(self.actor), vf=list(self.critic)),
+                net_arch=dict(pi=list(self.actor), vf=[]),
                 activation_fn=torch.nn.Tanh,
                 log_std_init=self.log_std,
+                optimizer_kwargs=dict(eps=1e-6),
             ),
         )
 
 
 @dataclass(frozen=True)
 class SACSettings(Settings):
+    preview: float = 0.4  # s of road ahead that the critic knows
     evaluations: int = 10
     warm_steps: int = 1500
     steps: int = 600_000
@@ -119,6 +112,7 @@ class SACSettings(Settings):
     warm_up: int = 2048  # steps before the first update; SB3 acts at random in them
     critic_updates: int = 1500  # of the critic alone, at the start
     log_std: float = -1.4
+    exploration: float = 0.3  # besides the policy's own, which vanishes near the limits
     learning_rate: float = 1e-4
     critic_rate: float = 10.0  # of the critic, as a multiple
     n_steps: int = 24  # of the returns: 0.12 s
@@ -130,12 +124,12 @@ class SACSettings(Settings):
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
         """Keyword arguments of `sac.GroupSAC`."""
-        from .sac import SACPolicy
-        from .vec import GroupReplayBuffer
+        from .sac import GroupReplayBuffer, SACPolicy
 
         return dict(
             policy=SACPolicy,
             group=self.group,
+            exploration=self.exploration,
             replay_buffer_class=GroupReplayBuffer,
             replay_buffer_kwargs=dict(group=self.group, n_steps=self.n_steps, gamma=self.gamma),
             learning_rate=Falling(self.learning_rate),

@@ -186,6 +186,7 @@ class Run:
         from .vec import Remember
 
         s = self.settings
+        preview = s.preview if isinstance(s, SACSettings) else 0.0
         inner = make_vec_env(
             cars,
             rescale=False,
@@ -194,8 +195,8 @@ class Run:
             road=self.road,
             speed=self.speed,
             randomize=self.spread,
-            observation="preview" if s.preview else "measured",
-            preview=s.preview,
+            observation="preview" if preview else "measured",
+            preview=preview,
         )
         group = s.group if cars == s.cars else 1
         return Remember(inner, self.memory, s.head, s.reward_scale, s.reward_offset, group)
@@ -450,11 +451,6 @@ def _callback(run: Run, env: Any) -> Any:
                 # the critic learns the warm policy's worth before the actor follows it
                 model: Any = self.model
                 model.actor.requires_grad_(model._n_updates >= run.settings.critic_updates)
-            if isinstance(run.settings, PPOSettings):
-                policy: Any = self.model.policy
-                moves = self.model.num_timesteps >= run.settings.critic_steps
-                for part in (policy.mlp_extractor.policy_net, policy.action_net):
-                    part.requires_grad_(moves)
             if self.model.num_timesteps >= self.due:
                 self._tick()
                 run.look(self.model, env)

@@ -7,11 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from gymnasium import spaces
-from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
-from stable_baselines3.common.type_aliases import ReplayBufferSamples
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from isd_gym.env import N_MEASURED
@@ -28,7 +25,7 @@ class Remember(VecEnvWrapper):
 
     With ``observation="preview"`` the rises of the road ahead follow, for a critic; `seen` columns are the policy's.
 
-    Cars in groups of `group` drive on the same road, see `GroupBuffer`.
+    Cars in groups of `group` drive on the same road, see `ppo` and `sac`.
 
     The reward is `reward_scale` * (reward + `reward_offset`): a matter of conditioning, it changes no optimum
     (episodes end by time alone).
@@ -48,13 +45,13 @@ class Remember(VecEnvWrapper):
         # the columns that are a state: the estimate and the current
         kept = memory.filter.width if memory.filter else 0
         self.core = [CURRENT_SIGNAL, *range(self.seen - kept, self.seen)] if kept else []
-        width = self.seen + points // ROAD_STRIDE
-        self._road = np.arange(N_MEASURED + ROAD_STRIDE - 1, N_MEASURED + points, ROAD_STRIDE)
-        box = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (width,), np.float32)
+        self._points = points // ROAD_STRIDE
+        self._road = slice(N_MEASURED + ROAD_STRIDE - 1, None, ROAD_STRIDE)
+        box = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (self.seen + self._points,), np.float32)
         super().__init__(venv, observation_space=box, action_space=spaces.Box(-1.0, 1.0, (1,), np.float32))
         self.memory, self.head, self.group = memory, head, group
         self.reward_scale, self.reward_offset = reward_scale, reward_offset
-        #: time spent in the environment and its memory [s]
+        #: time spent in the environment [s]; the memory is the policy's
         self.seconds = 0.0
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -76,11 +73,14 @@ class Remember(VecEnvWrapper):
         return self._features(obs)
 
     def _features(self, obs: np.ndarray) -> np.ndarray:
-        features = self._recall.features
-        if len(self._road):
-            rise = np.diff(obs[:, self._road], axis=1, prepend=np.float32(0.0)) / np.float32(ROAD_RISE)
-            features = np.concatenate([features, rise], axis=1)
-        return np.clip(features, -FEATURE_LIMIT, FEATURE_LIMIT)
+        out = np.empty((len(obs), self.observation_space.shape[0]), np.float32)  # type: ignore[index]
+        out[:, : self.seen] = self._recall.features
+        if self._points:
+            heights, rises = obs[:, self._road], out[:, self.seen :]
+            rises[:, 0] = heights[:, 0]
+            np.subtract(heights[:, 1:], heights[:, :-1], out=rises[:, 1:])
+            rises *= np.float32(1 / ROAD_RISE)
+        return np.clip(out, -FEATURE_LIMIT, FEATURE_LIMIT, out=out)
 
     @property
     def observations(self) -> np.ndarray:
@@ -88,11 +88,12 @@ class Remember(VecEnvWrapper):
         return self._obs[:, :N_MEASURED]
 
     def step_async(self, actions: np.ndarray) -> None:
-        self._begin = time.perf_counter()
         self.venv.step_async(self.head.current(actions, self._obs, self._recall))
 
     def step_wait(self) -> VecEnvStepReturn:
+        begin = time.perf_counter()
         obs, rewards, done, infos = self.venv.step_wait()
+        self.seconds += time.perf_counter() - begin
         assert isinstance(obs, np.ndarray)
         if done.any():
             which = np.flatnonzero(done)
@@ -109,64 +110,4 @@ class Remember(VecEnvWrapper):
         self._obs = obs
         features = self._features(obs)
         rewards = self.reward_scale * (rewards + np.float32(self.reward_offset))
-        self.seconds += time.perf_counter() - self._begin
         return features, rewards, done, infos
-
-
-class GroupBuffer(RolloutBuffer):
-    """Advantages relative to the other cars of a group, which drive on the same road with their own exploration.
-
-    A road decides more of the next second than any action does; what it does to all cars alike is no longer noise in
-    the gradient. The others' advantages do not depend on a car's own actions, so that nothing is biased.
-    """
-
-    def __init__(self, *args: Any, group: int = 1, **kwargs: Any) -> None:
-        self.group = group
-        super().__init__(*args, **kwargs)
-
-    def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
-        super().compute_returns_and_advantage(last_values, dones)
-        if self.group > 1:
-            self.mean_reward = float(self.rewards.mean())
-            grouped = self.advantages.reshape(self.buffer_size, -1, self.group)
-            grouped -= grouped.mean(axis=2, keepdims=True)
-            # nor is it noise in what the critic learns: how the cars of a group differ
-            self.returns = self.advantages + self.values
-
-
-class GroupReplayBuffer(ReplayBuffer):
-    """Samples whole groups: `group` cars in a row drove on the same road at the same time; returns over `n_steps`."""
-
-    def __init__(
-        self, *args: Any, group: int = 1, n_steps: int = 1, gamma: float = 1.0, **kwargs: Any
-    ) -> None:
-        self.group, self.n_steps, self.gamma = group, n_steps, gamma
-        super().__init__(*args, **kwargs)
-
-    def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
-        """`discounts` (rows, 1) is what is left of the value after the steps: episodes end by time alone."""
-        count = max(batch_size // self.group, 1)
-        held = self.buffer_size if self.full else self.pos
-        steps = min(self.n_steps, held)
-        # the newest transitions begin no whole window
-        start = np.random.randint(held - steps + 1, size=count)  # noqa: NPY002 (seeded by SB3)
-        rows = np.repeat((start + (self.pos if self.full else 0)) % self.buffer_size, self.group)
-        first = np.random.randint(self.n_envs // self.group, size=count) * self.group  # noqa: NPY002
-        cars = (first[:, None] + np.arange(self.group)).ravel()
-        reward, discount = np.zeros(len(rows), np.float32), np.ones(len(rows), np.float32)
-        last, running = rows.copy(), np.ones(len(rows), bool)
-        for k in range(steps):
-            now = (rows + k) % self.buffer_size
-            last = np.where(running, now, last)
-            reward += np.where(running, discount * self.rewards[now, cars], 0.0)
-            discount = np.where(running, discount * np.float32(self.gamma), discount)
-            running &= self.dones[now, cars] == 0.0
-        data = (
-            self.observations[rows, cars],
-            self.actions[rows, cars],
-            self.next_observations[last, cars],
-            np.zeros((len(rows), 1), np.float32),
-            reward[:, None],
-            discount[:, None],
-        )
-        return ReplayBufferSamples(*(torch.from_numpy(d) for d in data))

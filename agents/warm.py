@@ -77,9 +77,8 @@ def warm_start(model: Any, env: Any, entry: Entry, settings: PPOSettings | SACSe
             share = torch.tanh(policy.actor.mu(policy.actor.latent_pi(x[:, : env.seen])))
             values = policy.critic(x, done)
         else:
-            hidden, hidden_value = policy.mlp_extractor(x)
-            share = policy.action_net(hidden).clamp(-1.0, 1.0) + 0.01 * policy.action_net(hidden)
-            values = (policy.value_net(hidden_value),)
+            mean = policy.action_net(policy.mlp_extractor.forward_actor(x))
+            share, values = mean.clamp(-1.0, 1.0) + 0.01 * mean, ()
         loss = ((share - wanted) ** 2).mean() + sum(((v - value) ** 2).mean() for v in values)
         optimizer.zero_grad()
         loss.backward()

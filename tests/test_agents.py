@@ -474,12 +474,18 @@ def brief(monkeypatch):
     monkeypatch.setattr(module, "BASELINES", ())
     monkeypatch.setattr(module, "drive", lambda *a, drive=module.drive, **k: drive(*a, **k, duration=0.5))
     monkeypatch.setattr(module, "score", lambda *a, score=module.score, **k: score(*a, **k, duration=0.5))
-    few = dict(warm_steps=300, warm_updates=20, preview=0.05, evaluations=4, checkpoint_seconds=0.0)
-    ppo = PPOSettings(
-        steps=2048, cars=16, horizon=16, batch=64, epochs=1, critic_steps=256, teacher="lqg", **few
-    )
+    few = dict(warm_steps=300, warm_updates=20, evaluations=4, checkpoint_seconds=0.0)
+    ppo = PPOSettings(steps=2048, cars=16, horizon=16, tail=8, batch=64, epochs=1, teacher="lqg", **few)
     sac = SACSettings(
-        steps=1024, cars=16, batch=32, buffer=512, warm_up=64, critic_updates=4, teacher=None, **few
+        steps=1024,
+        cars=16,
+        batch=32,
+        buffer=512,
+        warm_up=64,
+        critic_updates=4,
+        teacher=None,
+        preview=0.05,
+        **few,
     )
     return {"ppo": ppo, "sac": sac}
 
@@ -581,21 +587,19 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
     import torch
     from gymnasium import spaces
 
-    from agents.critic import PPOPolicy
+    from agents.ppo import PPOPolicy
     from agents.sac import SACPolicy
 
     box = spaces.Box(-1.0, 1.0, (6,), np.float32)
     action = spaces.Box(-1.0, 1.0, (1,), np.float32)
-    for kind, arch in ((PPOPolicy, dict(pi=[8], vf=[8])), (SACPolicy, dict(pi=[8], qf=[8]))):
-        policy = kind(box, action, lambda _: 1e-3, seen=4, net_arch=arch)
-        x, y = torch.zeros(1, 6), torch.zeros(1, 6)
-        y[0, 4:] = 1.0
-        same, other = (policy._predict(v, deterministic=True) for v in (x, y))
-        assert torch.equal(same, other)
-        if kind is PPOPolicy:
-            assert not torch.equal(policy.predict_values(x), policy.predict_values(y))
-        else:
-            assert not torch.equal(policy.critic(x, same)[0], policy.critic(y, same)[0])
+    policy = SACPolicy(box, action, lambda _: 1e-3, seen=4, net_arch=dict(pi=[8], qf=[8]))
+    x, y = torch.zeros(1, 6), torch.zeros(1, 6)
+    y[0, 4:] = 1.0
+    same, other = (policy._predict(v, deterministic=True) for v in (x, y))
+    assert torch.equal(same, other)
+    assert not torch.equal(policy.critic(x, same)[0], policy.critic(y, same)[0])
+    without = PPOPolicy(box, action, lambda _: 1e-3, net_arch=dict(pi=[8], vf=[]))
+    assert not without.predict_values(y).any()
 
 
 @needs_sb3
@@ -603,7 +607,9 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
     import torch
     from gymnasium import spaces
 
-    from agents.vec import GroupBuffer, GroupReplayBuffer, Remember
+    from agents.ppo import GroupBuffer
+    from agents.sac import GroupReplayBuffer
+    from agents.vec import Remember
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
@@ -618,7 +624,7 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
     assert not np.array_equal(obs[0], obs[2])
 
     one = spaces.Box(-1.0, 1.0, (1,), np.float32)
-    buffer = GroupBuffer(3, one, one, device="cpu", n_envs=4, gamma=0.9, gae_lambda=1.0, group=2)
+    buffer = GroupBuffer(3, one, one, device="cpu", n_envs=4, gamma=0.9, group=2, tail=1)
     road = np.array([[1.0, 1.0, -4.0, -4.0]])  # what the road does to both cars of a group
     own = np.array([[0.5, -0.5, 0.25, -0.25]])
     for k in range(3):
@@ -627,6 +633,15 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
         buffer.add(np.zeros((4, 1)), np.zeros((4, 1)), (road + last)[0], np.zeros(4), zero, zero)
     buffer.compute_returns_and_advantage(torch.zeros(4), np.zeros(4))
     np.testing.assert_allclose(buffer.advantages, own * [[0.81], [0.9], [1.0]], atol=1e-6)
+    learnt = np.concatenate([batch.advantages for batch in buffer.get(4)])
+    np.testing.assert_allclose(
+        np.sort(learnt), np.sort(buffer.advantages[:2].ravel())
+    )  # not at the last step
+    buffer.episode_starts[2] = 1.0  # what follows an end is of another road
+    buffer.compute_returns_and_advantage(torch.zeros(4), np.zeros(4))
+    assert not buffer.advantages[:2].any() and buffer.advantages[2].any()
+    with pytest.raises(InputError, match="tail"):
+        GroupBuffer(3, one, one, device="cpu", n_envs=4, group=2, tail=3)
 
     replay = GroupReplayBuffer(40, one, one, device="cpu", n_envs=4, group=2, n_steps=3, gamma=0.5)
     for k in range(10):
