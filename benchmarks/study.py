@@ -28,7 +28,7 @@ from isd_gym.network import Network
 from isd_gym.policies import conventional, find
 from isd_gym.scoring import Entry, drive
 
-SCHEMA = "isd-study/1"
+SCHEMA = "isd-study/2"
 #: of the MPCs the best (`isd-gym score` has all of them)
 BASELINES = ("passive", "isd-passive", "lqg", "mpc-friction")
 #: name -> road, speed [m/s], factors on the plant's parameters; every controller keeps believing in the nominal car
@@ -39,7 +39,9 @@ CONDITIONS: dict[str, tuple[str, float, dict[str, float]]] = {
     "slow": ("paper", 12.0, {}),
     "fast": ("paper", 30.0, {}),
     "body 20 % heavier": ("paper", 20.0, {"body.mass": 1.2}),
+    "body 20 % lighter": ("paper", 20.0, {"body.mass": 0.8}),
     "friction 50 % higher": ("paper", 20.0, {"seal.level": 1.5}),
+    "friction 50 % lower": ("paper", 20.0, {"seal.level": 0.5}),
 }
 #: on the training road more roads, to tell policies apart that differ by a tenth of a per cent
 TIMES = {"training road": 8}
@@ -53,12 +55,13 @@ def collect(
     baselines: tuple[str, ...] = BASELINES,
     known: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Costs (episodes,) of every policy in every condition, and the learning curves of the runs.
+    """Cost and RMS tyre load [N] (episodes,) of every policy in every condition, and the learning curves of the runs.
 
     `known`: an earlier collection on the same roads, from which the baselines need not be driven again.
     """
     nominal, cost = Network.load("quarter-car-isd"), StageCost()
-    old = known["costs"] if known and (known["episodes"], known["seed"]) == (episodes, seed) else {}
+    same = ("schema", "episodes", "seed")
+    old = known if known and [known[k] for k in same] == [SCHEMA, episodes, seed] else {"costs": {}}
     entries: dict[str, Entry] = {}
     for name in baselines:
         try:
@@ -74,17 +77,21 @@ def collect(
         entries[key] = Entry(key, policy.copy)
         curves[key] = policy.info["training"]
     costs: dict[str, dict[str, list[float]]] = {}
+    tyre: dict[str, dict[str, list[float]]] = {}
     for condition, (road, speed, factors) in CONDITIONS.items():
         plant = nominal.with_parameters({k: nominal.parameters[k] * f for k, f in factors.items()})
-        costs[condition] = {}
+        costs[condition], tyre[condition] = {}, {}
         count = episodes * TIMES.get(condition, 1)
         for key, entry in entries.items():
-            if key in baselines and len(old.get(condition, {}).get(key, ())) == count:
-                costs[condition][key] = old[condition][key]
+            if key in baselines and len(old["costs"].get(condition, {}).get(key, ())) == count:
+                costs[condition][key] = old["costs"][condition][key]
+                tyre[condition][key] = old["tyre_load"][condition][key]
                 continue
             own = Entry(key, entry.make, conventional(plant) if key == "passive" else None)
             run = drive(own, plant, road=road, speed=speed, episodes=count, seed=seed)
             costs[condition][key] = [round(float(j), 6) for j in run.cost(cost)]
+            load = np.sqrt(np.mean(run.tyre_load**2, axis=0))
+            tyre[condition][key] = [round(float(x), 2) for x in load]
             print(f"{condition:<22} {key:<14} J {np.mean(costs[condition][key]):.4f}", flush=True)
     return {
         "schema": SCHEMA,
@@ -93,8 +100,22 @@ def collect(
         "seed": seed,
         "conditions": {k: {"road": r, "speed": s, "factors": f} for k, (r, s, f) in CONDITIONS.items()},
         "costs": costs,
+        "tyre_load": tyre,
+        "clairvoyant": least(nominal, seed, episodes * max(TIMES.values())),
         "training": curves,
     }
+
+
+def least(network: Network, seed: int, episodes: int) -> list[float]:
+    """Least cost known of the first roads of the training condition, as many as there are one after another."""
+    try:
+        from baselines.clairvoyant import reference
+    except ImportError:
+        return []
+    out: list[float] = []
+    while len(out) < episodes and (found := reference(network, episodes=1, seed=seed + len(out))) is not None:
+        out.append(float(found["value"][0]))
+    return out
 
 
 def train_all(out: Path, seeds: int, algorithms: tuple[str, ...] = ("ppo", "sac")) -> None:
@@ -159,11 +180,11 @@ def table(study: dict[str, Any]) -> str:
     """The outcome as a Markdown table. Intervals against a single baseline hold for the mean over the same roads."""
     references = ("passive", "lqg", "best MPC")
     lines = [
-        "| condition | policy | seeds | J | against passive | against LQG | against the best MPC |",
-        "|---|---|---|---|---|---|---|",
+        "| condition | policy | seeds | J | tyre load | of the reachable gain | against passive | against LQG | against the best MPC |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for condition, costs in study["costs"].items():
-        by = groups(costs)
+        by, load, gains = groups(costs), loads(study, condition), shares(study, condition)
         rivals = {"passive": "passive", "lqg": "lqg", "best MPC": best_mpc(by) if has_mpc(by) else None}
         for name, own in by.items():
             cells = []
@@ -177,10 +198,27 @@ def table(study: dict[str, Any]) -> str:
                 cells.append(f"{100 * v:+.{digits}f} % [{100 * low:+.{digits}f}, {100 * high:+.{digits}f}]")
             seeds = len(own) if name in ("ppo", "sac") else ""
             label = f"{name} (best MPC)" if name == rivals["best MPC"] else name
-            lines.append(
-                f"| {condition} | {label} | {seeds} | {iqm(own.mean(axis=1)):.4f} | {' | '.join(cells)} |"
-            )
+            grip = f"{100 * float(iqm(load[name] / load['passive'] - 1)):+.1f} %" if name in load else ""
+            share = f"{100 * gains[name]:.1f} %" if name in gains else ""
+            cells = [f"{iqm(own.mean(axis=1)):.4f}", grip, share, *cells]
+            lines.append(f"| {condition} | {label} | {seeds} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def loads(study: dict[str, Any], condition: str) -> dict[str, np.ndarray]:
+    """RMS tyre load [N] over all roads, by policy (seeds,)."""
+    by = groups(study.get("tyre_load", {}).get(condition, {}))
+    return {k: np.sqrt(np.mean(v**2, axis=1)) for k, v in by.items()}
+
+
+def shares(study: dict[str, Any], condition: str) -> dict[str, float]:
+    """Share of the reachable gain by policy, on the first roads of the training condition, whose optimum is known."""
+    best = np.array(study.get("clairvoyant", []))
+    if condition != "training road" or not len(best):
+        return {}
+    by = {k: v[:, : len(best)].mean(axis=1) for k, v in groups(study["costs"][condition]).items()}
+    passive = by.pop("passive")[0]
+    return {name: float(iqm((passive - own) / (passive - best.mean()))) for name, own in by.items()}
 
 
 def has_mpc(costs: dict[str, np.ndarray]) -> bool:
