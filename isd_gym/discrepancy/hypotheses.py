@@ -278,7 +278,8 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
         if frozenset(pair) in devices:
             if "cogging_force" not in here:
                 yield Hypothesis("cogging_force", pair)
-            if "terminal_inertia" not in here:
+            # to the ground it is an inertance
+            if "terminal_inertia" not in here and (GROUND not in pair or "inertance" in here):
                 for terminal in ("first", "second"):
                     if pair[0 if terminal == "first" else 1] != GROUND:
                         yield Hypothesis("terminal_inertia", pair, (("terminal", terminal),))

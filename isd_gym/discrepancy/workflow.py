@@ -443,13 +443,19 @@ class Workflow:
         for r in [base, chosen, *rivals]:
             stand(r)
         refit, after = stand(base), stand(chosen)
+        excess_before, excess_refit, excess_after = (
+            np.maximum(e**2 - floor**2, 0.0) for e in (before, refit.nrmse, after.nrmse)
+        )
         explained = max(
             (refit.score - after.score) / max(refit.score - quiet, 1e-12),
             self.plain_share(refit.nrmse, after.nrmse, floor),
         )
-        gap_before = float(np.sqrt(np.maximum(before**2 - floor**2, 0)).max())
-        gap_refit = float(np.sqrt(np.maximum(refit.nrmse**2 - floor**2, 0)).max())
-        gap_after = float(np.sqrt(np.maximum(after.nrmse**2 - floor**2, 0)).max())
+        # the channel in which the gap is widest has to agree, too
+        widest = int(np.argmax(excess_refit))
+        explained = min(explained, 1.0 - float(excess_after[widest] / max(excess_refit[widest], 1e-12)))
+        gap_before, gap_refit, gap_after = (
+            math.sqrt(e.max()) for e in (excess_before, excess_refit, excess_after)
+        )
         # who is still abreast
         abreast: list[Rival] = []
         if depth:
@@ -645,7 +651,7 @@ class Workflow:
                 explained >= ADEQUATE,
                 explained,
                 ADEQUATE,
-                "share of the held-out excess error removed",
+                "share of the held-out excess error removed, and of that in the channel with the widest gap",
             ),
             Gate(
                 "ahead",
