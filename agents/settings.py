@@ -55,14 +55,14 @@ class Settings:
 
 @dataclass(frozen=True)
 class PPOSettings(Settings):
-    steps: int = 40_000_000
+    steps: int = 50_000_000
     cars: int = 1024
     group: int = 8  # cars on one road, see `ppo`
     horizon: int = 320  # steps of each car between updates
     tail: int = 128  # of them at the end only to see what the others led to
     batch: int = 4096
     epochs: int = 2  # fresh roads cost less than another pass
-    learning_rate: float = 4e-4  # falls linearly to a fiftieth
+    learning_rate: float = 3e-4  # falls linearly to a fiftieth
     gamma: float = 0.99  # half a second: what an action does is over by then
     clip_range: float = 0.2
     log_std: float = -0.9  # increments of 0.4 of the slew limit: nearly all of a good law is at either limit
