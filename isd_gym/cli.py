@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -24,6 +24,26 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+        from platform import platform, python_version
+
+        typer.echo(f"isd-gym {version('isd-gym')}, Python {python_version()}, {platform()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version, for a report."),
+    ] = False,
+) -> None: ...
+
+
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
 ]
@@ -74,6 +94,30 @@ def _pairs(values: list[str] | None, option: str, form: str) -> dict[str, str]:
             raise InputError(f"{option} wants {form}, not '{value}'")
         out[key] = word
     return out
+
+
+def _check_channels(names: Iterable[str], known: Iterable[str], option: str) -> None:
+    from difflib import get_close_matches
+
+    for name in names:
+        if name not in (known := list(known)):
+            near = get_close_matches(name, known, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"it has: {', '.join(known)}"
+            raise InputError(f"{option}: the model has no channel '{name}'; {hint}")
+
+
+def _check_records(data: list[Path], validate: list[Path]) -> None:
+    """No record counts twice, and none is judged by that took part in fitting."""
+    seen: set[Path] = set()
+    for file in (*data, *validate):
+        if (own := file.resolve()) in seen:
+            both = file in validate and own in {f.resolve() for f in data}
+            raise InputError(
+                f"{file}: is among the records to fit; --validate wants others"
+                if both
+                else f"{file}: is named twice"
+            )
+        seen.add(own)
 
 
 @contextmanager
@@ -399,6 +443,10 @@ def diagnose(
         "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
         "expected": {c.name: c.unit for c in (*network.inputs, *network.outputs)},
     }
+    channels = ["time", *options["expected"]]
+    _check_channels(options["rename"].values(), channels, "--rename")
+    _check_channels(options["units"], [*channels, *options["rename"]], "--unit")
+    _check_records(data, validate or [])
     with _lines() as say:
         fitted, held = ([read_table(f, **options) for f in files] for files in (data, validate or []))
         result = run(fitted, network, validate=held, progress=say, seed=seed)
@@ -523,6 +571,7 @@ def _mention(point: EntryPoint) -> Callable[[], None]:
 
 def main() -> None:
     """Run the command line; bad input is one line on stderr and exit status 2, Ctrl-C one and 130."""
+    stopped = _listen()
     try:
         _plug_in()
         code = app(standalone_mode=False)
@@ -532,12 +581,44 @@ def main() -> None:
     except KeyboardInterrupt:
         code = 130
     except Exception as error:
-        if not hasattr(error, "format_message"):  # of the parser of the command line, whichever typer brings
+        if stopped:  # what a compiler says whose callback was broken off
+            code = 130
+        elif hasattr(error, "format_message"):  # of the parser of the command line, whichever typer brings
+            code = _explain(error)
+        else:
             raise
-        code = _explain(error)
     if code == 130:
         typer.echo("isd-gym: stopped", err=True)
     sys.exit(code)
+
+
+def _listen() -> list[int]:
+    """Ctrl-C, also where a compiler's callback swallows it; the list holds something once it was pressed."""
+    import signal
+    import threading
+    from _thread import interrupt_main
+
+    stopped: list[int] = []
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return stopped  # ignored, as in the background of a shell
+
+    def stop(number: int, frame: Any) -> None:
+        stopped.append(number)
+        raise KeyboardInterrupt
+
+    usual = sys.unraisablehook
+
+    def swallowed(unraisable: Any) -> None:
+        if not stopped:
+            usual(unraisable)
+        elif isinstance(unraisable.exc_value, KeyboardInterrupt):
+            again = threading.Timer(0.2, interrupt_main)  # out of the callback
+            again.daemon = True
+            again.start()
+
+    signal.signal(signal.SIGINT, stop)
+    sys.unraisablehook = swallowed
+    return stopped
 
 
 def _explain(error: Any) -> int:
@@ -546,7 +627,9 @@ def _explain(error: Any) -> int:
     if not sys.argv[1:]:
         error.show()
     else:
-        path = context.command_path if context is not None else "isd-gym"
+        known = {c.name or getattr(c.callback, "__name__", "") for c in app.registered_commands}
+        path = " ".join(["isd-gym", *(a for a in sys.argv[1:2] if a in known)])
+        path = context.command_path if context is not None else path
         typer.echo(f"{path}: {text} (see {path} --help)", err=True)
     return int(error.exit_code)
 

@@ -21,6 +21,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -109,13 +110,15 @@ class Network:
         else:
             path = Path(source)
             if not path.exists():
-                raise InputError(
-                    f"no model '{source}': neither a file nor one of {', '.join(builtin_networks())}"
-                )
+                known = builtin_networks()
+                near = get_close_matches(text_name, known, 1)
+                asked = f" (did you mean '{near[0]}'?)" if near else ""
+                raise InputError(f"no model '{source}'{asked}: neither a file nor one of {', '.join(known)}")
             try:
                 text = path.read_text()
             except (OSError, UnicodeDecodeError) as error:
-                raise InputError(f"cannot read model '{source}': {error}") from None
+                why = "it is a folder" if path.is_dir() else error
+                raise InputError(f"cannot read model '{source}': {why}") from None
         try:
             data = json.loads(text)
         except json.JSONDecodeError as error:

@@ -39,10 +39,18 @@ class Idle:
 
 
 def conventional(network: Network) -> Network:
-    """The conventional passive car (spring and damper in parallel) with the network's own masses and coefficients."""
+    """The conventional passive car (spring and damper in parallel) with the network's own masses and coefficients.
+
+    The first two masses are body and wheel, whatever they are called. Raises `InputError` for a network that is no car.
+    """
+    from .batch import signal_channels
+
+    signal_channels(network)  # says what is missing if this is no car
     car = Network.load("quarter-car-passive")
     own = network.parameters
-    return car.with_parameters({k: own[k] for k in car.parameters if k in own})
+    shared = {k: own[k] for k in car.parameters if k in own}
+    masses = {f"{k}.mass": network.masses[o] for k, o in zip(car.masses, network.masses, strict=False)}
+    return car.with_parameters(shared | masses)
 
 
 def passive(network: Network) -> Entry:

@@ -128,6 +128,10 @@ def test_networks_can_be_printed_and_read_back(tmp_path):
         (["show", "mpc", "--seconds", "nan", "--out", "a.gif"], "seconds must be positive"),
         (["reproduce", "--out", "r", "--json", "no/such/x.json"], "no folder 'no/such'"),
         (["train", "dqn", "--out", "r"], "'dqn' is not one of"),
+        (["score", "passive", "--network", "force-rig"], "'force-rig' is no car"),
+        (["score", "passive", "--network", "quater-car-isd"], "did you mean 'quarter-car-isd'?"),
+        (["networks", "there"], "cannot read model 'there': it is a folder"),
+        (["show", "mpc", "--against"], "(see isd-gym show --help)"),
     ],
 )
 def test_a_slip_of_the_pen_is_one_line_and_leaves_nothing(args, message, tmp_path):
@@ -137,6 +141,31 @@ def test_a_slip_of_the_pen_is_one_line_and_leaves_nothing(args, message, tmp_pat
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["there"]
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--unit", "acceleration=g"], "--unit: the model has no channel 'acceleration'"),
+        (["--unit", "rod=m"], "did you mean 'road'?"),
+        (["--rename", "a=body_acc"], "--rename: the model has no channel 'body_acc'"),
+        (["./d.csv"], "d.csv: is named twice"),
+        (["--validate", "e.csv", "./d.csv"], "d.csv: is among the records to fit"),
+    ],
+)
+def test_a_diagnosis_is_not_begun_on_a_mistake(more, message, tmp_path):
+    """Neither a record that judges itself, nor an option that would be passed over in silence."""
+    done = run("diagnose", "d.csv", "--model", "quarter-car-isd", "--out", "found", *more, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_version_is_told():
+    done = run("--version")
+    assert done.returncode == 0
+    assert done.stdout.startswith("isd-gym ") and "Python" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -177,3 +206,21 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
     assert done.returncode == 130, done.stderr
     assert done.stderr == "isd-gym: stopped\n"
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("then", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"])
+def test_ctrl_c_in_a_callback_that_swallows_it(then):
+    """As in a callback of the compiler: it goes on, or fails with an error of its own."""
+    code = (
+        "import sys, time, os, signal, ctypes, isd_gym.scoring as s\n"
+        "@ctypes.CFUNCTYPE(None)\n"
+        "def callback():\n"
+        "    os.kill(os.getpid(), signal.SIGINT); time.sleep(0.01)\n"
+        "def swallowing(*args, **kwargs):\n"
+        f"    callback(); {then}\n"
+        "s.drive = swallowing; sys.argv = ['isd-gym', 'score', 'passive']\n"
+        "from isd_gym.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "isd-gym: stopped\n")

@@ -136,6 +136,20 @@ def test_the_conventional_car_keeps_the_networks_own_masses():
     assert car.element("damper").between == ("body", "wheel")
 
 
+def test_the_conventional_car_takes_masses_by_their_order():
+    data = CAR.to_dict()
+    text = json.dumps(data).replace('"body"', '"sprung"').replace('"wheel"', '"unsprung"')
+    own = json.loads(text)
+    own["masses"]["sprung"] = 500.0
+    own["uncertainty"] = {}
+    assert conventional(Network.load(own)).masses == {"body": 500.0, "wheel": CAR.masses["wheel"]}
+
+
+def test_what_is_no_car_cannot_be_scored():
+    with pytest.raises(InputError, match="'force-rig' is no car"):
+        passive(Network.load("force-rig"))
+
+
 def test_unknown_policy_lists_the_known():
     with pytest.raises(
         InputError,
