@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,7 +36,7 @@ from .plots import (
     style,
     unit_text,
 )
-from .simulate import SI
+from .simulate import SI, simulate
 from .units import convert
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ STAGES = {
     "after": ("with the effect", "with what was found built in, and refitted"),
     "noise_floor": ("noise", "what no model can pass: the measurement noise"),
 }
+SERIES = ("series_compliance", "backlash")
 OLD = dict(color=VERMILLION, ls=(0, (4, 1.5)), lw=1.1)
 NEW = dict(color=BLUE, ls="-", lw=1.2)
 
@@ -153,6 +155,12 @@ class View:
         self.title = TITLES.get(d.verdict, d.verdict)
         if self.named and all(e.channel for e in d.effects):
             self.title = "A sensor is off; the physics agrees"
+        elif len(d.effects) > 1:
+            count = ("Two", "Three", "Four")[min(len(d.effects), 4) - 2]
+            self.title = f"{count} physical effects are missing"
+        self.labels = {s: label for s, (label, _) in STAGES.items()}
+        if len(d.effects) > 1:
+            self.labels["after"] += "s"
         self.channels = list(d.gap.get("refit", {}))
         held = [t for t in d.traces if t.held_out] or list(d.traces)
         self.trace: Trace | None = max(held, key=lambda t: len(t.time)) if held else None
@@ -160,6 +168,9 @@ class View:
         self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
         self.stages = [s for s in STAGES if s in d.gap and (s != "after" or self.named)]
         self.clouds = clouds(self) if self.trace is not None else []
+        drawn = {law.element for law in d.laws}
+        own = [series_law(self, e) for e in d.effects if e.effect in SERIES and e.element not in drawn]
+        self.laws = [*d.laws, *(law for law in own if law is not None)]
 
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
@@ -172,15 +183,23 @@ class View:
             return Scale(1e-3, "kN")
         return Scale(1.0, unit_text(unit))
 
+    @property
+    def summary(self) -> str:
+        """The diagnosis in a sentence, with units, numbers and channels as the rest of the page writes them."""
+        text = unit_text(self.d.summary)
+        text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), text)
+        for c in self.channels:
+            text = text.replace(c, channel_text(c))
+        return text
+
     def effect_text(self, e: Any) -> str:
         """``coulomb friction between piston and joint``."""
         if e.channel is not None:
             return f"{channel_text(e.effect)} in {channel_text(e.channel)}"
-        return (
-            f"{channel_text(e.effect)} between {e.between[0]} and {e.between[1]}"
-            if e.between
-            else channel_text(e.effect)
-        )
+        if not e.between:
+            return channel_text(e.effect)
+        how = ", in series with what stands" if e.effect in SERIES else ""
+        return f"{channel_text(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
 
     def contender_text(self, c: Any) -> str:
         parts = []
@@ -438,6 +457,46 @@ def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array
     return sign * m.d, sign * m.v
 
 
+def series_law(view: View, effect: Effect) -> Law | None:
+    """The law of an effect that stands in series, over its own elongation in the new model; None where that fails.
+
+    Its terminals are no pair of the old model, so that the diagnosis itself has no motion there.
+    """
+    from .discrepancy.result import Law
+
+    model = view.d.model
+    own: Any = model.element(effect.element)
+    if view.trace is None:
+        return None
+    try:
+        between = Channel("_d", "displacement", "m", between=own.between)
+        d = simulate(model, view.trace.time, view.trace.inputs, extra=[between])["_d"]
+    except (InputError, FloatingPointError):
+        return None
+    d = d[len(d) // 20 :]  # begun at rest
+    reach = float(np.quantile(np.abs(d), 0.999))
+    if not reach > 0:
+        return None
+    axis = np.linspace(-reach, reach, 401)
+
+    def force(element: Any) -> Array:
+        if element.law is None:
+            return np.asarray(element.linear()[0] * axis)
+        p = np.array(element.law_parameters())
+        return np.array([element.law(p, x, 0.0, x, 0.0, 1e-3)[0] for x in axis])
+
+    middle, spread = force(own), np.zeros(len(axis))
+    for key, q in effect.parameters.items():
+        for value in (q.low, q.high):
+            try:
+                other = model.with_parameters({f"{own.name}.{key}": value}).element(own.name)
+            except InputError:
+                continue
+            spread = np.maximum(spread, np.abs(force(other) - middle))
+    low, high = middle - spread, middle + spread
+    return Law(own.name, "travel", axis, middle, low, high, d[:: max(1, len(d) // 2000)], np.zeros(0))
+
+
 # ------------------------------------------------------------------------------------------------- the figures
 
 
@@ -466,7 +525,7 @@ def draw_gap(fig: Figure, view: View) -> str:
         ax.plot([min(values), max(values)], [y, y], color=PALE, lw=4, solid_capstyle="round", zorder=1)
     for stage in view.stages:
         x = [max(100 * d.gap[stage][c], 1e-3) for c in view.order]
-        ax.plot(x, rows, ls="none", label=STAGES[stage][0], zorder=3, **marks[stage])
+        ax.plot(x, rows, ls="none", label=view.labels[stage], zorder=3, **marks[stage])
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     ticks = [
@@ -582,7 +641,7 @@ def draw_spectra(fig: Figure, view: View) -> str:
             ax.set_xlabel("frequency [Hz]")
     legend(fig, axes[0, 0])
     shade = (
-        " Grey bands hold most of the old model's excess error."
+        " Grey bands hold most of the old model's excess error in the fitted records."
         if any(p.bands_hz for p in view.d.where)
         else ""
     )
@@ -623,7 +682,7 @@ def draw_plane(fig: Figure, view: View) -> str:
             axis, middle, low, high = law
             row[0].fill_between(factor * axis, low, high, color=BLUE, alpha=0.25, lw=0)
             row[0].plot(factor * axis, middle, color=BLUE, lw=1.6, label="the law that was found")
-        top = float(np.quantile(np.abs(cloud.before), 0.998)) * 1.25
+        top = float(np.quantile(np.abs(cloud.before), 0.98)) * 1.25
         if law is not None:
             top = max(top, 1.15 * float(np.abs(law[1]).max()))
         row[0].set_ylim(-top, top)
@@ -638,7 +697,8 @@ def draw_plane(fig: Figure, view: View) -> str:
     return (
         "Each dot is the force that the measurements ask for at one moment, on top of what the model says: reconstructed "
         f"from the residuals of all channels of a {'held-out' if view.trace and view.trace.held_out else 'fitted'} record through the linear model; "
-        f"{where}. What the sensors do not resolve is smoothed, so corners look rounder than they are.{short}"
+        f"{where}. What the sensors do not resolve is smoothed, so corners look rounder than they are; "
+        f"a dot in fifty may lie outside.{short}"
     )
 
 
@@ -740,7 +800,7 @@ def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, s
 
 def draw_law(fig: Figure, view: View) -> str:
     """Every found law with its interval, and how often the measurements were where."""
-    laws = [(law, e) for law in view.d.laws for e in view.d.effects if e.element == law.element]
+    laws = [(law, e) for law in view.laws for e in view.d.effects if e.element == law.element]
     if not laws:
         return ""
     columns = min(3, len(laws))
@@ -770,7 +830,11 @@ def draw_law(fig: Figure, view: View) -> str:
         ax.set_xlim(x[0], x[-1])
         if len(laws) > 1:
             ax.set_title(channel_text(e.effect))
-        ax.set_xlabel(f"{text} of {e.between[0]}–{e.between[1]}" if e.between else text)
+        if e.effect in SERIES:
+            text = f"its own {text}"
+        elif e.between:
+            text = f"{text} of {e.between[0]}–{e.between[1]}"
+        ax.set_xlabel(text)
         ax.set_ylabel("force [N]" if k == 0 else "")
     legend(fig, fig.axes[0], columns=3)
     return "Force of what was found, positive in tension. Beyond the data nothing is claimed."

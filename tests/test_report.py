@@ -244,6 +244,43 @@ def test_a_sensor_is_told_from_physics(diagnosis, tmp_path):
     assert "it must read 1.1270 times the truth" in page.text
 
 
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [("series_compliance", {"stiffness": 5e4}), ("backlash", {"gap": 0.002, "stiffness": 5e6})],
+)
+def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, kind, more):
+    """Its terminals are no pair of the old model, so that the diagnosis has no law of it."""
+    own = diagnosis.model.to_dict()
+    next(e for e in own["elements"] if e["name"] == "damper")["between"] = ["play", "wheel"]
+    own["elements"].append({"name": "own", "type": kind, "between": ["joint", "play"], **more})
+    own["uncertainty"] = {}
+    model = Network.load(own)
+    shown = next(iter(more))
+    q = Quantity(more[shown], 0.9 * more[shown], 1.1 * more[shown], "")
+    effect = Effect(kind, ("joint", "wheel"), None, 0.99, {shown: q}, "own")
+    view = report.View(replace(diagnosis, model=model, effects=(effect,), laws=()))
+    (law,) = view.laws
+    d = law.axis[-1]
+    force = 5e4 * d if kind == "series_compliance" else 5e6 * (d - 0.001)
+    assert law.force[-1] == pytest.approx(force) and law.force[0] == pytest.approx(-force)
+    wide = 0.1 * 5e4 * d if kind == "series_compliance" else 0.05 * 5e6 * 0.002
+    assert law.high[-1] - law.force[-1] == pytest.approx(wide, rel=1e-6)
+    assert np.abs(law.visited).max() >= 0.99 * d > 0
+    assert view.effect_text(effect).endswith("in series with what stands between joint and wheel")
+    fig = plots.figure()
+    assert report.draw_law(fig, view) and "its own travel" in fig.axes[0].get_xlabel()
+
+
+def test_two_effects_are_told_as_two(diagnosis):
+    says = "damping 2465 N s^2/m^2, stiffness 6.991e+05 N/m; error in device_travel falls (noise 1.8 %)"
+    view = report.View(replace(diagnosis, summary=says, effects=2 * diagnosis.effects))
+    assert view.title == "Two physical effects are missing" and view.labels["after"] == "with the effects"
+    assert (
+        view.summary
+        == "damping 2465 N·s²/m², stiffness 699100 N/m; error in device travel falls (noise 1.8 %)"
+    )
+
+
 def test_a_diagnosis_without_records_still_has_a_page(diagnosis, tmp_path):
     check_page(report.write_report(replace(diagnosis, traces=(), laws=()), tmp_path / "x"))
 
