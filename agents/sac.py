@@ -75,16 +75,25 @@ class First(BaseFeaturesExtractor):
 
 
 class Critic(nn.Module):
-    """Action values (cars, 1) of observations and actions: `Bilinear`, the action being one more column of the state."""
+    """Action values (cars, 1) of observations and actions: `Bilinear`, the action being one more column of the state.
+
+    Beside it ``a f(s) + a^2 g(s)``, with a network of the actor's size: all that the actor learns from is the slope by the
+    action a, which must be as fine a function of what it sees as the actor itself.
+    """
 
     def __init__(self, inputs: int, seen: int, core: list[int], width: int) -> None:
         super().__init__()
+        self.seen = seen
         self.body = Bilinear(inputs + 1, seen + 1, [0, *(c + 1 for c in core)], width)
         self.out = nn.Linear(self.body.width, 1)
+        layers = (nn.Linear(seen, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, 2))
+        self.slope = nn.Sequential(*layers)
         self.optimizer: Any = None
 
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return (self.out(self.body(torch.cat([actions, observations], dim=1))),)
+        slope = self.slope(observations[:, : self.seen])
+        own = actions * slope[:, :1] + actions.square() * slope[:, 1:]
+        return (0.1 * own + self.out(self.body(torch.cat([actions, observations], dim=1))),)
 
     def set_training_mode(self, mode: bool) -> None:
         self.train(mode)
@@ -127,6 +136,8 @@ class GroupReplayBuffer(ReplayBuffer):
     ) -> None:
         self.group, self.n_steps, self.gamma = group, n_steps, gamma
         super().__init__(*args, **kwargs)
+        #: whether a group explored (steps, groups): windows begin there
+        self.explored = np.ones((self.buffer_size, self.n_envs // group), bool)
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
         """`discounts` (rows, 1) is what is left of the value after the steps: episodes end by time alone."""
@@ -134,9 +145,13 @@ class GroupReplayBuffer(ReplayBuffer):
         held = self.buffer_size if self.full else self.pos
         steps = min(self.n_steps, held)
         # the newest transitions begin no whole window
-        start = np.random.randint(held - steps + 1, size=count)  # noqa: NPY002 (seeded by SB3)
-        group = np.random.randint(self.n_envs // self.group, size=count)  # noqa: NPY002
-        window = (start[:, None] + np.arange(steps) + (self.pos if self.full else 0)) % self.buffer_size
+        begin = (np.arange(held - steps + 1) + (self.pos if self.full else 0)) % self.buffer_size
+        known = np.flatnonzero(self.explored[begin])
+        if not len(known):  # so early that nobody has
+            known = np.arange(len(begin) * self.explored.shape[1])
+        chosen = known[np.random.randint(len(known), size=count)]  # noqa: NPY002 (seeded by SB3)
+        start, group = np.divmod(chosen, self.explored.shape[1])
+        window = (begin[start][:, None] + np.arange(steps)) % self.buffer_size
 
         def see(array: np.ndarray) -> np.ndarray:  # (groups, steps, cars)
             return array.reshape(len(array), -1, self.group)[window, group[:, None]]
@@ -167,17 +182,39 @@ class GroupReplayBuffer(ReplayBuffer):
 class GroupSAC(SAC):
     """SAC whose critic is fitted to what differs within a group of `group` cars.
 
-    `exploration`: standard deviation of noise on the actions besides the policy's own, which vanishes near the limits.
+    A group explores at a share `explore` of its steps, drawn at random, and is learnt from at those alone: what its cars do
+    in between adds no noise to what follows. `exploration`: standard deviation of noise on the actions besides the
+    policy's own, which vanishes near the limits. The actor learns at every `delay`-th update.
     """
 
-    def __init__(self, *args: Any, group: int = 1, exploration: float = 0.0, **kwargs: Any) -> None:
-        self.group, self.exploration = group, exploration
+    def __init__(
+        self,
+        *args: Any,
+        group: int = 1,
+        explore: float = 1.0,
+        exploration: float = 0.0,
+        delay: int = 1,
+        **kwargs: Any,
+    ) -> None:
+        self.group, self.explore, self.exploration, self.delay = group, explore, exploration, delay
         super().__init__(*args, **kwargs)
 
-    def _sample_action(self, *args: Any, **kwargs: Any) -> tuple[np.ndarray, np.ndarray]:
-        actions, _ = super()._sample_action(*args, **kwargs)
-        noise = np.random.standard_normal(actions.shape)  # noqa: NPY002 (seeded by SB3)
-        actions = np.clip(actions + self.exploration * noise, -1.0, 1.0).astype(np.float32)
+    def _sample_action(
+        self, learning_starts: int, *args: Any, **kwargs: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
+        buffer: Any = self.replay_buffer
+        if self.num_timesteps < learning_starts:
+            buffer.explored[buffer.pos] = True
+            return super()._sample_action(learning_starts, *args, **kwargs)
+        groups = np.random.random(buffer.explored.shape[1]) < self.explore  # noqa: NPY002 (seeded by SB3)
+        buffer.explored[buffer.pos] = groups
+        seen: Any = self._last_obs
+        actions, _ = self.predict(seen, deterministic=True)
+        cars = np.repeat(groups, self.group)
+        if cars.any():
+            own, _ = self.predict(seen[cars], deterministic=False)
+            noise = np.random.standard_normal(own.shape).astype(np.float32)  # noqa: NPY002
+            actions[cars] = np.clip(own + np.float32(self.exploration) * noise, -1.0, 1.0)
         return actions, actions
 
     def common(self, error: torch.Tensor) -> torch.Tensor:
@@ -203,15 +240,17 @@ class GroupSAC(SAC):
             critic.optimizer.zero_grad()
             loss.backward()
             critic.optimizer.step()
-            if moves:
+            self._n_updates += 1
+            if moves and self._n_updates % self.delay == 0:
+                critic.requires_grad_(False)
                 actions, log_prob = actor.action_log_prob(data.observations)
-                # the averaged critic's slope: less noise
-                actor_loss = alpha * log_prob.mean() - target(data.observations, actions)[0].mean()
+                # not the averaged critic's slope, which lags behind the actor and makes it swing
+                actor_loss = alpha * log_prob.mean() - critic(data.observations, actions)[0].mean()
                 actor.optimizer.zero_grad()
                 actor_loss.backward()
                 actor.optimizer.step()
+                critic.requires_grad_(True)
             polyak_update(critic.parameters(), target.parameters(), self.tau)
-        self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/entropy", -float(log_prob.mean().detach()))
         self.logger.record("train/critic_loss", float(loss.detach()))

@@ -49,20 +49,20 @@ class Settings:
     warm_steps: int = 2500  # of 64 cars
     warm_updates: int = 2500
     averaging: float = 0.97  # kept of the mean of the actor's weights at an update; the mean is the policy
-    evaluations: int = 20  # over the whole training
+    evaluations: int = 12  # over the whole training
     checkpoint_seconds: float = 60.0
 
 
 @dataclass(frozen=True)
 class PPOSettings(Settings):
-    steps: int = 50_000_000
+    steps: int = 24_000_000
     cars: int = 1024
     group: int = 8  # cars on one road, see `ppo`
     horizon: int = 320  # steps of each car between updates
     tail: int = 128  # of them at the end only to see what the others led to
     batch: int = 4096
     epochs: int = 2  # fresh roads cost less than another pass
-    learning_rate: float = 3e-4  # falls linearly to a fiftieth
+    learning_rate: float = 4e-4  # falls linearly to a fiftieth
     gamma: float = 0.99  # half a second: what an action does is over by then
     clip_range: float = 0.2
     log_std: float = -0.9  # increments of 0.4 of the slew limit: nearly all of a good law is at either limit
@@ -100,24 +100,26 @@ class PPOSettings(Settings):
 @dataclass(frozen=True)
 class SACSettings(Settings):
     preview: float = 0.4  # s of road ahead that the critic knows
-    evaluations: int = 10
     warm_steps: int = 1500
-    steps: int = 600_000
-    cars: int = 256
+    steps: int = 24_000_000
+    cars: int = 1024
     group: int = 8  # cars on one road, see `sac`
     batch: int = 2048
-    averaging: float = 0.999
+    averaging: float = 0.997
     buffer: int = 1_000_000
-    updates: int = 1  # a step of all cars
+    every: int = 4  # steps of all cars between updates
+    updates: int = 1
+    delay: int = 2  # updates of the critic to one of the actor
     warm_up: int = 2048  # steps before the first update; SB3 acts at random in them
-    critic_updates: int = 1500  # of the critic alone, at the start
+    critic_updates: int = 1000  # of the critic alone, at the start
     log_std: float = -1.4
-    exploration: float = 0.3  # besides the policy's own, which vanishes near the limits
+    explore: float = 0.25  # share of steps at which a group explores
+    exploration: float = 0.5  # besides the policy's own, which vanishes near the limits
     learning_rate: float = 1e-4
-    critic_rate: float = 10.0  # of the critic, as a multiple
-    n_steps: int = 24  # of the returns: 0.12 s
-    gamma: float = 0.995
-    tau: float = 0.02
+    critic_rate: float = 8.0  # of the critic, as a multiple
+    n_steps: int = 128  # of the returns: 0.64 s, beyond which the critic's errors weigh little
+    gamma: float = 0.985
+    tau: float = 0.005
     entropy: float = 1e-4  # tuned by itself (SB3's auto) the temperature overshot and drowned the values
     actor: tuple[int, ...] = (64, 64)
     critic: tuple[int, ...] = (64,)
@@ -129,7 +131,9 @@ class SACSettings(Settings):
         return dict(
             policy=SACPolicy,
             group=self.group,
+            explore=self.explore,
             exploration=self.exploration,
+            delay=self.delay,
             replay_buffer_class=GroupReplayBuffer,
             replay_buffer_kwargs=dict(group=self.group, n_steps=self.n_steps, gamma=self.gamma),
             learning_rate=Falling(self.learning_rate),
@@ -138,7 +142,7 @@ class SACSettings(Settings):
             batch_size=self.batch,
             tau=self.tau,
             gamma=self.gamma,
-            train_freq=1,
+            train_freq=self.every,
             gradient_steps=self.updates,
             ent_coef=self.entropy,
             policy_kwargs=dict(

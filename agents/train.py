@@ -470,7 +470,7 @@ def _callback(run: Run, env: Any) -> Any:
     return Watch()
 
 
-BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+BUFFER = ("explored", "observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def restore_buffer(buffer: Any, folder: Path, place: list[Any]) -> None:
