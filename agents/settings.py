@@ -101,7 +101,7 @@ class PPOSettings(Settings):
 class SACSettings(Settings):
     preview: float = 0.4  # s of road ahead that the critic knows
     warm_steps: int = 1500
-    steps: int = 24_000_000
+    steps: int = 20_000_000
     cars: int = 1024
     group: int = 8  # cars on one road, see `sac`
     batch: int = 2048
@@ -115,8 +115,8 @@ class SACSettings(Settings):
     log_std: float = -1.4
     explore: float = 0.25  # share of steps at which a group explores
     exploration: float = 0.5  # besides the policy's own, which vanishes near the limits
-    learning_rate: float = 1e-4
-    critic_rate: float = 8.0  # of the critic, as a multiple
+    learning_rate: float = 2e-4
+    critic_rate: float = 5.0  # of the critic, as a multiple
     n_steps: int = 128  # of the returns: 0.64 s, beyond which the critic's errors weigh little
     gamma: float = 0.985
     tau: float = 0.005
