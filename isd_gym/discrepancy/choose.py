@@ -153,8 +153,13 @@ def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
     return out
 
 
-def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypothesis]) -> list[Screened]:
-    """Score test of every candidate: what its response would take off the residual that the base cannot."""
+def screen(
+    problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypothesis], lost: bool = False
+) -> list[Screened]:
+    """Score test of every candidate: what its response would take off the residual that the base cannot.
+
+    `lost`: the simulation has lost its phase, so that small effects say nothing about large ones, and nobody is left out.
+    """
     structure, net = fit.structure, fit.network
     motion = motions(problem, fit)
     force = force_scale(problem, fit)
@@ -240,7 +245,7 @@ def screen(problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypo
             continue
         amplitude, *_ = np.linalg.lstsq(s, r, rcond=None)
         wrong = not probe.signed and bool(np.any(amplitude <= 0))
-        if wrong and h.effect not in SERIES:
+        if wrong and h.effect not in SERIES and not lost:
             continue
         # what is put in series changes the order of the equations: a small one says little about a large one
         gain = 0.0 if wrong else float(r @ (s @ amplitude))
@@ -415,7 +420,7 @@ AMPLITUDES, LARGE = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0), (80.0,)
 
 
 def starts(
-    problem: Problem, current: Fit, group: list[Screened], floors: Array
+    problem: Problem, current: Fit, group: list[Screened], floors: Array, lost: bool = False
 ) -> list[tuple[Structure, Array]]:
     """Where joint fits begin: the screened probes at several amplitudes, base at its prior, simulated and compared.
 
@@ -427,7 +432,7 @@ def starts(
         return [(s.structure_at(current), s.structure_at(current).start) for s in group[:3]]
     trials: list[Structure] = []
     for s in group[:6]:
-        for factor in (1.0,) if not s.grows else AMPLITUDES + LARGE * s.inverse:
+        for factor in (1.0,) if not s.grows else AMPLITUDES + LARGE * (s.inverse or lost):
             values = dict(s.start)
             for key in s.grows:
                 values[key] *= factor if not s.inverse else 1 / factor
@@ -459,16 +464,60 @@ def starts(
     return [(t, t.start) for t in picked]
 
 
-def compete(
-    problem: Problem, current: Fit, floors: Array, *, limit: int = 8, finals: int = 4
-) -> tuple[list[Rival], Array]:
+#: gap from which on a simulation that no input ties to the record has lost its phase
+LOST = 0.5
+
+
+def compete(problem: Problem, current: Fit, floors: Array) -> tuple[list[Rival], Array]:
     """One stage of forward addition: screen, fit jointly, fit the best ones to self-consistency.
 
-    Returns the rivals, best first, and the white noise (channels,) under which their likelihoods were taken.
+    Returns the rivals, best first, and the white noise (channels,) under which their likelihoods were taken. A free decay
+    whose frequency the model misses is compared on its beginning, which then grows: later on the phase is anything.
     """
+    if problem.network.inputs or gap(problem, current) < LOST:
+        return race(problem, current, floors)
+
+    def beginning(share: float) -> Problem:
+        records = [
+            r.part(0, max(int(share * len(r)), min(SHORTEST, len(r))), r.name) for r in problem.records
+        ]
+        return Problem(problem.network, records, problem.held, problem.step)
+
+    share, part, fit = 1.0, problem, current
+    while gap(part, fit) >= LOST and share * max(map(len, problem.records)) > SHORTEST:
+        share /= 2
+        part = beginning(share)
+        # from the state as measured: the one that fits a wrong frequency best is nobody's
+        fit = Fitter(part, plain(part, floors)).fit(current.structure, current.x, iterations=0)
+    rivals, _ = race(part, fit, floors, limit=100, finals=8, lost=True)
+    while share < 1.0:
+        share = min(1.4 * share, 1.0)
+        part = beginning(share) if share < 1.0 else problem
+        for r in list(rivals):
+            try:
+                longer = Fitter(part, plain(part, floors))
+                r.fit = longer.fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset)
+            except (InputError, np.linalg.LinAlgError):
+                rivals.remove(r)
+    least = np.min([trust(problem, r.fit, floors) for r in rivals], axis=0) if rivals else floors
+    for r in list(rivals):
+        try:
+            r.fit, r.likelihood = settled(problem, r.fit.structure, r.fit.x, floors, r.fit, least=least)
+        except (InputError, np.linalg.LinAlgError):
+            rivals.remove(r)
+    return simplest_first(sorted(rivals, key=lambda r: r.likelihood)), least
+
+
+SHORTEST = 64  # samples
+
+
+def race(
+    problem: Problem, current: Fit, floors: Array, *, limit: int = 8, finals: int = 4, lost: bool = False
+) -> tuple[list[Rival], Array]:
+    """`compete` over the whole of the records; `limit` places in the heats, `finals` in the final."""
     hot = trust(problem, current, floors)
     W = whitener(residuals(problem, current), hot)
-    found = screen(problem, Fitter(problem, W), current, list(hypotheses(current.structure.network)))
+    found = screen(problem, Fitter(problem, W), current, list(hypotheses(current.structure.network)), lost)
     chosen = shortlist(found, limit, problem.network.moved_nodes)
     # heats are run over that part of every record where the gap is widest, the final over all of it
     left = dict(zip(problem.estimation, residuals(problem, current), strict=True))
@@ -494,7 +543,7 @@ def compete(
 
     def one(group: list[Screened]) -> Rival | None:
         tries: list[tuple[float, Fit]] = []
-        for structure, x in starts(problem, current, group, floors):
+        for structure, x in starts(problem, current, group, floors, lost):
             try:
                 f = heat.fit(structure, x, carried(short, shortened, structure), current.offset, iterations=3)
             except (InputError, np.linalg.LinAlgError):
