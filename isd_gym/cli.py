@@ -513,7 +513,7 @@ def show(
     from .network import Network
     from .policies import find
     from .road import road as find_road
-    from .show import film, live
+    from .show import check_window, film, live
 
     _check_file(out)
     if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
@@ -522,6 +522,9 @@ def show(
     entries = [find(name, plant) for name in (policy, against) if name is not None]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
+        check_window()
+        with _progress() as update:
+            _warm_up(update)
         live(entries, plant, **drive)
         return
     with _progress() as update:

@@ -118,6 +118,35 @@ class Snapshot:
         return (self.body if self.piston is None else self.piston) - self.joint
 
 
+_NO_WINDOW = "cannot open a window: {}; use render_mode='rgb_array', or write a film"
+
+
+def check_display() -> None:
+    """Raise `InputError` where no window can be opened, or pygame is missing: before long work, not after it."""
+    pg = _pygame()
+    _start_display(pg)
+    pg.display.quit()
+
+
+def _start_display(pg: Any) -> None:
+    """Without a display SDL may take a driver that shows nothing; only who asks for one should get it."""
+    name = "SDL_VIDEODRIVER"
+    choose = sys.platform.startswith("linux") and not os.environ.get(name)
+    if choose:
+        served = {"x11": "DISPLAY", "wayland": "WAYLAND_DISPLAY"}
+        drivers = [driver for driver, display in served.items() if os.environ.get(display)]
+        if not drivers:
+            raise InputError(_NO_WINDOW.format("this machine has no display"))
+        os.environ[name] = ",".join(drivers)
+    try:
+        pg.display.init()
+    except pg.error as error:
+        raise InputError(_NO_WINDOW.format(str(error).strip().splitlines()[0])) from None
+    finally:
+        if choose:
+            del os.environ[name]
+
+
 class Renderer:
     """Draws the car corner (`cars=1`) or two of them side by side (`cars=2`).
 
@@ -199,18 +228,11 @@ class Renderer:
     # --- window -----------------------------------------------------------------------------------
 
     def _open_window(self) -> None:
-        advice = "cannot open a window: {}; use render_mode='rgb_array', or write a film"
-        # Without a display SDL may take a driver that shows nothing; only who asks for one should get it.
-        if (
-            sys.platform.startswith("linux")
-            and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
-        ):  # fmt: skip
-            raise InputError(advice.format("this machine has no display"))
+        _start_display(self._pg)
         try:
-            self._pg.display.init()
             self._window = self._pg.display.set_mode((self.width, self.height))
         except self._pg.error as error:
-            raise InputError(advice.format(str(error).strip().splitlines()[0])) from None
+            raise InputError(_NO_WINDOW.format(str(error).strip().splitlines()[0])) from None
         self._pg.display.set_caption("isd-gym")
         self._clock = self._pg.time.Clock()
 

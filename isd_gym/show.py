@@ -113,18 +113,25 @@ def film(
         progress(1.0)
 
 
-def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
-    """Show the policies in a window at the pace of the simulated time, until the end or until the window is closed."""
+def check_window() -> None:
+    """Raise `InputError` where `live` could not show anything."""
+    from .rendering import check_display
+
     try:
-        opened = _renderer("human", len(entries))
-        with opened as renderer:
-            for shots in snapshots(entries, network, **drive):
-                renderer.draw(*shots)
-                if renderer.closed:
-                    return
+        check_display()
     except InputError as error:
         if "window" in str(error):
             raise InputError(
                 "this machine has no display to open a window on; write a film with --out FILE.mp4"
             ) from None
         raise
+
+
+def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
+    """Show the policies in a window at the pace of the simulated time, until the end or until the window is closed."""
+    check_window()
+    with _renderer("human", len(entries)) as renderer:
+        for shots in snapshots(entries, network, **drive):
+            renderer.draw(*shots)
+            if renderer.closed:
+                return

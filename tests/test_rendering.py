@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -305,10 +306,13 @@ def test_without_a_display_the_answer_is_one_line(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(InputError, match="no display; use render_mode='rgb_array'"):
         Renderer("human")
     monkeypatch.setenv("DISPLAY", ":987")  # set, and nothing behind it
-    monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
-    with pytest.raises(InputError, match="cannot open a window") as caught:
-        Renderer("human")
-    assert "\n" not in str(caught.value)
+    for asked in ("", "x11"):
+        monkeypatch.setenv("SDL_VIDEODRIVER", asked)
+        for open_it in (lambda: Renderer("human"), rendering.check_display):
+            with pytest.raises(InputError, match="cannot open a window") as caught:
+                open_it()
+            assert "\n" not in str(caught.value)
+            assert os.environ["SDL_VIDEODRIVER"] == asked if asked else not os.environ.get("SDL_VIDEODRIVER")
 
 
 def test_the_window_keeps_pace_and_can_be_shut(monkeypatch: pytest.MonkeyPatch) -> None:
