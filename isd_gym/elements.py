@@ -283,13 +283,12 @@ def _bouc_wen(p, d, v, d_last, z, h):
         return z, z
     steps = int(min(1.0 + 4.0 * stiffness * abs(way) / level, 64.0))
     part = way / steps
+    turn = shape if part > 0.0 else -shape
     for _ in range(steps):  # midpoint rule in travel: the law does not depend on the rate
-        s = abs(z) ** (exponent - 1.0) / level**exponent
-        slope = stiffness * (1.0 - (shape * math.copysign(1.0, part) * z + (1.0 - shape) * abs(z)) * s)
-        m = z + 0.5 * part * slope
-        s = abs(m) ** (exponent - 1.0) / level**exponent
-        slope = stiffness * (1.0 - (shape * math.copysign(1.0, part) * m + (1.0 - shape) * abs(m)) * s)
-        z = z + part * slope
+        bend = (abs(z) / level) ** exponent * (math.copysign(turn, turn * z) + 1.0 - shape)
+        m = z + 0.5 * part * stiffness * (1.0 - bend)
+        bend = (abs(m) / level) ** exponent * (math.copysign(turn, turn * m) + 1.0 - shape)
+        z = z + part * stiffness * (1.0 - bend)
     return z, z
 
 
