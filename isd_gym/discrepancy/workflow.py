@@ -484,19 +484,7 @@ class Workflow:
     def conclude(self, base: Rival, w: Weighed) -> Diagnosis:
         self.notes += [f"tried {t}" for t in w.table]
         self.weighed = w
-        return self.report(
-            w.verdict,
-            base,
-            w.chosen,
-            w.rivals,
-            w.abreast,
-            w.whitener,
-            w.floor,
-            w.before,
-            w.stood,
-            w.quiet,
-            w.explained,
-        )
+        return self.report(base, w)
 
     def settle_again(self, rival: Rival, richer: Rival) -> None:
         """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""
@@ -605,18 +593,10 @@ class Workflow:
             )
         return (hits + 0.5) / (rounds + 1.0)
 
-    def gates(
-        self,
-        base: Rival,
-        chosen: Rival,
-        best: Standing,
-        refit: Standing,
-        others: list[Standing],
-        quiet: float,
-        explained: float,
-        floor: Array,
-    ) -> tuple[Gate, ...]:
+    def gates(self, base: Rival, w: Weighed, others: list[Standing]) -> tuple[Gate, ...]:
         """The five gates with their figures."""
+        chosen, quiet = w.chosen, w.quiet
+        best, refit = w.stood[id(chosen)], w.stood[id(base)]
         least = finer(trust(self.problem, chosen.fit, self.floors), self.floors)
         gain = sum(
             k * (innovations(residuals(self.problem, r.fit), least) + r.fit.prior)
@@ -648,8 +628,8 @@ class Workflow:
             ),
             Gate(
                 "adequate",
-                explained >= ADEQUATE,
-                explained,
+                w.explained >= ADEQUATE,
+                w.explained,
                 ADEQUATE,
                 "share of the held-out excess error removed, and of that in the channel with the widest gap",
             ),
@@ -688,23 +668,16 @@ class Workflow:
             out.append(Trace(record.name, self.whole.held[i], record.time, thin, measured, *says))
         return tuple(out)
 
-    def report(
-        self, verdict, base, chosen, rivals, abreast, W, floor, before, stood, quiet, explained
-    ) -> Diagnosis:
-        p = self.problem
-        names = p.channels
-        chosen_at, refit_at = stood[id(chosen)], stood[id(base)]
-        others = [stood[id(r)] for r in rivals if id(r) in stood and not self.same(r, chosen, W)]
-        confidence = self.confidence(chosen_at, refit_at, others, quiet)
-        gates = (
-            self.gates(base, chosen, chosen_at, refit_at, others, quiet, explained, floor)
-            if chosen.hypotheses
-            else ()
-        )
+    def report(self, base: Rival, w: Weighed) -> Diagnosis:
+        p, names = self.problem, self.problem.channels
+        verdict, chosen, abreast, floor, stood = w.verdict, w.chosen, w.abreast, w.floor, w.stood
+        others = [stood[id(r)] for r in w.rivals if id(r) in stood and not self.same(r, chosen, w.whitener)]
+        confidence = self.confidence(stood[id(chosen)], stood[id(base)], others, w.quiet)
+        gates = self.gates(base, w, others) if chosen.hypotheses else ()
         named = verdict == "missing_effect"
-        final = chosen if verdict == "missing_effect" else base
+        final = chosen if named else base
         refit, after = stood[id(base)], stood.get(id(final)) or stood[id(base)]
-        rows = {"before": before, "refit": refit.nrmse, "after": after.nrmse, "noise_floor": floor}
+        rows = {"before": w.before, "refit": refit.nrmse, "after": after.nrmse, "noise_floor": floor}
         gap = {k: {n: float(v) for n, v in zip(names, row, strict=True)} for k, row in rows.items()}
         top = float(np.sum(refit.nrmse**2 - after.nrmse**2))
         bottom = float(np.sum(np.maximum(refit.nrmse**2 - floor**2, 0.0)))
@@ -734,7 +707,7 @@ class Workflow:
             Contender(
                 tuple(h.effect for h in r.hypotheses),
                 tuple(h.where for h in r.hypotheses),
-                (stood[id(r)].score - quiet) / max(refit.score - quiet, 1e-12),
+                (stood[id(r)].score - w.quiet) / max(refit.score - w.quiet, 1e-12),
                 r.likelihood - chosen.likelihood,
                 "cannot be told apart on these data"
                 if r in abreast
@@ -742,7 +715,7 @@ class Workflow:
                 if stood[id(r)].score > refit.score
                 else "explains less of the held-out records",
             )
-            for r in ([chosen, *abreast] if verdict == "ambiguous" else rivals)
+            for r in ([chosen, *abreast] if verdict == "ambiguous" else w.rivals)
             if id(r) in stood
         ]
         where = places(p, base.fit, floor * self.spread) if verdict != "no_discrepancy" else ()
