@@ -101,7 +101,8 @@ class PPOSettings(Settings):
 class SACSettings(Settings):
     preview: float = 0.4  # s of road ahead that the critic knows
     warm_steps: int = 1500
-    steps: int = 20_000_000
+    steps: int = 14_000_000
+    evaluations: int = 8
     cars: int = 1024
     group: int = 8  # cars on one road, see `sac`
     batch: int = 2048

@@ -40,6 +40,8 @@ VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
 BASELINES = ("lqg", "mpc-friction")  # shown beside the progress, where they exist
+#: their costs, for a process that trains several seeds
+_REFERENCES: dict[str, dict[str, float]] = {}
 
 
 def train(
@@ -311,7 +313,11 @@ class Run:
         return float(run.cost(StageCost()).mean())
 
     def _references(self) -> dict[str, float]:
-        """Cost of the passive car and of the baselines there are, on the validation roads."""
+        """Cost of the passive car and of the baselines there are, on the validation roads, once in a process."""
+        same = ("network", "road", "speed", "randomize")
+        key = json.dumps([[self.asked[k] for k in same], VALIDATION_EPISODES, BASELINES], sort_keys=True)
+        if key in _REFERENCES:
+            return dict(_REFERENCES[key])
         # on a spread of cars the same cars without current: the conventional car has no such parameters to spread
         idle = find("isd-passive", self.plant) if self.spread else passive(self.plant)
         out = {idle.name: self.cost(idle)}
@@ -320,6 +326,7 @@ class Run:
                 out[name] = self.cost(find(name, self.plant))
             except (InputError, ImportError):
                 continue  # a network that the baseline has no model of, or an install without it
+        _REFERENCES[key] = dict(out)
         return out
 
     def look(self, model: Any, env: Any) -> None:
