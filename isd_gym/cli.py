@@ -578,11 +578,14 @@ def main() -> None:
     try:
         _plug_in()
         code = app(standalone_mode=False)
+        sys.stdout.flush()
     except InputError as error:
         typer.echo(f"isd-gym: {error}", err=True)
         code = 2
     except KeyboardInterrupt:
         code = 130
+    except OSError as error:
+        code = 130 if stopped else _broken(error)
     except Exception as error:
         if stopped:  # what a compiler says whose callback was broken off
             code = 130
@@ -593,6 +596,17 @@ def main() -> None:
     if code == 130:
         typer.echo("isd-gym: stopped", err=True)
     sys.exit(code)
+
+
+def _broken(error: OSError) -> int:
+    """A reader that has gone is no news; a full disk, a file that may not be read is one line."""
+    import os
+
+    if not isinstance(error, BrokenPipeError):
+        name = f": '{error.filename}'" if error.filename else ""
+        typer.echo(f"isd-gym: {error.strerror or error}{name}", err=True)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more can be told there
+    return 1
 
 
 def _listen() -> list[int]:

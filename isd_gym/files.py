@@ -15,9 +15,20 @@ from .errors import InputError
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block ends well, and is gone when it does not."""
+    """A temporary path beside `path` that takes its place when the block ends well, and is gone when it does not.
+
+    A link stays one, and what it points to is replaced. A device or pipe (/dev/stdout) is written into, never replaced.
+    """
     path = Path(path)
     check_file(path)
+    if path.is_symlink() and path.is_file() and path.parent != Path("/dev"):
+        path = path.resolve()
+    elif path.exists() and not (path.is_file() and not path.is_symlink()):
+        with tempfile.TemporaryDirectory() as folder:
+            temporary = Path(folder) / f"out{path.suffix}"
+            yield temporary
+            _pour(temporary, path)
+        return
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     except OSError as error:
@@ -32,6 +43,14 @@ def whole(path: str | Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _pour(source: Path, target: Path) -> None:
+    try:
+        with source.open("rb") as have, target.open("wb") as into:
+            shutil.copyfileobj(have, into)
+    except OSError as error:
+        raise InputError(f"cannot write '{target}' ({error.strerror})") from None
 
 
 def check_file(path: str | Path) -> None:

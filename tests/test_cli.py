@@ -224,3 +224,29 @@ def test_ctrl_c_in_a_callback_that_swallows_it(then):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "isd-gym: stopped\n")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="its devices")
+def test_the_answer_into_a_pipe_a_full_disk_or_a_link(tmp_path):
+    """A device is written into, not replaced; a link stays one; what cannot be written is one line."""
+    (tmp_path / "link.json").symlink_to("target.json")
+    (tmp_path / "target.json").write_text("old")
+    program = f"{sys.executable} -m isd_gym.cli"
+    told = f"{program} score passive --episodes 1 --duration 0.1 --json"
+    for command, code, error in (
+        (f"{told} link.json", 0, ""),
+        (f"{told} /dev/stdout | cat > piped", 0, ""),
+        (f"{told} /dev/full", 2, "isd-gym: cannot write '/dev/full' (No space left on device)"),
+        (f"{program} networks force-rig > /dev/full", 1, "isd-gym: No space left on device"),
+        (f"{program} networks quarter-car-isd | true; exit ${{PIPESTATUS[0]}}", 1, ""),
+    ):
+        done = subprocess.run(
+            ["bash", "-c", command], capture_output=True, text=True, check=False, cwd=tmp_path
+        )
+        assert done.stderr.strip() == error
+        assert (
+            done.returncode == code or "| true" in command
+        )  # a quick program is done before its reader goes
+    assert (tmp_path / "link.json").is_symlink()
+    assert json.loads((tmp_path / "target.json").read_text())["schema"] == "isd-score/1"
+    assert '"schema": "isd-score/1"' in (tmp_path / "piped").read_text()
