@@ -589,6 +589,14 @@ def main() -> None:
     except Exception as error:
         if stopped:  # what a compiler says whose callback was broken off
             code = 130
+        elif "cannot cache function" in str(
+            error
+        ):  # a program that was installed read-only, by a user without a home
+            typer.echo(
+                "isd-gym: nowhere to keep the compiled kernel: set NUMBA_CACHE_DIR to a folder that can be written",
+                err=True,
+            )
+            code = 2
         elif hasattr(error, "format_message"):  # of the parser of the command line, whichever typer brings
             code = _explain(error)
         else:

@@ -250,3 +250,16 @@ def test_the_answer_into_a_pipe_a_full_disk_or_a_link(tmp_path):
     assert (tmp_path / "link.json").is_symlink()
     assert json.loads((tmp_path / "target.json").read_text())["schema"] == "isd-score/1"
     assert '"schema": "isd-score/1"' in (tmp_path / "piped").read_text()
+
+
+def test_nowhere_to_keep_the_kernel_is_one_line():
+    """numba's own words where neither the package's folder nor the user's can be written."""
+    code = (
+        "import sys, numba.core.caching as c\n"
+        "c.CacheImpl._locator_classes = []\n"
+        "sys.argv = ['isd-gym', 'score', 'passive']\n"
+        "from isd_gym.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "set NUMBA_CACHE_DIR" in done.stderr and len(done.stderr.strip().splitlines()) == 1
