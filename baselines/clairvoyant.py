@@ -848,10 +848,20 @@ def reachable(
     seed: int = 0,
     duration: float = 20.0,
     cost: StageCost | None = None,
+    *,
+    signals: dict[str, np.ndarray] | None = None,
 ) -> np.ndarray | None:
-    """Least known cost of each episode (episodes,) for the score; None where one is not known (see `reference`)."""
+    """Least known cost of each episode (episodes,) for the score; None where one is not known (see `reference`).
+
+    `signals`, where given, gets the RMS of body_acceleration, suspension_travel and tyre_load at that cost (episodes,).
+    """
     found = reference(network, road, speed, episodes, seed, duration, cost)
-    return None if found is None else found["value"]
+    if found is None:
+        return None
+    if signals is not None:
+        names = {"acceleration": "body_acceleration", "travel": "suspension_travel", "tyre_load": "tyre_load"}
+        signals |= {name: found[own] for own, name in names.items()}
+    return found["value"]
 
 
 def _keep(path: Path, key: str, about: dict[str, Any], seed: int, figures: dict[str, Any]) -> None:

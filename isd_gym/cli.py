@@ -229,7 +229,7 @@ def score(
     ground = find_road(road)
     belief = Network.load(model) if model else None
     entries = [find(name, plant, model=belief) for name in policies]
-    known = _reachable(plant, ground, speed, episodes, seed, duration)
+    known, signals = _reachable(plant, ground, speed, episodes, seed, duration)
     with _progress() as update:
         _warm_up(update)
         result = run(
@@ -245,6 +245,8 @@ def score(
             progress=update,
         )
     result.references |= _references(result, plant, ground, known)
+    if signals:
+        result.references["clairvoyant_point"] = _point(result, signals)
     _write_json(json_file, result.to_dict())
     if report is not None:
         from .plots import score_report
@@ -254,11 +256,25 @@ def score(
     _print_score(result)
 
 
-def _reachable(plant: Any, road: Any, speed: float, episodes: int, seed: int, duration: float) -> Any:
-    """Least known cost of these very episodes, where it is known; else None."""
+def _reachable(
+    plant: Any, road: Any, speed: float, episodes: int, seed: int, duration: float
+) -> tuple[Any, dict[str, Any]]:
+    """Least known cost of these very episodes and the RMS of the signals there; None and {} where it is not known."""
+    signals: dict[str, Any] = {}
     for point in entry_points(group="isd_gym.references", name="clairvoyant"):
-        return point.load()(plant, road, speed, episodes, seed, duration)
-    return None
+        return point.load()(plant, road, speed, episodes, seed, duration, signals=signals), signals
+    return None, signals
+
+
+def _point(result: Any, signals: dict[str, Any]) -> dict[str, float]:
+    """Where the clairvoyant optimum lies on the trade-off: changes of RMS against passive, over all episodes."""
+    import numpy as np
+
+    own = result.runs["passive"]
+    return {
+        f"{name}_change": float(np.sqrt(np.mean(values**2) / np.mean(getattr(own, name) ** 2)) - 1)
+        for name, values in signals.items()
+    }
 
 
 def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str]:
@@ -363,7 +379,7 @@ def _print_score(result: Any) -> None:
             )
         ]
         console.print(f"The paper's {name}: " + ", ".join(parts), style="dim", highlight=False, markup=False)
-    for line in result.references.values():
+    for line in (r for r in result.references.values() if isinstance(r, str)):
         console.print(line, style="dim", highlight=False, markup=False)
 
 

@@ -10,7 +10,7 @@ import base64
 import json
 import math
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata, resources
@@ -488,7 +488,7 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     if any(name != "passive" for name in list(score.runs)[:1]):
         return []  # the bound is told against the conventional car
     for point in entry_points(group="isd_gym.references", name="lq_front"):
-        travel = np.array([-0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
+        travel = np.array([-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
         out = []
         for tyre in (0.0, 0.03):
             try:
@@ -543,24 +543,22 @@ def trade_off(fig: Figure, shown: Shown) -> str:
         a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
         ax.plot(100 * l, 100 * a, marker, mfc="white", mec=MUTED, ms=9, zorder=4)
         points.append((100 * l, 100 * a, f"paper's {name.split(' (')[0]}, tyre {percent(t)}", MUTED))
-    extra = shown.score.references.get("clairvoyant")
-    if isinstance(extra, Mapping) and {"acceleration_change", "travel_change"} <= set(extra):
-        x, y = 100 * extra["travel_change"], 100 * extra["acceleration_change"]
-        ax.plot(x, y, "o", mfc="white", mec=INK, mew=1.5, ms=8, zorder=5)
-        points.append((x, y, f"clairvoyant, tyre {percent(extra.get('tyre_change'))}", INK))
+    known = shown.score.references.get("clairvoyant_point")
+    if known:
+        a, l, t = (known[f"{k}_change"] for k in ("body_acceleration", "suspension_travel", "tyre_load"))
+        ax.plot(100 * l, 100 * a, "o", mfc="white", mec=INK, mew=1.5, ms=8, zorder=5)
+        points.append((100 * l, 100 * a, f"clairvoyant, tyre {percent(t)}", INK))
     xs, ys = np.array([p[0] for p in points]), np.array([p[1] for p in points])
     left, right = min(-22.0, xs.min() - 6), max(6.0, xs.max() + 6)
     bottom, top = min(-26.0, ys.min() - 4), max(5.0, ys.max() + 5)
     curves = fronts(shown.score)
     for (tyre, curve), line in zip(curves, ("-", (0, (5, 2))), strict=False):
-        ax.plot(100 * curve[:, 0], 100 * curve[:, 1], color=INK, ls=line, lw=1.1, zorder=3)
-        ax.annotate(
-            f"causal bound, tyre {percent(tyre, 0)}", (right, 100 * float(np.interp(right / 100, *curve.T))),
-            xytext=(-4, 3), textcoords="offset points", ha="right", va="bottom", fontsize=8, color=INK,
-        )  # fmt: skip
+        label = f"causal bound, tyre {percent(tyre, 0)}"
+        ax.plot(100 * curve[:, 0], 100 * curve[:, 1], color=INK, ls=line, lw=1.1, zorder=3, label=label)
     if curves:
         curve = 100 * curves[-1][1]
         ax.fill_between(curve[:, 0], curve[:, 1], bottom, color=PALE, alpha=0.55, lw=0, zorder=0)
+        ax.legend(loc="lower right", fontsize=8, frameon=True, edgecolor="none")
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
     ax.set_xlabel(f"change of suspension travel against {shown.reference} [%]")
@@ -572,6 +570,8 @@ def trade_off(fig: Figure, shown: Shown) -> str:
         if curves
         else ""
     )
+    if known:
+        bound += " The clairvoyant optimum knows these very roads in advance, which no controller does."
     return (
         f"Better is down and to the left. Crosses are 95 % paired intervals over {shown.score.episodes} episodes; the change "
         f"of RMS tyre load is written beside each point ({own} driven here, the paper's two for comparison).{bound}"
@@ -611,6 +611,11 @@ def label_points(
                 box = Text.get_window_extent(label).padded(1.5 * unit)  # without its leader
                 clash = sum(box.overlaps(b) for b in (*taken, *bars))
                 clash += sum(box.contains(*m) for m in marks)
+                start, end = np.array(to_screen((x, y))), 0.5 * (box.p0 + box.p1)
+                path = [start + w * (end - start) for w in np.linspace(0.0, 1.0, 15)]
+                clash += sum(
+                    any(b.contains(*q) for q in path) for b in taken
+                )  # its leader across another text
                 outside = box.x0 < area.x0 or box.x1 > area.x1 or box.y0 < area.y0 or box.y1 > area.y1
                 value = 10 * clash + 20 * outside + 0.02 * reach
                 if best is None or value < best[0]:

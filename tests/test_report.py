@@ -372,6 +372,17 @@ def test_a_score_on_a_flat_road_can_be_shown(tmp_path):
     assert not (tmp_path / "flat" / "spectra.png").exists()  # nothing moves
 
 
+def test_the_clairvoyant_point_is_on_the_trade_off(small_score):
+    shown = plots.Shown(small_score)
+    point = {"body_acceleration_change": -0.33, "suspension_travel_change": -0.4, "tyre_load_change": -0.04}
+    known = plots.Shown(replace(small_score, references={"clairvoyant_point": point}))
+    for view, there in ((shown, False), (known, True)):
+        fig = plots.figure()
+        caption = plots.trade_off(fig, view)
+        lines = [tuple(line.get_xydata()[0]) for line in fig.axes[0].lines if len(line.get_xydata()) == 1]
+        assert ((-40.0, -33.0) in lines) == there == ("clairvoyant" in caption)
+
+
 def test_headline_names_who_is_level_with_the_best(small_score):
     shown = plots.Shown(small_score)
     assert shown.reference == "passive" and shown.best == "skyhook" and shown.level == []
