@@ -198,7 +198,8 @@ def table(study: dict[str, Any]) -> str:
                 cells.append(f"{100 * v:+.{digits}f} % [{100 * low:+.{digits}f}, {100 * high:+.{digits}f}]")
             seeds = len(own) if name in ("ppo", "sac") else ""
             label = f"{name} (best MPC)" if name == rivals["best MPC"] else name
-            grip = f"{100 * float(iqm(load[name] / load['passive'] - 1)):+.1f} %" if name in load else ""
+            seen = name in load and name != "passive"
+            grip = f"{100 * float(iqm(load[name] / load['passive'] - 1)):+.1f} %" if seen else ""
             share = f"{100 * gains[name]:.1f} %" if name in gains else ""
             cells = [f"{iqm(own.mean(axis=1)):.4f}", grip, share, *cells]
             lines.append(f"| {condition} | {label} | {seeds} | {' | '.join(cells)} |")
