@@ -279,6 +279,7 @@ class Rival:
     held: Fit | None = None
     score: float = math.nan  # mean whitened square of the held-out records, all channels
     blocks: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (blocks in time, channels)
+    about: dict[int, Array] = field(default_factory=dict)  # initial states of held-out records worth trying
 
     @property
     def cost(self) -> float:
@@ -380,7 +381,11 @@ def settled(
 def judge(problem: Problem, W: Whitener, rival: Rival) -> None:
     """Held-out records: parameters as found, initial states and offsets from the record's own samples."""
     f = Fitter(problem, W).follow(
-        rival.fit.structure, rival.fit.x, problem.validation, rival.held.initial if rival.held else None
+        rival.fit.structure,
+        rival.fit.x,
+        problem.validation,
+        rival.held.initial if rival.held else None,
+        rival.about,
     )
     rival.held = f
     blocks = []

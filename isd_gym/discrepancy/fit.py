@@ -180,12 +180,14 @@ class Fitter:
         x: Array,
         records: Sequence[int],
         initial: dict[int, Array] | None = None,
+        about: dict[int, Array] | None = None,
         *,
         iterations: int = 4,
     ) -> Fit:
         """Initial states and offsets of `records` with the parameters as they are, one record after the other.
 
-        A record that goes on where the one before it ended begins from where the simulation of that one ended.
+        `initial`: where to begin. Else the cheapest of a guess, of `about`, and, for a record that goes on where the one
+        before it ended, of where the simulation of that one ended.
         """
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
@@ -202,6 +204,8 @@ class Fitter:
                     before, now = self.along(structure, x, k, last[1].initial[k], (end - 1, end))
                     ahead = 2 * now - before
                     starts = [self.guess(net, i, ahead), ahead, *starts]
+                if about and len(about.get(i, ())) == n0:
+                    starts.append(about[i])
                 if len(starts) > 1:
                     zero = {i: np.zeros(len(problem.channels))}
                     costs = [self._cost(structure, x, {i: s}, zero, [i]) for s in starts]

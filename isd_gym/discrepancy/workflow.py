@@ -20,6 +20,7 @@ from ..units import convert
 from .choose import (
     CONTAINS,
     Rival,
+    carried,
     compete,
     finer,
     gap,
@@ -326,6 +327,11 @@ class Workflow:
         )
         structure = base_structure(self.network)
         fit, value = settled(p, structure, structure.start, self.floors)
+        # a spectrum that falls may be taken for coloured noise, but noise is no more than what the model leaves
+        left = np.sqrt(np.mean(np.concatenate(residuals(p, fit)) ** 2, axis=0))
+        if np.any(left < 0.7 * self.floors):
+            self.floors = np.minimum(self.floors, np.maximum(left, 0.01 * self.spread))
+            fit, value = settled(p, structure, fit.x, self.floors)
         base = Rival((), fit, value)
         path, stages = self.walk([base], [])
         best = self.weigh(base, path, stages)
@@ -337,9 +343,11 @@ class Workflow:
             # what comes first may lead astray: the runners-up get their turn
             for runner in stages[0][1 : 1 + TURNS]:
                 say(f"starting over with {runner.hypotheses[-1].label}")
-                other = self.weigh(base, *self.walk([base, runner], stages[:1]))
-                if self.better(other, best):
-                    best = other
+                try:
+                    other = self.weigh(base, *self.walk([base, runner], stages[:1]))
+                    best = other if self.better(other, best) else best
+                except (InputError, np.linalg.LinAlgError):  # it breaks down on the held-out records
+                    continue
         return self.conclude(base, best)
 
     def excess(self, rival: Rival) -> float:
@@ -439,9 +447,14 @@ class Workflow:
             stood.pop(id(chosen), None)
         if depth:
             chosen = self.prune(chosen, [r for stage in stages for r in stage], stand, quiet, table)
-        rivals = [r for r in stages[depth - 1][:6] if r is not chosen] if depth else []
-        for r in [base, chosen, *rivals]:
-            stand(r)
+        stand(base)
+        rivals: list[Rival] = []
+        for r in stages[depth - 1][:6] if depth else []:
+            try:
+                stand(r)
+            except (InputError, np.linalg.LinAlgError):  # it breaks down on the held-out records
+                continue
+            rivals += [r] if r is not chosen else []
         refit, after = stand(base), stand(chosen)
         excess_before, excess_refit, excess_after = (
             np.maximum(e**2 - floor**2, 0.0) for e in (before, refit.nrmse, after.nrmse)
@@ -457,17 +470,13 @@ class Workflow:
             math.sqrt(e.max()) for e in (excess_before, excess_refit, excess_after)
         )
         # who is still abreast
-        abreast: list[Rival] = []
-        if depth:
-            for r in stages[depth - 1][:6]:
-                if (
-                    r is chosen
-                    or not itself(r.fit)
-                    or self.beaten(stand(r), stand(chosen), quiet)
-                    or self.same(r, chosen, W)
-                ):
-                    continue
-                abreast.append(r)
+        abreast = [
+            r
+            for r in rivals
+            if itself(r.fit)
+            and not self.beaten(stand(r), stand(chosen), quiet)
+            and not self.same(r, chosen, W)
+        ]
         if gap_refit < MATERIAL:
             verdict = "no_discrepancy" if gap_before < MATERIAL else "parameters_only"
         elif depth == 0 or explained < ADEQUATE or not itself(chosen.fit):
@@ -529,8 +538,13 @@ class Workflow:
                         )
                     except (InputError, np.linalg.LinAlgError):
                         continue
+                    # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
                     r = Rival(structure.hypotheses, fit, value)
-                then = stand(r)
+                    r.about = carried(p, chosen.held, structure) if chosen.held else {}
+                try:
+                    then = stand(r)
+                except (InputError, np.linalg.LinAlgError):
+                    continue
                 loss = innovations(residuals(p, r.fit), fine) + r.fit.prior - level
                 moved = float(np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0)).max())
                 wider = gap(p, r.fit) / gap(p, chosen.fit)
