@@ -1,6 +1,6 @@
 """The study: PPO and SAC over training seeds against the baselines, paired on held-out roads.
 
-    python benchmarks/study.py train --out runs/study --seeds 5          # resumes; hours on two cores
+    python benchmarks/study.py train --out runs/study --seeds 5          # resumes; half an hour on one core
     python benchmarks/study.py ship runs/study                           # the best seed of each algorithm, into agents/policies
     python benchmarks/study.py collect RUN... --out benchmarks/study.json   # runs of `isd-gym train`, any seeds
     python benchmarks/study.py table benchmarks/study.json
