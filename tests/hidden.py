@@ -829,7 +829,9 @@ def make_case(
         found.append([e["type"], None])
     answer: list[list[Any]] | str = "unknown" if secret.unknown else found
     pool = {"car": _car_nuisances, "rig": _rig_nuisances}.get(group, lambda r: [])(r)
-    for e in pool:  # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
+    for (
+        e
+    ) in pool:  # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
         power = {"cubic_stiffness": 1.0, "quadratic_damping": 0.5}.get(e["type"], 0.0)
         for key in ("stiffness", "damping"):
             if key in e:
@@ -839,6 +841,10 @@ def make_case(
     count = (2 if group == "rig" else int(r.integers(2, 5))) if nuisances is None else nuisances
     chosen = r.permutation(len(pool))[: min(count, len(pool))]
     small = _plus(true, [pool[i] for i in sorted(chosen)], "nuisance")
+    damper = next((e["between"] for e in true["elements"] if e.get("name") == "damper"), None)
+    behind = [e for e in small if e.get("between") == list(DAMPER) and group == "car"]
+    for e in behind:  # less damping is the damper's: on a massless node of its own it would push for ever
+        e["between"] = list(damper or DAMPER)
 
     # the owner's model
     owner = copy.deepcopy(base_model)
@@ -854,6 +860,9 @@ def make_case(
     without["elements"] = [
         e for e in without["elements"] if not str(e.get("name")).startswith(("hidden", "series"))
     ]
+    for e in without["elements"]:
+        if e.get("name") in {b["name"] for b in behind}:
+            e["between"] = list(DAMPER)
     without["masses"] = {n: m for n, m in without["masses"].items() if n not in secret.masses}
     for e in without["elements"]:
         original = next((b for b in base_model["elements"] if b["name"] == e.get("name")), None)
