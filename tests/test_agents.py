@@ -657,6 +657,13 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
     car = batch.rewards[:, 0].numpy() - sum(np.where(j < steps, 0.5**j * (begin + j), 0) for j in range(3))
     car /= sum(np.where(j < steps, 0.5**j, 0) for j in range(3))
     np.testing.assert_allclose(car.reshape(-1, 2)[:, 1] - car.reshape(-1, 2)[:, 0], 1.0, atol=1e-5)
+    replay.explored[:] = False
+    replay.explored[6, 1] = True  # the cars 2 and 3
+    batch = replay.sample(8)
+    np.testing.assert_array_equal(batch.observations[:, 0], np.full(8, 6))
+    np.testing.assert_allclose(
+        batch.rewards[:, 0], [sum(0.5**j * (i + 6 + j) for j in range(3)) for i in (2, 3)] * 4
+    )
 
 
 @needs_sb3
