@@ -282,10 +282,6 @@ class Weighed:
     stages: list[list[Rival]]
     stood: dict[int, Standing]
 
-    @property
-    def refit_gap(self) -> float:
-        return self.gaps[1]
-
 
 class Workflow:
     def __init__(
@@ -337,7 +333,8 @@ class Workflow:
         best = self.weigh(base, path, stages)
         if (
             stages
-            and best.refit_gap >= MATERIAL
+            and best.gaps[1] >= MATERIAL
+            and best.gaps[2] >= MATERIAL
             and (best.explained < ADEQUATE or len(best.chosen.hypotheses) > 1)
         ):
             # what comes first may lead astray: the runners-up get their turn
