@@ -285,9 +285,11 @@ def _bouc_wen(p, d, v, d_last, z, h):
     part = way / steps
     turn = shape if part > 0.0 else -shape
     for _ in range(steps):  # midpoint rule in travel: the law does not depend on the rate
-        bend = (abs(z) / level) ** exponent * (math.copysign(turn, turn * z) + 1.0 - shape)
+        bend = abs(z) / level if exponent == 1.0 else (abs(z) / level) ** exponent  # a power is slow
+        bend *= math.copysign(turn, turn * z) + 1.0 - shape
         m = z + 0.5 * part * stiffness * (1.0 - bend)
-        bend = (abs(m) / level) ** exponent * (math.copysign(turn, turn * m) + 1.0 - shape)
+        bend = abs(m) / level if exponent == 1.0 else (abs(m) / level) ** exponent
+        bend *= math.copysign(turn, turn * m) + 1.0 - shape
         z = z + part * stiffness * (1.0 - bend)
     return z, z
 
