@@ -485,7 +485,8 @@ class _Scene:
         self.contact = float(np.interp(0.0, place, road))
         # The camera follows the road at large: a mean that fades towards the edges, so it moves smoothly.
         weight = np.hanning(self.road.size + 2)[1:-1]
-        self.reference = float(self.road @ weight / weight.sum())
+        # heights less the one under the wheel, so that a road's own height is gone before anything is rounded
+        self.reference = self.contact + float((self.road - self.contact) @ weight / weight.sum())
 
     def needed(self, reference: float) -> float:
         """The largest motion, as a share of the room it has in a drawing without exaggeration."""

@@ -193,11 +193,16 @@ def test_a_missing_extra_is_named(missing, args, extra, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+#: what runs in the background of a shell ignores Ctrl-C, and its children inherit that
+LISTEN = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
     """Stopped in the middle of the drives, whose start the first line of a policy shows."""
     code = (
-        "import sys, isd_gym.scoring as s; drive = s.drive\n"
+        "import signal, sys, isd_gym.scoring as s; drive = s.drive\n"
+        f"{LISTEN}\n"
         "def stopping(*args, **kwargs):\n"
         "    import os, signal; os.kill(os.getpid(), signal.SIGINT); return drive(*args, **kwargs)\n"
         "s.drive = stopping; sys.argv = ['isd-gym', 'score', 'passive', '--report', 'r', '--json', 's.json']\n"
@@ -217,6 +222,7 @@ def test_ctrl_c_in_a_callback_that_swallows_it(then):
     """As in a callback of the compiler: it goes on, or fails with an error of its own."""
     code = (
         "import sys, time, os, signal, ctypes, isd_gym.scoring as s\n"
+        f"{LISTEN}\n"
         "@ctypes.CFUNCTYPE(None)\n"
         "def callback():\n"
         "    os.kill(os.getpid(), signal.SIGINT); time.sleep(0.01)\n"
