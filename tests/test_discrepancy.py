@@ -178,3 +178,16 @@ def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
     # without the compliance there is no node between, and what stood there stands at the terminal again
     without = rebuilt(rig, [effects[0], last]).network
     assert without.element("quadratic_damping").where == (top, "ground")
+
+
+def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before() -> None:
+    """It holds the constant level already; what is gone is not asked for its values."""
+    from isd_gym.discrepancy.hypotheses import Hypothesis, add, base_structure
+
+    rig = Network.load("force-rig-eq6").without_element("seal")
+    where = (rig.moved_nodes[0], "ground")
+    plain = add(base_structure(rig), Hypothesis("coulomb_friction", where), {"level": 300.0})
+    curve = {"level": 300.0, "static_level": 500.0, "stribeck_velocity": 0.1}
+    both = add(plain, Hypothesis("stribeck_friction", where), curve)
+    assert [h.effect for h in both.hypotheses] == ["stribeck_friction"]
+    assert [both.network.element(name).type for name in both.names] == ["stribeck_friction"]

@@ -134,9 +134,9 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     network = structure.network
     cls = el.TYPES[h.effect]
     name = network.free_name(h.effect)
-    owner = len(structure.hypotheses)
     ties = list(structure.ties)
     free = list(structure.free)
+    found = list(zip(structure.hypotheses, structure.names, strict=True))
     options: dict[str, Any] = dict(h.options)
     data = dict(values)
     where = h.where
@@ -148,6 +148,7 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
                 # a Stribeck curve holds the constant level already: it takes the Coulomb element's place
                 network = drop(network, e.name)
                 free = [f for f in free if not f.path.startswith(f"{e.name}.")]
+                found = [(other, its) for other, its in found if its != e.name]
     if h.effect == "tyre_lift_off":
         spring = next(e for e in network.elements if e.type == "linear_stiffness" and e.where == where)
         data["stiffness"] = spring.stiffness  # type: ignore[attr-defined]
@@ -155,8 +156,11 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     element = cls(name=name, where=where, **data, **options)
     network = replace(network, elements=(*network.elements, element), outputs=_cells(network, element))
     tied = {path for path, _ in ties}
-    free += [f for f in free_of(cls, owner, element) if f.path not in tied]
-    return Structure(network, tuple(free), (*structure.hypotheses, h), (*structure.names, name), tuple(ties))
+    free += [f for f in free_of(cls, len(found), element) if f.path not in tied]
+    found.append((h, name))
+    return Structure(
+        network, tuple(free), tuple(h for h, _ in found), tuple(its for _, its in found), tuple(ties)
+    )
 
 
 def _cells(network: Network, element: el.Element) -> tuple[Channel, ...]:
