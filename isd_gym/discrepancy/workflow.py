@@ -325,11 +325,6 @@ class Workflow:
         )
         structure = base_structure(self.network)
         fit, value = settled(p, structure, structure.start, self.floors)
-        # a spectrum that falls may be taken for coloured noise, but noise is no more than what the model leaves
-        left = np.sqrt(np.mean(np.concatenate(residuals(p, fit)) ** 2, axis=0))
-        if np.any(left < 0.7 * self.floors):
-            self.floors = np.minimum(self.floors, np.maximum(left, 0.01 * self.spread))
-            fit, value = settled(p, structure, fit.x, self.floors)
         base = Rival((), fit, value)
         path, stages = self.walk([base], [])
         best = self.weigh(base, path, stages)
