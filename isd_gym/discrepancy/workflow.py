@@ -48,8 +48,6 @@ MATERIAL = 0.03
 HALF = 0.5
 #: share of it that must be removed before the rest may be called nuisances
 ADEQUATE = 0.75
-#: share from which on a set of effects is not put to the test by starting over
-NEARLY = 0.98
 #: a rival is beaten when its excess is larger by this factor
 AHEAD = 1.1
 STRETCH = 5.0  # [s] held-out records are judged in stretches, each from an initial state of its own
@@ -331,8 +329,7 @@ class Workflow:
         if (
             stages
             and best.gaps[1] >= MATERIAL
-            and best.gaps[2] >= MATERIAL
-            and (best.explained < (NEARLY if len(best.chosen.hypotheses) > 1 else ADEQUATE))
+            and (best.explained < ADEQUATE or len(best.chosen.hypotheses) > 1)
         ):
             # what comes first may lead astray: the runners-up get their turn
             for runner in stages[0][1 : 1 + TURNS]:
