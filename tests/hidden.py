@@ -829,9 +829,8 @@ def make_case(
         found.append([e["type"], None])
     answer: list[list[Any]] | str = "unknown" if secret.unknown else found
     pool = {"car": _car_nuisances, "rig": _rig_nuisances}.get(group, lambda r: [])(r)
-    for (
-        e
-    ) in pool:  # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
+    # a few per cent on a rough road as on a smooth one: motion goes with the root of its level
+    for e in pool:
         power = {"cubic_stiffness": 1.0, "quadratic_damping": 0.5}.get(e["type"], 0.0)
         for key in ("stiffness", "damping"):
             if key in e:
