@@ -471,6 +471,7 @@ def starts(
 
 #: gap from which on a simulation that no input ties to the record has lost its phase
 LOST = 0.5
+SHORTEST = 64  # samples of a beginning
 
 
 def compete(problem: Problem, current: Fit, floors: Array) -> tuple[list[Rival], Array]:
@@ -483,9 +484,7 @@ def compete(problem: Problem, current: Fit, floors: Array) -> tuple[list[Rival],
         return race(problem, current, floors)
 
     def beginning(share: float) -> Problem:
-        records = [
-            r.part(0, max(int(share * len(r)), min(SHORTEST, len(r))), r.name) for r in problem.records
-        ]
+        records = [_beginning(r, int(share * len(r)), SHORTEST) for r in problem.records]
         return Problem(problem.network, records, problem.held, problem.step)
 
     share, part, fit = 1.0, problem, current
@@ -511,9 +510,6 @@ def compete(problem: Problem, current: Fit, floors: Array) -> tuple[list[Rival],
         except (InputError, np.linalg.LinAlgError):
             rivals.remove(r)
     return simplest_first(sorted(rivals, key=lambda r: r.likelihood)), least
-
-
-SHORTEST = 64  # samples
 
 
 def race(
@@ -810,9 +806,9 @@ def _heat(record: Record, residual: Array) -> Window:
     return Window(0 if gain[0] > 0.7 * gain.max() else int(np.argmax(gain)), size)
 
 
-def _beginning(record: Record) -> Record:
-    """Enough of a record to tell pitches apart: the travel's span does it, not the time."""
-    return record.part(0, max(len(record) // 3, min(len(record), 2000)), record.name)
+def _beginning(record: Record, count: int, least: int) -> Record:
+    """The first `count` samples of a record, and at least `least` where it has them."""
+    return record.part(0, max(count, min(len(record), least)), record.name)
 
 
 def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
@@ -842,7 +838,8 @@ def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
             trials.append(x)
     costs = np.zeros(len(trials))
     net = fit.network
-    window = [_beginning(r) for r in problem.records]
+    # enough to tell pitches apart: the travel's span does it, not the time
+    window = [_beginning(r, len(r) // 3, 2000) for r in problem.records]
     short = Problem(problem.network, window, problem.held, problem.step)
     for first in range(0, len(trials), 41):
         chunk = trials[first : first + 41]
