@@ -277,19 +277,27 @@ def _bouc_wen(p, d, v, d_last, z, h):
     way = d - d_last
     if level <= 0.0 or way == 0.0:
         return z, z
-    if exponent == 1.0 and shape == 1.0:  # closed form: the state relaxes towards level * sgn(way)
-        goal = level if way > 0.0 else -level
-        z = goal + (z - goal) * math.exp(-stiffness * abs(way) / level)
+    x = stiffness * abs(way) / level
+    if exponent == 1.0:  # closed form: a line in the state on either side of zero
+        u = z / level if way > 0.0 else -z / level
+        if u < 0.0:
+            a, u = 1.0 - 2.0 * shape, max(u, -1.0)  # du/dx = 1 + a u
+            rest = max(1.0 + a * u, 1e-12)
+            home = -u if abs(a) < 1e-9 else -math.log(rest) / a
+            ahead = min(x, home)
+            u = 0.0 if home <= x else u + (ahead if abs(a) < 1e-9 else rest * math.expm1(a * ahead) / a)
+            x -= ahead
+        if u >= 0.0:
+            u = 1.0 - (1.0 - u) * math.exp(-x)
+        z = level * u if way > 0.0 else -level * u
         return z, z
-    steps = int(min(1.0 + 4.0 * stiffness * abs(way) / level, 64.0))
+    steps = int(min(1.0 + 4.0 * x, 64.0))
     part = way / steps
     turn = shape if part > 0.0 else -shape
     for _ in range(steps):  # midpoint rule in travel: the law does not depend on the rate
-        bend = abs(z) / level if exponent == 1.0 else (abs(z) / level) ** exponent  # a power is slow
-        bend *= math.copysign(turn, turn * z) + 1.0 - shape
+        bend = (abs(z) / level) ** exponent * (math.copysign(turn, turn * z) + 1.0 - shape)
         m = z + 0.5 * part * stiffness * (1.0 - bend)
-        bend = abs(m) / level if exponent == 1.0 else (abs(m) / level) ** exponent
-        bend *= math.copysign(turn, turn * m) + 1.0 - shape
+        bend = (abs(m) / level) ** exponent * (math.copysign(turn, turn * m) + 1.0 - shape)
         z = z + part * stiffness * (1.0 - bend)
     return z, z
 

@@ -276,14 +276,18 @@ class Plant:
         self.__dict__.update(state)
         self.kernel = kernel(self.variant)
 
-    def state(self, initial: np.ndarray | None = None) -> np.ndarray:
-        """A fresh kernel state; `initial` (n,) or (n, lanes) in the coordinates of the assembly."""
+    def state(self, initial: np.ndarray | None = None, inputs: np.ndarray | None = None) -> np.ndarray:
+        """A fresh kernel state; `initial` (n,) or (n, lanes) in the coordinates of the assembly.
+
+        `inputs` (inputs, 1 or lanes): what moves the network at the start, in the order of `labels`; nothing by default.
+        """
         rows, cols = self.ints[7], self.ints[8]
         room = -(-self.n_outputs // 8) * 8  # for the outputs
         state = np.zeros((cols + rows + 9 * self.n_laws + 3 + room, self.lanes))
         if initial is not None and self.n:
             state[: self.n] = np.asarray(initial, float).reshape(self.n, -1)
-            self._start_laws(state)
+        if self.n_laws and (initial is not None or inputs is not None):
+            self._start_laws(state, np.zeros((len(self.u_columns), 1)) if inputs is None else inputs)
         return state
 
     @property
@@ -305,18 +309,18 @@ class Plant:
             mats[gains + nl * rows + nl * LAW_PARAMETERS + j] /= 1.0 + softness
         return mats
 
-    def _start_laws(self, state: np.ndarray) -> None:
-        """Elongations, rates and smooth forces that belong to the initial state, moved nodes at rest."""
+    def _start_laws(self, state: np.ndarray, inputs: np.ndarray) -> None:
+        """Elongations, rates and smooth forces that belong to the initial state and the first inputs."""
         n, m, nc, nl = (int(i) for i in self.ints[:4])
         first = int(self.ints[7] + self.ints[8])
         x, f = state[:n], state[n + 2 * m + nc :][:nl]
         z, d, s = (state[first + i * nl : first + (i + 1) * nl] for i in (1, 2, 3))
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
-            cols = asm.columns("x")
-            order = list(self.order)
-            d[:, lane] = asm.elongation[order, cols] @ x[:, lane]
-            s[:, lane] = asm.elongation_rate[order, cols] @ x[:, lane]
+            cols, order = asm.columns("x"), list(self.order)
+            given = inputs[:, lane if inputs.shape[1] > 1 else 0]
+            for out, rows in ((d, asm.elongation[order]), (s, asm.elongation_rate[order])):
+                out[:, lane] = rows[:, cols] @ x[:, lane] + rows[:, self.u_columns] @ given
             for j, e in enumerate(asm.laws[i] for i in order):
                 if e.law is not None:
                     p = np.array(e.law_parameters())
@@ -361,7 +365,7 @@ class Plant:
             )
             c[:, j] = values[: len(c)]
         out = np.empty((samples, self.n_outputs, self.lanes))
-        state = self.state(initial).ravel()
+        state = self.state(initial, u[0]).ravel()
         self.kernel.record(
             self.mats.ravel(), self.ints, state, u.ravel(), c.ravel(), every, width, self.lanes, out
         )

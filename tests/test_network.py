@@ -5,10 +5,12 @@ import json
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from isd_gym import elements as el
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble, builtin_networks, linearise
+from isd_gym.simulate import simulate
 
 KAPPA, SPEED = 5e-7, 20.0
 
@@ -227,3 +229,47 @@ def test_hysteresis_starts_with_its_stiffness_and_ends_at_its_level(exponent):
             f, z = law(p, d + way * 1e-4, 0.0, d, z, 1e-3)
             d += way * 1e-4
         assert f == pytest.approx(way * 100.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("shape", [0.0, 0.3, 0.5, 1.0])
+def test_hysteresis_of_exponent_one_is_exact_however_far_it_travels(shape):
+    """Against an integrator of the differential equation, from within and far beyond what its loop needs to saturate."""
+    rng = np.random.default_rng(3)
+    for reach in (0.1, 1.0, 30.0):
+        for way in (1.0, -1.0):
+            start = rng.uniform(-0.9, 0.9)
+
+            def slope(_, z, way=way):
+                return [way - (shape * z[0] + (1 - shape) * way * abs(z[0]))]
+
+            there = solve_ivp(slope, (0, reach), [start], method="LSODA", rtol=1e-9, atol=1e-11).y[0, -1]
+            f, z = el.Hysteresis.law(
+                [100.0, 1e5, 1.0, shape], way * reach * 1e-3, 0.0, 0.0, 100.0 * start, 1e-3
+            )
+            assert f == z == pytest.approx(100.0 * there, abs=1e-4)
+
+
+def rod(element):
+    """A rod that a rig moves, an element between it and the ground, a force cell at the rod."""
+    return Network.from_dict(
+        {
+            "schema": "isd-model/1",
+            "name": "rod",
+            "masses": {},
+            "elements": [{"name": "it", "between": ["rod", "ground"], **element}],
+            "inputs": [{"name": "displacement", "quantity": "displacement", "at": "rod", "unit": "m"}],
+            "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
+        }
+    )
+
+
+def test_a_record_may_begin_anywhere():
+    """A spring law feels the elongation it begins with; a hysteresis has not been dragged there from zero."""
+    time = np.arange(0, 1.0, 1e-3)
+    x = 0.02 + 1e-3 * np.sin(2 * np.pi * time)
+    force = simulate(rod({"type": "cubic_stiffness", "stiffness": 1e7}), time, {"displacement": x})["force"]
+    assert abs(force[0]) == pytest.approx(1e7 * 0.02**3)
+    spring = {"type": "hysteresis", "level": 500.0, "stiffness": 1e4}
+    force = simulate(rod(spring), time, {"displacement": x})["force"]
+    assert force[0] == 0.0
+    assert abs(force[:250]) == pytest.approx(1e4 * (x[:250] - 0.02), rel=0.03, abs=0.05)
