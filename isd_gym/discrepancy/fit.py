@@ -329,14 +329,18 @@ class Fitter:
         prior = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
         return Fit(structure, x, initial, offset, outs, total, prior, H if p else None)
 
-    def shift(self, fit: Fit, responses: dict[int, Array]) -> Array:
-        """By how much the parameters would be off (parameters, m) if the records held `responses` (n, channels, m) as well."""
+    def refit(self, fit: Fit, responses: dict[int, Array]) -> tuple[Array, dict[int, Array]]:
+        """What a fit would make of `responses` (n, channels, m) in the records, to first order.
+
+        By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
+        """
         problem, structure = self.problem, fit.structure
         p = len(fit.x)
         sigma = np.array([f.sigma for f in structure.free])
         H = np.diag(1 / sigma**2)
         m = next(iter(responses.values())).shape[2]
         g = np.zeros((p, m))
+        parts = {}
         for i, s in responses.items():
             y, dp, ds = self.lanes(structure, fit.x, i, fit.initial[i])
             const = problem.constants(i)
@@ -347,7 +351,11 @@ class Fitter:
                 a, c = a - Q @ (Q.T @ a), c - Q @ (Q.T @ c)
             H += a.T @ a
             g += a.T @ c
-        return np.asarray(np.linalg.solve(H, g), dtype=np.float64)
+            parts[i] = a, c
+        shift = np.linalg.solve(H, g)
+        return np.asarray(shift, dtype=np.float64), {
+            i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
+        }
 
     def _cost(
         self,

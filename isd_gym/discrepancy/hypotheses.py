@@ -248,6 +248,20 @@ def standing(network: Network, pair: tuple[str, ...]) -> list[el.Element]:
     return [e for e in network.elements if e.place == "between" and set(e.where) == set(pair)]
 
 
+def in_line(network: Network, first: tuple[str, ...], second: tuple[str, ...]) -> bool:
+    """Whether one force passes through both pairs: they are links of a chain whose inner nodes have no mass."""
+    links = {frozenset(e.where) for e in network.elements if e.place == "between"}
+    ends = {GROUND, *network.masses, *network.moved_nodes}
+    chain, grown = {frozenset(first)}, True
+    while grown:
+        grown = False
+        for node in {n for link in chain for n in link} - ends:
+            here = {link for link in links if node in link}
+            if len(here) == 2 and not here <= chain:
+                chain, grown = chain | here, True
+    return frozenset(second) in chain
+
+
 def hypotheses(network: Network) -> Iterator[Hypothesis]:
     """Every effect at every place where it is not a mere change of a parameter that is there already."""
     motors = [e for e in network.elements if isinstance(e, el.Motor)]

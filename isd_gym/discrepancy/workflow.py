@@ -38,7 +38,7 @@ from .choose import (
 )
 from .explain import law, next_experiment, places
 from .fit import Fit, Fitter
-from .hypotheses import Hypothesis, Structure, base_structure, twin
+from .hypotheses import SERIES, Hypothesis, Structure, base_structure, in_line, twin
 from .problem import Array, Problem, Record, Whitener, innovations, low_pass, passed, whitener
 from .result import Contender, Diagnosis, Effect, Gate, Place, Quantity, Trace
 
@@ -46,8 +46,9 @@ from .result import Contender, Diagnosis, Effect, Gate, Place, Quantity, Trace
 MATERIAL = 0.03
 #: share of the held-out excess error that what is named must remove
 HALF = 0.5
-#: share of it that must be removed before the rest may be called nuisances
-ADEQUATE = 0.75
+#: share from which on what is named counts as the missing effect, whatever the rest is; up to there, what is left may be
+#: no more than several small effects make, whose powers add up
+ADEQUATE, SEVERAL = 0.85, 3
 #: a rival is beaten when its excess is larger by this factor
 AHEAD = 1.1
 STRETCH = 5.0  # [s] held-out records are judged in stretches, each from an initial state of its own
@@ -277,6 +278,7 @@ class Weighed:
     quiet: float  # score of pure noise
     before: Array  # NRMSE of the owner's model
     explained: float  # share of the refitted model's excess error
+    adequate: bool  # whether that is dominant, or what is left is what small effects make
     gaps: tuple[float, float, float]  # largest excess NRMSE before, refitted, after
     table: list[str]
     stages: list[list[Rival]]
@@ -299,6 +301,7 @@ class Workflow:
         self.floors = measured_noise(problem, problem.estimation)
         held = np.concatenate([problem.records[i].measured for i in problem.validation])
         self.spread = np.maximum(held.std(axis=0), 1e-300)
+        self._worth: Array | None = None
 
     # -- judging ------------------------------------------------------------------------------------------
     def plain_error(
@@ -326,11 +329,7 @@ class Workflow:
         base = Rival((), fit, value)
         path, stages = self.walk([base], [])
         best = self.weigh(base, path, stages)
-        if (
-            stages
-            and best.gaps[1] >= MATERIAL
-            and (best.explained < ADEQUATE or len(best.chosen.hypotheses) > 1)
-        ):
+        if stages and best.gaps[1] >= MATERIAL and (not best.adequate or len(best.chosen.hypotheses) > 1):
             # what comes first may lead astray: the runners-up get their turn
             for runner in stages[0][1 : 1 + TURNS]:
                 say(f"starting over with {runner.hypotheses[-1].label}")
@@ -348,6 +347,28 @@ class Workflow:
         here = self.stand(rival, W)
         noise = np.array([n.deviation for n in noise_levels(p, rival.held)]) / self.spread  # type: ignore[arg-type]
         return float(np.sqrt(np.maximum(here.nrmse**2 - noise**2, 0.0)).max())
+
+    def worth(self, base: Rival) -> Array:
+        """Excess (channels,), as a share of a channel's deviation, that no small effect makes once the model is refitted.
+
+        Where a coordinate drifts, a force of two per cent may show up large: that is everybody's.
+        """
+        if self._worth is None:
+            p = self.problem
+            small = unmodelled(p, base.fit, 4 * SMALL)
+            self._worth = np.full(len(p.channels), MATERIAL)
+            if next(iter(small.values())).shape[2]:
+                _, left = Fitter(p, plain(p, self.floors)).refit(base.fit, small)
+                r = np.concatenate([*left.values()]) * self.floors[:, None]
+                y = np.concatenate([p.records[i].measured for i in left])
+                shares = np.sqrt(np.mean(r**2, axis=0)) / np.maximum(y.std(axis=0), 1e-300)[:, None]
+                self._worth = np.maximum(MATERIAL, np.quantile(shares, 0.95, axis=1))
+        return self._worth
+
+    def small(self, rival: Rival) -> bool:
+        """Whether all its effects are nuisances: a few per cent of the force, current or signal at their places."""
+        names = rival.fit.structure.names
+        return all(share_of_force(self.problem, rival.fit, name) < SHARE for name in names)
 
     def better(self, other: Weighed, best: Weighed) -> bool:
         """Whether the excess that `other` leaves on the held-out records is smaller by a tenth, or as small with fewer effects."""
@@ -464,13 +485,17 @@ class Workflow:
         abreast = [
             r
             for r in rivals
-            if itself(r.fit)
-            and not self.beaten(stand(r), stand(chosen), quiet)
-            and not self.same(r, chosen, W)
+            if itself(r.fit) and not self.beaten(stand(r), stand(chosen), quiet) and not self.same(r, chosen)
         ]
-        if gap_refit < MATERIAL:
-            verdict = "no_discrepancy" if gap_before < MATERIAL else "parameters_only"
-        elif depth == 0 or explained < ADEQUATE or not itself(chosen.fit):
+        worth = self.worth(base)
+        few = math.inf if explained >= ADEQUATE else SEVERAL
+        adequate = depth > 0 and bool(np.all(excess_after < few * worth**2))
+        # nothing is worth a name: small effects would make the gap, or do close it
+        closed = np.maximum(stand(final).nrmse ** 2 - floor**2, 0.0)
+        little = np.all(excess_refit < worth**2) or (np.all(closed < worth**2) and self.small(final))
+        if gap_refit < MATERIAL or (depth == 0 and little):
+            verdict = "no_discrepancy" if np.all(excess_before < worth**2) else "parameters_only"
+        elif not adequate or not itself(chosen.fit):
             verdict = "unknown_effect"
         elif abreast:
             verdict = "ambiguous"
@@ -478,7 +503,8 @@ class Workflow:
             verdict = "missing_effect"
         gaps = (gap_before, gap_refit, gap_after)
         return Weighed(
-            verdict, chosen, rivals, abreast, W, floor, quiet, before, explained, gaps, table, stages, stood
+            *(verdict, chosen, rivals, abreast, W, floor, quiet, before, explained, adequate, gaps, table),
+            *(stages, stood),
         )
 
     def conclude(self, base: Rival, w: Weighed) -> Diagnosis:
@@ -577,13 +603,20 @@ class Workflow:
         t = d.mean() / max(d.std(ddof=1) / math.sqrt(len(d)), 1e-12) if len(d) > 1 else 0.0
         return bool(t > 2.0 or rival.rival.likelihood - best.rival.likelihood > 50.0)
 
-    def same(self, rival: Rival, best: Rival, W: Whitener) -> bool:
-        """Whether the rival is no alternative: more parameters without gain, the best as a special case, or equal outputs."""
+    def same(self, rival: Rival, best: Rival) -> bool:
+        """Whether the rival is no alternative.
+
+        It has more parameters without gain, the best as a special case, or is in series somewhere else along the same force.
+        """
         a, b = rival.hypotheses[-1], best.hypotheses[-1]
         inside = b.effect in CONTAINS.get(a.effect, ()) and set(a.where) == set(b.where)
         # more parameters, a worse fit, and nothing gained on the held-out records: a mimic
         wordy = len(rival.fit.x) > len(best.fit.x) and rival.likelihood - best.likelihood > 30.0
-        return inside or wordy or (a.effect == b.effect and a.where == b.where)
+        if a.effect == b.effect:
+            known = self.network.nodes
+            links = (tuple(twin(n, known) for n in h.where) for h in (a, b))
+            return a.where == b.where or (a.effect in SERIES and in_line(self.network, *links))
+        return inside or wordy
 
     def confidence(self, best: Standing, refit: Standing, others: list[Standing], quiet: float) -> float:
         """Share of block resamplings of the held-out records in which the choice stays what it is, never quite 1."""
@@ -633,10 +666,12 @@ class Workflow:
             ),
             Gate(
                 "adequate",
-                w.explained >= ADEQUATE,
+                w.adequate,
                 w.explained,
                 ADEQUATE,
-                "share of the held-out excess error removed, and of that in the channel with the widest gap",
+                "share of the held-out excess error removed, and of that in the channel with the widest gap; what is left is "
+                + ("no more" if w.adequate else "more")
+                + " than effects of a few per cent make",
             ),
             Gate(
                 "ahead",
@@ -676,7 +711,7 @@ class Workflow:
     def report(self, base: Rival, w: Weighed) -> Diagnosis:
         p, names = self.problem, self.problem.channels
         verdict, chosen, abreast, floor, stood = w.verdict, w.chosen, w.abreast, w.floor, w.stood
-        others = [stood[id(r)] for r in w.rivals if id(r) in stood and not self.same(r, chosen, w.whitener)]
+        others = [stood[id(r)] for r in w.rivals if id(r) in stood and not self.same(r, chosen)]
         confidence = self.confidence(stood[id(chosen)], stood[id(base)], others, w.quiet)
         gates = self.gates(base, w, others) if chosen.hypotheses else ()
         named = verdict == "missing_effect"
@@ -782,7 +817,7 @@ def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quanti
     H = f.hessian + np.diag(1 / sigma**2)
     variance = np.maximum(np.diag(np.linalg.inv(H)), 0.0)
     try:
-        dragged = Fitter(problem, W).shift(f, unmodelled(problem, f, SMALL))
+        dragged, _ = Fitter(problem, W).refit(f, unmodelled(problem, f, SMALL))
         variance = variance + np.sum(dragged**2, axis=1)
     except (InputError, np.linalg.LinAlgError):
         pass
@@ -810,6 +845,9 @@ def sentence(
         return f"{100 * gap[row][worst]:.1f} %"
 
     worst = max(gap["refit"], key=lambda c: gap["refit"][c])
+    wide = any(gap["refit"][c] ** 2 - gap["noise_floor"][c] ** 2 > MATERIAL**2 for c in gap["refit"])
+    if verdict in ("no_discrepancy", "parameters_only") and wide:
+        return f"Nothing worth a name is missing: what is left in {worst} ({percent('before')} before, {percent('refit')} refitted, noise {percent('noise_floor')}) is what effects of a few per cent of the force make, as every rig has them."
     if verdict == "no_discrepancy":
         return "The model agrees with the measurement within noise; nothing is missing."
     if verdict == "parameters_only":
