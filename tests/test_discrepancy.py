@@ -191,3 +191,21 @@ def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before() -> None
     both = add(plain, Hypothesis("stribeck_friction", where), curve)
     assert [h.effect for h in both.hypotheses] == ["stribeck_friction"]
     assert [both.network.element(name).type for name in both.names] == ["stribeck_friction"]
+
+
+def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
+    """3 % of the damper's force moves the device, which dry friction nearly holds, by a fifth of its travel."""
+    d, _ = run("none_passive", 31)
+    assert d.gap["refit"]["device_travel"] > 0.15
+    assert d.verdict in ("no_discrepancy", "parameters_only")
+    assert "Nothing worth a name" in d.summary
+
+
+def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
+    from isd_gym.discrepancy.hypotheses import in_line
+
+    car = Network.load("quarter-car-isd")
+    assert in_line(car, ("body", "piston"), ("joint", "wheel"))
+    assert in_line(car, ("joint", "wheel"), ("piston", "joint"))
+    assert not in_line(car, ("joint", "wheel"), ("wheel", "road"))
+    assert not in_line(car, ("body", "wheel"), ("body", "piston"))

@@ -329,7 +329,8 @@ class Workflow:
         base = Rival((), fit, value)
         path, stages = self.walk([base], [])
         best = self.weigh(base, path, stages)
-        if stages and best.gaps[1] >= MATERIAL and (not best.adequate or len(best.chosen.hypotheses) > 1):
+        fine = best.verdict in ("no_discrepancy", "parameters_only")
+        if stages and not fine and (not best.adequate or len(best.chosen.hypotheses) > 1):
             # what comes first may lead astray: the runners-up get their turn
             for runner in stages[0][1 : 1 + TURNS]:
                 say(f"starting over with {runner.hypotheses[-1].label}")
@@ -340,13 +341,13 @@ class Workflow:
                     continue
         return self.conclude(base, best)
 
-    def excess(self, rival: Rival) -> float:
-        """Largest excess of the held-out error over noise, as a share of a channel's deviation."""
+    def excess(self, rival: Rival) -> Array:
+        """Excess (channels,) of the held-out error over noise, as a share of a channel's deviation."""
         p = self.problem
         W = whitener(residuals(p, rival.fit), trust(p, rival.fit, self.floors))
         here = self.stand(rival, W)
         noise = np.array([n.deviation for n in noise_levels(p, rival.held)]) / self.spread  # type: ignore[arg-type]
-        return float(np.sqrt(np.maximum(here.nrmse**2 - noise**2, 0.0)).max())
+        return np.asarray(np.sqrt(np.maximum(here.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
 
     def worth(self, base: Rival) -> Array:
         """Excess (channels,), as a share of a channel's deviation, that no small effect makes once the model is refitted.
@@ -365,10 +366,9 @@ class Workflow:
                 self._worth = np.maximum(MATERIAL, np.quantile(shares, 0.95, axis=1))
         return self._worth
 
-    def small(self, rival: Rival) -> bool:
-        """Whether all its effects are nuisances: a few per cent of the force, current or signal at their places."""
-        names = rival.fit.structure.names
-        return all(share_of_force(self.problem, rival.fit, name) < SHARE for name in names)
+    def sizes(self, rival: Rival) -> list[float]:
+        """What each of its effects does, as a share of the force, current or signal at its place."""
+        return [share_of_force(self.problem, rival.fit, name) for name in rival.fit.structure.names]
 
     def better(self, other: Weighed, best: Weighed) -> bool:
         """Whether the excess that `other` leaves on the held-out records is smaller by a tenth, or as small with fewer effects."""
@@ -385,20 +385,23 @@ class Workflow:
         while len(path) <= DEPTH:
             now = path[-1]
             left = self.excess(now)
-            if left < MATERIAL:
+            if left.max() < MATERIAL or (len(path) > 1 and np.all(left < self.worth(path[0]))):
                 break
             say(
-                f"looking for what is missing ({'; '.join(h.label for h in now.hypotheses) or 'refitted model'}: excess up to {100 * left:.1f} %)"
+                f"looking for what is missing ({'; '.join(h.label for h in now.hypotheses) or 'refitted model'}: excess up to {100 * left.max():.1f} %)"
             )
             rivals, least = compete(p, now.fit, self.floors)
             if not rivals:
                 break
+            level = innovations(residuals(p, now.fit), finer(least, self.floors)) + now.fit.prior
+            if (
+                self.sizes(rivals[0])[-1] < SHARE
+            ):  # it cannot be named: one that can goes first where it gains half as much
+                reach = level - HALF * (level - rivals[0].likelihood)
+                able = [r for r in rivals if r.likelihood < reach and self.sizes(r)[-1] >= SHARE]
+                rivals = able[:1] + [r for r in rivals if r not in able[:1]]
             best = rivals[0]
-            gain = (
-                innovations(residuals(p, now.fit), finer(least, self.floors))
-                + now.fit.prior
-                - best.likelihood
-            )
+            gain = level - best.likelihood
             say(f"  best: {best.hypotheses[-1].label} (2 log L +{gain:.0f})")
             stages.append(rivals)
             if gain < 60.0 and HALF * gap(p, now.fit) < gap(p, best.fit):
@@ -407,7 +410,7 @@ class Workflow:
             W = whitener(residuals(p, now.fit), trust(p, now.fit, self.floors))
             here, then = self.stand(now, W), self.stand(best, W)
             moved = float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max())
-            if moved < MATERIAL or share_of_force(p, best.fit, best.fit.structure.names[-1]) < SHARE:
+            if moved < MATERIAL or self.sizes(best)[-1] < SHARE:
                 break
         return path, stages
 
@@ -441,7 +444,7 @@ class Workflow:
             share = (last.score - now.score) / max(last.score - quiet, 1e-12)
             shares = self.plain_share(last.nrmse, now.nrmse, floor)
             moved = float(np.sqrt(np.maximum(last.nrmse**2 - now.nrmse**2, 0.0)).max())
-            size = share_of_force(p, path[depth].fit, path[depth].fit.structure.names[-1])
+            size = self.sizes(path[depth])[-1]
             table.append(
                 f"{path[depth].hypotheses[-1].label}: "
                 f"{f'removes {max(share, shares):.0%} of' if share > 0 else 'adds to'} the held-out excess error "
@@ -492,7 +495,9 @@ class Workflow:
         adequate = depth > 0 and bool(np.all(excess_after < few * worth**2))
         # nothing is worth a name: small effects would make the gap, or do close it
         closed = np.maximum(stand(final).nrmse ** 2 - floor**2, 0.0)
-        little = np.all(excess_refit < worth**2) or (np.all(closed < worth**2) and self.small(final))
+        little = np.all(excess_refit < worth**2) or (
+            np.all(closed < worth**2) and max(self.sizes(final), default=1.0) < SHARE
+        )
         if gap_refit < MATERIAL or (depth == 0 and little):
             verdict = "no_discrepancy" if np.all(excess_before < worth**2) else "parameters_only"
         elif not adequate or not itself(chosen.fit):
@@ -574,9 +579,7 @@ class Workflow:
                         (then.score - now.score) / max(then.score - quiet, 1e-12),
                         self.plain_share(then.nrmse, now.nrmse, self.floor),
                     )
-                    size = share_of_force(
-                        p, chosen.fit, chosen.fit.structure.names[chosen.hypotheses.index(gone)]
-                    )
+                    size = self.sizes(chosen)[chosen.hypotheses.index(gone)]
                     better = (
                         share >= HALF and moved >= MATERIAL and size >= SHARE and (loss > 60.0 or wider > 2.0)
                     )
@@ -642,7 +645,7 @@ class Workflow:
         )
         halved = gap(self.problem, chosen.fit) < HALF * gap(self.problem, base.fit)
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - best.nrmse**2, 0.0)).max())
-        size = min(share_of_force(self.problem, chosen.fit, name) for name in chosen.fit.structure.names)
+        size = min(self.sizes(chosen))
         lead = min((o.score - quiet for o in others), default=math.inf) / max(
             best.score - quiet, 0.01 * quiet
         )
@@ -831,6 +834,12 @@ def intervals(problem: Problem, rival: Rival, floors: Array) -> dict[str, Quanti
     return out
 
 
+def plain_number(value: float) -> str:
+    """Four significant digits, without an exponent where one can do without."""
+    text = f"{value:.4g}"
+    return np.format_float_positional(float(text), trim="-") if 1e4 <= abs(value) < 1e7 else text
+
+
 def sentence(
     verdict: str,
     effects: list[Effect],
@@ -856,8 +865,10 @@ def sentence(
         parts = []
         for e in effects:
             spot = f"in channel {e.channel}" if e.channel else f"between {' and '.join(e.between or ())}"
+            if e.effect in SERIES:
+                spot = f"in series with what stands {spot}"
             figures = ", ".join(
-                f"{k.replace('_', ' ')} {q.value:.4g} {q.unit}" for k, q in e.parameters.items()
+                f"{k.replace('_', ' ')} {plain_number(q.value)} {q.unit}" for k, q in e.parameters.items()
             )
             parts.append(f"{e.effect.replace('_', ' ')} {spot} ({figures})")
         return f"The model lacks {' and '.join(parts)}; with it the error in {worst} on held-out data falls from {percent('refit')} to {percent('after')} (noise {percent('noise_floor')})."
