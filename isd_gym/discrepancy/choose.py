@@ -433,8 +433,12 @@ def starts(
     their variance, channel by channel, so that one that drifts does not drown the others.
     """
     h = group[0].hypothesis
-    if h.effect == "cogging_force":
-        return [(s.structure_at(current), s.structure_at(current).start) for s in group[:3]]
+    if h.effect == "cogging_force":  # a step too far leads to another period: from the base as fitted
+        known = dict(zip((f.path for f in current.structure.free), current.x, strict=True))
+        near = [s.structure_at(current) for s in group[:3]]
+        return [
+            (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
+        ]
     trials: list[Structure] = []
     for s in group[:6]:
         for factor in (1.0,) if not s.grows else AMPLITUDES + LARGE * (s.inverse or lost):
@@ -545,8 +549,14 @@ def race(
     def one(group: list[Screened]) -> Rival | None:
         tries: list[tuple[float, Fit]] = []
         for structure, x in starts(problem, current, group, floors, lost):
+            known = carried(short, shortened, structure)
             try:
-                f = heat.fit(structure, x, carried(short, shortened, structure), current.offset, iterations=3)
+                if (
+                    structure.hypotheses[-1].effect == "cogging_force"
+                ):  # which of its rests holds is to be seen first
+                    seen = {i: heat.guess(structure.at(x), i) for i in short.estimation}
+                    known = min(known, seen, key=lambda s: heat.begin(structure, x, s, current.offset))
+                f = heat.fit(structure, x, known, current.offset, iterations=3)
             except (InputError, np.linalg.LinAlgError):
                 continue
             tries.append((innovations(residuals(short, f), finer(hot, floors)) + f.prior, f))

@@ -170,8 +170,9 @@ class Fitter:
             start[i, 1 + p + i] += state_step[i]
         out = self.problem.simulate(nets, index, start, like=nets[0])
         point = out[:, :, 0]
-        dp = (out[:, :, 1 : 1 + p] - point[:, :, None]) / steps
-        ds = (out[:, :, 1 + p :] - point[:, :, None]) / state_step
+        with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is seen by who asked
+            dp = (out[:, :, 1 : 1 + p] - point[:, :, None]) / steps
+            ds = (out[:, :, 1 + p :] - point[:, :, None]) / state_step
         return point, dp, ds
 
     def follow(
@@ -291,6 +292,7 @@ class Fitter:
                             break
                         free &= ~out
                     limit = np.where([f.log for f in structure.free], 1.5, 3.0 * np.maximum(np.abs(x), sigma))
+                    limit[[f.path.endswith(".phase") for f in structure.free]] = 1.0
                     step = np.clip(step, -limit, limit)
                     trial = np.clip(x + step, low, high)
                     step = trial - x
@@ -356,6 +358,12 @@ class Fitter:
         return np.asarray(shift, dtype=np.float64), {
             i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
         }
+
+    def begin(
+        self, structure: Structure, x: Array, initial: dict[int, Array], offset: dict[int, Array]
+    ) -> float:
+        """Sum of squares of the whitened residuals before any fit; infinite where the simulation breaks down."""
+        return self._cost(structure, x, initial, offset, self.problem.estimation)
 
     def _cost(
         self,

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..data import Table, check, read_table
 from ..errors import InputError
-from ..network import Channel, Network
+from ..network import Channel, Network, assemble
 from ..simulate import SI
 from ..units import convert
 from .choose import (
@@ -39,7 +39,7 @@ from .choose import (
 from .explain import law, next_experiment, places
 from .fit import Fit, Fitter
 from .hypotheses import SERIES, Hypothesis, Structure, base_structure, in_line, twin
-from .problem import Array, Problem, Record, Whitener, innovations, low_pass, passed, whitener
+from .problem import Array, Problem, Record, Whitener, bare, innovations, low_pass, passed, whitener
 from .result import Contender, Diagnosis, Effect, Gate, Place, Quantity, Trace
 
 #: a gap below this share of a channel's standard deviation is not worth a name: few per cent are everybody's nuisance
@@ -52,6 +52,7 @@ ADEQUATE, SEVERAL = 0.85, 3
 #: a rival is beaten when its excess is larger by this factor
 AHEAD = 1.1
 STRETCH = 5.0  # [s] held-out records are judged in stretches, each from an initial state of its own
+BRIEF = 0.5  # [s] stretches over which detents are looked for
 DEPTH = 3  # effects at once
 TURNS = 2  # runners-up that are tried first where one effect is not enough
 
@@ -245,9 +246,9 @@ def split_records(
     return [record.part(0, at, record.name)], [record.part(at, len(record), f"{record.name} (last third)")]
 
 
-def stretches(record: Record) -> list[Record]:
-    count = max(1, int(len(record) * record.rate / STRETCH))
-    count = min(count, max(1, len(record) // 400))
+def stretches(record: Record, seconds: float = STRETCH) -> list[Record]:
+    count = max(1, int(len(record) * record.rate / seconds))
+    count = min(count, max(1, len(record) // (400 if seconds == STRETCH else 200)))
     edges = np.linspace(0, len(record), count + 1).astype(int)
     return [record.part(a, b, record.name) for a, b in pairwise(edges)]
 
@@ -320,26 +321,53 @@ class Workflow:
         return Standing(rival, rival.score, rival.blocks, nrmse)
 
     def run(self) -> Diagnosis:
-        p, say = self.problem, self.say
-        say(
-            f"{len(p.estimation)} record(s) to fit, {len(self.whole.validation)} held out; refitting the model within its stated uncertainty"
+        self.say(
+            f"{len(self.whole.estimation)} record(s) to fit, {len(self.whole.validation)} held out; refitting the model within its stated uncertainty"
         )
+        base, best = self.search()
+        if best.verdict == "unknown_effect":
+            return self.detents() or self.conclude(base, best)
+        return self.conclude(base, best)
+
+    def detents(self) -> Diagnosis | None:
+        """What has many rests cannot be followed for long, so it is looked for over brief stretches, each from its own state."""
+        p = self.problem
+        if not self.network.inputs or not assemble(bare(self.network)).size[0]:
+            return None
+        pieces = [(q, h) for r, h in zip(p.records, p.held, strict=True) for q in stretches(r, BRIEF)]
+        brief = Problem(self.network, [q for q, _ in pieces], [h for _, h in pieces], p.step)
+        self.say(f"looking for detents over stretches of {BRIEF} s")
+        flow = Workflow(brief, self.whole, self.say, 0, list(self.notes), self.begun)
+        flow.rng = self.rng
+        base, best = flow.search(turns=0, depth=1)
+        if best.verdict == "missing_effect" and any(
+            h.effect == "cogging_force" for h in best.chosen.hypotheses
+        ):
+            flow.notes.append(
+                f"compared over stretches of {BRIEF} s: between its detents no simulation stays with the record for long"
+            )
+            return flow.conclude(base, best)
+        return None
+
+    def search(self, turns: int = TURNS, depth: int = DEPTH) -> tuple[Rival, Weighed]:
+        """The refitted model, and what is best added to it."""
+        p, say = self.problem, self.say
         structure = base_structure(self.network)
         fit, value = settled(p, structure, structure.start, self.floors)
         base = Rival((), fit, value)
-        path, stages = self.walk([base], [])
+        path, stages = self.walk([base], [], depth)
         best = self.weigh(base, path, stages)
         fine = best.verdict in ("no_discrepancy", "parameters_only")
         if stages and not fine and (not best.adequate or len(best.chosen.hypotheses) > 1):
             # what comes first may lead astray: the runners-up get their turn
-            for runner in stages[0][1 : 1 + TURNS]:
+            for runner in stages[0][1 : 1 + turns]:
                 say(f"starting over with {runner.hypotheses[-1].label}")
                 try:
                     other = self.weigh(base, *self.walk([base, runner], stages[:1]))
                     best = other if self.better(other, best) else best
                 except (InputError, np.linalg.LinAlgError):  # it breaks down on the held-out records
                     continue
-        return self.conclude(base, best)
+        return base, best
 
     def excess(self, rival: Rival) -> Array:
         """Excess (channels,) of the held-out error over noise, as a share of a channel's deviation."""
@@ -378,11 +406,13 @@ class Workflow:
         fewer = len(other.chosen.hypotheses) < len(best.chosen.hypotheses)
         return mine < AHEAD * theirs if fewer else AHEAD * mine < theirs
 
-    def walk(self, path: list[Rival], stages: list[list[Rival]]) -> tuple[list[Rival], list[list[Rival]]]:
+    def walk(
+        self, path: list[Rival], stages: list[list[Rival]], depth: int = DEPTH
+    ) -> tuple[list[Rival], list[list[Rival]]]:
         """Forward addition, one effect at a time, from the last rival of `path` on."""
         p, say = self.problem, self.say
         path, stages = list(path), list(stages)
-        while len(path) <= DEPTH:
+        while len(path) <= depth:
             now = path[-1]
             left = self.excess(now)
             if left.max() < MATERIAL or (len(path) > 1 and np.all(left < self.worth(path[0]))):
