@@ -486,7 +486,10 @@ class Workflow:
             depth -= 1
         chosen = path[depth]
         if depth and not itself(chosen.fit, -1):
-            chosen = next((r for r in stages[depth - 1] if itself(r.fit)), chosen)
+            known = [r for r in stages[depth - 1] if itself(r.fit)][:1]
+            plainer = (self.anew(s, chosen) for _, s in simpler(p, chosen) if len(s.hypotheses) == depth)
+            known += [r for r in plainer if r is not None and itself(r.fit)]
+            chosen = min(known, key=lambda r: self.level(r, chosen), default=chosen)
         elif 0 < depth < len(path) - 1:
             self.settle_again(chosen, path[-1])
             stood.pop(id(chosen), None)
@@ -565,6 +568,23 @@ class Workflow:
             rival.fit, rival.held = fit, None
             rival.likelihood += likelihood - old
 
+    def level(self, rival: Rival, best: Rival) -> float:
+        """-2 log L of a rival, with the noise that `best` leaves to be reckoned with."""
+        least = finer(trust(self.problem, best.fit, self.floors), self.floors)
+        return innovations(residuals(self.problem, rival.fit), least) + rival.fit.prior
+
+    def anew(self, structure: Structure, like: Rival) -> Rival | None:
+        """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down."""
+        p = self.problem
+        try:
+            least = trust(p, like.fit, self.floors)
+            fit, value = settled(p, structure, structure.start, self.floors, rounds=2, least=least)
+        except (InputError, np.linalg.LinAlgError):
+            return None
+        # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
+        about = carried(p, like.held, structure) if like.held else {}
+        return Rival(structure.hypotheses, fit, value, about=about)
+
     def prune(
         self,
         chosen: Rival,
@@ -576,28 +596,24 @@ class Workflow:
         """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
         p = self.problem
         while True:
-            least = trust(p, chosen.fit, self.floors)
-            fine = finer(least, self.floors)
             now = stand(chosen)
-            level = innovations(residuals(p, chosen.fit), fine) + chosen.fit.prior
+            level = self.level(chosen, chosen)
             for gone, structure in simpler(p, chosen):
                 swapped = len(structure.hypotheses) == len(chosen.hypotheses)
                 r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
+                if r is None or (swapped and self.level(r, chosen) > level + 30.0):
+                    r = min(
+                        (q for q in (r, self.anew(structure, chosen)) if q is not None),
+                        key=lambda q: self.level(q, chosen),
+                        default=None,
+                    )
                 if r is None:
-                    try:
-                        fit, value = settled(
-                            p, structure, structure.start, self.floors, rounds=2, least=least
-                        )
-                    except (InputError, np.linalg.LinAlgError):
-                        continue
-                    # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
-                    r = Rival(structure.hypotheses, fit, value)
-                    r.about = carried(p, chosen.held, structure) if chosen.held else {}
+                    continue
                 try:
                     then = stand(r)
                 except (InputError, np.linalg.LinAlgError):
                     continue
-                loss = innovations(residuals(p, r.fit), fine) + r.fit.prior - level
+                loss = self.level(r, chosen) - level
                 moved = float(np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0)).max())
                 wider = gap(p, r.fit) / gap(p, chosen.fit)
                 if swapped:
