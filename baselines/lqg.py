@@ -140,7 +140,7 @@ class Lqg(BatchController):
 
 
 class FullStateLqr(Lqg):
-    """The same law on the true state (``observation="full"``): what the estimate costs, and DESIGN's bar for the MPC."""
+    """The same law on the true state (``observation="full"``): what the estimate costs, and the bar for the MPC."""
 
     observation = "full"
 

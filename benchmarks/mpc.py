@@ -38,7 +38,7 @@ SCHEMA = "isd-mpc-times/1"
 REPLAYS = 7
 SEED = 4000
 ROADS = ("paper", "C")
-#: label -> controller and options; the paper's controller at the horizon that DESIGN asks for
+#: label -> controller and options; the paper's controller at the horizon it is judged by
 CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
     "lqg": ("lqg", {}),
     "mpc-paper, horizon 20": ("mpc-paper", {"horizon": 20}),

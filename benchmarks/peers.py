@@ -71,7 +71,7 @@ class Balance(NamedTuple):
 
 
 def effects_of(terms: Iterable[Term], model: Network) -> set[tuple[str, Pair]]:
-    """Effects (DESIGN, section 5) that terms stand for; a force that the model has already is no news."""
+    """Effects that terms stand for; a force that the model has already is no news."""
     named = {(LIBRARY[t][1], p) for p, t in terms if LIBRARY[t][1]}
     return {(what, p) for what, p in named if what not in {e.type for e in standing(model, p)}}
 

@@ -1,6 +1,6 @@
 """A suspension as a network: masses, named nodes, and two-terminal elements between them.
 
-`Network` is the model (`isd-model/1`, DESIGN: a JSON file); `assemble` turns it into equations of motion without any
+`Network` is the model (`isd-model/1`, a JSON file); `assemble` turns it into equations of motion without any
 hand derivation, and `linearise` into a state space with named signals, for controllers and frequency responses.
 
 Assembly. With the displacements q of the free nodes, the moved nodes r(t) and the incidence E of everything that is

@@ -1,4 +1,4 @@
-"""The data gate: whether a record can be trusted, before any diagnosis of it (DESIGN section 9, step 0)."""
+"""The data gate: whether a record can be trusted, before any diagnosis of it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _MAX_SPEED = 15.0  # [m/s] RMS that a displacement may imply; wheels and rods st
 
 
 def check(table: Table, *, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> list[Finding]:
-    """Judge whether a record can be trusted: the data gate of the diagnosis (DESIGN section 9, step 0).
+    """Judge whether a record can be trusted: the data gate of the diagnosis.
 
     inputs, outputs: channel -> quantity (a key of `QUANTITIES`). Returns findings, errors first; no errors and no
     warnings mean that nothing speaks against the record. Every test compares a channel with itself or with what is

@@ -1,4 +1,4 @@
-"""Scoring policies: the same environment, the same roads, paired differences (DESIGN: `isd-score/1`)."""
+"""Scoring policies: the same environment, the same roads, paired differences (`isd-score/1`)."""
 
 from __future__ import annotations
 

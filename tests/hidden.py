@@ -380,7 +380,7 @@ def _band_noise(r: Generator, size: int, low: float, high: float, slope: float =
 
 def _car_inputs(r: Generator, secret: Secret, size: int, validation: bool) -> dict[str, Array]:
     t = np.arange(size) * FINE
-    # A random road as DESIGN section 2 has it: slope white, one-sided displacement density 2 kappa u / f^2.
+    # A random road as the paper prints it: slope white, one-sided displacement density 2 kappa u / f^2.
     kappa = secret.level * (r.uniform(0.5e-6, 1.0e-6) if validation else r.uniform(0.8e-6, 2.0e-6))
     variance = 2 * kappa * 20.0 / 0.3
     road = np.sqrt(variance) * _band_noise(r, size, 0.3, 40.0, slope=1.0)

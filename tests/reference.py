@@ -12,7 +12,7 @@ Coulomb's law, and no velocity is regularised, so a stuck contact does not creep
 `simulate_events` (slow) gives each massless node a very small mass, integrates with `scipy` and finds the
 instants of sticking and slipping as events, the stuck contact's force being a Lagrange multiplier.
 
-Sign of forces, inputs and outputs: DESIGN section 4. Displacement and force inputs are linear between
+Sign of forces, inputs and outputs: as in a model file. Displacement and force inputs are linear between
 samples, currents are held (zero order) and were zero before the record. Where inertia acts on a moved node,
 its motion is the cubic spline of the samples, or the quintic Hermite spline of displacement, velocity and
 acceleration where `derivatives` has them.

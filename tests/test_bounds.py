@@ -1,4 +1,4 @@
-"""The causal bound against DESIGN's figures, its own Riccati value and simulation."""
+"""The causal bound against figures found beforehand, its own Riccati value and simulation."""
 
 from __future__ import annotations
 

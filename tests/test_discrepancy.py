@@ -209,3 +209,22 @@ def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
     assert in_line(car, ("joint", "wheel"), ("piston", "joint"))
     assert not in_line(car, ("joint", "wheel"), ("wheel", "road"))
     assert not in_line(car, ("body", "wheel"), ("body", "piston"))
+
+
+def test_friction_is_not_lost_to_a_stribeck_curve_that_rises() -> None:
+    """The decay's fit with plain friction ended in the wrong place; it begins again where the curve's fit ended."""
+    d, case = run("decay_friction", 61)
+    (what, where), *_ = case.answer
+    assert named(d) == {(what, frozenset(where))}
+    assert d.closed is not None and d.closed > 0.9
+
+
+@pytest.mark.slow
+def test_detents_at_the_cars_device_are_named_with_their_pitch() -> None:
+    """Between detents every simulation leaves the record after seconds; over half a second it does not."""
+    d, case = run("cogging", 31)
+    (what, where), *_ = case.answer
+    assert named(d) == {(what, frozenset(where))}
+    truth = case.truth["hidden"][0]
+    assert d.effects[0].parameters["pitch"].value == pytest.approx(truth["pitch"], rel=0.02)
+    assert d.effects[0].parameters["amplitude"].value == pytest.approx(truth["amplitude"], rel=0.15)

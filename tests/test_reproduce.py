@@ -74,7 +74,7 @@ def test_whole_page(tmp_path):
     data = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert data["schema"] == rep.SCHEMA
     assert {c["place"] for c in data["claims"]} >= {"Table 4", "Table 7", "Table 8", "Figure 6"}
-    # DESIGN section 2
+    # figures found beforehand
     cases = data["figures"]["causal_bound"]["cases"]
     assert cases[2]["bound"] == pytest.approx(-0.171, abs=1e-3)
     eq8 = data["figures"]["eq8_lq"]

@@ -13,7 +13,7 @@ from isd_gym.network import Network, builtin_networks
 
 jsonschema = pytest.importorskip("jsonschema")
 
-DESIGN_MODEL = """
+MODEL = """
 {"schema": "isd-model/1", "name": "quarter-car-isd",
  "masses": {"body": 345.0, "wheel": 45.0},
  "elements": [
@@ -32,7 +32,7 @@ DESIGN_MODEL = """
              {"name": "tyre_force", "quantity": "force", "element": "tyre", "unit": "N"}],
  "uncertainty": {"body.mass": 0.05, "main_spring.stiffness": 0.05}}
 """
-DESIGN_DIAGNOSIS = """
+DIAGNOSIS = """
 {"schema": "isd-diagnosis/1",
  "verdict": "missing_effect",
  "effects": [{"effect": "coulomb_friction", "between": ["piston", "joint"], "confidence": 0.99,
@@ -70,10 +70,10 @@ def test_built_in_networks_are_valid(name):
 
 
 def test_the_designs_examples_are_valid():
-    model = json.loads(DESIGN_MODEL)
+    model = json.loads(MODEL)
     jsonschema.validate(model, schemas.load("isd-model/1"))
     Network.load(model)
-    jsonschema.validate(json.loads(DESIGN_DIAGNOSIS), schemas.load("isd-diagnosis/1"))
+    jsonschema.validate(json.loads(DIAGNOSIS), schemas.load("isd-diagnosis/1"))
 
 
 def _set(*path, value):
@@ -112,7 +112,7 @@ WRONG = {
 
 @pytest.mark.parametrize("what", WRONG)
 def test_schema_and_reader_refuse_the_same(what):
-    model = json.loads(DESIGN_MODEL)
+    model = json.loads(MODEL)
     WRONG[what](model)
     assert not valid("isd-model/1", model)
     with pytest.raises(InputError):
@@ -121,7 +121,7 @@ def test_schema_and_reader_refuse_the_same(what):
 
 @pytest.mark.parametrize("unit", ["mm", "in", "m"])
 def test_schema_and_reader_accept_the_same_units(unit):
-    model = json.loads(DESIGN_MODEL)
+    model = json.loads(MODEL)
     model["outputs"][1] |= {"unit": unit, "offset": "free"}
     assert valid("isd-model/1", model)
     assert Network.load(model).outputs[1].offset
@@ -141,7 +141,7 @@ def test_score_json_is_valid(tmp_path):
 
 
 def test_a_verdict_and_its_effects_agree():
-    diagnosis = json.loads(DESIGN_DIAGNOSIS)
+    diagnosis = json.loads(DIAGNOSIS)
     assert not valid("isd-diagnosis/1", diagnosis | {"effects": []})
     assert not valid("isd-diagnosis/1", diagnosis | {"verdict": "ambiguous"})
     assert valid("isd-diagnosis/1", diagnosis | {"verdict": "ambiguous", "effects": []})

@@ -1,4 +1,4 @@
-"""Find where simulation and measurement disagree, name the missing effect, and add it (DESIGN section 9)."""
+"""Find where simulation and measurement disagree, name the missing effect, and add it."""
 
 from .result import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
 from .workflow import diagnose
