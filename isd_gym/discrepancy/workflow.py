@@ -277,7 +277,7 @@ class Workflow:
                 rivals = able[:1] + [r for r in rivals if r not in able[:1]]
             best = rivals[0]
             gain = level - best.likelihood
-            say(f"  best: {best.hypotheses[-1].label} (2 log L +{gain:.0f})")
+            say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
             stages.append(rivals)
             if gain < 60.0 and HALF * gap(p, now.fit) < gap(p, best.fit):
                 break
@@ -756,12 +756,13 @@ def sentence(
         parts = []
         for e in effects:
             spot = f"in channel {e.channel}" if e.channel else f"between {' and '.join(e.between or ())}"
+            what = e.effect.replace("_", " ")
             if e.effect in SERIES:
-                spot = f"in series with what stands {spot}"
+                what, spot = f"{what},", f"in series with what stands {spot}"
             figures = ", ".join(
                 f"{k.replace('_', ' ')} {plain_number(q.value)} {q.unit}" for k, q in e.parameters.items()
             )
-            parts.append(f"{e.effect.replace('_', ' ')} {spot} ({figures})")
+            parts.append(f"{what} {spot} ({figures})")
         return f"The model lacks {' and '.join(parts)}; with it the error in {worst} on held-out data falls from {percent('refit')} to {percent('after')} (noise {percent('noise_floor')})."
     if verdict == "ambiguous":
         names = " or ".join(" and ".join(h.label.replace("_", " ") for h in r.hypotheses) for r in contenders)
