@@ -56,6 +56,8 @@ SEALED = {
     "thrust_saturation.current": "sat_I",
     "actuator_lag.time_constant": "lag_tau",
     "linear_damping.damping": "ct",
+    "cogging_force.amplitude": "cog_amp",
+    "cogging_force.pitch": "cog_pitch",
     "stribeck_friction.level": "f",
     "stribeck_friction.static_level": "stribeck_fs",
     "stribeck_friction.stribeck_velocity": "stribeck_vs",

@@ -27,6 +27,7 @@ from .choose import (
     noise_levels,
     plain,
     residuals,
+    screen,
     settled,
     share_of_force,
     simpler,
@@ -35,7 +36,7 @@ from .choose import (
 )
 from .explain import law, next_experiment, places
 from .fit import Fit, Fitter
-from .hypotheses import SERIES, Hypothesis, Structure, base_structure, in_line, twin
+from .hypotheses import SERIES, Hypothesis, Structure, base_structure, hypotheses, in_line, twin
 from .problem import Array, Problem, Whitener, bare, innovations, passed, whitener
 from .records import derivatives, read, split_records, stretches
 from .result import Contender, Diagnosis, Effect, Gate, Place, Quantity, Trace
@@ -169,10 +170,30 @@ class Workflow:
         self.say(
             f"{len(self.whole.estimation)} record(s) to fit, {len(self.whole.validation)} held out; refitting the model within its stated uncertainty"
         )
-        base, best = self.search()
-        if best.verdict == "unknown_effect":
-            return self.detents() or self.conclude(base, best)
-        return self.conclude(base, best)
+        base = self.refitted()
+        path, stages = self.walk([base], [])
+        best = self.weigh(base, path, stages)
+        found = self.detents() if best.verdict == "unknown_effect" else None
+        return found or self.conclude(base, self.runners_up(base, best, stages))
+
+    def refitted(self) -> Rival:
+        """The owner's model with the parameters that it holds moved within their stated uncertainty."""
+        structure = base_structure(self.network)
+        return Rival((), *settled(self.problem, structure, structure.start, self.floors))
+
+    def runners_up(self, base: Rival, best: Weighed, stages: list[list[Rival]]) -> Weighed:
+        """What comes first may lead astray where it is not enough: the runners-up get their turn."""
+        fine = best.verdict in ("no_discrepancy", "parameters_only")
+        if not stages or fine or (best.adequate and len(best.chosen.hypotheses) < 2):
+            return best
+        for runner in stages[0][1 : 1 + TURNS]:
+            self.say(f"starting over with {runner.hypotheses[-1].label}")
+            try:
+                other = self.weigh(base, *self.walk([base, runner], stages[:1]))
+                best = other if self.better(other, best) else best
+            except (InputError, np.linalg.LinAlgError):  # it breaks down on the held-out records
+                continue
+        return best
 
     def detents(self) -> Diagnosis | None:
         """What has many rests cannot be followed for long, so it is looked for over brief stretches, each from its own state."""
@@ -184,35 +205,19 @@ class Workflow:
         self.say(f"looking for detents over stretches of {BRIEF} s")
         flow = Workflow(brief, self.whole, self.say, 0, list(self.notes), self.begun)
         flow.rng = self.rng
-        base, best = flow.search(turns=0, depth=1)
-        if best.verdict == "missing_effect" and any(
-            h.effect == "cogging_force" for h in best.chosen.hypotheses
-        ):
-            flow.notes.append(
-                f"compared over stretches of {BRIEF} s: between its detents no simulation stays with the record for long"
-            )
-            return flow.conclude(base, best)
-        return None
-
-    def search(self, turns: int = TURNS, depth: int = DEPTH) -> tuple[Rival, Weighed]:
-        """The refitted model, and what is best added to it."""
-        p, say = self.problem, self.say
-        structure = base_structure(self.network)
-        fit, value = settled(p, structure, structure.start, self.floors)
-        base = Rival((), fit, value)
-        path, stages = self.walk([base], [], depth)
-        best = self.weigh(base, path, stages)
-        fine = best.verdict in ("no_discrepancy", "parameters_only")
-        if stages and not fine and (not best.adequate or len(best.chosen.hypotheses) > 1):
-            # what comes first may lead astray: the runners-up get their turn
-            for runner in stages[0][1 : 1 + turns]:
-                say(f"starting over with {runner.hypotheses[-1].label}")
-                try:
-                    other = self.weigh(base, *self.walk([base, runner], stages[:1]))
-                    best = other if self.better(other, best) else best
-                except (InputError, np.linalg.LinAlgError):  # it breaks down on the held-out records
-                    continue
-        return base, best
+        base = flow.refitted()
+        W = whitener(residuals(brief, base.fit), trust(brief, base.fit, flow.floors))
+        screened = screen(brief, Fitter(brief, W), base.fit, list(hypotheses(self.network)))
+        foremost = list(dict.fromkeys(s.hypothesis for s in screened))[:3]
+        if not any(h.effect == "cogging_force" for h in foremost):
+            return None
+        best = flow.weigh(base, *flow.walk([base], [], depth=1))
+        if best.verdict != "missing_effect" or best.chosen.hypotheses[0].effect != "cogging_force":
+            return None
+        flow.notes.append(
+            f"compared over stretches of {BRIEF} s: between its detents no simulation stays with the record for long"
+        )
+        return flow.conclude(base, best)
 
     def excess(self, rival: Rival) -> Array:
         """Excess (channels,) of the held-out error over noise, as a share of a channel's deviation."""
