@@ -316,6 +316,7 @@ class Workflow:
         owner = base_structure(self.network)
         before, _ = self.plain_error(base.fit, owner, owner.start)
 
+        worth = self.worth(base)
         # walk back: an effect that does not earn its place goes
         depth = len(path) - 1
         table: list[str] = []
@@ -344,7 +345,8 @@ class Workflow:
             self.settle_again(chosen, path[-1])
             stood.pop(id(chosen), None)
         if depth:
-            chosen = self.prune(chosen, [r for stage in stages for r in stage], stand, quiet, table)
+            known = [r for stage in stages for r in stage]
+            chosen = self.prune(chosen, known, stand, quiet, worth, table)
         stand(base)
         rivals: list[Rival] = []
         for r in stages[depth - 1][:6] if depth else []:
@@ -373,7 +375,6 @@ class Workflow:
             for r in rivals
             if itself(r.fit) and not self.beaten(stand(r), stand(chosen), quiet) and not self.same(r, chosen)
         ]
-        worth = self.worth(base)
         few = math.inf if explained >= ADEQUATE else SEVERAL
         adequate = depth > 0 and bool(np.all(excess_after < few * worth**2))
         # nothing is worth a name: small effects would make the gap, or do close it
@@ -441,9 +442,13 @@ class Workflow:
         known: list[Rival],
         stand: Callable[[Rival], Standing],
         quiet: float,
+        worth: Array,
         table: list[str],
     ) -> Rival:
-        """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
+        """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another.
+
+        The parameters that a special case lacks must earn more than small effects make.
+        """
         p = self.problem
         while True:
             now = stand(chosen)
@@ -464,11 +469,13 @@ class Workflow:
                 except (InputError, np.linalg.LinAlgError):
                     continue
                 loss = self.level(r, chosen) - level
-                moved = float(np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0)).max())
+                change = np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0))
                 wider = gap(p, r.fit) / gap(p, chosen.fit)
                 if swapped:
                     better = (
-                        self.beaten(then, now, quiet) and moved >= MATERIAL and (loss > 30.0 or wider > 1.5)
+                        self.beaten(then, now, quiet)
+                        and bool(np.any(change > worth))
+                        and (loss > 30.0 or wider > 1.5)
                     )
                 else:
                     share = max(
@@ -477,7 +484,10 @@ class Workflow:
                     )
                     size = self.sizes(chosen)[chosen.hypotheses.index(gone)]
                     better = (
-                        share >= HALF and moved >= MATERIAL and size >= SHARE and (loss > 60.0 or wider > 2.0)
+                        share >= HALF
+                        and change.max() >= MATERIAL
+                        and size >= SHARE
+                        and (loss > 60.0 or wider > 2.0)
                     )
                 if not better:
                     table.append(
