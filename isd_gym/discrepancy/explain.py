@@ -139,7 +139,7 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
     )
     visited = motion.v if rate else motion.d
     reach = float(np.quantile(np.abs(visited), 0.999)) or 1e-6
-    axis = np.linspace(-reach, reach, 401)
+    axis = np.linspace(-reach, reach, 1601)  # a cogging may have dozens of periods
 
     def force(element: el.Element) -> Array:
         p = np.array(element.law_parameters())
