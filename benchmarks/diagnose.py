@@ -138,10 +138,10 @@ def one(name, estimation, validation, model, answer, detail):
     closed = "-" if d.closed is None else f"{d.closed:.3f}"
     print(f"{g:6s} {name} {seconds:5.1f}s closed {closed} {d.verdict} {row['found']} <- {answer}", flush=True)
     if detail and "w" in captured:
-        w, worth = captured["w"].weighed, captured["w"]._worth
+        w = captured["w"].weighed
         refit, after = ([*d.gap[row].values()] for row in ("refit", "after"))
         print(
-            f"        before {text(w.before)} refit {text(refit)} after {text(after)} floor {text(w.floor)} small {text(worth)}"
+            f"        before {text(w.before)} refit {text(refit)} after {text(after)} floor {text(w.floor)} small {text(w.worth)}"
         )
         print(
             f"        noise {w.quiet:.3f} explained {w.explained:.3f} gaps {text(w.gaps)} abreast {[r.hypotheses[-1].label for r in w.abreast]}"

@@ -551,11 +551,13 @@ def race(
         for structure, x in starts(problem, current, group, floors, lost):
             known = carried(short, shortened, structure)
             try:
-                if (
-                    structure.hypotheses[-1].effect == "cogging_force"
-                ):  # which of its rests holds is to be seen first
+                # which of its rests holds is to be seen first
+                if structure.hypotheses[-1].effect == "cogging_force":
                     seen = {i: heat.guess(structure.at(x), i) for i in short.estimation}
-                    known = min(known, seen, key=lambda s: heat.begin(structure, x, s, current.offset))
+                    known = min(
+                        (known, seen),
+                        key=lambda s: heat.cost(structure, x, s, current.offset, short.estimation),
+                    )
                 f = heat.fit(structure, x, known, current.offset, iterations=3)
             except (InputError, np.linalg.LinAlgError):
                 continue

@@ -209,7 +209,7 @@ class Fitter:
                     starts.append(about[i])
                 if len(starts) > 1:
                     zero = {i: np.zeros(len(problem.channels))}
-                    costs = [self._cost(structure, x, {i: s}, zero, [i]) for s in starts]
+                    costs = [self.cost(structure, x, {i: s}, zero, [i]) for s in starts]
                     starts = [starts[int(np.argmin(costs))]]
             f = self.fit(
                 structure,
@@ -305,7 +305,7 @@ class Fitter:
                     ti[i] = initial[i] + move[:n0]
                     to[i] = offset[i].copy()
                     to[i][problem.free_offset] += move[n0:]
-                new_cost = self._cost(structure, trial, ti, to, records) + self._prior(
+                new_cost = self.cost(structure, trial, ti, to, records) + self._prior(
                     structure, trial, ti, mean, sigma
                 )
                 if np.isfinite(new_cost) and new_cost < cost:
@@ -359,20 +359,15 @@ class Fitter:
             i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
         }
 
-    def begin(
-        self, structure: Structure, x: Array, initial: dict[int, Array], offset: dict[int, Array]
-    ) -> float:
-        """Sum of squares of the whitened residuals before any fit; infinite where the simulation breaks down."""
-        return self._cost(structure, x, initial, offset, self.problem.estimation)
-
-    def _cost(
+    def cost(
         self,
         structure: Structure,
         x: Array,
         initial: dict[int, Array],
         offset: dict[int, Array],
-        records: list[int],
+        records: Sequence[int],
     ) -> float:
+        """Sum of squares of the whitened residuals over `records`; infinite where the simulation breaks down."""
         total = 0.0
         for i in records:
             try:

@@ -122,6 +122,7 @@ class Weighed:
     abreast: list[Rival]
     whitener: Whitener
     floor: Array  # noise of every channel, as a share of its deviation
+    worth: Array  # excess of every channel that small effects do not make
     quiet: float  # score of pure noise
     before: Array  # NRMSE of the owner's model
     explained: float  # share of the refitted model's excess error
@@ -143,7 +144,7 @@ class Workflow:
         begun: float,
     ):
         self.problem, self.whole, self.say, self.notes, self.begun = problem, whole, say, notes, begun
-        self.rng = np.random.default_rng(seed)
+        self.seed, self.rng = seed, np.random.default_rng(seed)
         self.network = problem.network
         self.floors = measured_noise(problem, problem.estimation)
         held = np.concatenate([problem.records[i].measured for i in problem.validation])
@@ -203,8 +204,7 @@ class Workflow:
         pieces = [(q, h) for r, h in zip(p.records, p.held, strict=True) for q in stretches(r, BRIEF)]
         brief = Problem(self.network, [q for q, _ in pieces], [h for _, h in pieces], p.step)
         self.say(f"looking for detents over stretches of {BRIEF} s")
-        flow = Workflow(brief, self.whole, self.say, 0, list(self.notes), self.begun)
-        flow.rng = self.rng
+        flow = Workflow(brief, self.whole, self.say, self.seed, list(self.notes), self.begun)
         base = flow.refitted()
         W = whitener(residuals(brief, base.fit), trust(brief, base.fit, flow.floors))
         screened = screen(brief, Fitter(brief, W), base.fit, list(hypotheses(self.network)))
@@ -276,9 +276,8 @@ class Workflow:
             if not rivals:
                 break
             level = innovations(residuals(p, now.fit), finer(least, self.floors)) + now.fit.prior
-            if (
-                self.sizes(rivals[0])[-1] < SHARE
-            ):  # it cannot be named: one that can goes first where it gains half as much
+            # one that cannot be named gives way to one that can, where that gains half as much
+            if self.sizes(rivals[0])[-1] < SHARE:
                 reach = level - HALF * (level - rivals[0].likelihood)
                 able = [r for r in rivals if r.likelihood < reach and self.sizes(r)[-1] >= SHARE]
                 rivals = able[:1] + [r for r in rivals if r not in able[:1]]
@@ -288,14 +287,12 @@ class Workflow:
             stages.append(rivals)
             if gain < 60.0 and HALF * gap(p, now.fit) < gap(p, best.fit):
                 break
-            path.append(best)
             W = whitener(residuals(p, now.fit), trust(p, now.fit, self.floors))
             try:
                 here, then = self.stand(now, W), self.stand(best, W)
             except (InputError, np.linalg.LinAlgError):  # it breaks down on the held-out records
-                path.pop()
-                stages.pop()
                 break
+            path.append(best)
             moved = float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max())
             if moved < MATERIAL or self.sizes(best)[-1] < SHARE:
                 break
@@ -397,10 +394,22 @@ class Workflow:
             verdict = "ambiguous"
         else:
             verdict = "missing_effect"
-        gaps = (gap_before, gap_refit, gap_after)
         return Weighed(
-            *(verdict, chosen, rivals, abreast, W, floor, quiet, before, explained, adequate, gaps, table),
-            *(stages, stood),
+            verdict=verdict,
+            chosen=chosen,
+            rivals=rivals,
+            abreast=abreast,
+            whitener=W,
+            floor=floor,
+            worth=worth,
+            quiet=quiet,
+            before=before,
+            explained=explained,
+            adequate=adequate,
+            gaps=(gap_before, gap_refit, gap_after),
+            table=table,
+            stages=stages,
+            stood=stood,
         )
 
     def conclude(self, base: Rival, w: Weighed) -> Diagnosis:
@@ -551,11 +560,7 @@ class Workflow:
         """The five gates with their figures."""
         chosen, quiet = w.chosen, w.quiet
         best, refit = w.stood[id(chosen)], w.stood[id(base)]
-        least = finer(trust(self.problem, chosen.fit, self.floors), self.floors)
-        gain = sum(
-            k * (innovations(residuals(self.problem, r.fit), least) + r.fit.prior)
-            for r, k in ((base, 1), (chosen, -1))
-        )
+        gain = self.level(base, chosen) - self.level(chosen, chosen)
         halved = gap(self.problem, chosen.fit) < HALF * gap(self.problem, base.fit)
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - best.nrmse**2, 0.0)).max())
         size = min(self.sizes(chosen))
