@@ -528,9 +528,10 @@ def draw_gap(fig: Figure, view: View) -> str:
         ax.plot(x, rows, ls="none", label=view.labels[stage], zorder=3, **marks[stage])
     ax.set_xscale("log")
     low, high = ax.get_xlim()
-    ticks = [
-        t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if low <= t <= high
-    ]
+    for steps in ((1, 2, 5), range(1, 10)):  # one tick alone is no scale
+        ticks = [t for k in range(-2, 4) for m in steps if low <= (t := m * 10.0**k) <= high]
+        if len(ticks) > 2:
+            break
     ax.set_xticks(ticks, [f"{t:g} %" for t in ticks])
     ax.minorticks_off()
     _name_rows(ax, [channel_text(c) for c in view.order])

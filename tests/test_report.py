@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
+import matplotlib.figure
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -546,3 +547,14 @@ def test_show_plays_in_a_window(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     done = CliRunner().invoke(cli.app, ["show", "isd-passive", "--against", "passive", "--seconds", "0.1"])
     assert done.exit_code == 0, done.output
+
+
+def test_the_gap_has_a_scale_however_narrow_it_is(diagnosis):
+    gap = {
+        stage: dict.fromkeys(row, value)
+        for (stage, row), value in zip(diagnosis.gap.items(), (0.112, 0.105, 0.1, 0.063), strict=True)
+    }
+    fig = matplotlib.figure.Figure()
+    report.draw_gap(fig, report.View(replace(diagnosis, gap=gap)))
+    low, high = fig.axes[0].get_xlim()
+    assert sum(low <= t <= high for t in fig.axes[0].get_xticks()) > 2
