@@ -36,8 +36,8 @@ from .plots import (
     style,
     unit_text,
 )
-from .simulate import SI, simulate
-from .units import convert
+from .simulate import simulate
+from .units import UNITS, convert
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -395,7 +395,7 @@ class Probe:
             raise InputError("the record is too short to look for a force in it")
         answer = space.response(frequency[band])[:, :, space.inputs.index(name)]
         order = [space.outputs.index(n) for n in names]
-        factors = np.array([convert(1.0, c.unit, SI[c.quantity]) for c in outputs[: len(names)]])
+        factors = np.array([convert(1.0, c.unit, UNITS[c.quantity]) for c in outputs[: len(names)]])
         factors = factors[[[c.name for c in outputs].index(n) for n in names]]
         two = answer[:, [space.outputs.index("_d"), space.outputs.index("_v")]]
         return cls(names, frequency[band], int(band[0]), answer[:, order], two, factors, samples)

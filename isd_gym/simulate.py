@@ -18,10 +18,9 @@ from scipy.linalg import expm
 from . import elements as el
 from .errors import InputError
 from .network import Assembly, Channel, Network, assemble
-from .units import convert
+from .units import UNITS, convert
 
 PHYSICS_STEP = 1e-3  # s
-SI = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A"}
 
 
 @dataclass(frozen=True)
@@ -467,7 +466,7 @@ def simulate(
         values = np.asarray(inputs[c.name], float)
         if values.shape != time.shape or not np.all(np.isfinite(values)):
             raise InputError(f"input '{c.name}' must hold {len(time)} finite samples")
-        values = convert(values, c.unit, SI[c.quantity])
+        values = convert(values, c.unit, UNITS[c.quantity])
         fine[c.name] = upsample(values, every, hold=c.quantity == "current")
         if c.name in needs:
             spline = CubicSpline(np.arange(len(values)) * dt, values)
@@ -475,5 +474,5 @@ def simulate(
             fine[c.name] = spline(at)
             slopes[c.name] = (spline(at, 1), spline(at, 2))
     out = plant.run(fine, every=every, samples=len(time), initial=initial, derivatives=slopes)
-    named = {c.name: convert(out[:, j, 0], SI[c.quantity], c.unit) for j, c in enumerate(plant.channels)}
+    named = {c.name: convert(out[:, j, 0], UNITS[c.quantity], c.unit) for j, c in enumerate(plant.channels)}
     return sense(network, named, dt)

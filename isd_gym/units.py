@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from .errors import InputError
 
+#: quantity of a channel -> its SI unit
+UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A"}
 #: unit -> (SI unit, factor)
 TABLE: dict[str, tuple[str, float]] = {
     "m": ("m", 1.0),

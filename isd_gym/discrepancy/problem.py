@@ -17,8 +17,8 @@ from scipy.signal import oaconvolve, welch
 
 from .. import elements as el
 from ..network import Assembly, Network, assemble
-from ..simulate import SI, Plant, delayed, effective_current, upsample
-from ..units import convert
+from ..simulate import Plant, delayed, effective_current, upsample
+from ..units import UNITS, convert
 
 Array = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ class Problem:
         self.held = list(held)
         self.step = step
         self.channels = [c.name for c in network.outputs]
-        self.factors = np.array([convert(1.0, SI[c.quantity], c.unit) for c in network.outputs])
+        self.factors = np.array([convert(1.0, UNITS[c.quantity], c.unit) for c in network.outputs])
         self.free_offset = np.array([c.offset for c in network.outputs])
 
     @property

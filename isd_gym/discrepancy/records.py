@@ -12,8 +12,7 @@ import numpy as np
 from ..data import Table, check, read_table
 from ..errors import InputError
 from ..network import Channel, Network
-from ..simulate import SI
-from ..units import convert
+from ..units import UNITS, convert
 from .problem import Array, Record, low_pass
 
 STRETCH = 5.0  # [s] held-out records are judged in stretches, each from an initial state of its own
@@ -39,7 +38,7 @@ def read(source: Table | str | Path, network: Network, notes: list[str]) -> Reco
     def values(name: str, unit: str) -> Array:
         return convert(np.asarray(table[name]), table.units.get(name) or expected[name], unit)
 
-    inputs = {c.name: values(c.name, SI[c.quantity]) for c in network.inputs}
+    inputs = {c.name: values(c.name, UNITS[c.quantity]) for c in network.inputs}
     measured = np.stack([values(c.name, c.unit) for c in network.outputs], axis=1)
     name = Path(table.source).stem
     return Record(name, table.step, inputs, measured, {}, float(table.time[0]))

@@ -1,0 +1,24 @@
+"""A suspension as a network: masses, named nodes, and two-terminal elements between them.
+
+`Network` is the model (`model`), `isd-model/1` its JSON file (`format`); `assemble` turns it into equations of motion
+without any hand derivation, and `linearise` into a state space with named signals, for controllers and frequency
+responses (`assembly`).
+"""
+
+from ..units import UNITS
+from .assembly import Assembly, StateSpace, assemble, linearise
+from .format import SCHEMA, builtin_networks
+from .model import GROUND, Channel, Network
+
+__all__ = [
+    "GROUND",
+    "SCHEMA",
+    "UNITS",
+    "Assembly",
+    "Channel",
+    "Network",
+    "StateSpace",
+    "assemble",
+    "builtin_networks",
+    "linearise",
+]

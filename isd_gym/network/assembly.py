@@ -1,0 +1,319 @@
+"""Equations of motion of a network, assembled without any hand derivation, and their state space.
+
+With the displacements q of the free nodes, the moved nodes r(t) and the incidence E of everything that is
+not linear (motors, friction, force laws f)::
+
+    M q'' + C q' + K q + M_r r'' + C_r r' + K_r r + E f = F
+
+M is singular where nodes have no mass. Its singular value decomposition splits q into directions that carry
+momentum (two states each) and the rest; among the rest, those with damping are first-order states and those
+without are algebraic. The momentum p = a' + S^-1 U^T M_r r' is the state instead of the velocity, so that r'' is
+needed by no state, only by outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import elements as el
+from ..errors import InputError
+from .model import GROUND, Channel, Network
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """The equations of a network, with every law's force f an input of the linear part.
+
+    The columns of all matrices are the base vector (x, r, v, alpha, F, I, f): states, displacement [m], velocity and
+    acceleration of the moved nodes, force inputs [N], currents [A], law forces [N]. ``dx/dt = rate @ base``.
+    `elongation` and `elongation_rate` have one row per law; rows of `by_difference` laws hang on an algebraic node, whose
+    velocity is the difference of its positions.
+    """
+
+    network: Network
+    size: tuple[int, int, int, int, int]  # states, moved nodes, force inputs, currents, laws
+    laws: tuple[el.Element, ...]
+    rate: np.ndarray
+    elongation: np.ndarray
+    elongation_rate: np.ndarray
+    by_difference: tuple[bool, ...]
+    outputs: np.ndarray
+    outputs_by_difference: tuple[bool, ...]
+    position: np.ndarray  # of the free nodes
+    velocity: np.ndarray
+
+    def columns(self, part: str) -> slice:
+        n, r, f, i, k = self.size
+        widths = {"x": n, "r": r, "v": r, "alpha": r, "F": f, "I": i, "f": k}
+        start = 0
+        for name, width in widths.items():
+            if name == part:
+                return slice(start, start + width)
+            start += width
+        raise KeyError(part)
+
+
+def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
+    """Equations of motion of any network, and the rows of its outputs (and of `extra` channels after them).
+
+    Raises `InputError` where the massless part is singular or an output asks for what the network does not define
+    (the acceleration of a massless node).
+    """
+    return _assemble(network, extra) if extra else network._assembly
+
+
+def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
+    moved = network.moved_nodes
+    free = tuple(n for n in network.nodes if n not in moved)
+    index = {n: i for i, n in enumerate(free + moved)}
+    n_free, n_moved = len(free), len(moved)
+    total = n_free + n_moved
+
+    def incidence(pair: tuple[str, str]) -> np.ndarray:
+        row = np.zeros(total)
+        for node, sign in zip(pair, (1.0, -1.0), strict=True):
+            if node != GROUND:
+                row[index[node]] += sign
+        return row
+
+    M, C, K = (np.zeros((total, total)) for _ in range(3))
+    for node, mass in network.masses.items():
+        M[index[node], index[node]] += mass
+    between = [e for e in network.elements if e.place == "between"]
+    for e in between:
+        row = incidence(e.between)
+        k, c, b = e.linear()
+        K += k * np.outer(row, row)
+        C += c * np.outer(row, row)
+        M += b * np.outer(row, row)
+        if isinstance(e, el.TerminalInertia):
+            node = e.between[0 if e.terminal == "first" else 1]
+            if node != GROUND:
+                M[:, index[node]] += e.mass * row
+    laws = tuple(e for e in between if e.law is not None or e.bound is not None)
+    law_rows = np.array([incidence(e.between) for e in laws]).reshape(len(laws), total)
+    forces = [c for c in network.inputs if c.quantity == "force"]
+    currents = [c for c in network.inputs if c.quantity == "current"]
+
+    # -- split the free directions
+    U, s, Vt = np.linalg.svd(M[:n_free, :n_free]) if n_free else (np.eye(0), np.zeros(0), np.eye(0))
+    rho = int(np.sum(s > 1e-10 * s[0])) if n_free and s[0] > 0 else 0
+    S = s[:rho, None]
+    Ua, Uz, Va, Vz = U[:, :rho], U[:, rho:], Vt[:rho].T, Vt[rho:].T
+    Mf, Cf, Kf = (X[:n_free, :n_free] for X in (M, C, K))
+    Mr, Cr, Kr = (X[:n_free, n_free:] for X in (M, C, K))
+    if Uz.size and np.abs(Uz.T @ Mr).max(initial=0.0) > 1e-9 * np.abs(M).max():
+        raise InputError("an inertia between a massless node and a moved node is not supported here")
+    P, t, Qt = np.linalg.svd(Uz.T @ Cf @ Vz)
+    tau = int(np.sum(t > 1e-10 * max(np.abs(Cf).max(initial=0.0), 1e-300))) if t.size else 0
+    T = t[:tau, None]
+    P1, P2, Q1, Q2 = P[:, :tau], P[:, tau:], Qt[:tau].T, Qt[tau:].T
+
+    n = 2 * rho + tau
+    size = (n, n_moved, len(forces), len(currents), len(laws))
+    widths = np.cumsum([0, n, n_moved, n_moved, n_moved, len(forces), len(currents), len(laws)])
+    at = [slice(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)]
+    x_, r_, v_, alpha_, F_, I_, f_ = at
+    width = widths[-1]
+
+    def select(columns: slice, rows: int, start: int = 0) -> np.ndarray:
+        out = np.zeros((rows, width))
+        out[np.arange(rows), columns.start + start + np.arange(rows)] = 1.0
+        return out
+
+    r, v, alpha = select(r_, n_moved), select(v_, n_moved), select(alpha_, n_moved)
+    # what pushes on the nodes besides M, C and K: forces in, motors and laws out (positive in tension)
+    push = np.zeros((total, width))
+    for j, channel in enumerate(forces):
+        push[index[str(channel.at)], F_.start + j] += 1.0
+    motor_force: dict[str, np.ndarray] = {}
+    for e in between:
+        if isinstance(e, el.Motor):
+            motor_force[e.name] = np.zeros(width)
+            for j, channel in enumerate(currents):
+                if channel.element == e.name:
+                    motor_force[e.name][I_.start + j] = e.thrust_constant * e.ratio
+            push -= np.outer(incidence(e.between), motor_force[e.name])
+    push[:, f_] -= law_rows.T
+    push_free = push[:n_free]
+
+    a, p, y = select(x_, rho), select(x_, rho, rho), select(x_, tau, 2 * rho)
+    a1 = p - (Ua.T @ Mr @ v) / S
+    known = Cf @ Va @ a1 + Kf @ (Va @ a + Vz @ Q1 @ y) + Cr @ v + Kr @ r - push_free
+    Kww = P2.T @ Uz.T @ Kf @ Vz @ Q2
+    if Kww.size:
+        scale = np.abs(Kf).max()
+        sv = np.linalg.svd(Kww, compute_uv=False)
+        if scale == 0.0 or sv[-1] < 1e-12 * scale:
+            direction = Vz @ Q2 @ np.linalg.svd(Kww)[2][-1]
+            names = ", ".join(f"'{m}'" for m, w in zip(free, direction, strict=True) if abs(w) > 0.1)
+            raise InputError(
+                f"the massless part is singular: nothing holds {names} (add a spring, damper or mass)"
+            )
+        w = -np.linalg.solve(Kww, P2.T @ Uz.T @ known)
+    else:
+        w = np.zeros((Q2.shape[1], width))
+    z = Q1 @ y + Q2 @ w
+    q = Va @ a + Vz @ z
+    y1 = -(P1.T @ Uz.T @ (known + Kf @ Vz @ Q2 @ w)) / T
+    q1 = Va @ a1 + Vz @ Q1 @ y1  # without the algebraic directions: see by_difference
+    a2 = -(Ua.T @ (known + Kf @ Vz @ Q2 @ w + Cf @ Vz @ Q1 @ y1 + Mr @ alpha)) / S
+    p1 = a2 + (Ua.T @ Mr @ alpha) / S
+    rate = np.vstack([a1, p1, y1])
+
+    position, velocity = np.vstack([q, r]), np.vstack([q1, v])
+    acceleration = np.vstack([Va @ a2, alpha])
+    algebraic = np.concatenate([np.abs(Vz @ Q2).sum(axis=1), np.zeros(n_moved)]) > 1e-9
+    basis_z = np.vstack([Vz, np.zeros((n_moved, Vz.shape[1]))])
+    basis_w = np.vstack([Vz @ Q2, np.zeros((n_moved, Q2.shape[1]))])
+
+    def hangs_on(row: np.ndarray, basis: np.ndarray) -> bool:
+        return bool(np.abs(row @ basis).max(initial=0.0) > 1e-9)
+
+    def motion(row: np.ndarray, quantity: str, where: str) -> tuple[np.ndarray, bool]:
+        if quantity == "displacement":
+            return row @ position, False
+        if quantity == "velocity":
+            if hangs_on(row, basis_w):
+                return row @ position, True
+            return row @ velocity, False
+        if hangs_on(row, basis_z):
+            raise InputError(f"{where}: the acceleration of a massless node is not defined")
+        return row @ acceleration, False
+
+    def force_of(e: el.Element, where: str) -> np.ndarray:
+        row = incidence(e.between)
+        if e in laws:
+            return select(f_, 1, laws.index(e))[0]
+        if isinstance(e, el.Motor):
+            return motor_force[e.name]
+        if isinstance(e, el.TerminalInertia):
+            node = e.between[0 if e.terminal == "first" else 1]
+            return e.mass * motion(incidence((node, GROUND)), "acceleration", where)[0]
+        k, c, b = e.linear()
+        out = k * (row @ position)
+        if c:
+            rate_row, difference = motion(row, "velocity", where)
+            if difference:
+                raise InputError(f"{where}: the velocity of an algebraic node is not defined")
+            out = out + c * rate_row
+        return out + b * motion(row, "acceleration", where)[0] if b else out
+
+    rows, differences = [], []
+    for channel in (*network.outputs, *extra):
+        where = f"output '{channel.name}'"
+        if channel.element is not None:
+            row, difference = np.zeros(width), False
+            for name in channel.elements:
+                row = row + force_of(network.element(name), where)
+        elif channel.quantity == "force":
+            row, difference = np.zeros(width), False
+            for e in between:
+                sign = incidence(e.between)[index[str(channel.at)]]
+                if sign:
+                    row = row + sign * force_of(e, where)
+            mass = network.masses.get(str(channel.at), 0.0)
+            row = row + mass * acceleration[index[str(channel.at)]]
+        else:
+            pair = channel.between or (str(channel.at), GROUND)
+            row, difference = motion(incidence(pair), channel.quantity, where)
+        rows.append(row)
+        differences.append(difference)
+
+    by_difference = tuple(hangs_on(row, basis_w) for row in law_rows)
+    return Assembly(
+        network=network,
+        size=size,
+        laws=laws,
+        rate=rate,
+        elongation=law_rows @ position,
+        elongation_rate=law_rows @ velocity,
+        by_difference=by_difference,
+        outputs=np.array(rows).reshape(len(rows), width),
+        outputs_by_difference=tuple(differences),
+        position=position,
+        velocity=np.where(algebraic[:, None], 0.0, velocity),
+    )
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """``dx/dt = A x + B u``, ``y = C x + D u``, SI units, with the names of inputs u and outputs y."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Complex frequency response, shape (len(frequency), outputs, inputs), at `frequency` [Hz]."""
+        s = 2j * np.pi * np.asarray(frequency, float)
+        eye = np.eye(len(self.A))
+        return np.array([self.C @ np.linalg.solve(si * eye - self.A, self.B) + self.D for si in s])
+
+
+def linearise(
+    network: Network | str | Path | Mapping[str, Any],
+    *,
+    outputs: Sequence[Channel] = (),
+    damping: Mapping[str, float] | None = None,
+    laws: bool = False,
+) -> StateSpace:
+    """State space of a network about rest, for controllers and frequency responses.
+
+    `outputs` adds channels to the network's own. A law counts as a linear damper of `damping[element name]`
+    [N s/m] (statistical linearisation of friction, equation 9), else by its slope at rest; with `laws=True` its
+    force is an input of that name instead. Velocities and accelerations of moved nodes appear as inputs
+    ``road'`` and ``road''`` where something acts through them.
+    """
+    network = Network.load(network)
+    asm = assemble(network, outputs)
+    X, f = asm.columns("x"), asm.columns("f")
+    rate, out = asm.rate, asm.outputs
+    if any(asm.outputs_by_difference):
+        raise InputError("the velocity of an algebraic node has no state-space form")
+    if not laws and asm.laws:
+        slopes_k, slopes_c = np.zeros(len(asm.laws)), np.zeros(len(asm.laws))
+        for j, e in enumerate(asm.laws):
+            if damping is not None and e.name in damping:
+                slopes_c[j] = damping[e.name]
+            elif e.law is not None:
+                p, d, h = np.array(e.law_parameters()), 1e-7, 1e-9
+                slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]) / (2 * d)
+                slopes_c[j] = (e.law(p, 0.0, d, 0.0, 0.0, h)[0] - e.law(p, 0.0, -d, 0.0, 0.0, h)[0]) / (2 * d)
+        # f = Kd d + Kc v with d, v = rows @ base and base containing f: solve for f
+        rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
+        gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f], rows)
+        rate, out = rate + rate[:, f] @ gain, out + out[:, f] @ gain
+    names: list[str] = []
+    keep: list[int] = []
+    moved = [c.name for c in network.inputs if c.quantity == "displacement"]
+    groups = [
+        ("r", moved),
+        ("v", [f"{m}'" for m in moved]),
+        ("alpha", [f"{m}''" for m in moved]),
+        ("F", [c.name for c in network.inputs if c.quantity == "force"]),
+        ("I", [c.name for c in network.inputs if c.quantity == "current"]),
+        ("f", [e.name for e in asm.laws] if laws else []),
+    ]
+    for part, labels in groups:
+        for j, label in enumerate(labels):
+            column = asm.columns(part).start + j
+            if part not in ("v", "alpha") or np.any(rate[:, column]) or np.any(out[:, column]):
+                names.append(label)
+                keep.append(column)
+    return StateSpace(
+        A=rate[:, X].copy(),
+        B=rate[:, keep],
+        C=out[:, X].copy(),
+        D=out[:, keep],
+        inputs=tuple(names),
+        outputs=tuple(c.name for c in (*network.outputs, *outputs)),
+    )

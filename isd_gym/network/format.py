@@ -1,0 +1,189 @@
+"""The file format `isd-model/1`: JSON to a `Network` and back, with one line that names the place of an error."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from difflib import get_close_matches
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from .. import elements as el
+from ..errors import InputError
+from ..units import UNITS, convert
+from .model import Channel, Network
+
+SCHEMA = "isd-model/1"
+
+
+def builtin_networks() -> list[str]:
+    """Names of the models that come with the package."""
+    folder = resources.files("isd_gym") / "networks"
+    return sorted(p.name.removesuffix(".json") for p in folder.iterdir() if p.name.endswith(".json"))
+
+
+def read(source: str | Path | Mapping[str, Any]) -> Network:
+    """A built-in name ('quarter-car-isd'), a JSON file, or a dict. Raises `InputError` with one line."""
+    if isinstance(source, Mapping):
+        return from_dict(source)
+    text_name = str(source)
+    builtin = resources.files("isd_gym") / "networks" / f"{text_name}.json"
+    if "/" not in text_name and builtin.is_file():
+        text = builtin.read_text()
+    else:
+        path = Path(source)
+        if not path.exists():
+            known = builtin_networks()
+            near = get_close_matches(text_name, known, 1)
+            asked = f" (did you mean '{near[0]}'?)" if near else ""
+            raise InputError(f"no model '{source}'{asked}: neither a file nor one of {', '.join(known)}")
+        try:
+            text = path.read_text()
+        except (OSError, UnicodeDecodeError) as error:
+            why = "it is a folder" if path.is_dir() else error
+            raise InputError(f"cannot read model '{source}': {why}") from None
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"model '{source}': not JSON, line {error.lineno}: {error.msg}") from None
+    try:
+        return from_dict(data)
+    except InputError as error:
+        raise InputError(f"model '{source}': {error}") from None
+
+
+def from_dict(data: Any) -> Network:
+    """The model that a JSON object describes. Raises `InputError` with one line that names the place."""
+    known = {"schema", "name", "description", "masses", "elements", "inputs", "outputs", "uncertainty"}
+    _check_keys(data, known, {"schema", "elements"}, "the model")
+    if data["schema"] != SCHEMA:
+        raise InputError(f"schema is {data['schema']!r}, expected '{SCHEMA}'")
+    masses = data.get("masses", {})
+    if not isinstance(masses, Mapping):
+        raise InputError("masses must be an object of node: kg")
+    for key in ("elements", "inputs", "outputs"):
+        if not isinstance(data.get(key, []), list):
+            raise InputError(f"{key} must be a list")
+    uncertainty = data.get("uncertainty", {})
+    if not isinstance(uncertainty, Mapping):
+        raise InputError("uncertainty must be an object of parameter: relative sigma")
+    return Network(
+        name=str(data.get("name", "model")),
+        description=str(data.get("description", "")),
+        masses=dict(masses),
+        elements=tuple(read_element(e, i) for i, e in enumerate(data["elements"])),
+        inputs=tuple(read_channel(c, "inputs", i) for i, c in enumerate(data.get("inputs", []))),
+        outputs=tuple(read_channel(c, "outputs", i) for i, c in enumerate(data.get("outputs", []))),
+        uncertainty=dict(uncertainty),
+    )
+
+
+def to_dict(network: Network) -> dict[str, Any]:
+    """The JSON object of a model."""
+    out: dict[str, Any] = {"schema": SCHEMA, "name": network.name}
+    if network.description:
+        out["description"] = network.description
+    return out | {
+        "masses": dict(network.masses),
+        "elements": [e.to_dict() for e in network.elements],
+        "inputs": [c.to_dict() for c in network.inputs],
+        "outputs": [c.to_dict() for c in network.outputs],
+        "uncertainty": dict(network.uncertainty),
+    }
+
+
+def dumps(network: Network) -> str:
+    """The model as JSON text, one element or channel a line."""
+    lines = []
+    for key, value in to_dict(network).items():
+        if isinstance(value, list):
+            rows = ",\n  ".join(json.dumps(v) for v in value)
+            lines.append(f' "{key}": [\n  {rows}]' if value else f' "{key}": []')
+        else:
+            lines.append(f' "{key}": {json.dumps(value)}')
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _check_keys(data: Any, known: set[str], needed: set[str], where: str) -> None:
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where} must be a JSON object, not {type(data).__name__}")
+    for key in data:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}' (known: {', '.join(sorted(known))})")
+    for key in sorted(needed):
+        if key not in data:
+            raise InputError(f"{where}: '{key}' is missing")
+
+
+def _name_of(data: Any, what: str, index: int) -> str:
+    if isinstance(data, Mapping) and isinstance(data.get("name"), str) and data["name"]:
+        return data["name"]
+    raise InputError(f'{what}[{index}] needs a "name"')
+
+
+def _nodes_of(value: Any, where: str) -> tuple[str, str]:
+    if isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(n, str) and n for n in value):
+        return value[0], value[1]
+    raise InputError(f'{where}: "between" must be a list of two node names, not {value!r}')
+
+
+def read_element(data: Any, index: int) -> el.Element:
+    name = _name_of(data, "elements", index)
+    where = f"element '{name}'"
+    kind = data.get("type")
+    if kind not in el.TYPES:
+        raise InputError(f"{where}: unknown type {kind!r} (known: {', '.join(sorted(el.TYPES))})")
+    cls = el.TYPES[kind]
+    own = {f.name for f in fields(cls)} - {"name", "where"}
+    needed = {f.name for f in fields(cls) if f.name in own and f.default is f.default_factory}
+    _check_keys(data, {"name", "type", cls.place} | own, {cls.place} | needed, where)
+    place = data[cls.place]
+    if cls.place == "between":
+        terminals: tuple[str, ...] = _nodes_of(place, where)
+    elif isinstance(place, str):
+        terminals = (place,)
+    else:
+        raise InputError(f'{where}: "{cls.place}" must be a name, not {place!r}')
+    return cls(name=name, where=terminals, **{k: data[k] for k in own if k in data})
+
+
+def read_channel(data: Any, kind: str, index: int) -> Channel:
+    name = _name_of(data, kind, index)
+    where = f"{kind[:-1]} '{name}'"
+    _check_keys(
+        data, {"name", "quantity", "unit", "at", "between", "element", "offset"}, {"quantity", "unit"}, where
+    )
+    quantity = data["quantity"]
+    if quantity not in UNITS:
+        raise InputError(f"{where}: unknown quantity {quantity!r} (known: {', '.join(UNITS)})")
+    try:
+        convert(1.0, data["unit"], UNITS[quantity])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    if data.get("offset", "none") not in ("free", "none"):
+        raise InputError(f'{where}: "offset" must be "free" or "none", not {data["offset"]!r}')
+    if "at" in data and not isinstance(data["at"], str):
+        raise InputError(f'{where}: "at" must be the name of a node, not {data["at"]!r}')
+    element = data.get("element")
+    if (
+        isinstance(element, list)
+        and element
+        and kind == "outputs"
+        and all(isinstance(e, str) for e in element)
+    ):
+        element = tuple(element)
+    elif element is not None and not isinstance(element, str):
+        raise InputError(
+            f'{where}: "element" must be a name (or, of an output, a list of names), not {element!r}'
+        )
+    return Channel(
+        name=name,
+        quantity=quantity,
+        unit=data["unit"],
+        at=data.get("at"),
+        element=element,
+        between=_nodes_of(data["between"], where) if "between" in data else None,
+        offset=data.get("offset") == "free",
+    )

@@ -1,0 +1,318 @@
+"""The model: masses, named nodes, two-terminal elements between them, and what is put in and read out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .. import elements as el
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .assembly import Assembly
+
+GROUND = "ground"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """An input or output: a quantity `at` a node, `between` two nodes, or of an `element`.
+
+    `factor` turns the channel's own unit into SI; `offset` is true where an unknown constant rides on it.
+    """
+
+    name: str
+    quantity: str
+    unit: str
+    at: str | None = None
+    between: tuple[str, str] | None = None
+    element: str | tuple[str, ...] | None = None  # several: the sum of their forces
+    offset: bool = False
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """The elements the channel belongs to."""
+        return (self.element,) if isinstance(self.element, str) else self.element or ()
+
+    def to_dict(self) -> dict[str, Any]:
+        out: dict[str, Any] = {"name": self.name, "quantity": self.quantity}
+        if self.at is not None:
+            out["at"] = self.at
+        if self.between is not None:
+            out["between"] = list(self.between)
+        if self.element is not None:
+            out["element"] = self.element if isinstance(self.element, str) else list(self.element)
+        out["unit"] = self.unit
+        if self.offset:
+            out["offset"] = "free"
+        return out
+
+
+@dataclass(frozen=True)
+class Network:
+    """A suspension model: `masses` [kg] by node, `elements`, `inputs`, `outputs`, `uncertainty` (relative sigma).
+
+    Immutable and validated on construction; `with_parameters` and `with_element` return changed copies.
+    Raises `InputError` with one line that names the place.
+    """
+
+    name: str
+    masses: Mapping[str, float]
+    elements: tuple[el.Element, ...]
+    inputs: tuple[Channel, ...] = ()
+    outputs: tuple[Channel, ...] = ()
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    description: str = ""
+
+    # ------------------------------------------------------------------------------------ the file
+
+    @classmethod
+    def load(cls, source: str | Path | Mapping[str, Any] | Network) -> Network:
+        """A built-in name ('quarter-car-isd'), a JSON file, a dict, or a network as it is."""
+        from .format import read
+
+        return source if isinstance(source, Network) else read(source)
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Network:
+        from .format import from_dict
+
+        return from_dict(data)
+
+    def to_dict(self) -> dict[str, Any]:
+        from .format import to_dict
+
+        return to_dict(self)
+
+    def dumps(self) -> str:
+        """The model as JSON text, one element or channel a line."""
+        from .format import dumps
+
+        return dumps(self)
+
+    def save(self, path: str | Path) -> None:
+        from ..files import write_text
+
+        write_text(path, self.dumps())
+
+    # --------------------------------------------------------------------------------- validation
+
+    def __post_init__(self) -> None:
+        self._check_masses()
+        if not self.elements:
+            raise InputError("the model has no elements")
+        _unique([e.name for e in self.elements], "element")
+        _unique([c.name for c in self.inputs + self.outputs], "channel")
+        if "time" in {c.name for c in self.inputs + self.outputs}:
+            raise InputError("a channel cannot be called 'time'")
+        by_name = {e.name: e for e in self.elements}
+        motors = {e.name for e in self.elements if isinstance(e, el.Motor)}
+        outputs = {c.name for c in self.outputs}
+        for e in self.elements:
+            if e.place == "between" and len(set(e.where)) != 2:
+                raise InputError(f"element '{e.name}' stands between '{e.where[0]}' and itself")
+            if e.place == "element" and e.where[0] not in motors:
+                raise InputError(f"element '{e.name}': no motor '{e.where[0]}'")
+            if e.place == "channel" and e.where[0] not in outputs:
+                raise InputError(f"element '{e.name}': no output '{e.where[0]}'")
+        nodes = set(self.nodes)
+        for kind, channels in (("input", self.inputs), ("output", self.outputs)):
+            for c in channels:
+                for node in [c.at, *(c.between or ())]:
+                    if node is not None and node not in nodes | {GROUND}:
+                        raise InputError(f"{kind} '{c.name}': no node '{node}'")
+                if c.at == GROUND:
+                    raise InputError(f"{kind} '{c.name}': the ground does not move")
+                for name in c.elements:
+                    if name not in by_name:
+                        raise InputError(f"{kind} '{c.name}': no element '{name}'")
+        for c in self.inputs:
+            self._check_input(c, motors)
+        for c in self.outputs:
+            self._check_output(c, by_name)
+        _unique([c.at for c in self.inputs if c.quantity == "displacement"], "moved node")
+        known = self.parameters
+        for key, sigma in self.uncertainty.items():
+            if key not in known:
+                raise InputError(f"uncertainty: no parameter '{key}'")
+            if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 <= sigma < math.inf:
+                raise InputError(f"uncertainty: '{key}' must be a relative sigma >= 0, not {sigma!r}")
+        self._check_connected()
+
+    def _check_masses(self) -> None:
+        for node, mass in self.masses.items():
+            if node == GROUND:
+                raise InputError("the ground has no mass: remove it from masses")
+            if (
+                isinstance(mass, bool)
+                or not isinstance(mass, int | float)
+                or not math.isfinite(mass)
+                or mass <= 0
+            ):
+                raise InputError(f"masses: '{node}' must be a positive number of kg, not {mass!r}")
+
+    def _check_input(self, c: Channel, motors: set[str]) -> None:
+        if c.quantity == "current":
+            if c.element not in motors:
+                raise InputError(f"input '{c.name}': a current needs \"element\": the name of a motor")
+        elif c.quantity in ("displacement", "force"):
+            if c.at is None:
+                raise InputError(f"input '{c.name}': a {c.quantity} needs \"at\": a node")
+        else:
+            raise InputError(
+                f"input '{c.name}': a {c.quantity} cannot be an input (displacement, force, current)"
+            )
+        if c.offset:
+            raise InputError(f"input '{c.name}': only outputs have an offset")
+
+    def _check_output(self, c: Channel, by_name: Mapping[str, el.Element]) -> None:
+        if c.quantity == "force":
+            if (c.element is None) == (c.at is None):
+                raise InputError(f'output \'{c.name}\': a force is that of an "element" or "at" a moved node')
+            if c.at is not None and c.at not in self.moved_nodes:
+                raise InputError(f"output '{c.name}': force at '{c.at}', which is not a moved node")
+            for name in c.elements:
+                if by_name[name].place != "between":
+                    raise InputError(f"output '{c.name}': '{name}' has no force of its own")
+        elif c.quantity in ("displacement", "velocity", "acceleration"):
+            if (c.between is None) == (c.at is None):
+                raise InputError(f'output \'{c.name}\': a {c.quantity} is "at" a node or "between" two')
+        else:
+            raise InputError(f"output '{c.name}': a {c.quantity} cannot be an output")
+
+    def _check_connected(self) -> None:
+        links: dict[str, list[str]] = {n: [] for n in self.nodes}
+        for e in self.elements:
+            if e.place == "between":
+                for this, other in (e.where, e.where[::-1]):
+                    if this != GROUND:
+                        links[this].append(other)
+        held = set(self.masses) | set(self.moved_nodes) | {c.at for c in self.inputs if c.quantity == "force"}
+        for node, others in links.items():
+            if node not in held and len(others) < 2:
+                raise InputError(
+                    f"node '{node}' floats: it has no mass and no input and hangs on one element "
+                    f"(give it a mass, an input, or call it 'ground')"
+                )
+        reached, frontier = set(), [*self.masses, *self.moved_nodes, GROUND]
+        while frontier:
+            node = frontier.pop()
+            if node not in reached:
+                reached.add(node)
+                frontier += links.get(node, [])
+        for node in links:
+            if node not in reached:
+                raise InputError(
+                    f"node '{node}' floats: nothing ties it to a mass, a moved node or the ground"
+                )
+
+    # ------------------------------------------------------------------------------------- access
+
+    @cached_property
+    def nodes(self) -> tuple[str, ...]:
+        """All nodes but the ground: masses first, then in order of appearance, moved nodes last."""
+        seen = dict.fromkeys(self.masses)
+        for e in self.elements:
+            if e.place == "between":
+                seen |= dict.fromkeys(e.where)
+        moved = self.moved_nodes
+        return tuple(n for n in seen if n != GROUND and n not in moved) + moved
+
+    @cached_property
+    def moved_nodes(self) -> tuple[str, ...]:
+        return tuple(str(c.at) for c in self.inputs if c.quantity == "displacement")
+
+    @cached_property
+    def _assembly(self) -> Assembly:
+        from .assembly import _assemble
+
+        return _assemble(self, ())
+
+    @cached_property
+    def parameters(self) -> dict[str, float]:
+        """Every number of the model by its path: 'body.mass', 'oil.stiffness', ..."""
+        out = {f"{node}.mass": float(m) for node, m in self.masses.items()}
+        for e in self.elements:
+            for f in el.parameter_fields(type(e)):
+                out[f"{e.name}.{f.name}"] = getattr(e, f.name)
+        return out
+
+    def unit_of(self, path: str) -> str:
+        """Unit of a parameter path."""
+        owner, _, name = path.rpartition(".")
+        for e in self.elements:
+            if e.name == owner:
+                for f in el.parameter_fields(type(e)):
+                    if f.name == name:
+                        if isinstance(e, el.SensorBias):
+                            return next(c.unit for c in self.outputs if c.name == e.where[0])
+                        return f.metadata["unit"]
+        if name == "mass" and owner in self.masses:
+            return "kg"
+        raise InputError(f"no parameter '{path}'; there are {', '.join(self.parameters)}")
+
+    def element(self, name: str) -> el.Element:
+        for e in self.elements:
+            if e.name == name:
+                return e
+        raise InputError(f"no element '{name}'; there are {', '.join(e.name for e in self.elements)}")
+
+    def with_parameters(self, values: Mapping[str, float]) -> Network:
+        """A copy with the parameters at the given paths replaced."""
+        masses = dict(self.masses)
+        kinds = {e.name: type(e) for e in self.elements}
+        changes: dict[str, dict[str, Any]] = {}
+        for path, value in values.items():
+            owner, _, name = path.rpartition(".")
+            if path not in self.parameters:
+                raise InputError(f"no parameter '{path}'; there are {', '.join(self.parameters)}")
+            if owner in kinds and name in {f.name for f in el.parameter_fields(kinds[owner])}:
+                changes.setdefault(owner, {})[name] = float(value)
+            else:
+                masses[owner] = float(value)
+        elements = tuple(replace(e, **changes[e.name]) if e.name in changes else e for e in self.elements)
+        # numbers alone do not change what was checked of the structure
+        out = copy(self)
+        for name in ("parameters", "_assembly"):
+            out.__dict__.pop(name, None)
+        out.__dict__.update(masses=masses, elements=elements)
+        out._check_masses()
+        return out
+
+    def with_element(self, element: el.Element | Mapping[str, Any], *, at: int | None = None) -> Network:
+        """A copy with one more element, appended (or at a position in the list)."""
+        if not isinstance(element, el.Element):
+            from .format import read_element
+
+            element = read_element(element, len(self.elements))
+        listed = list(self.elements)
+        listed.insert(len(listed) if at is None else at, element)
+        return replace(self, elements=tuple(listed))
+
+    def without_element(self, name: str) -> Network:
+        """A copy without an element, and without the uncertainty of its parameters."""
+        self.element(name)
+        return replace(
+            self,
+            elements=tuple(e for e in self.elements if e.name != name),
+            uncertainty={k: v for k, v in self.uncertainty.items() if k.rpartition(".")[0] != name},
+        )
+
+    def free_name(self, stem: str) -> str:
+        """`stem`, or stem_2, stem_3, ...: a name no element or node has yet."""
+        taken = {e.name for e in self.elements} | set(self.nodes)
+        names = (stem if i == 1 else f"{stem}_{i}" for i in range(1, 10_000))
+        return next(n for n in names if n not in taken)
+
+
+def _unique(names: Iterable[str | None], what: str) -> None:
+    seen = set()
+    for name in names:
+        if name in seen:
+            raise InputError(f"two {what}s are called '{name}'")
+        seen.add(name)
