@@ -102,7 +102,8 @@ def _stamp() -> int:
 @functools.cache
 def _stamp_of(laws: tuple[tuple[str, Any], ...]) -> int:
     digest = hashlib.sha256(Path(__file__).read_bytes())
-    digest.update(Path(el.__file__).read_bytes())
+    for path in sorted(Path(el.__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
     for name, law in laws:
         digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
     return int.from_bytes(digest.digest()[:6], "big")

@@ -375,35 +375,13 @@ class Plant:
 
 
 def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
-    """What the drive makes of a commanded current (n, lanes) held over each step: delay, lag, saturation.
-
-    There was no current before the record.
-    """
-    from scipy.signal import lfilter
-
+    """What the drive makes of a commanded current (n, lanes) held over each step: delay, lag, saturation."""
     out = np.asarray(command, float)
-    for e in network.elements:
-        if isinstance(e, el.ActuatorDelay) and e.where[0] == motor:
-            out = delayed(out, e.delay / step, before=0.0)
-    for e in network.elements:
-        if isinstance(e, el.ActuatorLag) and e.where[0] == motor and e.time_constant > 0:
-            pole = math.exp(-step / e.time_constant)
-            share = (1.0 - pole) * e.time_constant / step  # mean of the decay over one step
-            state, _ = lfilter([0.0, 1.0 - pole], [1.0, -pole], out, axis=0, zi=0.0 * out[:1])
-            out = out + (state - out) * share
-    for e in network.elements:
-        if isinstance(e, el.ThrustSaturation) and e.where[0] == motor:
-            out = e.current * np.tanh(out / e.current)
+    for kind in el.DRIVE_ORDER:
+        for e in network.elements:
+            if isinstance(e, kind) and e.where[0] == motor:
+                out = e.apply(out, step)
     return out
-
-
-def delayed(values: np.ndarray, steps: float, before: float | None = None) -> np.ndarray:
-    """`values` (n, ...) later by a number of samples, linear in between; `before` them, or the first one."""
-    low = math.floor(steps)
-    part = steps - low
-    first = np.repeat(values[:1] if before is None else np.full_like(values[:1], before), low + 1, axis=0)
-    longer = np.concatenate([first, values])[: len(values) + 1]
-    return longer[1:] if part == 0.0 else (1.0 - part) * longer[1:] + part * longer[:-1]
 
 
 def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> dict[str, np.ndarray]:
@@ -411,13 +389,7 @@ def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> d
     seen = dict(outputs)
     for e in network.elements:
         if e.place == "channel" and e.where[0] in seen:
-            channel = e.where[0]
-            if isinstance(e, el.SensorDelay):
-                seen[channel] = delayed(seen[channel], e.delay / step)
-            elif isinstance(e, el.SensorGain):
-                seen[channel] = e.gain * seen[channel]
-            elif isinstance(e, el.SensorBias):
-                seen[channel] = seen[channel] + e.bias
+            seen[e.where[0]] = e.apply(seen[e.where[0]], step)
     return seen
 
 

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import oaconvolve, welch
 
-from .. import elements as el
 from ..network import Assembly, Network, assemble
-from ..simulate import Plant, delayed, effective_current, upsample
+from ..simulate import Plant, effective_current, upsample
 from ..units import UNITS, convert
 
 Array = NDArray[np.float64]
@@ -182,12 +181,7 @@ class Problem:
                 for e in n.elements:
                     if e.place == "channel":
                         j = self.channels.index(e.where[0])
-                        if isinstance(e, el.SensorDelay):
-                            out[:, j, lane] = delayed(out[:, j, lane], e.delay / record.step)
-                        elif isinstance(e, el.SensorGain):
-                            out[:, j, lane] *= e.gain
-                        elif isinstance(e, el.SensorBias):
-                            out[:, j, lane] += e.bias
+                        out[:, j, lane] = e.apply(out[:, j, lane], record.step)
         if record.taps is not None:
             out = record.seen(low_pass(out, record.taps))
         return out

@@ -1,0 +1,388 @@
+"""What an element is: its base class, its parameters, the registry, and what it knows of itself.
+
+The force of an element is positive in tension: with the elongation d = x_first - x_second [m] and its rate
+v [m/s] it pulls `first` by -F and `second` by +F.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import Field, dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from ..network import Network
+
+Array = NDArray[np.float64]
+GROUND = "ground"
+
+
+def parameter(
+    unit: str,
+    low: float,
+    high: float,
+    *,
+    default: float | None = None,
+    minimum: float = 0.0,
+    open_end: bool = False,
+    fixed: bool = False,
+    spread: float | None = None,
+    stride: float | None = None,
+) -> Any:
+    """A parameter [unit] with its plausible range (low, high) for a car corner, and the hard lower limit.
+
+    `fixed` parameters give the law its shape and are not fitted unless asked for. `spread`: how far from its default
+    a value is plausible at all (one sigma, where a car's range says nothing about other rigs). `stride`: how far a
+    single step of a fit may go.
+    """
+    meta = {
+        "unit": unit,
+        "range": (low, high),
+        "minimum": minimum,
+        "open": open_end,
+        "fixed": fixed,
+        "spread": spread,
+        "stride": stride,
+    }
+    return field(metadata=meta) if default is None else field(default=default, metadata=meta)
+
+
+# --------------------------------------------------------------------------- what an element may look at
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What happens between a pair of nodes in the simulation at hand: elongation d [m], its rate v and acceleration a."""
+
+    d: Array
+    v: Array
+    a: Array
+
+    @property
+    def reach(self) -> float:
+        """Largest elongation [m]."""
+        return max(float(np.abs(self.d).max()), 1e-12)
+
+
+def rms(values: Array) -> float:
+    return max(float(np.sqrt(np.mean(np.square(values)))), 1e-12)
+
+
+#: share of the data's typical force that the start of a fit gives
+PROBE = 0.05
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where a hypothesis is to be tried: the place, what stands there, and how the data are sized.
+
+    `motion` of the pair (None at a motor or a channel); `force` [N]: a typical one of the data; `signal`: deviation of
+    the current [A] of the motor, or of the channel [its unit]; `options`: the choices that are not numbers.
+    """
+
+    network: Network
+    where: tuple[str, ...]
+    motion: Motion | None
+    force: float
+    signal: float = 1.0
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def beside(self) -> list[Element]:
+        return beside(self.network, self.where)
+
+    @property
+    def moves(self) -> Motion:
+        assert self.motion is not None
+        return self.motion
+
+    @property
+    def small(self) -> float:
+        """The force that a start gives [N]."""
+        return PROBE * self.force
+
+
+@dataclass(frozen=True)
+class Start:
+    """Values from which a fit begins. `ways`: value sets whose responses are projected together; `grows`: what scales
+    with amplitude; `inverse`: the effect is one over the value; `signed`: it may act either way."""
+
+    values: dict[str, float]
+    ways: tuple[dict[str, float], ...] = ()
+    grows: tuple[str, ...] = ()
+    inverse: bool = False
+    signed: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.ways:
+            object.__setattr__(self, "ways", (self.values,))
+
+
+# ------------------------------------------------------------------------------------------- the element
+
+
+@dataclass(frozen=True)
+class Element:
+    """Anything that stands in a model's list of elements.
+
+    `name` is unique in the model. `where` holds the terminals (two nodes), or the motor, or the channel.
+    """
+
+    name: str
+    where: tuple[str, ...]
+
+    type: ClassVar[str] = ""
+    place: ClassVar[str] = "between"  # the key that says where: "between", "element" (a motor) or "channel"
+    equation: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    signature: ClassVar[str] = ""  # what tells it from its neighbours
+    test: ClassVar[str] = ""  # the measurement that would
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {}
+    law: ClassVar[Callable | None] = None
+    bound: ClassVar[Callable | None] = None
+    #: where its force shows when drawn: over "rate", over "elongation", or in "time" alone
+    plane: ClassVar[str] = "elongation"
+    #: put in series with what stands at its terminals, not beside it
+    series: ClassVar[bool] = False
+    #: types that it holds as a special case
+    contains: ClassVar[tuple[str, ...]] = ()
+    #: types whose place it takes where they stand
+    replaces: ClassVar[tuple[str, ...]] = ()
+    #: the parameter that shapes it, for which fits may have several optima
+    shaped_by: ClassVar[str | None] = None
+    #: (length of a period, phase) where it repeats over travel: fits have an optimum a period
+    periodic: ClassVar[tuple[str, str] | None] = None
+
+    def __post_init__(self) -> None:
+        for f in parameter_fields(type(self)):
+            value = getattr(self, f.name)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"element '{self.name}': {f.name} must be a number, not {value!r}")
+            if not math.isfinite(value):
+                raise InputError(f"element '{self.name}': {f.name} must be finite, not {value}")
+            low = f.metadata["minimum"]
+            if value < low or (f.metadata["open"] and value == low):
+                rule = f"> {low:g}" if f.metadata["open"] else f">= {low:g}"
+                raise InputError(
+                    f"element '{self.name}': {f.name} must be {rule} {f.metadata['unit']}, not {value:g}"
+                )
+            object.__setattr__(self, f.name, float(value))
+        for key, allowed in self.choices.items():
+            if getattr(self, key) not in allowed:
+                raise InputError(
+                    f"element '{self.name}': {key} must be one of {', '.join(allowed)}, not {getattr(self, key)!r}"
+                )
+
+    @property
+    def between(self) -> tuple[str, str]:
+        """The two terminals (first, second)."""
+        return self.where[0], self.where[1]
+
+    def linear(self) -> tuple[float, float, float]:
+        """(stiffness [N/m], damping [N s/m], inertance [kg]) of the linear part."""
+        return 0.0, 0.0, 0.0
+
+    def law_parameters(self) -> list[float]:
+        """The numbers that `law` or `bound` reads, in the order it reads them."""
+        return [getattr(self, f.name) for f in parameter_fields(type(self))]
+
+    def quiet(self) -> float:
+        """|d| [m] below which a smooth law is exactly zero and at rest; 0 where there is no such span."""
+        return 0.0
+
+    def apply(self, signal: Array, step: float) -> Array:
+        """What an element at a motor or a channel makes of its signal (n, ...), sampled every `step` [s]."""
+        raise NotImplementedError(f"{self.type} acts between two nodes, not on a signal")
+
+    def curve(self, axis: Array) -> Array:
+        """Its force [N] over `axis` (n,): the rate [m/s] or the elongation [m], as `plane` says."""
+        p, rate = np.array(self.law_parameters()), self.plane == "rate"
+        cls = type(self)
+        if cls.bound is not None:
+            return np.array([cls.bound(p, 0.0, v) * np.sign(v) for v in axis])
+        if cls.law is not None:
+            return np.array(
+                [
+                    cls.law(p, 0.0, x, 0.0, 0.0, 1e-3)[0] if rate else cls.law(p, x, 0.0, x, 0.0, 1e-3)[0]
+                    for x in axis
+                ]
+            )
+        return np.asarray(self.linear()[1 if rate else 0] * axis, dtype=np.float64)
+
+    def to_dict(self) -> dict[str, Any]:
+        place: Any = list(self.where) if self.place == "between" else self.where[0]
+        out: dict[str, Any] = {"name": self.name, "type": self.type, self.place: place}
+        for f in fields(self):
+            if f.name not in ("name", "where"):
+                out[f.name] = getattr(self, f.name)
+        return out
+
+    # --------------------------------------------------- what it knows of itself as a hypothesis of the diagnosis
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        """Whether it makes sense as a missing effect at that place: by default where none of its type stands."""
+        return all(e.type != cls.type for e in beside(network, where))
+
+    @classmethod
+    def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
+        """The choices that are not numbers, each a hypothesis of its own."""
+        return [{}]
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        """Where fits begin, sized by the motion and force of the data.
+
+        By default: a parameter in m (m/s) is tried at shares of the elongation (rate), any other in the middle of its
+        plausible range; those in which the force is linear are then scaled so that it is `PROBE` of the typical force.
+        """
+        return _generic_starts(cls, at)
+
+    @classmethod
+    def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
+        """The start's values when its responses (its `ways`) are to be multiplied by `amplitude`."""
+        values = dict(start.values)
+        factor = float(np.clip(amplitude[0], -50.0 if start.signed else 0.1, 50.0))
+        for key in start.grows:
+            values[key] = values[key] / factor if start.inverse else values[key] * factor
+        return values
+
+    @classmethod
+    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+        """Start values of the special case `simple` (one of `contains`), from values of its own."""
+        names = {f.name for f in parameter_fields(TYPES[simple])}
+        return {key: value for key, value in values.items() if key in names}
+
+    @classmethod
+    def tied(cls, network: Network, where: tuple[str, ...]) -> dict[str, str]:
+        """Parameters that are not free but follow another: own name -> path in the network."""
+        return {}
+
+    def well_formed(self) -> bool:
+        """Whether the values mean what the name says; a law that does not may be a step on the way, but is never named."""
+        return True
+
+    def own_share(self, beside: Sequence[Element]) -> float:
+        """Share of its force that is its own, and not what could be a parameter of what stands there."""
+        return 1.0
+
+
+def beside(network: Network, where: tuple[str, ...]) -> list[Element]:
+    """The elements at a place: between the same two nodes, at the same motor, on the same channel."""
+    kind = "between" if len(where) == 2 else None
+    return [
+        e
+        for e in network.elements
+        if (e.place == "between") == (kind == "between") and set(e.where) == set(where)
+    ]
+
+
+def held_by_parameter(network: Network, where: tuple[str, ...]) -> bool:
+    """Whether one of the two is the ground and the other a mass that may move within its stated uncertainty."""
+    node = next((n for n in where if n != GROUND), GROUND)
+    return GROUND in where and network.uncertainty.get(f"{node}.mass", 0.0) > 0.0
+
+
+def driven_motor(network: Network, where: tuple[str, ...]) -> bool:
+    return any(c.quantity == "current" and c.element == where[0] for c in network.inputs)
+
+
+def parameter_fields(cls: type[Element]) -> tuple[Field, ...]:
+    """The numeric parameters of an element class, in order."""
+    if cls not in _PARAMETERS:
+        _PARAMETERS[cls] = tuple(f for f in fields(cls) if "unit" in f.metadata)
+    return _PARAMETERS[cls]
+
+
+_PARAMETERS: dict[type[Element], tuple[Field, ...]] = {}
+
+
+TYPES: dict[str, type[Element]] = {}
+
+
+def register(cls: type[Element]) -> type[Element]:
+    """Class decorator: make an element type known to models, the kernel and the diagnosis."""
+    cls = dataclass(frozen=True)(cls)
+    if not cls.type:
+        raise InputError(f"{cls.__name__} has no type name")
+    TYPES[cls.type] = cls
+    return cls
+
+
+# ------------------------------------------------------------------------------- starts of a stranger's law
+
+
+def _values_of(f: Field, motion: Motion | None) -> list[float]:
+    """Values of a parameter worth trying: shares of the motion where its unit says so, else its plausible range's middle."""
+    low, high = f.metadata["range"]
+    if f.metadata["fixed"]:
+        return [float(f.default)]  # type: ignore[arg-type]
+    if motion is not None and f.metadata["unit"] in ("m", "rad"):
+        return [share * motion.reach for share in (0.15, 0.5, 1.5)]
+    if motion is not None and f.metadata["unit"] in ("m/s", "rad/s"):
+        return [share * rms(motion.v) for share in (0.3, 1.0, 3.0)]
+    return [math.sqrt(low * high) if low > 0 else 0.5 * (low + high)]
+
+
+def _force(cls: type[Element], values: Mapping[str, float], at: Setting) -> Array | None:
+    """The force of a law over a thinned piece of the motion at hand; None where the values cannot be."""
+    try:
+        e = cls(name="trial", where=at.where, **values, **at.options)
+    except (InputError, TypeError):
+        return None
+    m = at.moves
+    pick = slice(0, 4000)
+    d, v, a = m.d[pick], m.v[pick], m.a[pick]
+    if cls.bound is not None:
+        p = np.array(e.law_parameters())
+        return np.array([cls.bound(p, x, s) * np.sign(s) for x, s in zip(d, v, strict=True)])
+    if cls.law is not None:
+        p, z, last, out = np.array(e.law_parameters()), 0.0, d[0], []
+        h = float(np.median(np.abs(np.diff(d))) / max(np.median(np.abs(v)), 1e-12)) or 1e-3
+        for x, s in zip(d, v, strict=True):
+            f, z = cls.law(p, x, s, last, z, h)
+            last = x
+            out.append(f)
+        return np.array(out)
+    k, c, b = e.linear()
+    return np.asarray(k * d + c * v + b * a, dtype=np.float64)
+
+
+def _generic_starts(cls: type[Element], at: Setting) -> list[Start]:
+    free = [f for f in parameter_fields(cls) if not f.metadata["fixed"]]
+    if at.motion is None:  # at a motor or a channel: its effect cannot be sized beforehand
+        middle = {f.name: _values_of(f, None)[0] for f in free}
+        return [Start(middle, grows=tuple(middle)[:1])]
+    trials: list[dict[str, float]] = [{}]
+    for f in free:
+        trials = [t | {f.name: x} for t in trials for x in _values_of(f, at.motion)][:27]
+    out = []
+    for values in trials:
+        force = _force(cls, values, at)
+        if force is None or not np.isfinite(force).all() or rms(force) <= 1e-12:
+            continue
+        grows = []
+        for f in free:
+            doubled = _force(cls, values | {f.name: 2.0 * values[f.name]}, at)
+            if doubled is not None and np.allclose(doubled, 2.0 * force, rtol=1e-6, atol=1e-9 * rms(force)):
+                grows.append(f.name)
+        if not grows:  # several may only scale it together: levels of one curve
+            rest = [f.name for f in free if f.metadata["unit"] not in ("m", "rad", "m/s", "rad/s", "-")]
+            doubled = _force(cls, values | {n: 2.0 * values[n] for n in rest}, at)
+            if (
+                rest
+                and doubled is not None
+                and np.allclose(doubled, 2.0 * force, rtol=1e-6, atol=1e-9 * rms(force))
+            ):
+                grows = rest
+        scale = at.small / rms(force)
+        sized = values | {n: values[n] * scale for n in (grows if len(grows) != 1 else grows[:1])}
+        signed = any(f.metadata["minimum"] < 0 for f in free if f.name in grows)
+        out.append(Start(sized, grows=tuple(grows), signed=signed))
+    return out or [Start(trials[0])]

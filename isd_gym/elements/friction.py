@@ -1,0 +1,82 @@
+"""Dry friction: a set-valued law holds with any force up to `bound` and slides against `bound`; the kernel projects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from .base import Element, Motion, Setting, Start, beside, parameter, register, rms
+
+if TYPE_CHECKING:
+    from ..network import Network
+
+
+def _constant(p, d, v):
+    return p[0]
+
+
+def _stribeck(p, d, v):
+    return p[0] + (p[1] - p[0]) * math.exp(-((v / p[2]) ** 2))
+
+
+@register
+class CoulombFriction(Element):
+    type = "coulomb_friction"
+    equation = "F in f Sgn(v)"
+    source = "f = 0.5 kN, section 3.2, Figure 6"
+    signature = "a step in force where the velocity changes sign; sticking"
+    test = "a slow triangle: the force jumps where it turns, whatever the rate"
+    plane = "rate"
+    bound = staticmethod(_constant)
+    level: float = parameter("N", 5.0, 2000.0)
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        return not any(isinstance(e, CoulombFriction | StribeckFriction) for e in beside(network, where))
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"level": at.small}, grows=("level",))]
+
+
+@register
+class StribeckFriction(Element):
+    type = "stribeck_friction"
+    equation = "F in [f + (f_s - f) exp(-(v/v_s)^2)] Sgn(v)"
+    source = "Stribeck; Armstrong-Helouvry et al., Automatica 30 (1994)"
+    signature = "Coulomb friction with a higher level near zero velocity"
+    test = "slow triangles at several rates"
+    plane = "rate"
+    contains = ("coulomb_friction",)
+    replaces = ("coulomb_friction",)  # its curve holds the constant level already
+    shaped_by = "stribeck_velocity"
+    bound = staticmethod(_stribeck)
+    level: float = parameter("N", 5.0, 2000.0)
+    static_level: float = parameter("N", 5.0, 4000.0)
+    stribeck_velocity: float = parameter("m/s", 1e-3, 0.2, open_end=True)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        level = next((e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0)
+        return [
+            Start(
+                {
+                    "level": level + 0.3 * at.small,
+                    "static_level": level + 1.3 * at.small,
+                    "stribeck_velocity": share * rms(at.moves.v),
+                },
+                grows=("level", "static_level") if not level else (),
+                signed=bool(level),
+            )
+            for share in (0.3, 1.0)
+        ]
+
+    @classmethod
+    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+        rate = rms(motion.v) if motion is not None else 0.0
+        share = math.exp(-((rate / values["stribeck_velocity"]) ** 2))
+        return {"level": values["level"] + (values["static_level"] - values["level"]) * share}
+
+    def well_formed(self) -> bool:
+        return self.level <= self.static_level  # one that rises with speed mimics damping

@@ -1,0 +1,368 @@
+"""Smooth laws: numba-compilable functions ``law(p, d, v, d_last, z, h) -> (force, z_next)``.
+
+Of the parameters ``p``, the elongation and rate at the end of the step, the elongation at its beginning, one state
+``z`` of the law's own and the step ``h``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from .base import (
+    PROBE,
+    Array,
+    Element,
+    Motion,
+    Setting,
+    Start,
+    beside,
+    parameter,
+    register,
+    rms,
+)
+from .linear import LinearDamping, is_device
+
+if TYPE_CHECKING:
+    from ..network import Network
+
+
+def _quadratic(p, d, v, d_last, z, h):
+    return p[0] * v * abs(v), z
+
+
+def _asymmetric(p, d, v, d_last, z, h):
+    return (p[0] if v > 0.0 else p[1]) * v, z
+
+
+def _cubic(p, d, v, d_last, z, h):
+    return p[0] * d * d * d, z
+
+
+def _gas(p, d, v, d_last, z, h):
+    # the column never shrinks below 1 % of its length: past that the law has no meaning
+    return p[0] * (1.0 - max(1.0 + d / p[1], 0.01) ** (-p[2])), z
+
+
+def _stop(p, d, v, d_last, z, h):
+    over = d - p[0] if d > 0.0 else d + p[0]
+    touching = (d > p[0] and p[3] >= 0.0) or (d < -p[0] and p[3] <= 0.0)
+    if not touching:
+        return 0.0, z
+    f = p[1] * over + p[2] * v
+    return (max(f, 0.0) if d > 0.0 else min(f, 0.0)), z  # a stop pushes, it never holds back
+
+
+def _backlash(p, d, v, d_last, z, h):
+    half = 0.5 * p[0]
+    return (p[1] * (d - half) if d > half else p[1] * (d + half) if d < -half else 0.0), z
+
+
+def _bouc_wen(p, d, v, d_last, z, h):
+    level, stiffness, exponent, shape = p[0], p[1], p[2], p[3]
+    way = d - d_last
+    if level <= 0.0 or way == 0.0:
+        return z, z
+    x = stiffness * abs(way) / level
+    if exponent == 1.0:  # closed form: a line in the state on either side of zero
+        u = z / level if way > 0.0 else -z / level
+        if u < 0.0:
+            a, u = 1.0 - 2.0 * shape, max(u, -1.0)  # du/dx = 1 + a u
+            rest = max(1.0 + a * u, 1e-12)
+            home = -u if abs(a) < 1e-9 else -math.log(rest) / a
+            ahead = min(x, home)
+            u = 0.0 if home <= x else u + (ahead if abs(a) < 1e-9 else rest * math.expm1(a * ahead) / a)
+            x -= ahead
+        if u >= 0.0:
+            u = 1.0 - (1.0 - u) * math.exp(-x)
+        z = level * u if way > 0.0 else -level * u
+        return z, z
+    steps = int(min(1.0 + 4.0 * x, 64.0))
+    part = way / steps
+    turn = shape if part > 0.0 else -shape
+    for _ in range(steps):  # midpoint rule in travel: the law does not depend on the rate
+        bend = (abs(z) / level) ** exponent * (math.copysign(turn, turn * z) + 1.0 - shape)
+        m = z + 0.5 * part * stiffness * (1.0 - bend)
+        bend = (abs(m) / level) ** exponent * (math.copysign(turn, turn * m) + 1.0 - shape)
+        z = z + part * stiffness * (1.0 - bend)
+    return z, z
+
+
+def _cogging(p, d, v, d_last, z, h):
+    return p[0] * math.sin(2.0 * math.pi * d / p[1] + p[2]), z
+
+
+def _lift_off(p, d, v, d_last, z, h):
+    return -max(p[0] * d - p[1], 0.0), z
+
+
+@register
+class QuadraticDamping(Element):
+    type = "quadratic_damping"
+    equation = "F = c2 v |v|"
+    source = "orifice flow; Wang and Su, Vehicle System Dynamics 46 (2008), hydraulic inerters"
+    signature = "damping that grows with amplitude"
+    test = "sines of one frequency at three amplitudes"
+    plane = "rate"
+    law = staticmethod(_quadratic)
+    damping: float = parameter("N s^2/m^2", 10.0, 1e5)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"damping": at.small / rms(at.moves.v**2)}, grows=("damping",))]
+
+
+@register
+class AsymmetricDamping(Element):
+    type = "asymmetric_damping"
+    equation = "F = c_e v for v > 0 (extension), c_c v for v < 0 (compression), beside what stands there"
+    source = "Dixon, The Shock Absorber Handbook: rebound and bump damping differ"
+    signature = "an even part in the force-velocity plane; a mean offset under vibration"
+    test = "a sine: the force in extension against that in compression"
+    plane = "rate"
+    contains = ("linear_damping",)
+    law = staticmethod(_asymmetric)
+    extension: float = parameter("N s/m", -3000.0, 5000.0, minimum=-math.inf)
+    compression: float = parameter("N s/m", -3000.0, 5000.0, minimum=-math.inf)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        c = at.small / rms(at.moves.v)
+        sides = ({"extension": c, "compression": 0.0}, {"extension": 0.0, "compression": c})
+        return [Start({"extension": c, "compression": c}, sides, ("extension", "compression"), signed=True)]
+
+    @classmethod
+    def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
+        keys = ("extension", "compression")
+        return {k: float(a) * start.values[k] for k, a in zip(keys, amplitude, strict=True)}
+
+    @classmethod
+    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+        return {"damping": 0.5 * (values["extension"] + values["compression"])}
+
+    def own_share(self, beside: Sequence[Element]) -> float:
+        if not any(isinstance(e, LinearDamping) for e in beside):
+            return 1.0
+        # what both directions have in common is that damper's
+        return abs(self.extension - self.compression) / (
+            2 * rms(np.array([self.extension, self.compression]))
+        )
+
+
+@register
+class CubicStiffness(Element):
+    type = "cubic_stiffness"
+    equation = "F = k3 d^3"
+    source = "Duffing; progressive springs"
+    signature = "stiffness that grows with amplitude, smoothly and without dissipation"
+    test = "slow triangles at three amplitudes"
+    law = staticmethod(_cubic)
+    stiffness: float = parameter("N/m^3", 1e4, 1e9, minimum=-math.inf)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"stiffness": at.small / rms(at.moves.d**3)}, grows=("stiffness",), signed=True)]
+
+
+@register
+class GasSpring(Element):
+    type = "gas_spring"
+    equation = "F = F0 [1 - (1 + d/L)^(-n)]"
+    source = "polytropic gas column about its static state"
+    signature = "stiffer in compression than in extension, smoothly"
+    test = "a slow triangle over the whole stroke"
+    contains = ("linear_stiffness",)  # long
+    shaped_by = "length"
+    law = staticmethod(_gas)
+    force: float = parameter("N", 50.0, 2e4)
+    length: float = parameter("m", 0.02, 1.0, open_end=True)
+    exponent: float = parameter("-", 1.0, 1.67, default=1.3, fixed=True)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        lengths = [s * at.moves.reach for s in (1.5, 4.0, 12.0)]
+        return [
+            Start({"force": at.small * x / (1.3 * rms(at.moves.d)), "length": x}, grows=("force",))
+            for x in lengths
+        ]
+
+    @classmethod
+    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+        return {"stiffness": values["force"] * values["exponent"] / values["length"]}
+
+
+@register
+class BumpStop(Element):
+    type = "bump_stop"
+    equation = "F = k (|d| - clearance) sgn d + c v in contact, never pulling; 0 else"
+    source = "deputy cylinder stroke of Table 1: +-100 mm / 4.056 = +-24.65 mm at the device"
+    signature = "nothing below a travel, a stiff spring beyond it"
+    test = "a slow triangle over the whole stroke"
+    contains = ("linear_stiffness",)  # without clearance
+    shaped_by = "clearance"
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"side": ("both", "extension", "compression")}
+    law = staticmethod(_stop)
+    clearance: float = parameter("m", 1e-3, 0.1)
+    stiffness: float = parameter("N/m", 1e4, 5e6)
+    damping: float = parameter("N s/m", 0.0, 1e4, default=0.0, fixed=True)
+    side: str = "both"
+
+    def law_parameters(self) -> list[float]:
+        side = {"both": 0.0, "extension": 1.0, "compression": -1.0}[self.side]
+        return [self.clearance, self.stiffness, self.damping, side]
+
+    def quiet(self) -> float:
+        return self.clearance
+
+    @classmethod
+    def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
+        return [{"side": side} for side in cls.choices["side"]]
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        d, side, out = at.moves.d, at.options["side"], []
+        x = np.abs(d) if side == "both" else np.maximum(d if side == "extension" else -d, 0.0)
+        for q in (0.5, 0.75, 0.9, 0.97, 0.995):
+            gap = float(np.quantile(x, q)) if side == "both" else float(np.quantile(x, 0.5 + 0.5 * q))
+            over = np.maximum(x - gap, 0.0)
+            if gap > 0 and over.max() > 1e-3 * at.moves.reach:
+                out.append(Start({"clearance": gap, "stiffness": at.small / rms(over)}, grows=("stiffness",)))
+        return out
+
+
+@register
+class Backlash(Element):
+    type = "backlash"
+    equation = "F = k (|d| - gap/2) sgn d beyond half the gap, 0 within; in series with what stands there"
+    source = "play in a joint"
+    signature = "lost motion: the same at every amplitude, most visible at small ones"
+    test = "a slow triangle: the force stands still where it turns"
+    series = True
+    contains = ("series_compliance",)
+    shaped_by = "gap"
+    law = staticmethod(_backlash)
+    gap: float = parameter("m", 1e-4, 0.02)
+    stiffness: float = parameter("N/m", 1e5, 1e7, default=2e6, fixed=True)
+
+    def quiet(self) -> float:
+        return 0.5 * self.gap
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        return bool(beside(network, where))
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        # stiff beside what it stands in series with
+        stiff = 50.0 * at.force / at.moves.reach
+        return [Start({"gap": s * rms(at.moves.d), "stiffness": stiff}, grows=("gap",)) for s in (0.02, 0.2)]
+
+
+@register
+class Hysteresis(Element):
+    type = "hysteresis"
+    equation = "F = z, dz/dt = k [v - (s |v| z + (1-s) v |z|) |z|^(n-1) / F_y^n]"
+    source = "Bouc (1967), Wen (1976), with beta = gamma (s = 1/2); s = 1, n = 1 is Dahl's law"
+    signature = "loops in the force-travel plane whose corners are round, whatever the rate"
+    test = "slow triangles at three amplitudes, at two rates"
+    contains = ("coulomb_friction", "linear_stiffness")
+    shaped_by = "stiffness"
+    law = staticmethod(_bouc_wen)
+    level: float = parameter("N", 5.0, 5000.0)
+    stiffness: float = parameter("N/m", 1e3, 1e7)
+    exponent: float = parameter("-", 0.5, 4.0, default=1.0, open_end=True, fixed=True)
+    shape: float = parameter("-", 0.0, 1.0, default=0.5, fixed=True)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        e, d = at.small, rms(at.moves.d)
+        return [
+            Start({"level": e, "stiffness": e / (s * d)}, grows=("level", "stiffness"))
+            for s in (0.03, 0.15, 0.6)
+        ]
+
+    def curve(self, axis: Array) -> Array:
+        p, z, last = np.array(self.law_parameters()), 0.0, float(axis[0])
+        out = []
+        for d in np.concatenate([axis, axis[::-1], axis]):
+            f, z = _bouc_wen(p, d, 0.0, last, z, 1e-3)
+            last = d
+            out.append(f)
+        return np.array(out[-len(axis) :])
+
+
+@register
+class CoggingForce(Element):
+    type = "cogging_force"
+    equation = "F = A sin(2 pi d / pitch + phase)"
+    source = "detent force of a permanent-magnet linear motor"
+    signature = "periodic in travel, whatever the time"
+    test = "a slow triangle over many pitches"
+    contains = ("linear_stiffness",)  # of a pitch longer than the travel
+    periodic = ("pitch", "phase")
+    law = staticmethod(_cogging)
+    amplitude: float = parameter("N", 5.0, 1000.0)
+    pitch: float = parameter("m", 1e-3, 0.05, open_end=True)
+    phase: float = parameter(
+        "rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, spread=100.0, stride=1.0
+    )
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        return super().stands(network, where) and is_device(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        span = float(np.ptp(at.moves.d))
+        longest, shortest = 2 * span, span / 60
+        out = []
+        # neighbouring pitches shift by a quarter period over the span
+        for cycles in np.arange(1 / longest, 1 / shortest, 0.25 / span):
+            sine = {"amplitude": at.small, "pitch": float(1 / cycles), "phase": 0.0}
+            out.append(Start(sine, (sine, sine | {"phase": math.pi / 2}), ("amplitude",), signed=True))
+        return out
+
+    @classmethod
+    def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
+        sine, cosine = amplitude * start.values["amplitude"]
+        return start.values | {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine)}
+
+    @classmethod
+    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+        slope = 2 * math.pi * values["amplitude"] / values["pitch"] * math.cos(values["phase"])
+        size = PROBE * values["amplitude"] / values["pitch"]
+        return {"stiffness": max(slope, size)}
+
+
+@register
+class TyreLiftOff(Element):
+    type = "tyre_lift_off"
+    equation = "F = -max(k d - W, 0): a tyre cannot pull on the road beyond its static load W"
+    source = "unilateral contact of the tyre"
+    signature = "dynamic tyre force cut off at the static load"
+    test = "a bump that lifts the wheel"
+    law = staticmethod(_lift_off)
+    stiffness: float = parameter("N/m", 5e4, 5e5)
+    load: float = parameter("N", 500.0, 1e4)
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        driven = any(node in network.moved_nodes for node in where) and any(
+            node in network.masses for node in where
+        )
+        spring = any(e.type == "linear_stiffness" for e in beside(network, where))
+        return driven and spring and super().stands(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        stiffness = next(e for e in at.beside if e.type == "linear_stiffness").linear()[0]
+        loads = [float(np.quantile(stiffness * at.moves.d, q)) for q in (0.8, 0.93, 0.985)]
+        return [Start({"stiffness": stiffness, "load": w}) for w in loads if w > 0]
+
+    @classmethod
+    def tied(cls, network: Network, where: tuple[str, ...]) -> dict[str, str]:
+        spring = next(e for e in beside(network, where) if e.type == "linear_stiffness")
+        return {"stiffness": f"{spring.name}.stiffness"}

@@ -1,0 +1,143 @@
+"""Springs, dampers, inerters and the motor: what is linear in its motion, and assembled instead of stepped."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from .base import GROUND, Element, Setting, Start, beside, held_by_parameter, parameter, register, rms
+
+if TYPE_CHECKING:
+    from ..network import Network
+
+
+@register
+class LinearStiffness(Element):
+    type = "linear_stiffness"
+    equation = "F = k d"
+    source = "Table 6 (main spring, tyre), Table 4 (oil)"
+    signature = "force in phase with travel, the same at every amplitude"
+    test = "a slow triangle at two amplitudes"
+    stiffness: float = parameter("N/m", 1e2, 1e6)
+
+    def linear(self) -> tuple[float, float, float]:
+        return self.stiffness, 0.0, 0.0
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        return not any(isinstance(e, LinearStiffness) for e in beside(network, where))
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"stiffness": at.small / rms(at.moves.d)}, grows=("stiffness",))]
+
+
+@register
+class SeriesCompliance(LinearStiffness):
+    type = "series_compliance"
+    equation = "F = k d, in series with what stands at the terminal"
+    source = "oil elasticity of section 3, in series as the 0.1 Hz test demands"
+    signature = "nothing at low frequency, growing with the force that passes through"
+    test = "sines of rising frequency at constant amplitude"
+    series = True
+    stiffness: float = parameter("N/m", 1e4, 1e7, open_end=True)
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        # in series with a lone spring it is a softer spring
+        return bool({e.type for e in beside(network, where)} - {"linear_stiffness"})
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"stiffness": at.force / (0.02 * rms(at.moves.d))}, grows=("stiffness",), inverse=True)]
+
+
+@register
+class LinearDamping(Element):
+    type = "linear_damping"
+    equation = "F = c v"
+    source = "Table 6 (damper), Table 4 (leak)"
+    signature = "force in phase with velocity, the same at every amplitude"
+    test = "sines of two amplitudes at one frequency"
+    plane = "rate"
+    damping: float = parameter("N s/m", 10.0, 1e4)
+
+    def linear(self) -> tuple[float, float, float]:
+        return 0.0, self.damping, 0.0
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"damping": at.small / rms(at.moves.v)}, grows=("damping",))]
+
+
+@register
+class Inertance(Element):
+    type = "inertance"
+    equation = "F = b dv/dt"
+    source = "equation (5), Table 6"
+    signature = "force in phase with relative acceleration"
+    test = "sines of rising frequency at constant amplitude"
+    plane = "time"
+    inertance: float = parameter("kg", 1.0, 500.0)
+
+    def linear(self) -> tuple[float, float, float]:
+        return 0.0, 0.0, self.inertance
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        # to the ground it is more of a mass that may move already
+        return super().stands(network, where) and not held_by_parameter(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"inertance": at.small / rms(at.moves.a)}, grows=("inertance",))]
+
+
+@register
+class TerminalInertia(Element):
+    type = "terminal_inertia"
+    equation = "F = m a_terminal (absolute acceleration of one terminal)"
+    source = "the m n dv1/dt term that equation (3) has and equation (4) drops"
+    signature = "force in phase with absolute, not relative, acceleration"
+    test = "both terminals moved together"
+    plane = "time"
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"terminal": ("first", "second")}
+    mass: float = parameter("kg", 0.5, 60.0)
+    terminal: str = "second"
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        here = beside(network, where)
+        inert = any(isinstance(e, Inertance) for e in here)
+        # a device has moving parts; to the ground they are an inertance
+        return super().stands(network, where) and (
+            inert or (is_device(network, where) and GROUND not in where)
+        )
+
+    @classmethod
+    def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
+        return [{"terminal": t} for t, node in zip(("first", "second"), where, strict=True) if node != GROUND]
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"mass": at.small / rms(at.moves.a)}, grows=("mass",))]
+
+
+@register
+class Motor(Element):
+    type = "motor"
+    equation = "F1 = K_f r I"
+    source = "F1 of equations (6) and (8); area ratio S_R/S_r = 4.056 of Table 1"
+    signature = "force in proportion to current"
+    plane = "time"
+    thrust_constant: float = parameter("N/A", 20.0, 200.0)
+    ratio: float = parameter("-", 1.0, 10.0, default=1.0, open_end=True)
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        return False  # nobody overlooks one
+
+
+def is_device(network: Network, where: tuple[str, ...]) -> bool:
+    """Whether a motor or an inerter stands there; in a network without any, every joined pair is one."""
+    devices = {frozenset(e.where) for e in network.elements if isinstance(e, Motor | Inertance)}
+    return frozenset(where) in devices if devices else bool(beside(network, where))
