@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import elements as el
+from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
 from .errors import InputError
 from .files import check_folder, whole_folder, write_text
 from .network import Channel, Network, linearise
@@ -22,17 +23,13 @@ from .plots import (
     MUTED,
     PALE,
     VERMILLION,
+    Look,
     Picture,
     channel_text,
     density,
-    embedded,
-    figure,
-    legend,
     number,
     page,
     percent,
-    pixels,
-    save,
     style,
     unit_text,
 )
@@ -40,10 +37,7 @@ from .simulate import simulate
 from .units import UNITS, convert
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from .discrepancy import Diagnosis, Effect, Law, Trace
+    from .discrepancy import Diagnosis, Effect, Law, Quantity, Trace
 
 Array = NDArray[np.float64]
 
@@ -64,8 +58,6 @@ STAGES = {
     "noise_floor": ("noise", "what no model can pass: the measurement noise"),
 }
 SERIES = ("series_compliance", "backlash")
-OLD = dict(color=VERMILLION, ls=(0, (4, 1.5)), lw=1.1)
-NEW = dict(color=BLUE, ls="-", lw=1.2)
 
 #: what a test must show if the claim is true; the parameters of the effect are at hand by name
 TESTS = {
@@ -112,17 +104,16 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
     with style(), whole_folder(folder, KIND, "diagnosis.json", PARTS) as place:
         diagnosis.save(place)
         pictures: dict[str, Picture] = {}
-        for draw, name, title, alt in FIGURES:
-            fig = figure()
-            caption = draw(fig, view)
-            if caption:
-                path = save(fig, place / f"{name}.png")
-                pictures[name] = Picture(path.name, title, alt, caption, embedded(path), pixels(fig))
+        for make in FIGURES:
+            chart = make(view)
+            if chart is not None:
+                pictures[chart.name] = picture(chart, place)
         html = page(
             "diagnosis.html",
             d=diagnosis,
             view=view,
-            pictures=pictures,
+            pictures=pictures.values(),
+            shown=pictures,
             about=dict(about or {}),
             stages=STAGES,
         )
@@ -499,46 +490,47 @@ def series_law(view: View, effect: Effect) -> Law | None:
 
 # ------------------------------------------------------------------------------------------------- the figures
 
+#: how the two models are told apart everywhere
+MEASURED = Look(INK, "-", "", 1.6)
+BEFORE = Look(VERMILLION, (0, (4, 1.5)), "D", 1.1)
+AFTER = Look(BLUE, "-", "o", 1.0)
+NOISE = Look(INK, (0, (1, 1.5)), "", 0.8)
+MOST_SAMPLES = 360_000  # of records in a page: some 1 MB
 
-def _name_rows(ax: Any, names: Sequence[str]) -> None:
-    """One named row each from the top down, without lines or ticks."""
-    ax.set_yticks(range(len(names)), names)
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.grid(False, axis="y")
-    ax.tick_params(axis="y", length=0)
 
-
-def draw_gap(fig: Figure, view: View) -> str:
+def draw_gap(view: View) -> Chart:
     """Held-out error of every channel at every stage."""
     d = view.d
-    fig.set_size_inches(7.2, 0.95 + 0.42 * len(view.channels))
-    ax = fig.subplots()
-    marks: dict[str, dict[str, Any]] = {
-        "before": dict(marker="s", mfc="white", mec=MUTED, ms=6.5, mew=1.5),
-        "refit": dict(marker="D", mfc="white", mec=VERMILLION, ms=6.5, mew=1.5),
-        "after": dict(marker="o", mfc=BLUE, mec=BLUE, ms=7.5),
-        "noise_floor": dict(marker="|", mfc=INK, mec=INK, ms=15, mew=1.8),
+    looks = {
+        "before": (Look(MUTED, "-", "s"), True, 6.5),
+        "refit": (Look(VERMILLION, "-", "D"), True, 6.5),
+        "after": (Look(BLUE, "-", "o"), False, 7.5),
+        "noise_floor": (Look(INK, "-", "|"), False, 13.0),
     }
-    rows = np.arange(len(view.order))
-    for y, c in enumerate(view.order):
-        values = [100 * d.gap[s][c] for s in view.stages]
-        ax.plot([min(values), max(values)], [y, y], color=PALE, lw=4, solid_capstyle="round", zorder=1)
+    values = {s: [max(100 * d.gap[s][c], 1e-3) for c in view.order] for s in view.stages}
+    ends = [[f(values[s][k] for s in view.stages) for k in range(len(view.order))] for f in (min, max)]
+    items: list[Item] = [
+        Marks("", ends[0], range(len(view.order)), Look(PALE, "-", ""), (ends[0], ends[1]), bar=4.0)
+    ]
     for stage in view.stages:
-        x = [max(100 * d.gap[stage][c], 1e-3) for c in view.order]
-        ax.plot(x, rows, ls="none", label=view.labels[stage], zorder=3, **marks[stage])
-    ax.set_xscale("log")
-    low, high = ax.get_xlim()
-    for steps in ((1, 2, 5), range(1, 10)):  # one tick alone is no scale
-        ticks = [t for k in range(-2, 4) for m in steps if low <= (t := m * 10.0**k) <= high]
-        if len(ticks) > 2:
-            break
-    ax.set_xticks(ticks, [f"{t:g} %" for t in ticks])
-    ax.minorticks_off()
-    _name_rows(ax, [channel_text(c) for c in view.order])
-    ax.set_xlabel("RMS error on held-out data, relative to the measured signal's deviation")
-    legend(fig, ax)
-    return (
-        "Error of the simulation on data that took no part in fitting or choosing. The scale is logarithmic."
+        look, hollow, size = looks[stage]
+        label = view.labels[stage]
+        notes = [f"{channel_text(c)}, {label}: {percent(d.gap[stage][c], 2, sign=False)}" for c in view.order]
+        items.append(
+            Marks(label, values[stage], range(len(view.order)), look, notes=notes, open=hollow, size=size)
+        )
+    low, high = min(ends[0]) / 1.12, 1.12 * max(ends[1])
+    x = Axis(
+        "RMS error on held-out data, relative to the measured signal's deviation",
+        log=True, low=low, high=high, ticks=log_ticks(low, high, "{:g} %"),
+    )  # fmt: skip
+    return Chart(
+        "gap",
+        "The gap",
+        "Held-out error of every channel before, refitted, after, and the noise",
+        "Error of the simulation on data that took no part in fitting or choosing. The scale is logarithmic.",
+        {"all": [Panel(x, Axis(rows=tuple(map(channel_text, view.order))), tuple(items))]},
+        size=(7.2, 0.95 + 0.42 * len(view.channels)),
     )
 
 
@@ -553,161 +545,211 @@ def _window(view: View, seconds: float) -> slice:
     return slice(start, start + width)
 
 
-def draw_time(fig: Figure, view: View) -> str:
-    """Signals over a short stretch; residuals over the whole record."""
+def draw_time(view: View) -> Chart | None:
+    """Every record to walk through, signals and what is left over; the picture is the stretch that errs most."""
     trace = view.trace
     if trace is None:
-        return ""
-    shown = view.order[:5]
-    fig.set_size_inches(7.6, 1.45 * len(shown) + 0.7)
-    axes = fig.subplots(len(shown), 2, squeeze=False, sharex="col", width_ratios=[1.15, 1.0])
-    duration = float(trace.time[-1] - trace.time[0])
-    cut = _window(view, min(2.5, duration))
-    t = trace.time
-    thin = max(1, len(t) // 4000)
-    for (left, right), c in zip(axes, shown, strict=True):
-        k = view.scales[c].factor
-        left.plot(t[cut], k * trace.measured[c][cut], color=INK, lw=0.9, label="measured")
-        left.plot(t[cut], k * trace.refit[c][cut], label="old model, refitted", **OLD)
-        right.plot(
-            t[::thin], k * (trace.measured[c] - trace.refit[c])[::thin], color=VERMILLION, lw=0.6, alpha=0.9
-        )
-        if view.named:
-            left.plot(t[cut], k * trace.after[c][cut], label="with what was found", **NEW)
-            right.plot(t[::thin], k * (trace.measured[c] - trace.after[c])[::thin], color=BLUE, lw=0.6)
-        noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(trace.measured[c]))
-        for y in (-noise, noise):
-            right.axhline(y, color=INK, lw=0.8, ls=(0, (1, 1.5)))
-        left.set_ylabel(f"{channel_text(c)}\n[{view.scales[c].unit or '–'}]")
-        right.margins(x=0)
-        left.margins(x=0)
-        right.axvspan(t[cut][0], t[cut][-1], color=PALE, alpha=0.6, lw=0, zorder=0)
-    axes[0, 0].set_title("a stretch of it")
-    axes[0, 1].set_title("measured minus simulated")
-    for ax in axes[-1]:
-        ax.set_xlabel("time [s]")
-    fig.align_ylabels(axes[:, 0])
-    legend(fig, axes[0, 0])
+        return None
+    few = view.order[:5]
+    cut = _window(view, min(2.5, float(trace.time[-1] - trace.time[0])))
+    window = (float(trace.time[cut][0]), float(trace.time[cut][-1]))
+    traces = [trace, *(t for t in view.d.traces if t is not trace)][:8]
+    each = 5 if view.named else 3  # series a channel
+    share = MOST_SAMPLES / (each * len(view.order) * len(traces))
+
+    def panels(t: Trace, names: Sequence[str], shown: tuple[float, float]) -> list[Panel]:
+        every = max(1, math.ceil(len(t.time) / share)) if share > 0 else 1
+        time = t.time[::every]
+        inside = (t.time >= shown[0]) & (t.time <= shown[1])
+        out = []
+        for c in names:
+            k = view.scales[c].factor
+            says = {"measured": t.measured[c], "old model, refitted": t.refit[c]}
+            if view.named:
+                says["with what was found"] = t.after[c]
+            looks = dict(zip(says, (MEASURED, BEFORE, AFTER), strict=False))
+            # measured first: it is broader, and shows on both sides of a line that lies on it
+            lines = [Line(n, time, k * y[::every], looks[n]) for n, y in says.items()]
+            low, high = (f(float(f(k * y[inside])) for y in says.values()) for f in (min, max))
+            room = 0.05 * (high - low) or 1.0
+            y_axis = Axis(channel_text(c).replace(" ", "\n", 1), view.scales[c].unit or "–")
+            x_axis = Axis("time", "s", low=shown[0], high=shown[1])
+            zoomed = replace(y_axis, low=low - room, high=high + room)
+            out.append(Panel(x_axis, zoomed, tuple(lines), title="signals", link="time"))
+            rest: list[Item] = [
+                Line(
+                    n,
+                    time,
+                    k * (t.measured[c] - y)[::every],
+                    replace(looks[n], line="-", width=0.7, marker=""),
+                )
+                for n, y in list(says.items())[1:]
+            ]
+            noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(t.measured[c]))
+            rest += [Rule("y", y, look=NOISE) for y in (-noise, noise)] + [Span(*shown)]
+            out.append(
+                Panel(
+                    Axis("time", "s", low=float(time[0]), high=float(time[-1])),
+                    y_axis,
+                    tuple(rest),
+                    title="measured minus simulated",
+                    link="rest",
+                )
+            )
+        return [p if k < 2 else replace(p, title="") for k, p in enumerate(out)]
+
+    choices = {}
+    for t in traces:
+        shown = window if t is trace else (float(t.time[0]), float(t.time[0]) + window[1] - window[0])
+        choices[f"{t.name} ({'held out' if t.held_out else 'fitted'})"] = panels(t, view.order, shown)
     kind = "Held-out" if trace.held_out else "Fitted"
     more = (
-        f" The {len(shown)} channels with the largest error are shown."
-        if len(shown) < len(view.order)
+        f" The picture shows the {len(few)} channels with the largest error."
+        if len(few) < len(view.order)
         else ""
     )
-    return (
-        f"{kind} record “{trace.name}”. Left, the stretch where the refitted model errs most (shaded on the right). Right, what is "
-        f"left over{': orange without, blue with what was found' if view.named else ''}; dotted, twice the noise.{more}"
+    thinned = max(1, math.ceil(len(trace.time) / share))
+    more += f" Drawn from every {thinned}th sample." if thinned > 1 else ""
+    return Chart(
+        "time",
+        "In time",
+        "Measured and simulated signals, and what is left over, over time",
+        f"{kind} record “{trace.name}”. Left, the {window[1] - window[0]:.3g} s where the refitted model errs most (shaded on the right). "
+        f"Right, what is left over{': orange without, blue with what was found' if view.named else ''}; dotted, twice the noise.{more}",
+        choices,
+        columns=2,
+        size=(7.6, 1.45 * len(few) + 0.7),
+        walk=True,
+        widths=(1.15, 1.0),
+        still=2 * len(few),
     )
 
 
-def draw_spectra(fig: Figure, view: View) -> str:
-    """Spectra of signal and residuals."""
-    trace = view.trace
-    if trace is None:
-        return ""
+def draw_spectra(view: View) -> Chart | None:
+    """Spectra of signal and residuals, averaged over the held-out records (over all where none is)."""
+    if view.trace is None:
+        return None
+    step = float(view.trace.time[1] - view.trace.time[0])
+    used = [
+        t
+        for t in view.d.traces
+        if t.held_out == view.trace.held_out
+        and abs(float(t.time[1] - t.time[0]) / step - 1) < 1e-6
+        and 2 * len(t.time) >= len(view.trace.time)
+    ]
     shown = view.order[:6]
     columns = 2 if len(shown) in (2, 4) else min(3, len(shown))
     rows = -(-len(shown) // columns)
-    fig.set_size_inches((5.2, 6.6, 7.7)[columns - 1], 2.1 * rows + 0.55)
-    axes = fig.subplots(rows, columns, squeeze=False)
-    step = float(trace.time[1] - trace.time[0])
     places = {p.channel: p for p in view.d.where}
-    for k, ax in enumerate(axes.flat):
-        if k >= len(shown):
-            ax.set_visible(False)
-            continue
-        c = shown[k]
+    seconds = min(8.0, min(len(t.time) for t in used) * step)
+    panels = []
+    for c in shown:
         unit = view.scales[c]
-        f, p = density(unit.factor * trace.measured[c], step)
+
+        def mean(signal: Callable[[Trace], Array], scale: float = unit.factor) -> tuple[Array, Array]:
+            found = [density(scale * signal(t), step, seconds) for t in used]
+            return found[0][0], np.mean([p for _, p in found], axis=0)
+
+        f, p = mean(lambda t, c=c: t.measured[c])  # type: ignore[misc]
         keep = (f >= 0.2) & (f <= min(60.0, 0.45 / step))
         keep = keep if keep.sum() > 4 else f > 0
-        ax.loglog(f[keep], p[keep], color=MUTED, lw=0.9, label="measured")
-        _, old = density(unit.factor * (trace.measured[c] - trace.refit[c]), step)
-        ax.loglog(f[keep], old[keep], label="left over, old model", **OLD)
-        least = old[keep].min()
+        _, old = mean(lambda t, c=c: t.measured[c] - t.refit[c])  # type: ignore[misc]
+        curves = [("measured", p, Look(MUTED, "-", "", 1.4)), ("left over, old model", old, BEFORE)]
         if view.named:
-            _, new = density(unit.factor * (trace.measured[c] - trace.after[c]), step)
-            ax.loglog(f[keep], new[keep], label="left over, new model", **NEW)
-            least = min(least, new[keep].min())
+            _, new = mean(lambda t, c=c: t.measured[c] - t.after[c])  # type: ignore[misc]
+            curves.append(("left over, new model", new, AFTER))
+        items: list[Item] = [Line(n, f[keep], y[keep], replace(look, marker="")) for n, y, look in curves]
         top = float(p[keep].max())
-        ax.set_ylim(max(0.5 * least, 1e-8 * top), 3 * max(top, old[keep].max()))
-        for a, b in places[c].bands_hz if c in places else ():
-            ax.axvspan(max(a, f[keep][0]), b, color=PALE, alpha=0.7, lw=0, zorder=0)
-        ax.set_title(channel_text(c))
-        ax.set_ylabel(f"[({unit.unit})²/Hz]" if "/" in unit.unit else f"[{unit.unit}²/Hz]")
-        ticks = [x for x in (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if f[keep][0] <= x <= f[keep][-1]]
-        ax.set_xticks(ticks, [f"{x:g}" for x in ticks])
-        ax.minorticks_off()
-        if k >= len(shown) - columns:
-            ax.set_xlabel("frequency [Hz]")
-    legend(fig, axes[0, 0])
+        least = min(float(y[keep].min()) for _, y, _ in curves[1:])
+        low, high = max(0.5 * least, 1e-8 * top), 3 * max(top, float(old[keep].max()))
+        items += [Span(max(a, float(f[keep][0])), b) for a, b in (places[c].bands_hz if c in places else ())]
+        x = Axis("frequency", "Hz", log=True, ticks=log_ticks(float(f[keep][0]), float(f[keep][-1])))
+        density_unit = f"({unit.unit})²/Hz" if "/" in unit.unit else f"{unit.unit}²/Hz"
+        y_axis = Axis("density", density_unit, log=True, low=low, high=high, ticks=decades(low, high))
+        panels.append(Panel(x, y_axis, tuple(items), title=channel_text(c), link="frequency"))
+    what = "held-out" if view.trace.held_out else "fitted"
+    over = (
+        f"the {what} record “{view.trace.name}”"
+        if len(used) == 1
+        else f"{len(used)} {what} records, averaged: {', '.join(t.name for t in used)}"
+    )
     shade = (
         " Grey bands hold most of the old model's excess error in the fitted records."
         if any(p.bands_hz for p in view.d.where)
         else ""
     )
-    return f"Power spectral densities of the same record.{shade}"
+    return Chart(
+        "spectra",
+        "In frequency",
+        "Spectra of the measurements and of what is left over",
+        f"Power spectral densities of {over} (Welch, Hann windows of {seconds:.3g} s).{shade}",
+        {"all": panels},
+        columns=columns,
+        size=((5.2, 6.8, 8.2)[columns - 1], 2.1 * rows + 0.55),
+        align=False,
+    )
 
 
-def _law_axis(kind: str) -> tuple[float, str]:
-    return (1.0, "rate [m/s]") if kind == "rate" else (1e3, "travel [mm]")
+def _law_axis(kind: str) -> tuple[float, Axis]:
+    return (1.0, Axis("rate", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
 
 
-def draw_plane(fig: Figure, view: View) -> str:
+def draw_plane(view: View) -> Chart | None:
     """The missing force over motion, before and after; without one, the residual over the motion of its channel."""
     if not view.clouds:
-        return _draw_channel_plane(fig, view)
-    fig.set_size_inches(7.4, 2.9 * len(view.clouds) + 0.4)
-    axes = fig.subplots(len(view.clouds), 2, squeeze=False, sharey="row")
-    for row, cloud in zip(axes, view.clouds, strict=True):
+        return _draw_channel_plane(view)
+    panels = []
+    for cloud in view.clouds:
         kind = cloud.laws[0].kind if cloud.laws else "rate"
         over = {"rate": cloud.rate, "travel": cloud.travel}
-        factor, _ = _law_axis(kind)
         if cloud.after is not None:
-            panels = [
+            parts = [
                 (kind, cloud.before, "on top of the old model", VERMILLION),
                 (kind, cloud.after, "on top of the new model", BLUE),
             ]
         else:
-            panels = [
+            parts = [
                 (k, cloud.before, f"on top of the old model, over {k}", VERMILLION)
                 for k in ("rate", "travel")
             ]
         law = _sum_of_laws(cloud)
-        for ax, (axis_kind, force, title, colour) in zip(row, panels, strict=True):
-            scale, label = _law_axis(axis_kind)
-            _dots(ax, scale * over[axis_kind], force, colour)
-            ax.set_title(title)
-            ax.set_xlabel(f"{label} of {cloud.pair[0]}–{cloud.pair[1]}")
-        if law is not None:
-            axis, middle, low, high = law
-            row[0].fill_between(factor * axis, low, high, color=BLUE, alpha=0.25, lw=0)
-            row[0].plot(factor * axis, middle, color=BLUE, lw=1.6, label="the law that was found")
         top = float(np.quantile(np.abs(cloud.before), 0.98)) * 1.25
         if law is not None:
             top = max(top, 1.15 * float(np.abs(law[1]).max()))
-        row[0].set_ylim(-top, top)
-        row[0].set_ylabel("missing force [N]")
-    legend(fig, axes[0, 0])
+        for k, (axis_kind, force, title, colour) in enumerate(parts):
+            factor, x = _law_axis(axis_kind)
+            x = replace(x, label=f"{x.label} of {cloud.pair[0]}–{cloud.pair[1]}")
+            items, x = _dots(x, factor * over[axis_kind], force, colour)
+            if law is not None and k == 0:
+                axis, middle, low, high = law
+                look = Look(BLUE, "-", "", 1.6)
+                items.append(Line("the law that was found", factor * axis, middle, look, band=(low, high)))
+            panels.append(Panel(x, Axis("missing force", "N", low=-top, high=top), tuple(items), title=title))
     where = "the law, drawn over it, took no part in that" if view.named else "no law was assumed"
     short = ""
     if view.named:
         short = (
             " Where the dots fall short of the law, the refit has made up for a part with the old parameters."
         )
-    return (
+    held = "held-out" if view.trace and view.trace.held_out else "fitted"
+    return Chart(
+        "plane",
+        "What is missing, against the motion",
+        "The missing force, or residual, over travel or rate, before and after",
         "Each dot is the force that the measurements ask for at one moment, on top of what the model says: reconstructed "
-        f"from the residuals of all channels of a {'held-out' if view.trace and view.trace.held_out else 'fitted'} record through the linear model; "
-        f"{where}. What the sensors do not resolve is smoothed, so corners look rounder than they are; "
-        f"a dot in fifty may lie outside.{short}"
+        f"from the residuals of all channels of a {held} record through the linear model; {where}. What the sensors do not "
+        f"resolve is smoothed, so corners look rounder than they are; a dot in fifty may lie outside.{short}",
+        {"all": panels},
+        columns=2,
+        size=(7.4, 2.9 * len(view.clouds) + 0.4),
     )
 
 
 def _sum_of_laws(cloud: Cloud) -> tuple[Array, Array, Array, Array] | None:
     """Laws over one axis add up; those over the other cannot be drawn here."""
-    same = [law for law in cloud.laws if law.kind == cloud.laws[0].kind]
-    if not same:
+    if not cloud.laws:
         return None
+    same = [law for law in cloud.laws if law.kind == cloud.laws[0].kind]
     axis = same[0].axis
     parts = [np.stack([np.interp(axis, w.axis, y) for y in (w.force, w.low, w.high)]) for w in same]
     middle, low, high = np.sum(parts, axis=0)
@@ -722,52 +764,58 @@ def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
     return np.array([x[index == k].mean() for k in pick]), np.array([np.median(y[index == k]) for k in pick])
 
 
-def _draw_channel_plane(fig: Figure, view: View) -> str:
+def _draw_channel_plane(view: View) -> Chart | None:
     """Residual of one channel over motion, current or its own value: where the gap lives when no force was found."""
     trace = view.trace
     if trace is None or view.d.verdict == "no_discrepancy":
-        return ""
+        return None
     channel = next((e.channel for e in view.d.effects if e.channel), None) or view.order[0]
     unit = view.scales[channel]
-    axes = fig.subplots(1, 2, squeeze=False, sharey=True)[0]
     if view.named:
-        x, label = _abscissa(view, trace, channel)
-        panels = [
-            (trace.refit, x, label, "old model, refitted", VERMILLION),
-            (trace.after, x, label, "with what was found", BLUE),
+        x, axis = _abscissa(view, trace, channel)
+        parts = [
+            (trace.refit, x, axis, "old model, refitted", VERMILLION),
+            (trace.after, x, axis, "with what was found", BLUE),
         ]
     else:
         (d, travel), (v, rate) = _motion_axes(view, trace, channel)
-        panels = [
+        parts = [
             (trace.refit, d, travel, "old model, over travel", VERMILLION),
             (trace.refit, v, rate, "old model, over rate", VERMILLION),
         ]
-    fig.set_size_inches(7.4, 3.2)
-    for ax, (says, x, label, title, colour) in zip(axes, panels, strict=True):
-        r = unit.factor * (trace.measured[channel] - says[channel])
-        _dots(ax, x, r, colour)
-        ax.set_title(title)
-        ax.set_xlabel(label)
-    axes[0].set_ylabel(f"measured minus simulated\n{channel_text(channel)} [{unit.unit or '–'}]")
-    legend(fig, axes[0])
-    return f"What is left over in {channel_text(channel)} on the record “{trace.name}”, sample by sample."
+    rest = [unit.factor * (trace.measured[channel] - says[channel]) for says, *_ in parts]
+    top = 1.08 * max(float(np.abs(r).max()) for r in rest) or 1.0
+    y = Axis(f"measured minus simulated\n{channel_text(channel)}", unit.unit or "–", low=-top, high=top)
+    panels = []
+    for r, (_, x, axis, title, colour) in zip(rest, parts, strict=True):
+        items, axis = _dots(axis, x, r, colour)
+        panels.append(Panel(axis, y, tuple(items), title=title))
+    return Chart(
+        "plane",
+        "What is missing, against the motion",
+        "The missing force, or residual, over travel or rate, before and after",
+        f"What is left over in {channel_text(channel)} on the record “{trace.name}”, sample by sample.",
+        {"all": panels},
+        columns=2,
+        size=(7.4, 3.2),
+    )
 
 
-def _dots(ax: Axes, x: Array, y: Array, colour: str) -> None:
+def _dots(axis: Axis, x: Array, y: Array, colour: str) -> tuple[list[Item], Axis]:
     """A cloud, its median along x, and an axis that leaves out the last two thousandths of x."""
     thin = max(1, len(x) // 2500)
-    ax.axhline(0, color=MUTED, lw=0.6)
-    ax.plot(x[::thin], y[::thin], ".", color=colour, ms=2.2, mew=0, alpha=0.55)
     middle, mean = _trend(x, y)
-    ax.plot(
-        middle, mean, color=INK, lw=1.0, marker="o", ms=3, mfc="white", mew=0.9, label="median of the dots"
-    )
-    low, high = np.quantile(x, [0.001, 0.999])
+    low, high = (float(q) for q in np.quantile(x, [0.001, 0.999]))
     margin = 0.05 * (high - low) or 1.0
-    ax.set_xlim(low - margin, high + margin)
+    items: list[Item] = [
+        Rule("y", 0.0),
+        Dots("", x[::thin], y[::thin], Look(colour, "-", ".")),
+        Line("median of the dots", middle, mean, Look(INK, "-", "o", 1.0)),
+    ]
+    return items, replace(axis, low=low - margin, high=high + margin)
 
 
-def _abscissa(view: View, trace: Trace, channel: str) -> tuple[Array, str]:
+def _abscissa(view: View, trace: Trace, channel: str) -> tuple[Array, Axis]:
     """What the residual of a found motor or sensor effect hangs on."""
     step = float(trace.time[1] - trace.time[0])
     unit = view.scales[channel]
@@ -776,15 +824,15 @@ def _abscissa(view: View, trace: Trace, channel: str) -> tuple[Array, str]:
     if current is not None and not any(e.channel for e in view.d.effects):
         values = np.asarray(trace.inputs[current])
         if late:
-            return np.gradient(values, step), f"rate of {channel_text(current)} [A/s]"
-        return values, f"{channel_text(current)} [A]"
+            return np.gradient(values, step), Axis(f"rate of {channel_text(current)}", "A/s")
+        return values, Axis(channel_text(current), "A")
     values = unit.factor * trace.after[channel]
     if late:
-        return np.gradient(values, step), f"rate of {channel_text(channel)} [{unit.unit}/s]"
-    return values, f"{channel_text(channel)} as simulated [{unit.unit or '–'}]"
+        return np.gradient(values, step), Axis(f"rate of {channel_text(channel)}", f"{unit.unit}/s")
+    return values, Axis(f"{channel_text(channel)} as simulated", unit.unit or "–")
 
 
-def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, str], tuple[Array, str]]:
+def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, Axis], tuple[Array, Axis]]:
     """Travel and rate to look at a residual over: of a measured displacement, else of a moved node, else its own."""
     step = float(trace.time[1] - trace.time[0])
     quantity = {c.name: c.quantity for c in view.d.base.outputs}
@@ -796,52 +844,68 @@ def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, s
         name = own or channel
         x, factor, unit = trace.refit[name], view.scales[name].factor, view.scales[name].unit
     text = channel_text(name)
-    return (factor * x, f"{text} [{unit}]"), (factor * np.gradient(x, step), f"rate of {text} [{unit}/s]")
+    return (factor * x, Axis(text, unit)), (
+        factor * np.gradient(x, step),
+        Axis(f"rate of {text}", f"{unit}/s"),
+    )
 
 
-def draw_law(fig: Figure, view: View) -> str:
+def draw_law(view: View) -> Chart | None:
     """Every found law with its interval, and how often the measurements were where."""
     laws = [(law, e) for law in view.laws for e in view.d.effects if e.element == law.element]
     if not laws:
-        return ""
+        return None
     columns = min(3, len(laws))
-    fig.set_size_inches((4.8, 5.8, 8.0)[columns - 1], 2.9)
-    for k, (law, e) in enumerate(laws[:3]):
-        ax = fig.add_subplot(1, columns, k + 1)
-        factor, text = _law_axis(law.kind)
+    panels = []
+    for law, e in laws[:3]:
+        factor, axis = _law_axis(law.kind)
         x = factor * law.axis
-        ax.axhline(0, color=MUTED, lw=0.6)
-        ax.axvline(0, color=MUTED, lw=0.6)
-        ax.fill_between(x, law.low, law.high, color=BLUE, alpha=0.3, lw=0, label="95 % interval")
-        ax.plot(x, law.force, color=BLUE, lw=1.6, label="law")
         count, edges = np.histogram(factor * law.visited, bins=40, range=(float(x[0]), float(x[-1])))
-        low, high = ax.get_ylim()
-        size = 0.22 * (high - low) * count / max(count.max(), 1)
-        ax.bar(
-            edges[:-1],
-            size,
-            np.diff(edges),
-            bottom=low,
-            align="edge",
-            color=PALE,
-            zorder=0,
-            label="where the data are",
-        )
-        ax.set_ylim(low, high)
-        ax.set_xlim(x[0], x[-1])
-        if len(laws) > 1:
-            ax.set_title(channel_text(e.effect))
+        least, most = float(np.min(law.low)), float(np.max(law.high))
+        room = 0.05 * (most - least) or 1.0
+        low, high = least - room, most + room
+        index = np.clip(np.digitize(x, edges) - 1, 0, len(count) - 1)
+        size = low + 0.22 * (high - low) * count[index] / max(count.max(), 1)
+        text = axis.label
         if e.effect in SERIES:
             text = f"its own {text}"
         elif e.between:
             text = f"{text} of {e.between[0]}–{e.between[1]}"
-        ax.set_xlabel(text)
-        ax.set_ylabel("force [N]" if k == 0 else "")
-    legend(fig, fig.axes[0], columns=3)
-    return "Force of what was found, positive in tension. Beyond the data nothing is claimed."
+        items = (
+            Line("law", x, law.force, Look(BLUE, "-", "", 1.6), band=(law.low, law.high)),
+            Line("where the data are", x, size, Look(MUTED, "-", ""), fill=True),
+            Rule("x", 0.0),
+            Rule("y", 0.0),
+        )
+        title = channel_text(e.effect) if len(laws) > 1 else ""
+        panels.append(
+            Panel(
+                replace(axis, label=text, low=float(x[0]), high=float(x[-1])),
+                Axis("force", "N", low=low, high=high),
+                items,
+                title=title,
+            )
+        )
+    return Chart(
+        "law",
+        "The law that was found",
+        "Force over travel or rate with its interval",
+        "Force of what was found, positive in tension, with its 95 % interval. Beyond the data nothing is claimed.",
+        {"all": panels},
+        columns=columns,
+        size=((4.8, 6.2, 8.2)[columns - 1], 2.9),
+        align=False,
+    )
 
 
-def draw_parameters(fig: Figure, view: View) -> str:
+def learned(q: Quantity, sigma: float | None) -> bool:
+    """Whether the measurements say something of a parameter: its interval is narrower than what its owner stated."""
+    if not sigma or not q.prior:
+        return True
+    return (q.high - q.low) < 0.8 * 4 * sigma * abs(q.prior)
+
+
+def draw_parameters(view: View) -> Chart | None:
     """Prior and found values of the base parameters, as deviations from the prior."""
     rows = [
         (path, q, sigma)
@@ -849,52 +913,66 @@ def draw_parameters(fig: Figure, view: View) -> str:
         if q.prior and np.isfinite([q.low, q.high]).all()
     ]
     if not rows:
-        return ""
-    fig.set_size_inches(7.2, 0.9 + 0.27 * len(rows))
-    ax = fig.subplots()
-    for y, (_, q, sigma) in enumerate(rows):
-        if sigma:
-            ax.barh(
-                y,
-                4 * 100 * sigma,
-                0.62,
-                left=-2 * 100 * sigma,
-                color=PALE,
-                lw=0,
-                label="stated: two sigma either way" if y == 0 else None,
+        return None
+    items: list[Item] = [Rule("x", 0.0)]
+    stated = [(k, 200 * sigma) for k, (_, _, sigma) in enumerate(rows) if sigma]
+    if stated:
+        at = [k for k, _ in stated]
+        spans = ([-s for _, s in stated], [s for _, s in stated])
+        items.append(
+            Marks(
+                "stated by the owner: two sigma either way",
+                [0.0] * len(at),
+                at,
+                Look(PALE, "-", ""),
+                spans,
+                bar=9.0,
             )
-        low, x, high = (100 * (v / q.prior - 1.0) for v in (q.low, q.value, q.high))
-        ax.plot(
-            [low, high],
-            [y, y],
-            color=BLUE,
-            lw=2.2,
-            solid_capstyle="butt",
-            label="found: 95 % interval" if y == 0 else None,
         )
-        ax.plot(x, y, "o", color=BLUE, ms=4.5)
-    ax.axvline(0, color=MUTED, lw=0.8)
-    _name_rows(ax, [path for path, _, _ in rows])
-    ax.set_xlabel("deviation from the model as given [%]")
-    legend(fig, ax)
-    return (
-        "Grey: what the model's owner stated (95 %). Blue: what the measurements say, together with the effect that was found."
-        if view.named
-        else ("Grey: what the model's owner stated (95 %). Blue: what the measurements say.")
+    groups: tuple[tuple[str, Look, bool, bool], ...] = (
+        ("found: 95 % interval", Look(BLUE, "-", "o"), True, False),
+        ("not seen by these data: only what was stated", Look(MUTED, "-", "o"), False, True),
+    )
+    for label, look, seen, hollow in groups:
+        own = [(k, path, q) for k, (path, q, sigma) in enumerate(rows) if learned(q, sigma) == seen]
+        if not own:
+            continue
+        x, low, high = (
+            [100 * (getattr(q, key) / q.prior - 1) for _, _, q in own] for key in ("value", "low", "high")
+        )
+        notes = [
+            f"{path}: {view.quantity(q)}, 95 % {view.interval(q)}, as given {number(q.prior, 4)}"
+            for _, path, q in own
+        ]
+        spans = ([min(p) for p in zip(low, high, strict=True)], [max(p) for p in zip(low, high, strict=True)])
+        items.append(
+            Marks(label, x, [k for k, _, _ in own], look, spans, notes=notes, open=hollow, size=4.5, bar=2.2)
+        )
+    together = ", together with the effect that was found" if view.named else ""
+    return Chart(
+        "parameters",
+        "Parameters",
+        "Base parameters found, relative to their prior",
+        f"Pale: what the model's owner stated (95 %). Blue: what the measurements say{together}. Grey and open: the measurements "
+        "do not tell this parameter, and its interval is the owner's.",
+        {
+            "all": [
+                Panel(
+                    Axis("deviation from the model as given", "%"),
+                    Axis(rows=tuple(path for path, _, _ in rows)),
+                    tuple(items),
+                )
+            ]
+        },
+        size=(7.2, 0.9 + 0.27 * len(rows)),
     )
 
 
-Draw = Callable[["Figure", View], str]
-FIGURES: Sequence[tuple[Draw, str, str, str]] = (
-    (draw_gap, "gap", "The gap", "Held-out error of every channel before, refitted, after, and the noise"),
-    (draw_time, "time", "In time", "Measured and simulated signals, and what is left over, over time"),
-    (draw_spectra, "spectra", "In frequency", "Spectra of the measurements and of what is left over"),
-    (
-        draw_plane,
-        "plane",
-        "What is missing, against the motion",
-        "The missing force, or residual, over travel or rate, before and after",
-    ),
-    (draw_law, "law", "The law that was found", "Force over travel or rate with its interval"),
-    (draw_parameters, "parameters", "Parameters", "Base parameters found, relative to their prior"),
+FIGURES: Sequence[Callable[[View], Chart | None]] = (
+    draw_gap,
+    draw_time,
+    draw_spectra,
+    draw_plane,
+    draw_law,
+    draw_parameters,
 )

@@ -1,7 +1,10 @@
 """Reports: what they draw is what happened, the pages stand alone, and no folder is left half written."""
 
+import base64
+import hashlib
 import html.parser
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +15,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym import cli, plots, report, show
+from isd_gym import charts, cli, plots, report, score_page, show
 from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
 from isd_gym.elements import CoulombFriction
 from isd_gym.errors import InputError
@@ -113,6 +116,10 @@ class Page(html.parser.HTMLParser):
         self.tags: list[str] = []
         self.open: list[str] = []
         self.text = ""
+        self.policies: list[str] = []
+        self.scripts: list[str] = []
+        self.data: dict[str, dict] = {}
+        self.inside: dict | None = None  # the script that is being read
         self.feed(path.read_text(encoding="utf-8"))
         assert not self.open, f"never closed: {self.open}"
 
@@ -122,20 +129,41 @@ class Page(html.parser.HTMLParser):
             self.open.append(tag)
         if tag == "img":
             self.images.append(dict(attrs))
+        if tag == "script":
+            self.inside = dict(attrs)
+        if dict(attrs).get("http-equiv") == "Content-Security-Policy":
+            self.policies.append(dict(attrs)["content"])
         self.links += [v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")]
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
+        self.inside = None
 
     def handle_data(self, data):
-        self.text += data
+        if self.inside is None:
+            self.text += data
+        elif self.inside.get("type") == "application/json":
+            self.data[self.inside["id"]] = json.loads(data)
+        else:
+            self.scripts.append(data)
 
 
 def check_page(path: Path) -> Page:
-    """It stands alone: no script, nothing fetched, every picture in it with words for who cannot see it."""
+    """It stands alone: nothing fetched, no script but those it names, every picture with words for who cannot see it."""
     page = Page(path)
-    assert page.links == [] and "script" not in page.tags and "link" not in page.tags
-    assert "url(" not in path.read_text() and "@import" not in path.read_text()
+    assert page.links == [] and "link" not in page.tags
+    assert not re.search(r"url\((?!#\$)", path.read_text()) and "@import" not in path.read_text()
+    assert path.stat().st_size < 3_000_000
+    (policy,) = page.policies
+    allowed = re.search(r"script-src (.*)", policy)[1].split()
+    assert (
+        policy.startswith("default-src 'none'; img-src data:")
+        and "'unsafe" not in policy.split("script-src")[1]
+    )
+    digests = [
+        f"'sha256-{base64.b64encode(hashlib.sha256(s.encode()).digest()).decode()}'" for s in page.scripts
+    ]
+    assert digests == allowed
     assert page.images and all(
         i["src"].startswith("data:image/png;base64,") and i["alt"] for i in page.images
     )
@@ -268,8 +296,8 @@ def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, 
     assert law.high[-1] - law.force[-1] == pytest.approx(wide, rel=1e-6)
     assert np.abs(law.visited).max() >= 0.99 * d > 0
     assert view.effect_text(effect).endswith("in series with what stands between joint and wheel")
-    fig = plots.figure()
-    assert report.draw_law(fig, view) and "its own travel" in fig.axes[0].get_xlabel()
+    chart = report.draw_law(view)
+    assert chart is not None and "its own travel" in chart.panels[0].x.text
 
 
 def test_two_effects_are_told_as_two(diagnosis):
@@ -347,7 +375,7 @@ def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
 
 def test_score_report_stands_alone(small_score, tmp_path):
     before = dict(matplotlib.rcParams)
-    path = plots.score_report(small_score, tmp_path / "score")
+    path = score_page.score_report(small_score, tmp_path / "score")
     assert dict(matplotlib.rcParams) == before
     page = check_page(path)
     names = {"trade_off", "histories", "spectra", "episodes", "limits"}
@@ -358,7 +386,7 @@ def test_score_report_stands_alone(small_score, tmp_path):
     row = next(r for r in small_score.policies if r["policy"] == "skyhook")
     assert f"{row['cost']['value']:.3f}" in page.text
     assert plots.percent(row["tyre_load_rms"]["change"]) in page.text
-    assert plots.Shown(small_score).headline in page.text
+    assert score_page.Shown(small_score).headline in page.text
     with pytest.raises(InputError, match=r"no earlier diagnosis"):
         report.check_target(path.parent)
 
@@ -368,24 +396,23 @@ def test_a_score_on_a_flat_road_can_be_shown(tmp_path):
     flat = score(
         [find("isd-passive", car)], car, reference=passive(car), road="flat", episodes=1, duration=1.0
     )
-    page = check_page(plots.score_report(flat, tmp_path / "flat"))
+    page = check_page(score_page.score_report(flat, tmp_path / "flat"))
     assert "No policy shown here costs less than passive." in page.text
     assert not (tmp_path / "flat" / "spectra.png").exists()  # nothing moves
 
 
 def test_the_clairvoyant_point_is_on_the_trade_off(small_score):
-    shown = plots.Shown(small_score)
+    shown = score_page.Shown(small_score)
     point = {"body_acceleration_change": -0.33, "suspension_travel_change": -0.4, "tyre_load_change": -0.04}
-    known = plots.Shown(replace(small_score, references={"clairvoyant_point": point}))
+    known = score_page.Shown(replace(small_score, references={"clairvoyant_point": point}))
     for view, there in ((shown, False), (known, True)):
-        fig = plots.figure()
-        caption = plots.trade_off(fig, view)
-        lines = [tuple(line.get_xydata()[0]) for line in fig.axes[0].lines if len(line.get_xydata()) == 1]
-        assert ((-40.0, -33.0) in lines) == there == ("clairvoyant" in caption)
+        chart = score_page.trade_off(view)
+        drawn = [(i.x[0], i.y[0]) for i in chart.panels[0].items if isinstance(i, charts.Marks)]
+        assert ((-40.0, -33.0) in drawn) == there == ("clairvoyant" in chart.caption)
 
 
 def test_headline_names_who_is_level_with_the_best(small_score):
-    shown = plots.Shown(small_score)
+    shown = score_page.Shown(small_score)
     assert shown.reference == "passive" and shown.best == "skyhook" and shown.level == []
     assert shown.headline.startswith("skyhook costs ")
     shown.costs["isd-passive"] = shown.costs["skyhook"] * np.array([0.98, 1.04, 1.0])
@@ -554,7 +581,115 @@ def test_the_gap_has_a_scale_however_narrow_it_is(diagnosis):
         stage: dict.fromkeys(row, value)
         for (stage, row), value in zip(diagnosis.gap.items(), (0.112, 0.105, 0.1, 0.063), strict=True)
     }
+    chart = report.draw_gap(report.View(replace(diagnosis, gap=gap)))
     fig = matplotlib.figure.Figure()
-    report.draw_gap(fig, report.View(replace(diagnosis, gap=gap)))
+    charts.draw(fig, chart)
     low, high = fig.axes[0].get_xlim()
     assert sum(low <= t <= high for t in fig.axes[0].get_xticks()) > 2
+
+
+# ------------------------------------------------------------------------------------------------------- charts
+
+
+def unpacked(a):
+    """What the page's script makes of packed numbers."""
+    if isinstance(a, list):
+        return np.array(a, float)
+    if "exp" in a:
+        return np.exp(unpacked(a["exp"]))
+    if "n" in a:
+        return np.linspace(a["from"], a["to"], a["n"])
+    whole = np.frombuffer(base64.b64decode(a["data"]), "<u2").astype(float)
+    return np.where(whole == 65535, np.nan, a["low"] + a["step"] * whole)
+
+
+def test_numbers_survive_their_way_into_the_page():
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(5000)
+    assert np.abs(unpacked(charts.packed(noise)) - noise).max() < np.ptp(noise) / 65534
+    assert unpacked(charts.packed(0.3 + 0.004 * np.arange(2500))) == pytest.approx(
+        0.3 + 0.004 * np.arange(2500)
+    )
+    wide = np.geomspace(1e-9, 1e4, 300) * rng.uniform(0.5, 1, 300)
+    assert unpacked(charts.packed_log(wide)) == pytest.approx(wide, rel=3e-4)
+    holes = np.where(rng.random(300) < 0.1, np.nan, noise[:300])
+    assert np.array_equal(np.isnan(unpacked(charts.packed(holes))), np.isnan(holes))
+    assert unpacked(charts.packed(np.full(100, np.nan))).shape == (100,)
+    few = np.array([1.0, np.nan, 3.5])
+    assert charts.packed(few) == [1.0, None, 3.5]
+
+
+def test_the_live_chart_holds_the_record_that_was_measured(diagnosis, tmp_path):
+    page = check_page(report.write_report(diagnosis, tmp_path / "found"))
+    time = page.data["chart-time"]
+    assert [c["name"] for c in time["choices"]] == ["two (held out)", "one (fitted)"]
+    view = report.View(diagnosis)
+    for choice, trace in zip(time["choices"], (diagnosis.traces[1], diagnosis.traces[0]), strict=True):
+        assert len(choice["panels"]) == 2 * len(view.order)
+        for panel, c in zip(choice["panels"][::2], view.order, strict=True):
+            measured = panel["items"][0]
+            k = view.scales[c].factor
+            assert measured["name"] == "measured" and panel["y"]["unit"] == view.scales[c].unit
+            assert unpacked(measured["x"]) == pytest.approx(trace.time)
+            assert np.abs(unpacked(measured["y"]) - k * trace.measured[c]).max() < 2e-5 * k * np.ptp(
+                trace.measured[c]
+            )
+    assert set(page.data) == {f"chart-{n}" for n in ("gap", "time", "spectra", "plane", "law", "parameters")}
+
+
+def test_a_long_record_is_thinned_and_the_page_says_so(diagnosis, monkeypatch):
+    monkeypatch.setattr(report, "MOST_SAMPLES", 20_000)
+    chart = report.draw_time(report.View(diagnosis))
+    line = chart.panels[0].items[0]
+    assert len(line.x) < 700 and line.x[1] == pytest.approx(5 * STEP)
+    assert "every 5th sample" in chart.caption
+
+
+def test_a_parameter_that_the_data_do_not_tell_is_drawn_as_such(diagnosis):
+    told = {
+        "body.mass": Quantity(351.2, 349.9, 352.4, "kg", 345.0),
+        "oil.stiffness": Quantity(709e3, 640e3, 778e3, "N/m", 709e3),
+    }
+    chart = report.draw_parameters(report.View(replace(diagnosis, parameters=told)))
+    marks = {i.name.split(":")[0]: list(i.y) for i in chart.panels[0].items if isinstance(i, charts.Marks)}
+    assert marks["found"] == [0] and marks["not seen by these data"] == [1]
+
+
+def test_no_two_policies_look_the_same():
+    names = [f"policy {k}" for k in range(50)]
+    made = plots.looks(names)
+    for key in (lambda k: (k.colour, str(k.line)), lambda k: (k.colour, k.marker)):
+        assert len({key(look) for look in made.values()}) == len(names)
+
+
+def test_one_episode_has_no_interval(tmp_path):
+    car = Network.load("quarter-car-isd")
+    one = score([find("skyhook", car)], car, reference=passive(car), episodes=1, duration=3.0)
+    page = check_page(score_page.score_report(one, tmp_path / "one"))
+    assert "One episode has no interval" in page.text and "95 % paired" not in page.text
+    assert "chart-episodes" not in page.data
+    points = [
+        i for i in page.data["chart-trade_off"]["choices"][0]["panels"][0]["items"] if i["kind"] == "marks"
+    ]
+    assert points and not any("xs" in i for i in points)
+
+
+def test_the_papers_points_stand_only_on_the_papers_road(small_score):
+    def drawn(s):
+        items = score_page.trade_off(score_page.Shown(s)).panels[0].items
+        return [i.name for i in items if isinstance(i, charts.Marks) and "paper" in i.name]
+
+    assert len(drawn(small_score)) == 2
+    assert drawn(replace(small_score, road="C")) == drawn(replace(small_score, speed=30.0)) == []
+
+
+def test_nobody_is_left_out_silently(small_score):
+    shown = score_page.Shown(small_score)
+    for make in (score_page.histories, score_page.spectra, score_page.limits):
+        chart = make(shown)
+        lines = {
+            i.name: i for p in chart.panels for i in p.items if isinstance(i, charts.Line) and not i.fill
+        }
+        assert set(lines) == set(shown.names)
+        for name, line in lines.items():
+            assert line.still or name in chart.caption.split("Not in the picture")[1]

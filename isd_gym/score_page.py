@@ -1,0 +1,496 @@
+"""The page of a score: what a vehicle engineer asks to see, to be explored on screen and printed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
+from .files import check_folder, whole_folder, write_text
+from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
+
+if TYPE_CHECKING:
+    from .scoring import Score
+
+SCORE_KIND = "score report"
+SCORE_PARTS = ("index.html", "score.json", "*.png")
+#: column of the table -> heading, unit, scale, decimals
+COLUMNS = {
+    "cost": ("cost J", "", 1.0, 3),
+    "body_acceleration_rms": ("body acceleration", "m/s²", 1.0, 3),
+    "suspension_travel_rms": ("travel", "mm", 1e3, 2),
+    "tyre_load_rms": ("tyre load", "N", 1.0, 0),
+}
+#: signal -> heading, unit, scale
+SIGNALS = {
+    "body_acceleration": ("body acceleration", "m/s²", 1.0),
+    "suspension_travel": ("suspension travel", "mm", 1e3),
+    "tyre_load": ("dynamic tyre load", "kN", 1e-3),
+    "current": ("motor current", "A", 1.0),
+}
+WELCH = 8.0  # [s], window of the spectra
+MOST_SAMPLES = 400_000  # of time histories in a page: some 1 MB
+
+
+def score_report(score: Score, folder: str | Path) -> Path:
+    """Write ``index.html`` (one file that opens anywhere), its figures as PNG, and ``score.json`` into `folder`.
+
+    The folder appears whole or not at all; an earlier report is replaced. Returns the path of the page. Raises
+    `InputError` where `folder` holds anything else.
+    """
+    folder = Path(folder)
+    shown = Shown(score)
+    with style(), whole_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS) as place:
+        charts = (make(shown) for make in (trade_off, histories, spectra, distribution, limits))
+        pictures = [picture(chart, place) for chart in charts if chart is not None]
+        write_text(place / "score.json", json.dumps(score.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_text(place / "index.html", page("score.html", shown=shown, score=score, pictures=pictures))
+    return folder / "index.html"
+
+
+def check_report(folder: str | Path) -> None:
+    """Raise `InputError` where `score_report` would not write: before long work, not after it."""
+    check_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS)
+
+
+class Shown:
+    """A score made ready for drawing: who is shown how, and whom others are compared with."""
+
+    def __init__(self, score: Score) -> None:
+        self.score = score
+        self.reference = next(iter(score.runs))  # everybody's comparison is driven first
+        for row in score.policies:
+            if row["cost"].get("change") == 0.0 and row["cost"].get("low") == row["cost"].get("high") == 0.0:
+                self.reference = row["policy"]
+                break
+        self.rows = {row["policy"]: row for row in score.policies}
+        self.names = [self.reference, *(n for n in score.runs if n != self.reference)]
+        self.looks = looks(self.names)
+        self.runs = score.runs
+        self.step = score.runs[self.reference].control_step
+        from .cost import StageCost
+
+        self.costs = {n: run.cost(StageCost()) for n, run in self.runs.items()}
+        self.best = min(self.names, key=lambda n: self.costs[n].mean())
+
+    @property
+    def paper_road(self) -> bool:
+        """Whether these are the conditions of the paper's tables."""
+        return self.score.road == "paper" and abs(self.score.speed - 20.0) < 1e-9
+
+    def few(self, count: int) -> tuple[list[str], str]:
+        """The reference and the `count` best, and a sentence on who is left out: nobody can follow many curves."""
+        others = sorted((n for n in self.names if n != self.reference), key=lambda n: self.costs[n].mean())
+        kept = [n for n in self.names if n == self.reference or n in others[:count]]
+        gone = [n for n in self.names if n not in kept]
+        return kept, f" Not in the picture, but in the live chart: {', '.join(gone)}." if gone else ""
+
+    @property
+    def level(self) -> list[str]:
+        """Who cannot be told from the best: the 95 % paired interval of the difference in cost holds zero."""
+        if self.score.episodes < 2:
+            return []
+        draws = np.random.default_rng(0).integers(self.score.episodes, size=(2000, self.score.episodes))
+        out = []
+        for name in self.names:
+            if name not in (self.best, self.reference):
+                gap = (self.costs[name] - self.costs[self.best])[draws].mean(axis=1)
+                if np.quantile(gap, 0.025) <= 0.0:
+                    out.append(name)
+        return out
+
+    def interval(self, q: dict[str, Any]) -> str:
+        """``[−24.3, −21.9] %``, the 95 % interval of a change; nothing where there is none."""
+        if self.score.episodes < 2 or q.get("low") is None or q["low"] == q["high"] == 0.0:
+            return ""
+        return f"[{percent(q['low'])[:-2]}, {percent(q['high'])[:-2]}]"
+
+    @property
+    def headline(self) -> str:
+        row = self.rows.get(self.best)
+        if row is None or self.best == self.reference or "change" not in row["cost"]:
+            return f"No policy shown here costs less than {self.reference}."
+        q = row["cost"]
+        parts = [
+            f"{COLUMNS[k][0]} {percent(row[k]['change'])}" for k in list(COLUMNS)[1:] if "change" in row[k]
+        ]
+        share = row["share_of_reachable_gain"]
+        reached = (
+            ""
+            if share is None
+            else f" That is {percent(share, 0, sign=False)} of the gain that is reachable on these roads."
+        )
+        if self.score.episodes < 2:
+            return (
+                f"On this one road {self.best} costs {percent(-q['change'], sign=False)} less than {self.reference}: "
+                f"{', '.join(parts)}.{reached} One episode has no interval: roads differ by more than policies do."
+            )
+        if q["high"] >= 0.0:
+            return (
+                f"No policy is shown to beat {self.reference}: the cost of {self.best}, the best, changes by "
+                f"{percent(q['change'])} (95 % interval {percent(q['low'])} to {percent(q['high'])})."
+            )
+        level = (
+            f" Level with it, as far as these episodes tell: {', '.join(self.level)}." if self.level else ""
+        )
+        return (
+            f"{self.best} costs {percent(-q['change'], sign=False)} less than {self.reference} (95 % interval "
+            f"{percent(-q['high'], sign=False)} to {percent(-q['low'], sign=False)}): {', '.join(parts)}.{reached}{level}"
+        )
+
+    def change(self, name: str, key: str) -> np.ndarray:
+        """Change of each episode against the reference's same episode (episodes,), as a fraction."""
+        own, base = (self._by_episode(n, key) for n in (name, self.reference))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return own / base - 1.0
+
+    def _by_episode(self, name: str, key: str) -> np.ndarray:
+        run = self.runs[name]
+        if key == "cost":
+            return self.costs[name]
+        signal = {
+            "body_acceleration_rms": run.body_acceleration,
+            "suspension_travel_rms": run.suspension_travel,
+            "tyre_load_rms": run.tyre_load,
+        }[key]
+        return np.sqrt(np.mean(signal**2, axis=0))
+
+
+def histories(shown: Shown) -> Chart:
+    """Episodes to walk through; the picture is four seconds of a middling one, around the reference's hardest moment."""
+    base = shown.runs[shown.reference]
+    order = np.argsort(shown.costs[shown.reference])
+    middle, hardest = int(order[len(order) // 2]), int(order[-1])
+    steps = len(base.tyre_load)
+    width = min(steps, round(4.0 / shown.step))
+    few, left_out = shown.few(1)
+    moved = [k for k in SIGNALS if k != "current" or any(np.any(r.current) for r in shown.runs.values())]
+    every = max(1, -(-2 * len(moved) * len(shown.names) * steps // MOST_SAMPLES))
+    time = shown.step * np.arange(steps, dtype=np.float64)
+
+    def panels(episode: int) -> list[Panel]:
+        peak = int(np.argmax(np.abs(base.tyre_load[:, episode])))
+        first = max(0, min(peak - width // 2, steps - width))
+        begin, end = float(time[first]), float(time[first]) + width * shown.step
+        window = Axis("time", "s", low=begin, high=end)
+        out = []
+        for key in moved:
+            head, unit, scale = SIGNALS[key]
+            lines = []
+            for name in shown.names:
+                values = getattr(shown.runs[name], key)[:, episode] * scale
+                if key == "current" and not np.any(shown.runs[name].current):
+                    continue
+                lines.append(
+                    Line(
+                        name,
+                        time[::every],
+                        values[::every],
+                        shown.looks[name],
+                        still=name in few,
+                        on=name in few,
+                    )
+                )
+            inside = [np.abs(i.y[(i.x >= begin) & (i.x <= end)]).max() for i in lines if i.on]
+            top = 1.08 * max([*inside, 1e-9])
+            words = head.replace(" ", "\n", 1)
+            out.append(
+                Panel(window, Axis(words, unit, low=-top, high=top), (*lines, Rule("y", 0.0)), link="time")
+            )
+        return out
+
+    seed = shown.score.seed
+    choices = {f"seed {seed + middle}: the middle by {shown.reference}'s cost": panels(middle)}
+    if hardest != middle:
+        choices[f"seed {seed + hardest}: the hardest for {shown.reference}"] = panels(hardest)
+    stride = f" Every {every}th sample." if every > 1 else ""
+    return Chart(
+        "histories",
+        "In time",
+        "Signals of one episode over time",
+        f"Episode with seed {seed + middle}, the one in the middle by {shown.reference}'s cost; the {width * shown.step:g} s "
+        f"around its greatest tyre load. Travel is positive in extension, tyre load in compression.{stride}{left_out}",
+        choices,
+        size=(7.2, 1.35 * len(moved) + 0.5),
+        walk=True,
+    )
+
+
+def spectra(shown: Shown) -> Chart | None:
+    """PSDs above, their ratio to the reference below."""
+    from .scoring import frequency_weighting
+
+    units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
+    scales = {"body_acceleration": 1.0, "suspension_travel": 1e3, "tyre_load": 1.0}
+    if not all(np.any(getattr(shown.runs[shown.reference], key)) for key in units):
+        return None  # nothing moves
+    few, left_out = shown.few(3)
+    marks = tuple((t, f"{t:g}") for t in (0.5, 1, 2, 5, 10, 20, 50))
+    x = Axis("frequency", "Hz", log=True, low=0.4, high=50.0, ticks=marks)
+    halves = ((0.125, "⅛"), (0.25, "¼"), (0.5, "½"), (1.0, "1"), (2.0, "2"), (4.0, "4"), (8.0, "8"))
+    top, below = [], []
+    for key, unit in units.items():
+        density_of = {
+            n: density(scales[key] * getattr(shown.runs[n], key), shown.step, WELCH) for n in shown.names
+        }
+        f, base = density_of[shown.reference]
+        keep = (f >= 0.4) & (f <= 50.0)
+        if not keep.any():
+            return None  # too short for a spectrum
+        lines, ratios = [], []
+        for name in shown.names:
+            p = density_of[name][1]
+            how: dict[str, Any] = {"still": name in few, "on": name in few}
+            lines.append(Line(name, f[keep], p[keep], shown.looks[name], **how))
+            ratios.append(Line(name, f[keep], (p / base)[keep], shown.looks[name], **how))
+        seen = np.concatenate([i.y for i in lines if i.on])
+        least, most = base[keep & (f < 25.0)].min(), seen.max()
+        low, high = max(0.5 * least, 1e-6 * most), 2 * most
+        title = SIGNALS[key][0]
+        extra: tuple[Item, ...] = ()
+        if key == "body_acceleration":  # drawn between the axis and a decade above it
+            w = low * 10 ** (0.25 * np.log10(high / low) * frequency_weighting(f[keep]))
+            extra = (Line("W_k, how strongly one feels it", f[keep], w, LOOKS[0], fill=True),)
+        y = Axis("density", unit, log=True, low=low, high=high, ticks=decades(low, high))
+        top.append(Panel(x, y, (*lines, *extra), title=title, link=key, tall=1.7))
+        y = Axis(f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves)
+        below.append(Panel(x, y, (*ratios, Rule("y", 1.0)), link=key))
+    window = min(WELCH, len(shown.runs[shown.reference].tyre_load) * shown.step)
+    return Chart(
+        "spectra",
+        "In frequency",
+        "Power spectral densities over frequency",
+        f"One-sided power spectral densities, averaged over all {shown.score.episodes} episodes (Welch, Hann windows of {window:g} s "
+        f"half overlapping, lines gathered to twelve an octave), and below them their ratio to {shown.reference}. Grey: how strongly a "
+        f"seated person feels a frequency, W_k of ISO 2631-1, on a scale of its own.{left_out}",
+        {"all episodes": [*top, *below]},
+        columns=3,
+        size=(8.4, 4.8),
+    )
+
+
+def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
+    """Tyre load change and the causal bound's (travel change, acceleration change), where somebody knows it."""
+    from importlib.metadata import entry_points
+
+    from .errors import InputError
+    from .network import Network
+
+    if any(name != "passive" for name in list(score.runs)[:1]):
+        return []  # the bound is told against the conventional car
+    for point in entry_points(group="isd_gym.references", name="lq_front"):
+        travel = np.array([-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
+        out = []
+        for tyre in (0.0, 0.03):
+            try:
+                out.append(
+                    (
+                        tyre,
+                        point.load()(
+                            tyre,
+                            travel,
+                            network=Network.load(score.network),
+                            speed=score.speed,
+                            road=score.road,
+                        ),
+                    )
+                )
+            except InputError:  # a road or a car for which there is no such bound
+                return []
+        return [(tyre, curve) for tyre, curve in out if len(curve) > 2]
+    return []
+
+
+def trade_off(shown: Shown) -> Chart:
+    """Acceleration over travel, both as change against the reference; the tyre load is written beside."""
+    from .scoring import PAPER
+
+    items: list[Item] = [Rule("x", 0.0), Rule("y", 0.0)]
+    xs, ys = [0.0], [0.0]
+
+    def mark(
+        name: str,
+        x: float,
+        y: float,
+        look: Look,
+        tyre: float | None,
+        spans: Sequence[Any] = (None, None),
+        more: str = "",
+        hollow: bool = False,
+        size: float = 7.0,
+    ) -> None:
+        text = f"{name}, tyre {percent(tyre)}" if tyre is not None else name
+        note = f"{name}: travel {percent(x / 100)}, acceleration {percent(y / 100)}" + (
+            f", tyre load {percent(tyre)}" if tyre is not None else ""
+        )
+        items.append(
+            Marks(
+                name,
+                [x],
+                [y],
+                look,
+                spans[0],
+                spans[1],
+                [text],
+                [note + more],
+                open=hollow,
+                size=size,
+                quiet=True,
+            )
+        )
+        xs.append(x)
+        ys.append(y)
+
+    for name in shown.names:
+        look, row = shown.looks[name], shown.rows.get(name)
+        if row is None or name == shown.reference:
+            mark(name, 0.0, 0.0, look, None)
+            continue
+        a, l, t = (row[k] for k in list(COLUMNS)[1:])
+        if "change" not in a or "change" not in l:
+            continue
+        spans: Sequence[Any] = (None, None)
+        if shown.interval(a) and shown.interval(l):
+            spans = [([100 * q["low"]], [100 * q["high"]]) for q in (l, a)]
+        more = (
+            f"; cost J {percent(row['cost']['change'])} {shown.interval(row['cost'])}"
+            if "change" in row["cost"]
+            else ""
+        )
+        mark(name, 100 * l["change"], 100 * a["change"], look, t.get("change"), spans, more)
+    own = len(xs) - 1
+    paper = shown.paper_road and shown.reference == "passive"
+    for (name, (before, after)), marker in zip(PAPER.items(), ("*", "p"), strict=True):
+        if paper:
+            a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
+            mark(
+                f"paper's {name.split(' (')[0]}",
+                100 * l,
+                100 * a,
+                Look(MUTED, "-", marker),
+                t,
+                hollow=True,
+                size=9.0,
+            )
+    known = shown.score.references.get("clairvoyant_point")
+    if known:
+        a, l, t = (known[f"{k}_change"] for k in ("body_acceleration", "suspension_travel", "tyre_load"))
+        mark("clairvoyant", 100 * l, 100 * a, Look(INK, "-", "o"), t, hollow=True, size=8.0)
+    left, right = min(-22.0, min(xs) - 6), max(6.0, max(xs) + 6)
+    bottom, top = min(-26.0, min(ys) - 4), max(5.0, max(ys) + 5)
+    curves = fronts(shown.score)
+    for (tyre, curve), line in zip(curves, ("-", (0, (5, 2))), strict=False):
+        label = f"causal bound at tyre load {percent(tyre, 0)}"
+        items.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, line, "", 1.1)))
+    bound = (
+        " Lines: the linear-quadratic optimum of any force between body and wheel, unlimited and without friction, at "
+        "the tyre load written there; no causal controller is below on average."
+        if curves
+        else ""
+    )
+    if known:
+        bound += " The clairvoyant optimum knows these very roads in advance, which no controller does."
+    crosses = (
+        f"Crosses are 95 % paired intervals over {shown.score.episodes} episodes; the"
+        if shown.score.episodes > 1
+        else "One episode has no interval. The"
+    )
+    two = ", the paper's two for comparison" if paper else ""
+    return Chart(
+        "trade_off",
+        "The trade-off",
+        "Change of acceleration over change of travel, by policy",
+        f"Better is down and to the left. {crosses} change of RMS tyre load is written beside each point ({own} driven here{two}).{bound}",
+        {
+            "all": [
+                Panel(
+                    Axis(f"change of suspension travel against {shown.reference}", "%", low=left, high=right),
+                    Axis("change of body acceleration", "%", low=bottom, high=top),
+                    tuple(items),
+                )
+            ]
+        },
+        size=(7.2, 4.6),
+    )
+
+
+def distribution(shown: Shown) -> Chart | None:
+    """Change of every episode against the reference's own on the same road."""
+    names = [n for n in shown.names if n != shown.reference and n in shown.rows]
+    if not names or shown.score.episodes < 2:
+        return None
+    order = np.arange(shown.score.episodes)
+    # spread by golden angle: same figure every time, neighbours apart
+    lift = 0.22 * (2 * np.mod(order * 0.61803398875, 1.0) - 1)
+    panels = []
+    for key, (title, _, _, _) in COLUMNS.items():
+        items: list[Item] = [Rule("x", 0.0)]
+        for i, name in enumerate(names):
+            look, q = shown.looks[name], shown.rows[name][key]
+            values = 100 * shown.change(name, key)
+            notes = [
+                f"{name}, seed {shown.score.seed + k}: {title} {percent(v / 100)}"
+                for k, v in enumerate(values)
+            ]
+            dot = Look(look.colour, "-", "o")
+            items.append(Marks("", list(values), list(i + lift), dot, notes=notes, size=2.2))
+            if "change" in q:
+                spans = ([100 * q["low"]], [100 * q["high"]])
+                note = f"{name}: {title} {percent(q['change'])} {shown.interval(q)}"
+                items.append(
+                    Marks(
+                        "", [100 * q["change"]], [i], look, spans, notes=[note], open=True, size=6.0, bar=3.5
+                    )
+                )
+        panels.append(Panel(Axis("change", "%"), Axis(rows=tuple(names)), tuple(items), title=title))
+    return Chart(
+        "episodes",
+        "Episode by episode",
+        "Paired changes of every episode, by policy",
+        f"Each dot is one road: this policy against {shown.reference} on the same road. The open marker is the change of "
+        "the value pooled over all episodes, the bar its 95 % interval (episodes drawn again, the same ones for both).",
+        {"all": panels},
+        columns=len(panels),
+        size=(7.8, 0.9 + 0.42 * len(names)),
+    )
+
+
+def limits(shown: Shown) -> Chart:
+    """Share of time that a signal spends above a value, up to and beyond the limit."""
+    from .scoring import LIMITS
+
+    few, left_out = shown.few(3)
+    least = max(0.5 / shown.runs[shown.reference].current.size, 1e-6)
+    panels = []
+    for key in ("body_acceleration", "suspension_travel", "current"):
+        head, unit, scale = SIGNALS[key]
+        limit = LIMITS[key] * scale
+        reach = max(
+            [1.22 * limit, *(1.02 * scale * np.abs(getattr(r, key)).max() for r in shown.runs.values())]
+        )
+        x = np.linspace(0.0, reach, 400)
+        items: list[Item] = []
+        for name in shown.names:
+            values = np.sort(np.abs(getattr(shown.runs[name], key)).ravel()) * scale
+            if not values.any():
+                continue
+            share = 1.0 - np.searchsorted(values, x, side="right") / len(values)
+            keep = np.where(share > 0, share, np.nan)
+            items.append(Line(name, x, keep, shown.looks[name], still=name in few, on=name in few))
+        items.append(Rule("x", limit, "limit", Look(INK, "-", "", 1.0)))
+        y = Axis("share of time above", log=True, low=least, high=1.0, ticks=decades(least, 1.0))
+        panels.append(Panel(Axis("|value|", unit, low=0.0, high=reach), y, tuple(items), title=head))
+    return Chart(
+        "limits",
+        "Exceedances",
+        "Share of time above a value, by policy",
+        "How much of the time each signal spends above a value (exceedance); the vertical line is the limit of the paper's "
+        f"Table 5. A curve that crosses it has exceeded the limit for that share of the time.{left_out}",
+        {"all": panels},
+        columns=3,
+        size=(7.8, 2.9),
+    )
