@@ -1,286 +1,297 @@
-"""Run the diagnosis over a folder of rigs with sealed effects, or over the project's own hidden suite, and print the figures.
+"""Run the diagnosis over rigs whose truth is known, and print what was right, wrong and missed, family by family.
 
-python benchmarks/diagnose.py FOLDER [NAME ...] [--json FILE] [--detail]
-python benchmarks/diagnose.py --suite [KIND ...] --seeds 1 2
-python benchmarks/diagnose.py --again FILE
+python benchmarks/diagnose.py FOLDER [NAME ...]            a folder of rigs: FOLDER/truth.json or FOLDER.truth.json
+python benchmarks/diagnose.py --suite [WHAT ...] --seeds 1 2   rigs of the hidden suite
+python benchmarks/diagnose.py --again DIR ...              the figures of finished runs; nothing is run
 
-Seconds are processor time, both threads together.
+WHAT: home (cars, device rigs), families, a family ("shaken"), a kind ("shaken.friction_ground"); all without. A folder
+without a truth is one of measured rigs: benchmarks/real.json says what may be named there.
+
+--out DIR      one file per case, written whole; called again with the same DIR, what is there is not run again
+--jobs N       processes, one thread each (all cores without)
+--limit S      processor seconds per case; one that needs more is counted as missed (600)
+--json FILE    figures and rows in one file
+--freeze FILE  verdicts, effects and values, to hold later states against; --against FILE does so
+--figure FILE  the reliability curve
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import inspect
 import json
+import multiprocessing
+import os
+import signal
 import sys
+import tempfile
 import time
-import traceback
-from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from isd_gym.data import Table
-from isd_gym.discrepancy import workflow
-from isd_gym.network import Network
+import grading
+from grading import Row
 
-
-def text(a) -> str:
-    return np.array2string(np.asarray(a), precision=3, suppress_small=True)
-
-
-def pair(place):
-    return None if place is None else frozenset([place] if isinstance(place, str) else place)
+ROOT = Path(__file__).resolve().parents[1]
 
 
-def same(found, answer) -> bool:
-    """Every effect named, in the right place (None: anywhere), and nothing else."""
-    if len(found) != len(answer):
-        return False
-    left = list(found)
-    for what, where in answer:
-        hit = next((f for f in left if f[0] == what and (where is None or f[1] == pair(where))), None)
-        if hit is None:
-            return False
-        left.remove(hit)
-    return True
+@dataclass(frozen=True)
+class Job:
+    """A case to run: files of a folder, or a kind and a seed of the hidden suite."""
+
+    suite: str  # the folder's name, "home" or "families"
+    family: str
+    kind: str
+    name: str
+    folder: Path | None = None
+    seed: int = 0
+    answer: Any = None
+    truth: Any = None
+
+    @property
+    def file(self) -> str:
+        return f"{self.suite}-{self.name}.json"
 
 
-#: parameter of an effect -> its name in the sealed truth of a folder of rigs
-SEALED = {
-    "quadratic_damping.damping": "c2dev",
-    "cubic_stiffness.stiffness": "k3",
-    "bump_stop.clearance": "bump_gap",
-    "bump_stop.stiffness": "bump_k",
-    "thrust_saturation.current": "sat_I",
-    "actuator_lag.time_constant": "lag_tau",
-    "linear_damping.damping": "ct",
-    "cogging_force.amplitude": "cog_amp",
-    "cogging_force.pitch": "cog_pitch",
-    "stribeck_friction.level": "f",
-    "stribeck_friction.static_level": "stribeck_fs",
-    "stribeck_friction.stribeck_velocity": "stribeck_vs",
-}
+class OutOfTime(BaseException):
+    """A case used up its processor time. Not an Exception: nothing on the way may take it for a failed fit."""
 
 
-def truths(row) -> dict[str, float]:
-    """The sealed values of the parameters of what was named, as far as the truth tells them."""
-    truth = row["truth"]
-    if isinstance(truth, dict):
-        out = {k: truth[v] for k, v in SEALED.items() if v in truth}
-        if "bw_A" in truth:  # dz = A v - beta (|v| z + v |z|): stiffness A, saturation at A / (2 beta)
-            out["hysteresis.stiffness"] = truth["bw_A"]
-            out["hysteresis.level"] = truth["bw_A"] / (2 * truth["bw_beta"])
-        places = dict((e, set(w)) for e, w in row["found"])
-        key = "strut_f" if places.get("coulomb_friction") == {"body", "wheel"} else "f"
-        if key in truth:
-            out["coulomb_friction.level"] = truth[key]
-        return out
-    return {
-        f"{e['type']}.{k}": v
-        for e in truth
-        for k, v in e.items()
-        if isinstance(v, int | float) and not isinstance(v, bool)
+# ---------------------------------------------------------------------------------------------------- finding cases
+def in_folder(folder: Path, wanted: list[str]) -> Iterator[Job]:
+    inside, beside = folder / "truth.json", folder.with_name(f"{folder.name}.truth.json")
+    if inside.exists() or beside.exists():
+        truth = json.loads((inside if inside.exists() else beside).read_text())
+        entries = {n: (t["kind"], t["answer"], t.get("truth")) for n, t in truth.items()}
+    else:
+        expected = json.loads((ROOT / "benchmarks" / "real.json").read_text())
+        entries = {n: (n, expected[n], None) for n in expected if (folder / n).is_dir()}
+    if not entries:
+        sys.exit(
+            f"{folder}: neither truth.json nor {beside.name}, and no measured rig that benchmarks/real.json knows"
+        )
+    for name in sorted(entries, key=lambda s: s[-3:]):
+        kind, answer, truth = entries[name]
+        if wanted and not any(w in name or w in kind for w in wanted):
+            continue
+        family = "measured" if isinstance(answer, dict) else "car" if inside.exists() else kind.split("_")[0]
+        yield Job(folder.name, family, kind, name, folder / name, 0, answer, truth)
+
+
+def in_suite(wanted: list[str], seeds: list[int]) -> Iterator[Job]:
+    import families
+    import hidden
+
+    known = [("home", hidden.family(k), k) for k in hidden.ALL_KINDS]
+    known += [("families", k.split(".")[0], k) for k in families.KINDS]
+    asked = set(wanted)
+    for word in asked:
+        if not any(word in k for k in known):
+            sys.exit(f"--suite {word}: neither home nor families, nor a family, nor a kind")
+    for seed in seeds:
+        for suite, family, kind in known:
+            if not asked or asked & {suite, family, kind}:
+                yield Job(suite, family, kind, f"{kind}-{seed}", seed=seed)
+
+
+def load(job: Job) -> tuple[list[Any], Any, list[Any], Any, Any]:
+    """(records, model, records held out, answer, truth) of a case."""
+    if job.folder is not None:
+        records, held = (sorted(job.folder.glob(f"{which}*.csv")) for which in ("estimation", "validation"))
+        return records, job.folder / "model.json", held, job.answer, job.truth
+    import families
+    import hidden
+
+    from isd_gym.data import Table
+    from isd_gym.network import Network
+
+    case = (hidden if job.suite == "home" else families).make_case(job.kind, job.seed)
+
+    def tables(which: str) -> list[Any]:
+        columns = dict(getattr(case, which) or {})
+        return [Table(columns.pop("time"), columns, which)] if columns else []
+
+    model = Network.load(case.model)
+    truth = {**case.record()["truth"], "base": base_values(case)}
+    more = {
+        k: case.record()[k] for k in ("snr_db", "spread", "visibility", "irreducible") if k in case.record()
     }
+    return tables("estimation"), model, tables("validation"), case.answer, {**truth, **more}
 
 
-def grade(verdict: str, found, answer) -> str:
-    if answer == "unknown":
-        return "right" if verdict == "unknown_effect" else "wrong" if found else "missed"
-    if not answer:
-        return "wrong" if found else "right" if verdict in ("no_discrepancy", "parameters_only") else "missed"
-    if same(found, answer):
-        return "right"
-    return "wrong" if found else "missed"
+def base_values(case: Any) -> dict[str, float]:
+    """The true values of what the owner knows only roughly."""
+    true, out = case.truth["model"], {}
+    for path in case.model["uncertainty"]:
+        name, key = path.rsplit(".", 1)
+        element = next((e for e in true["elements"] if e.get("name") == name), {})
+        value = true["masses"].get(name) if key == "mass" else element.get(key)
+        if value is not None:
+            out[path] = float(value)
+    return out
 
 
-def one(name, estimation, validation, model, answer, detail):
-    t0 = time.process_time()
-    captured = {}
-    original = workflow.Workflow.conclude
-
-    def conclude(self, *args):
-        captured["w"] = self
-        return original(self, *args)
-
-    workflow.Workflow.conclude = conclude
+# --------------------------------------------------------------------------------------------------------- one case
+def run(job: Job, out: Path, limit: float, state: str) -> Row:
+    """Diagnose one case and leave the result in `out`."""
+    row: Row = {"suite": job.suite, "family": job.family, "kind": job.kind, "name": job.name, "state": state}
     try:
-        d = workflow.diagnose([estimation], model, validate=[validation])
+        records, model, held, row["answer"], row["truth"] = load(job)
+    except ArithmeticError as error:
+        print(f"no data {job.kind} #{job.seed}: {error}", flush=True)
+        return {}
+    from isd_gym.discrepancy import diagnose
+
+    known = inspect.signature(diagnose).parameters
+    held_out = {"validate" if "validate" in known else "validation": held} if held else {}
+
+    def stop(*_: Any) -> None:
+        raise OutOfTime
+
+    signal.signal(signal.SIGPROF, stop)
+    wall, began = time.perf_counter(), time.process_time()
+    signal.setitimer(signal.ITIMER_PROF, limit)
+    try:
+        row["diagnosis"] = diagnose(records, model, **held_out).to_dict()
+    except OutOfTime:
+        row["timed_out"] = True
     except Exception as error:
-        traceback.print_exc(limit=-4)
-        return {
-            "name": name,
-            "grade": "error",
-            "verdict": type(error).__name__,
-            "seconds": time.process_time() - t0,
-            "answer": answer,
-            "found": [],
-        }
+        row["error"] = f"{type(error).__name__}: {error}"
     finally:
-        workflow.Workflow.conclude = original
-    seconds = time.process_time() - t0
-    found = [(e.effect, pair(e.channel or (list(e.between) if e.between else None))) for e in d.effects]
-    g = grade(d.verdict, found, answer)
-    row = {
-        "name": name,
-        "answer": answer,
-        "verdict": d.verdict,
-        "found": [(a, sorted(b or [])) for a, b in found],
-        "grade": g,
-        "closed": d.closed,
-        "seconds": seconds,
-        "parameters": {
-            f"{e.effect}.{k}": (q.value, q.low, q.high) for e in d.effects for k, q in e.parameters.items()
-        },
-        "base": {k: (q.value, q.low, q.high) for k, q in d.parameters.items()},
-    }
-    closed = "-" if d.closed is None else f"{d.closed:.3f}"
-    print(f"{g:6s} {name} {seconds:5.1f}s closed {closed} {d.verdict} {row['found']} <- {answer}", flush=True)
-    if detail and "w" in captured:
-        w = captured["w"].weighed
-        refit, after = ([*d.gap[row].values()] for row in ("refit", "after"))
-        print(
-            f"        before {text(w.before)} refit {text(refit)} after {text(after)} floor {text(w.floor)} small {text(w.worth)}"
-        )
-        print(
-            f"        noise {w.quiet:.3f} explained {w.explained:.3f} gaps {text(w.gaps)} abreast {[r.hypotheses[-1].label for r in w.abreast]}"
-        )
-        for t in w.table:
-            print("        ", t)
-        for stage in w.stages:
-            for r in stage[:5]:
-                s = w.stood.get(id(r))
-                values = {
-                    q.path.split(".")[-1]: float(f"{q.back(x):.3g}")
-                    for q, x in zip(r.fit.structure.free, r.fit.x, strict=True)
-                    if q.owner >= 0
-                }
-                print(
-                    f"           L {r.likelihood - stage[0].likelihood:8.0f} V {s.score if s else float('nan'):.3f}",
-                    r.hypotheses[-1].label,
-                    values,
-                )
-        print(
-            "        ",
-            {
-                k: f"{q.value:.4g} [{q.low:.4g}, {q.high:.4g}]"
-                for e in d.effects
-                for k, q in e.parameters.items()
-            },
-            flush=True,
-        )
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+    row["seconds"], row["wall"] = time.process_time() - began, time.perf_counter() - wall
+    part = out / f"{job.file}.part"
+    part.write_text(json.dumps(row))
+    part.replace(out / job.file)
     return row
+
+
+def line(row: Row) -> str:
+    closed = row.get("diagnosis", {}).get("gap", {}).get("closed")
+    said = [f"{n} {'-'.join(sorted(p))}" for n, p in grading.named(row)]
+    sure = [f"{e['confidence']:.3f}" for e in row.get("diagnosis", {}).get("effects", [])]
+    why = grading.outcome(row) if "diagnosis" in row else row.get("error", "out of time")
+    return (
+        f"{grading.graded(row):6s} {row['name']} {row['kind'] if row['kind'] not in row['name'] else ''} {row['seconds']:.1f}s "
+        f"closed {'-' if closed is None else f'{closed:.3f}'} {why} {said} {sure} <- {row['answer']}"
+    )
+
+
+def code_state() -> str:
+    """A fingerprint of the sources that a verdict rests on."""
+    digest = hashlib.sha1()
+    for path in sorted((ROOT / "isd_gym").rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+def run_all(jobs: list[Job], out: Path, count: int, limit: float) -> None:
+    """Run what `out` does not have yet."""
+    out.mkdir(parents=True, exist_ok=True)
+    todo = [j for j in jobs if not (out / j.file).exists()]
+    if len(todo) < len(jobs):
+        print(f"{len(jobs) - len(todo)} of {len(jobs)} are there already", flush=True)
+    state = code_state()
+    for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
+        os.environ[f"{name}_NUM_THREADS"] = "1"  # the cores are for the cases
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, mp_context=spawn) as pool:
+        for done in as_completed([pool.submit(run, job, out, limit, state) for job in todo]):
+            if done.result():
+                print(line(done.result()), flush=True)
+
+
+def read(folders: list[Path]) -> list[Row]:
+    rows = [json.loads(p.read_text()) for folder in folders for p in sorted(folder.glob("*.json"))]
+    states = {r.get("state") for r in rows}
+    if len(states) > 1:
+        print(f"these results are of {len(states)} states of the code", flush=True)
+    return rows
+
+
+# ------------------------------------------------------------------------------------------------------------ output
+def draw(rows: list[Row], path: Path) -> None:
+    """The reliability curve: stated confidence against the share that was right, with 95 % intervals."""
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    curve = grading.reliability(rows)
+    # confidence is told by how far it is from certainty: 0.9, 0.99 and 0.999 stand at equal distances
+    x = np.array([-np.log10(max(1.0 - b["stated"], 1e-4)) for b in curve])
+    y = np.array([b["right"] for b in curve])
+    spans = np.abs(np.array([[b["right"] - b["least"], b["most"] - b["right"]] for b in curve]).T)
+    figure, axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
+    fine = np.linspace(0.0, 4.0, 200)
+    axes.plot(fine, 1.0 - 10.0**-fine, color="0.6", lw=1.0, label="as stated")
+    axes.errorbar(x, y, yerr=spans, fmt="o", color="C0", capsize=3, label="observed, 95 % interval")
+    for b, xi, yi in zip(curve, x, y, strict=True):
+        axes.annotate(
+            f"{b['names']}", (xi, yi), xytext=(6, -12), textcoords="offset points", fontsize=8, color="0.3"
+        )
+    axes.set_xticks([0.0, 0.301, 1.0, 2.0, 3.0, 4.0], ["0", "0.5", "0.9", "0.99", "0.999", "0.9999"])
+    axes.set(
+        xlabel="confidence stated",
+        ylabel="share of names that are right",
+        ylim=(-0.03, 1.03),
+        xlim=(-0.1, 4.1),
+    )
+    axes.legend(loc="lower right", frameon=False)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folder", nargs="?")
+    parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--suite", nargs="*")
     parser.add_argument("--seeds", nargs="*", type=int, default=[1])
-    parser.add_argument("--json")
-    parser.add_argument("--detail", action="store_true")
-    parser.add_argument("--again", help="print the figures of a file written with --json, and run nothing")
+    parser.add_argument("--again", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--limit", type=float, default=600.0)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--freeze", type=Path)
+    parser.add_argument("--against", type=Path)
+    parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
     if args.again:
-        return summary(json.loads(Path(args.again).read_text()))
-    rows = []
-    if args.folder:
-        folder = Path(args.folder)
-        truth = json.loads((folder / "truth.json").read_text())
-        for name in sorted(truth, key=lambda s: s[-3:]):
-            if args.names and not any(n in name for n in args.names):
-                continue
-            case = folder / name
-            row = one(
-                f"{name} {truth[name]['kind']}",
-                case / "estimation.csv",
-                case / "validation.csv",
-                case / "model.json",
-                truth[name]["answer"],
-                args.detail,
-            )
-            row["truth"] = truth[name]["truth"]
-            rows.append(row)
-    if args.suite is not None:
-        sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-        import hidden
-
-        for seed in args.seeds:
-            for kind in args.suite or hidden.ALL_KINDS:
-                try:
-                    case = hidden.make_case(kind, seed)
-                except ArithmeticError as error:
-                    print(f"no data {kind} #{seed}: the reference integrator says {error}", flush=True)
-                    continue
-                tables = []
-                for k, columns in (("estimation", case.estimation), ("validation", case.validation)):
-                    columns = dict(columns)
-                    tables.append(Table(columns.pop("time"), columns, k))
-                row = one(
-                    f"{kind} #{seed} {case.snr_db:.0f}dB",
-                    tables[0],
-                    tables[1],
-                    Network.load(case.model),
-                    case.answer,
-                    args.detail,
-                )
-                row["truth"] = case.truth["hidden"]
-                rows.append(row)
-    summary(rows)
+        rows = read(args.again)
+    else:
+        jobs = list(in_folder(args.folder, args.names)) if args.folder else []
+        jobs += list(in_suite(args.suite, args.seeds)) if args.suite is not None else []
+        if not jobs:
+            parser.error("nothing to run: a FOLDER, --suite or --again")
+        out = args.out or Path(tempfile.mkdtemp(prefix="diagnose-"))
+        print(f"{len(jobs)} cases; results in {out}", flush=True)
+        run_all(jobs, out, args.jobs, args.limit)
+        files = {j.file for j in jobs}
+        rows = [
+            r
+            for p, r in ((p, json.loads(p.read_text())) for p in sorted(out.glob("*.json")))
+            if p.name in files
+        ]
+    print("\n" + grading.report(rows))
     if args.json:
-        Path(args.json).write_text(json.dumps(rows, default=str))
-
-
-def summary(rows) -> None:
-    groups = {
-        "effects": [r for r in rows if r["answer"] not in ("unknown", [])],
-        "clean": [r for r in rows if r["answer"] == []],
-        "unknown": [r for r in rows if r["answer"] == "unknown"],
-    }
-    print()
-    for name, group in groups.items():
-        if group:
-            count = Counter(r["grade"] for r in group)
-            print(
-                f"{name:8s} {len(group):3d}: "
-                + ", ".join(f"{k} {v} ({100 * v / len(group):.0f} %)" for k, v in count.items())
-            )
-    closed = [r["closed"] for r in rows if r.get("closed") is not None]
-    if closed:
-        print(f"closed   median {np.median(closed):.3f}, least {min(closed):.3f}")
-    errors, inside = [], []
-    for r in rows:
-        if r["grade"] != "right":
-            continue
-        known = truths(r)
-        for name, (value, low, high) in r.get("parameters", {}).items():
-            if known.get(name):
-                errors.append(abs(value / known[name] - 1))
-                inside.append(low <= known[name] <= high)
-    if errors:
-        print(
-            f"values   error median {100 * np.median(errors):.1f} %, "
-            f"95 % intervals hold {sum(inside)} of {len(inside)}"
-        )
-    print(
-        f"time     median {np.median([r['seconds'] for r in rows]):.1f} s, longest {max(r['seconds'] for r in rows):.1f} s"
-    )
-    print("\nconfusion (what was hidden -> what was said)")
-    table = Counter()
-    for r in rows:
-        said = "+".join(sorted(f[0] for f in r["found"])) or r["verdict"]
-        truth = (
-            "unknown"
-            if r["answer"] == "unknown"
-            else "+".join(sorted(a[0] for a in r["answer"])) or "nothing"
-        )
-        table[truth, said] += 1
-    for (truth, said), n in sorted(table.items()):
-        print(f"  {truth:45s} -> {said:45s} {n}")
+        args.json.write_text(json.dumps({"figures": grading.figures(rows), "rows": rows}))
+    if args.freeze:
+        frozen = {f"{r['suite']}/{r['name']}": grading.golden(r) for r in rows}
+        args.freeze.write_text(json.dumps(frozen, indent=1) + "\n")
+    if args.against:
+        lines = grading.differences(rows, json.loads(args.against.read_text()))
+        print(f"\nagainst {args.against}: {len(lines)} moved", *lines, sep="\n  ")
+    if args.figure:
+        draw(rows, args.figure)
 
 
 if __name__ == "__main__":

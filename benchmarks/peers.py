@@ -24,7 +24,7 @@ from scipy.signal import decimate, savgol_filter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from diagnose import grade, pair
+from grading import grade, graded, named, pair
 
 from isd_gym.data import Table, read_table
 from isd_gym.discrepancy.hypotheses import add, base_structure, hypotheses, standing
@@ -222,15 +222,14 @@ def narx_nrmse(model: Network, records: list[Table]) -> dict[str, float]:
 
 def diagnosed(model: Network, row: dict[str, Any]) -> Network:
     """The model that the diagnosis ended with, from its row in the benchmark's file."""
-    structure = base_structure(model.with_parameters({k: v[0] for k, v in row["base"].items()}))
-    for what, where in row["found"]:
+    said = row["diagnosis"]
+    structure = base_structure(model.with_parameters({k: q["value"] for k, q in said["parameters"].items()}))
+    for e, (what, where) in zip(said["effects"], named(row), strict=True):
         now = structure.network
         motors = {e.name: e.where for e in now.elements}
-        values = {k.split(".")[1]: v[0] for k, v in row["parameters"].items() if k.split(".")[0] == what}
+        values = {k: q["value"] for k, q in e["parameters"].items()}
         h = next(
-            h
-            for h in hypotheses(now)
-            if h.effect == what and pair(motors.get(h.where[0], h.where)) == pair(where)
+            h for h in hypotheses(now) if h.effect == what and pair(motors.get(h.where[0], h.where)) == where
         )
         structure = add(structure, h, values)
     return structure.network
@@ -245,7 +244,7 @@ def main() -> None:
     args = parser.parse_args()
     warnings.simplefilter("ignore")  # both libraries warn of every setting that does not suit a record
     truth = json.loads((args.folder / "truth.json").read_text())
-    ours = {r["name"].split()[0]: r for r in json.loads(args.ours.read_text())} if args.ours else {}
+    ours = {r["name"]: r for r in json.loads(args.ours.read_text())["rows"]} if args.ours else {}
     rows: list[dict[str, Any]] = []
     for name in sorted(truth, key=lambda s: s[-3:]):
         if args.names and not any(n in name for n in args.names):
@@ -260,15 +259,15 @@ def main() -> None:
         row = {"name": name, "answer": answer, "found": said, "grade": g, "among": held}
         row["nrmse"] = {"model": model_nrmse(model, records[1]), "NARX": narx_nrmse(model, records)}
         print(f"{name} {truth[name]['kind']} <- {answer}\n  pysindy    {g:6s} {said}")
-        if name in ours and ours[name]["grade"] != "error":
-            print(f"  diagnosis  {ours[name]['grade']:6s} {ours[name]['found']}")
+        if "diagnosis" in ours.get(name, {}):
+            print(f"  diagnosis  {graded(ours[name]):6s} {named(ours[name])}")
             row["nrmse"]["diagnosed"] = model_nrmse(diagnosed(model, ours[name]), records[1])
         for k, v in row["nrmse"].items():
             print(f"  {k:10s} " + ", ".join(f"{c} {x:.3f}" for c, x in v.items()), flush=True)
         rows.append(row)
     among = sum(r["among"] for r in rows)
     print("\npysindy  ", dict(Counter(r["grade"] for r in rows)), "answer among the named:", among)
-    print("diagnosis", dict(Counter(ours[r["name"]]["grade"] for r in rows if r["name"] in ours)))
+    print("diagnosis", dict(Counter(graded(ours[r["name"]]) for r in rows if r["name"] in ours)))
     for k in ("model", "NARX", "diagnosed"):
         values = [x for r in rows for x in r["nrmse"].get(k, {}).values()]
         if values:

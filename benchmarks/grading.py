@@ -1,0 +1,402 @@
+"""What a diagnosis said against what was hidden: grades, the table by family, reliability, values, time.
+
+Everything here reads `Diagnosis.to_dict()` and the truth beside it; nothing of the workflow's inside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Row = dict[str, Any]
+Name = tuple[str, frozenset[str]]
+#: a row ends as one of these; "missed" also where the diagnosis broke off, ran out of time or could not decide
+GRADES = ("right", "wrong", "missed")
+#: edges of the bins of stated confidence
+BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0 + 1e-12)
+
+
+def pair(place: Any) -> frozenset[str] | None:
+    """Terminals whatever their order, or a channel; None: anywhere."""
+    return None if place is None else frozenset([place] if isinstance(place, str) else place)
+
+
+def named(row: Row) -> list[tuple[str, frozenset[str]]]:
+    """The effects that the diagnosis gave names to, each with its place."""
+    effects = row.get("diagnosis", {}).get("effects", [])
+    return [(e["effect"], pair(e.get("channel") or e.get("between") or []) or frozenset()) for e in effects]
+
+
+def same(found: Sequence[tuple[str, Any]], answer: Sequence[Any], allowed: Iterable[Any] = ()) -> bool:
+    """Every effect named, in the right place (None: anywhere), and nothing else but what is `allowed`."""
+    left = list(found)
+    for what, where in answer:
+        hit = next((f for f in left if f[0] == what and (where is None or f[1] == pair(where))), None)
+        if hit is None:
+            return False
+        left.remove(hit)
+    return all(any(f[0] == what and f[1] == pair(where) for what, where in allowed) for f in left)
+
+
+def nuisances(row: Row) -> list[tuple[str, Any]]:
+    """Small effects that are really there: naming one is no error, but is not asked for."""
+    truth = row.get("truth")
+    small = truth.get("nuisances", []) if isinstance(truth, Mapping) else []
+    return [(e["type"], e.get("between") or e.get("channel")) for e in small]
+
+
+def grade(verdict: str, found: Sequence[tuple[str, Any]], answer: Any, allowed: Iterable[Any] = ()) -> str:
+    """right, wrong (a name that is not true), or missed. `answer`: pairs of effect and place, [] or "unknown"."""
+    if answer == "unknown":
+        return "right" if verdict == "unknown_effect" else "wrong" if found else "missed"
+    if isinstance(answer, Mapping):
+        return _measured(found, answer)
+    if same(found, answer, allowed):
+        return "right" if answer or verdict in ("no_discrepancy", "parameters_only") else "missed"
+    return "wrong" if found else "missed"
+
+
+def _measured(found: Sequence[tuple[str, Any]], expected: Mapping[str, Any]) -> str:
+    """A measured rig: all that it `needs` (lists: one of them), perhaps what it `allows`, nothing else."""
+    names = {f[0] for f in found}
+    choices = [{n} if isinstance(n, str) else set(n) for n in expected["needs"]]
+    if names - set(expected.get("allows", ())) - set().union(*choices):
+        return "wrong"
+    if all(names & c for c in choices):
+        return "right"
+    return "wrong" if names else "missed"
+
+
+def graded(row: Row) -> str:
+    if "diagnosis" not in row:
+        return "missed"
+    return grade(row["diagnosis"]["verdict"], named(row), row["answer"], nuisances(row))
+
+
+def sort(row: Row) -> str:
+    answer = row["answer"]
+    return "unknown" if answer == "unknown" else "effect" if answer else "clean"
+
+
+# ------------------------------------------------------------------------------------------------ values and truths
+#: parameter of an effect -> its name in the sealed truth of the shared cars
+CARS = {
+    "quadratic_damping.damping": "c2dev",
+    "cubic_stiffness.stiffness": "k3",
+    "bump_stop.clearance": "bump_gap",
+    "bump_stop.stiffness": "bump_k",
+    "thrust_saturation.current": "sat_I",
+    "actuator_lag.time_constant": "lag_tau",
+    "linear_damping.damping": "ct",
+    "cogging_force.amplitude": "cog_amp",
+    "cogging_force.pitch": "cog_pitch",
+    "stribeck_friction.level": "f",
+    "stribeck_friction.static_level": "stribeck_fs",
+    "stribeck_friction.stribeck_velocity": "stribeck_vs",
+}
+#: the same for the shared rigs, whose truth has a number for each of their three links
+RIGS = {
+    "coulomb_friction.level": "fc",
+    "quadratic_damping.damping": "c2",
+    "cubic_stiffness.stiffness": "k3",
+    "bump_stop.clearance": "gap",
+    "bump_stop.stiffness": "kg",
+    "hysteresis.level": "bwl",
+    "hysteresis.stiffness": "bwk",
+}
+
+
+def true_values(row: Row) -> dict[str, float]:
+    """The sealed values of the parameters of what was named, as far as the truth tells them."""
+    truth = row.get("truth") or {}
+    if "hidden" in truth:
+        return {
+            f"{e['type']}.{k}": float(v)
+            for e in truth["hidden"]
+            for k, v in e.items()
+            if isinstance(v, int | float) and not isinstance(v, bool)
+        }
+    if "fc" in truth:
+        return {k: max(truth[v], key=abs) for k, v in RIGS.items() if max(truth.get(v, [0.0]), key=abs)}
+    out = {k: truth[v] for k, v in CARS.items() if v in truth}
+    if "bw_A" in truth:  # dz = A v - beta (|v| z + v |z|): stiffness A, saturation at A / (2 beta)
+        out["hysteresis.stiffness"] = truth["bw_A"]
+        out["hysteresis.level"] = truth["bw_A"] / (2 * truth["bw_beta"])
+    strut = any(w == {"body", "wheel"} for e, w in named(row) if e == "coulomb_friction")
+    if ("strut_f" if strut else "f") in truth:
+        out["coulomb_friction.level"] = truth["strut_f" if strut else "f"]
+    return out
+
+
+def values(rows: Iterable[Row]) -> tuple[list[float], list[bool], list[bool]]:
+    """Of what was named rightly: relative errors, and whether intervals hold the truth; the latter for base parameters too."""
+    errors, inside, base = [], [], []
+    for row in rows:
+        if graded(row) != "right" or not isinstance(row["answer"], list):
+            continue
+        known = true_values(row)
+        for e in row["diagnosis"]["effects"]:
+            for k, q in e["parameters"].items():
+                value = known.get(f"{e['effect']}.{k}")
+                if value and None not in (q["value"], q["low"], q["high"]):
+                    errors.append(abs(q["value"] / value - 1))
+                    inside.append(q["low"] <= value <= q["high"])
+        for path, value in ((row.get("truth") or {}).get("base") or {}).items():
+            q = row["diagnosis"]["parameters"].get(path)
+            if q is not None and None not in (q["low"], q["high"]):
+                base.append(q["low"] <= value <= q["high"])
+    return errors, inside, base
+
+
+# ------------------------------------------------------------------------------------------------------- reliability
+def names_with_confidence(rows: Iterable[Row]) -> list[tuple[float, bool]]:
+    """Every name that was given: the confidence stated, and whether the whole answer is right."""
+    return [
+        (float(e["confidence"]), graded(row) == "right")
+        for row in rows
+        if not isinstance(row["answer"], Mapping)
+        for e in row.get("diagnosis", {}).get("effects", [])
+    ]
+
+
+def reliability(rows: Iterable[Row]) -> list[dict[str, float]]:
+    """Stated against observed confidence, bin by bin, with the 95 % Wilson interval of what was observed."""
+    given = names_with_confidence(rows)
+    out = []
+    for low, high in zip(BINS, BINS[1:], strict=False):
+        here = [(c, ok) for c, ok in given if low <= c < high]
+        if here:
+            k, n = sum(ok for _, ok in here), len(here)
+            least, most = wilson(k, n)
+            stated = float(np.mean([c for c, _ in here]))
+            out.append(
+                {
+                    "low": low,
+                    "high": min(high, 1.0),
+                    "names": n,
+                    "stated": stated,
+                    "right": k / n,
+                    "least": least,
+                    "most": most,
+                }
+            )
+    return out
+
+
+def wilson(k: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """95 % interval of a share of k in n (Wilson, 1927)."""
+    p, d = k / n, 1 + z * z / n
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / d
+    middle = (p + z * z / (2 * n)) / d
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+# ------------------------------------------------------------------------------------------------------------ tables
+def share(part: int, whole: int) -> str:
+    return f"{part:4d} {100 * part / whole:4.0f} %" if whole else "   -       "
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Right, named wrongly, missed of the rigs with an effect; clean ones left alone; unknown ones recognised; by family."""
+    families = list(dict.fromkeys(r["family"] for r in rows))
+    head = f"{'family':14s} {'rigs':>4s} | {'effects':>7s} {'right':>11s} {'wrong':>11s} {'missed':>11s} | {'clean':>5s} {'left alone':>11s} | {'unknown':>7s} {'recognised':>11s} {'named':>6s}"
+    lines = [head, "-" * len(head)]
+    for family in [*families, "all"] if len(families) > 1 else families:
+        mine = [r for r in rows if family in ("all", r["family"])]
+        count = Counter((sort(r), graded(r)) for r in mine)
+        n = {s: sum(v for (k, _), v in count.items() if k == s) for s in ("effect", "clean", "unknown")}
+        effect = " ".join(share(count["effect", g], n["effect"]) for g in GRADES)
+        if family == "all":
+            lines.append("-" * len(head))
+        lines.append(
+            f"{family:14s} {len(mine):4d} | {n['effect']:7d} {effect} | {n['clean']:5d} {share(count['clean', 'right'], n['clean'])}"
+            f" | {n['unknown']:7d} {share(count['unknown', 'right'], n['unknown'])} {count['unknown', 'wrong']:6d}"
+        )
+    return "\n".join(lines)
+
+
+def figures(rows: Sequence[Row]) -> dict[str, Any]:
+    """The figures of a run, as numbers: those of the table's last row, names, gap, intervals, values, time."""
+    count = Counter((sort(r), graded(r)) for r in rows)
+
+    def rate(s: str, g: str) -> float | None:
+        whole = sum(v for (k, _), v in count.items() if k == s)
+        return count[s, g] / whole if whole else None
+
+    sure = [ok for c, ok in names_with_confidence(rows) if c >= 0.99]
+    mid = [ok for c, ok in names_with_confidence(rows) if 0.9 <= c < 0.99]
+    closed = {
+        s: [
+            r["diagnosis"]["gap"]["closed"]
+            for r in rows
+            if "diagnosis" in r and sort(r) == s and r["diagnosis"]["gap"]["closed"] is not None
+        ]
+        for s in ("effect", "unknown")
+    }
+    errors, inside, base = values(rows)
+    seconds = [r["seconds"] for r in rows]
+    return {
+        "rigs": len(rows),
+        "right": rate("effect", "right"),
+        "wrong": rate("effect", "wrong"),
+        "missed": rate("effect", "missed"),
+        "clean_left_alone": rate("clean", "right"),
+        "unknown_recognised": rate("unknown", "right"),
+        "unknown_named": rate("unknown", "wrong"),
+        "undecided_with_the_truth_among_rivals": sum(rival(r) for r in rows),
+        "broke_off": sum("error" in r for r in rows),
+        "out_of_time": sum(bool(r.get("timed_out")) for r in rows),
+        "names_at_0.99": len(sure),
+        "names_at_0.99_right": float(np.mean(sure)) if sure else None,
+        "names_at_0.9_to_0.99": len(mid),
+        "names_at_0.9_to_0.99_right": float(np.mean(mid)) if mid else None,
+        "closed_median": float(np.median(closed["effect"])) if closed["effect"] else None,
+        "closed_least": min(closed["effect"], default=None),
+        "closed_unknown_median": float(np.median(closed["unknown"])) if closed["unknown"] else None,
+        "value_error_median": float(np.median(errors)) if errors else None,
+        "intervals": len(inside),
+        "intervals_hold": float(np.mean(inside)) if inside else None,
+        "base_intervals": len(base),
+        "base_intervals_hold": float(np.mean(base)) if base else None,
+        "seconds_median": float(np.median(seconds)) if seconds else None,
+        "seconds_longest": max(seconds, default=None),
+    }
+
+
+def rival(row: Row) -> bool:
+    """Whether the diagnosis could not decide, and the truth is among what it lists."""
+    d = row.get("diagnosis", {})
+    if d.get("verdict") != "ambiguous" or not isinstance(row["answer"], list) or not row["answer"]:
+        return False
+    wanted = sorted(a[0] for a in row["answer"])
+    return any(sorted(c["effects"]) == wanted for c in d["alternatives"])
+
+
+def report(rows: Sequence[Row]) -> str:
+    """Everything there is to say about a run, as text."""
+    f = figures(rows)
+
+    def percent(x: float | None) -> str:
+        return "-" if x is None else f"{100 * x:.1f} %"
+
+    lines = [table(rows), ""]
+    if f["broke_off"] or f["out_of_time"]:
+        lines.append(f"counted as missed: {f['broke_off']} broke off, {f['out_of_time']} ran out of time")
+    if f["undecided_with_the_truth_among_rivals"]:
+        lines.append(
+            f"of what was missed, undecided with the truth among the rivals: {f['undecided_with_the_truth_among_rivals']}"
+        )
+    lines.append(
+        f"names at >= 0.99: {f['names_at_0.99']}, right {percent(f['names_at_0.99_right'])}; "
+        f"at 0.9 to 0.99: {f['names_at_0.9_to_0.99']}, right {percent(f['names_at_0.9_to_0.99_right'])}"
+    )
+    lines.append(
+        f"gap closed: median {percent(f['closed_median'])}, least {percent(f['closed_least'])}; unknown law: median {percent(f['closed_unknown_median'])}"
+    )
+    lines.append(
+        f"values: error median {percent(f['value_error_median'])}; 95 % intervals hold {percent(f['intervals_hold'])} of {f['intervals']}"
+        f", of base parameters {percent(f['base_intervals_hold'])} of {f['base_intervals']}"
+    )
+    if f["seconds_median"] is not None:
+        lines.append(
+            f"processor time: median {f['seconds_median']:.1f} s, longest {f['seconds_longest']:.1f} s"
+        )
+    curve = reliability(rows)
+    if curve:
+        lines += ["", "confidence stated   names   mean stated   right   95 % interval"]
+        lines += [
+            f"{b['low']:7.3f} to {b['high']:5.3f}   {b['names']:5d}   {b['stated']:11.3f}   {b['right']:5.2f}   {b['least']:.2f} to {b['most']:.2f}"
+            for b in curve
+        ]
+    lines += ["", "what was hidden -> what was said"]
+    lines += [f"  {truth:45s} -> {said:45s} {n}" for (truth, said), n in sorted(confusion(rows).items())]
+    return "\n".join(lines)
+
+
+def confusion(rows: Iterable[Row]) -> Counter[tuple[str, str]]:
+    count: Counter[tuple[str, str]] = Counter()
+    for r in rows:
+        answer = r["answer"]
+        if isinstance(answer, Mapping):
+            truth = "+".join(n if isinstance(n, str) else "/".join(n) for n in answer["needs"])
+        else:
+            truth = "unknown" if answer == "unknown" else "+".join(sorted(a[0] for a in answer)) or "nothing"
+        said = "+".join(sorted(n for n, _ in named(r)))
+        count[truth, said or outcome(r)] += 1
+    return count
+
+
+def outcome(row: Row) -> str:
+    """The verdict, or why there is none."""
+    if "diagnosis" in row:
+        return str(row["diagnosis"]["verdict"])
+    return "out of time" if row.get("timed_out") else str(row.get("error", "?")).split(":")[0]
+
+
+# ----------------------------------------------------------------------------------------------------------- goldens
+def golden(row: Row) -> Row:
+    """What of a result is frozen: the verdict, effects with places, their values (three digits), the gap closed."""
+    if "diagnosis" not in row:
+        return {"error": outcome(row)}
+    d = row["diagnosis"]
+    effects = [
+        {
+            "effect": e["effect"],
+            "place": sorted(p),
+            "values": {k: _digits(q["value"]) for k, q in e["parameters"].items()},
+        }
+        for e, (_, p) in zip(d["effects"], named(row), strict=True)
+    ]
+    closed = d["gap"]["closed"]
+    return {
+        "verdict": d["verdict"],
+        "effects": effects,
+        "closed": None if closed is None else round(closed, 3),
+    }
+
+
+def _digits(x: float | None) -> float | None:
+    return None if x is None else float(f"{x:.3g}")
+
+
+def differences(rows: Iterable[Row], frozen: Mapping[str, Row]) -> list[str]:
+    """What is said now and was not said then: a line for each case whose verdict, effects or values (by over 2 %) moved."""
+    lines = []
+    for r in rows:
+        then = frozen.get(f"{r['suite']}/{r['name']}")
+        if then is None:
+            continue
+        now = golden(r)
+        if _moved(now, then):
+            lines.append(
+                f"{r['suite']}/{r['name']} {r['kind']}: {_brief(then)} -> {_brief(now)} ({graded(r)})"
+            )
+    return lines
+
+
+def _moved(now: Row, then: Row) -> bool:
+    if now.get("verdict") != then.get("verdict") or len(now.get("effects", [])) != len(
+        then.get("effects", [])
+    ):
+        return True
+    for a, b in zip(now.get("effects", []), then.get("effects", []), strict=True):
+        if (a["effect"], a["place"]) != (b["effect"], b["place"]):
+            return True
+        if any(
+            abs(a["values"].get(k, math.inf) - v) > 0.02 * abs(v)
+            for k, v in b["values"].items()
+            if v is not None
+        ):
+            return True
+    return abs((now.get("closed") or 0.0) - (then.get("closed") or 0.0)) > 0.02
+
+
+def _brief(g: Row) -> str:
+    if "verdict" not in g:
+        return str(g.get("error"))
+    effects = [f"{e['effect']} at {'-'.join(e['place'])} {e['values']}" for e in g["effects"]]
+    return "; ".join([g["verdict"], *effects, f"closed {g['closed']}"])

@@ -1,0 +1,275 @@
+"""From a family's rig and a kind of what is hidden to a case: truth, records, the model as its owner believes it."""
+
+from __future__ import annotations
+
+import copy
+import json
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from .bench import COARSE, Drive, Rig, changed, outputs, refitted, run, scale, set_relative, shares
+from .effects import FIRST, Change, Hidden, cogging, coulomb, hardening, quadratic
+from .plant import Array, Model
+
+MAIN = {
+    "linear_stiffness": "stiffness",
+    "linear_damping": "damping",
+    "inertance": "inertance",
+    "coulomb_friction": "level",
+    "motor": "thrust_constant",
+}
+"""The parameter of each type that the owner knows only roughly."""
+
+
+@dataclass(frozen=True)
+class Family:
+    draw: Callable[[Generator], Rig]
+    kinds: Mapping[str, Hidden]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One rig: what its owner has, and what was hidden."""
+
+    kind: str
+    seed: int
+    model: Model
+    estimation: dict[str, NDArray[Any]]
+    validation: dict[str, NDArray[Any]] | None  # None: there is one record only
+    answer: list[list[Any]] | str
+    truth: dict[str, Any]
+    snr_db: float
+    spread: float
+    visibility: dict[str, float]  # change of each channel by what is hidden, as a share of its deviation
+    irreducible: dict[
+        str, float
+    ]  # the same after the best fit of the model without it, as far as its owner allows
+
+    @property
+    def family(self) -> str:
+        return self.kind.split(".")[0]
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind}_{self.seed:03d}"
+
+    def record(self) -> dict[str, Any]:
+        """The case's entry of a `truth.json`."""
+        return {
+            "kind": self.kind,
+            "answer": self.answer,
+            "truth": {"hidden": self.truth["hidden"], "nuisances": self.truth["nuisances"]},
+            "snr_db": round(self.snr_db, 1),
+            "spread": self.spread,
+            "visibility": [round(v, 3) for v in self.visibility.values()],
+            "irreducible": [round(v, 3) for v in self.irreducible.values()],
+        }
+
+
+# ------------------------------------------------------------------------------------------------------ the case
+def spreads(rig: Rig, spread: float) -> dict[str, float]:
+    """How well the owner knows each parameter (relative, one sigma): a damping three times as badly as the rest."""
+    out = {f"{node}.mass": spread for node in rig.model["masses"]}
+    for e in rig.model["elements"]:
+        if e["type"] in MAIN:
+            out[f"{e['name']}.{MAIN[e['type']]}"] = spread * (3.0 if e["type"] == "linear_damping" else 1.0)
+    return {k: v for k, v in out.items() if k not in rig.known}
+
+
+Measure = Callable[[dict[str, Array]], float]
+
+
+def sized(rig: Rig, make: Callable[[float], Change], aim: float, measure: Measure) -> Change:
+    """The change of the size at which `measure` of the channels comes to `aim`, within 15 % where it can be had."""
+    x, low, high, best = 0.3, 1e-5, 30.0, (np.inf, 0.3)
+    for _ in range(12):
+        model = changed(rig.model, make(x), "trial")
+        try:
+            got = max(measure(outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE))), 1e-9)
+        except ArithmeticError:
+            got = np.inf
+        best = min(best, (abs(np.log(got / aim)), x))
+        low, high = (x, high) if got < aim else (low, x)
+        if best[0] < 0.15 or high / low < 1.5:
+            break
+        step = (aim / got) ** 0.8 if np.isfinite(got) else 0.2
+        x = float(np.clip(x * step, 1.2 * low, high / 1.2))
+    return make(best[1])
+
+
+SMALL = {
+    "coulomb_friction": coulomb,
+    "quadratic_damping": quadratic,
+    "cubic_stiffness": hardening,
+    "cogging_force": cogging,
+}
+
+
+def nuisances(rig: Rig, taken: set[str], r: Generator) -> Change:
+    """One to three small effects, as every rig has, each moving its channels by less than 1.5 % of their deviation."""
+    total, ran = Change(), run(rig, rig.model, rig.drives[0])
+    plain = outputs(rig, rig.model, ran)
+
+    def moved(y: dict[str, Array]) -> float:
+        return max(shares(rig.model, y, plain).values())
+
+    for _ in range(int(r.integers(1, 4))):
+        name, pair = str(r.choice(list(SMALL))), rig.pairs[int(r.integers(len(rig.pairs)))]
+        make, aim = SMALL[name](r, scale(rig, ran, pair), pair), float(r.uniform(0.003, 0.012))
+        if f"{name} {pair}" in taken:
+            continue
+        taken.add(f"{name} {pair}")
+        change = sized(rig, make, aim, moved)
+        model = changed(rig.model, change, "nuisance")
+        if moved(outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE))) < 0.015:
+            total += change
+    return total
+
+
+def make_case(family: Family, kind: str, seed: int) -> Case:
+    """One case of `kind` ("family.what"); every choice is drawn from `kind` and `seed`."""
+    hidden = family.kinds[kind.split(".", 1)[1]]
+    for attempt in range(30):
+        r = np.random.default_rng([zlib.crc32(kind.encode()), seed, attempt])
+        try:
+            case = _attempt(family, hidden, kind, seed, r)
+        except ArithmeticError:
+            continue
+        if case is not None:
+            return case
+    raise ArithmeticError(f"{kind} {seed}: no rig on which this could be seen")
+
+
+def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator) -> Case | None:
+    rig = family.draw(r)
+    spread = float(r.choice([0.02, 0.03, 0.05, 0.10]))
+    stated = spreads(rig, spread)
+    snr_db = float(r.uniform(*rig.snr_db))
+    aim = float(np.exp(r.uniform(*np.log(hidden.gap))))
+    plain_run = run(rig, rig.model, rig.drives[0])
+    channel = rig.model["outputs"][0]["name"]
+    places = [(shape, channel if place == FIRST else place) for shape, place in hidden.parts]
+    parts = [shape(r, scale(rig, plain_run, place), place) for shape, place in places]
+    answer = hidden.answer
+    if isinstance(answer, list):
+        answer = [[effect, channel if place == FIRST else place] for effect, place in answer]
+    weights = np.exp(r.uniform(-0.3, 0.3, len(parts)))
+
+    def make(x: float) -> Change:
+        return sum((part(x * w) for part, w in zip(parts, weights, strict=True)), Change())
+
+    def left(truth: dict[str, Array]) -> float:
+        return max(refitted(rig, truth, stated).values())
+
+    change = sized(rig, make, aim, left) if parts else Change()
+    small = nuisances(rig, {f"{e['type']} {tuple(e.get('between', ()))}" for e in change.elements}, r)
+    without = changed(rig.model, small, "nuisance")
+    true = changed(without, change, "hidden")
+
+    def clean(model: Model, drive: Drive) -> dict[str, Array]:
+        return outputs(rig, model, run(rig, model, drive))
+
+    seen = clean(true, rig.drives[0])
+    irreducible = refitted(rig, seen, stated)
+    if parts and max(irreducible.values()) < max(0.6 * hidden.gap[0], 2.0 * 10 ** (-snr_db / 20)):
+        return None  # nobody could tell
+    believed = clean(without, rig.drives[0])
+    visibility = shares(rig.model, believed, seen) if parts else dict.fromkeys(seen, 0.0)
+
+    owner = copy.deepcopy(rig.model)
+    owner["uncertainty"] = stated
+    for path, sigma in stated.items():
+        set_relative(owner, path, sigma * r.uniform(-1.0, 1.0))
+    noise = Noise.draw(r, owner, {k: float(np.std(y)) for k, y in seen.items()}, snr_db)
+    records = []
+    for i, drive in enumerate(rig.drives):
+        y = seen if i == 0 else clean(true, drive)
+        records.append(noise.record(r, rig, drive, y))
+    return Case(
+        kind,
+        seed,
+        owner,
+        records[0],
+        records[1] if len(records) > 1 else None,
+        copy.deepcopy(answer),
+        {
+            "model": true,
+            "hidden": [dict(e) for e in change.elements]
+            + [{"type": "backlash", "gap": g, "in": s} for s, g in change.play],
+            "nuisances": [dict(e) for e in small.elements],
+        },
+        snr_db,
+        spread,
+        visibility,
+        irreducible,
+    )
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What the sensors add: white noise, noise with a memory of one sample, or steps of a quantised reading."""
+
+    sort: dict[str, str]
+    level: dict[str, float]
+    offset: dict[str, float]
+
+    @classmethod
+    def draw(cls, r: Generator, model: Model, deviation: Mapping[str, float], snr_db: float) -> Noise:
+        sort, offset = {}, {}
+        for o in model["outputs"]:
+            stepped = o["quantity"] == "displacement" and r.random() < 0.35
+            sort[o["name"]] = "quantised" if stepped else str(r.choice(["white", "memory"]))
+            offset[o["name"]] = (
+                deviation[o["name"]] * r.uniform(-0.5, 0.5) if o.get("offset") == "free" else 0.0
+            )
+        return cls(sort, {k: d * 10 ** (-snr_db / 20) for k, d in deviation.items()}, offset)
+
+    def record(self, r: Generator, rig: Rig, drive: Drive, y: Mapping[str, Array]) -> dict[str, NDArray[Any]]:
+        table: dict[str, NDArray[Any]] = {"time": np.arange(rig.size) * rig.interval}
+        for i in rig.model["inputs"]:
+            column = drive.inputs[i["name"]].value
+            if i["quantity"] == "displacement":
+                column = column + 10 ** (-rig.input_db / 20) * np.std(column) * r.standard_normal(rig.size)
+            table[i["name"]] = column
+        for k, column in y.items():
+            column, level = column + self.offset[k], self.level[k]
+            if self.sort[k] == "quantised":
+                step = np.sqrt(12.0) * level
+                table[k] = step * np.round((column + 0.05 * step * r.standard_normal(rig.size)) / step)
+            elif self.sort[k] == "white":
+                table[k] = column + level * r.standard_normal(rig.size)
+            else:
+                memory = 0.5
+                white = level * np.sqrt(1 - memory**2) * r.standard_normal(rig.size + 50)
+                table[k] = column + lfilter([1.0], [1.0, -memory], white)[50:]
+        return table
+
+
+def save(cases: Any, folder: Path | str) -> None:
+    """Write cases as the shared rigs are: a folder each, and `FOLDER.truth.json` beside them."""
+    folder = Path(folder)
+    truth = {}
+    for case in cases:
+        place = folder / case.name
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "model.json").write_text(json.dumps(case.model, indent=1))
+        for which, table in (("estimation", case.estimation), ("validation", case.validation)):
+            if table is not None:
+                np.savetxt(
+                    place / f"{which}.csv",
+                    np.column_stack(list(table.values())),
+                    fmt="%.9g",
+                    delimiter=",",
+                    header=",".join(table),
+                    comments="",
+                )
+        truth[case.name] = case.record()
+    folder.with_name(f"{folder.name}.truth.json").write_text(json.dumps(truth, indent=1))

@@ -1,0 +1,249 @@
+"""What is hidden in a rig, in proportion to the motion and the force where it sits.
+
+Every function here draws a shape and returns how the effect depends on one number, its size; `case` then finds the size
+at which the effect leaves, in the best fit of the model without it, the share of the signal that was asked for. So no
+number in this file is a newton or a millimetre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from .plant import Element
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """RMS elongation [m], rate [m/s] and force [N] at a pair of terminals, without the hidden effect; the rig's time scale [s]."""
+
+    travel: float
+    rate: float
+    force: float
+    time: float
+
+    @property
+    def stiffness(self) -> float:
+        return self.force / self.travel
+
+    @property
+    def damping(self) -> float:
+        return self.force / self.rate
+
+
+@dataclass(frozen=True)
+class Change:
+    """How a rig differs from what its owner believes."""
+
+    elements: tuple[
+        Element, ...
+    ] = ()  # side by side with what stands there; or `channel`, or `element` (a motor)
+    play: tuple[tuple[str, float], ...] = ()  # (spring, gap [m]): the spring is had with play
+    masses: tuple[tuple[str, float], ...] = ()  # bodies that the owner does not know of
+
+    def __add__(self, other: Change) -> Change:
+        return Change(self.elements + other.elements, self.play + other.play, self.masses + other.masses)
+
+
+Sized = Callable[[float], Change]
+Shape = Callable[[Generator, Scale, Pair], Sized]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A kind: shapes at their places, what a diagnosis should say, and how large a gap it may leave (shares of the signal)."""
+
+    parts: tuple[tuple[Shape, Any], ...] = ()
+    answer: list[list[Any]] | str = field(default_factory=list)
+    gap: tuple[float, float] = (0.08, 0.5)
+
+    def __and__(self, other: Hidden) -> Hidden:
+        assert isinstance(self.answer, list) and isinstance(other.answer, list)
+        return replace(
+            self, parts=self.parts + other.parts, answer=self.answer + other.answer, gap=(0.15, 0.6)
+        )
+
+
+NOTHING = Hidden()
+FIRST = "first output"
+"""Stands for the channel of that place in whatever model is drawn."""
+
+
+def at(name: str, shape: Shape, place: Pair | str, **more: Any) -> Hidden:
+    """An effect of the library at two terminals, a motor or a channel."""
+    return Hidden(((shape, place),), [[name, list(place) if isinstance(place, tuple) else place]], **more)
+
+
+def unknown(shape: Shape, place: Pair | str) -> Hidden:
+    """An effect that the library does not have."""
+    return Hidden(((shape, place),), "unknown", gap=(0.12, 0.5))
+
+
+def _link(kind: str, place: Pair, **parameters: Any) -> Change:
+    return Change(({"type": kind, "between": list(place), **parameters},))
+
+
+# ------------------------------------------------------------------------------------------------ at two terminals
+def coulomb(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("coulomb_friction", place, level=x * s.force)
+
+
+def stribeck(r: Generator, s: Scale, place: Pair) -> Sized:
+    rise, speed = r.uniform(1.8, 2.8), r.uniform(0.15, 0.4) * s.rate
+    return lambda x: _link(
+        "stribeck_friction",
+        place,
+        level=x * s.force,
+        static_level=rise * x * s.force,
+        stribeck_velocity=speed,
+    )
+
+
+def quadratic(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("quadratic_damping", place, damping=x * s.damping / s.rate)
+
+
+def linear_damping(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("linear_damping", place, damping=x * s.damping)
+
+
+def linear_stiffness(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("linear_stiffness", place, stiffness=x * s.stiffness)
+
+
+def inertance(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("inertance", place, inertance=x * s.damping * s.travel / s.rate)
+
+
+def asymmetric(r: Generator, s: Scale, place: Pair) -> Sized:
+    out = r.random() < 0.5
+    return lambda x: _link(
+        "asymmetric_damping",
+        place,
+        extension=x * s.damping if out else 0.0,
+        compression=0.0 if out else x * s.damping,
+    )
+
+
+def hardening(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("cubic_stiffness", place, stiffness=x * s.stiffness / s.travel**2)
+
+
+def softening(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("cubic_stiffness", place, stiffness=-min(x, 0.06) * s.stiffness / s.travel**2)
+
+
+def sine(r: Generator, s: Scale, place: Pair) -> Sized:
+    """Gravity on a pendulum: the smaller the length of a radian, the further from linear; the stiffness is that of the rig."""
+    return lambda x: _link(
+        "x_sine_less_linear", place, stiffness=s.stiffness, length=s.travel / min(np.sqrt(2.0 * x), 0.7)
+    )
+
+
+def gas(r: Generator, s: Scale, place: Pair) -> Sized:
+    length, n = r.uniform(3.5, 6.0) * s.travel, 1.3
+    return lambda x: _link("gas_spring", place, force=x * s.stiffness * length / n, length=length, exponent=n)
+
+
+def stop(r: Generator, s: Scale, place: Pair) -> Sized:
+    clearance, side = (
+        r.uniform(0.8, 1.4) * s.travel,
+        str(r.choice(["both", "both", "extension", "compression"])),
+    )
+    return lambda x: _link(
+        "bump_stop", place, clearance=clearance, stiffness=8.0 * x * s.stiffness, side=side
+    )
+
+
+def hysteresis(r: Generator, s: Scale, place: Pair) -> Sized:
+    way = r.uniform(0.15, 0.5) * s.travel
+    return lambda x: _link(
+        "hysteresis", place, level=x * s.force, stiffness=x * s.force / way, exponent=1.0, shape=0.5
+    )
+
+
+def cogging(r: Generator, s: Scale, place: Pair) -> Sized:
+    pitch, phase = r.uniform(0.8, 2.2) * s.travel, r.uniform(-np.pi, np.pi)
+    return lambda x: _link("cogging_force", place, amplitude=x * s.force, pitch=pitch, phase=phase)
+
+
+def play(spring: str) -> Hidden:
+    """A joint in line with a spring has play."""
+    return Hidden(
+        ((lambda r, s, place: lambda x: Change(play=((spring, 1.5 * x * s.travel),)), spring),),
+        [["backlash", None]],
+    )
+
+
+# --------------------------------------------------------------------------------------------- at a motor, a channel
+def sensor_gain(r: Generator, s: Scale, channel: Any) -> Sized:
+    sign = r.choice([-1.0, 1.0])
+    return lambda x: Change(({"type": "sensor_gain", "channel": channel, "gain": 1.0 + sign * min(x, 0.5)},))
+
+
+def sensor_delay(r: Generator, s: Scale, channel: Any) -> Sized:
+    return lambda x: Change(
+        ({"type": "sensor_delay", "channel": channel, "delay": 0.3 * min(x, 3.0) * s.time},)
+    )
+
+
+def saturation(r: Generator, s: Scale, motor: Any) -> Sized:
+    # `force` is the current's own scale at a motor
+    return lambda x: Change(({"type": "thrust_saturation", "element": motor, "current": s.force / x},))
+
+
+def lag(r: Generator, s: Scale, motor: Any) -> Sized:
+    return lambda x: Change(({"type": "actuator_lag", "element": motor, "time_constant": x * s.time},))
+
+
+# ------------------------------------------------------------------------------------- what the library does not have
+def tanh_spring(r: Generator, s: Scale, place: Pair) -> Sized:
+    """A spring that gives in altogether: far beyond where a cubic could follow it."""
+    depth = r.uniform(0.25, 0.4)
+    return lambda x: _link(
+        "x_tanh_less_linear", place, stiffness=min(x, 0.9) * s.stiffness, length=depth * s.travel
+    )
+
+
+def switched_spring(r: Generator, s: Scale, place: Pair) -> Sized:
+    period, duty = r.uniform(9.0, 23.0) * s.time, r.uniform(0.3, 0.6)
+    return lambda x: _link("x_switched_stiffness", place, stiffness=x * s.stiffness, period=period, duty=duty)
+
+
+def position_damping(r: Generator, s: Scale, place: Pair) -> Sized:
+    return lambda x: _link("x_position_damping", place, damping=x * s.damping, length=s.travel)
+
+
+def timed_friction(r: Generator, s: Scale, place: Pair) -> Sized:
+    period, duty = r.uniform(9.0, 23.0) * s.time, r.uniform(0.3, 0.6)
+    return lambda x: _link("x_timed_friction", place, level=2.0 * x * s.force, period=period, duty=duty)
+
+
+def resonator(r: Generator, s: Scale, place: Pair) -> Sized:
+    """A body on a spring that nobody drew: at `place[0]`, tuned near the rig's own rate."""
+    w, zeta = r.uniform(0.8, 2.5) / s.time, r.uniform(0.02, 0.08)
+    mass = s.damping * s.travel / s.rate
+
+    def sized(x: float) -> Change:
+        body = {"between": ["absorber", place[0]]}
+        return Change(
+            (
+                {"type": "linear_stiffness", **body, "stiffness": x * mass * w**2},
+                {"type": "linear_damping", **body, "damping": 2 * zeta * x * mass * w},
+            ),
+            masses=(("absorber", x * mass),),
+        )
+
+    return sized
+
+
+def knocks(r: Generator, s: Scale, place: Pair) -> Sized:
+    """Something hits the rig every now and then, and no channel tells when."""
+    period, width = r.uniform(11.0, 27.0) * s.time, r.uniform(0.4, 1.0) * s.time
+    return lambda x: _link("x_impulse", place, force=4.0 * x * s.force, period=period, width=width)

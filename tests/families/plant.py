@@ -1,0 +1,341 @@
+"""The integrator behind the families: masses, moved nodes and links between them, by Runge-Kutta in small steps.
+
+It knows `isd-model/1` and nothing of `isd_gym`, and shares no idea with its kernel or with `reference`: nothing is
+assembled, eliminated or projected. Every free node has a mass; a link's force is a function of its elongation, its rate
+and one state of its own; dry friction is its level times `clip(v / creep, -1, 1)`, with a creep of 2e-4 of the speeds
+that occur, and the step is so short that this stays stable. Motion of a moved node and force are quintic and cubic
+between the samples, a motor's current is held.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Element = dict[str, Any]
+Model = dict[str, Any]
+
+GROUND = "ground"
+CREEP = 2e-4
+"""Speed below which dry friction is viscous, as a share of the plant's typical speed."""
+
+#: type -> (code, parameters in order, with what they are where an element does not say)
+LAWS: dict[str, tuple[int, dict[str, float | None]]] = {
+    "linear_stiffness": (0, {"stiffness": None}),
+    "linear_damping": (1, {"damping": None}),
+    "coulomb_friction": (2, {"level": None}),
+    "stribeck_friction": (3, {"level": None, "static_level": None, "stribeck_velocity": None}),
+    "quadratic_damping": (4, {"damping": None}),
+    "asymmetric_damping": (5, {"extension": None, "compression": None}),
+    "cubic_stiffness": (6, {"stiffness": None}),
+    "gas_spring": (7, {"force": None, "length": None, "exponent": 1.3}),
+    "bump_stop": (8, {"clearance": None, "stiffness": None, "side": 0.0}),
+    "hysteresis": (10, {"level": None, "stiffness": None, "exponent": 1.0, "shape": 0.5}),
+    "cogging_force": (11, {"amplitude": None, "pitch": None, "phase": 0.0}),
+    # the spring that stands there, with play: what a backlash in series makes of it
+    "x_spring_with_play": (9, {"stiffness": None, "gap": None}),
+    # what a spring lacks to be a sine (gravity on a pendulum), or to be a tanh
+    "x_sine_less_linear": (12, {"stiffness": None, "length": None}),
+    "x_tanh_less_linear": (13, {"stiffness": None, "length": None}),
+    "x_switched_stiffness": (14, {"stiffness": None, "period": None, "duty": None}),
+    "x_position_damping": (15, {"damping": None, "length": None}),
+    "x_maxwell": (16, {"stiffness": None, "time": None}),
+    "x_timed_friction": (17, {"level": None, "period": None, "duty": None}),
+    "x_wedge_friction": (18, {"slope": None, "length": None}),
+    "x_fading_damping": (19, {"damping": None, "energy": None}),
+    "x_bistable_friction": (20, {"level": None, "width": None}),
+    "x_shear_thinning": (21, {"damping": None, "velocity": None}),
+    "x_impulse": (22, {"force": None, "period": None, "width": None}),
+}
+SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
+DRY = ("coulomb_friction", "stribeck_friction", "x_timed_friction", "x_wedge_friction", "x_bistable_friction")
+
+
+@numba.njit(cache=True)
+def _force(code, p, d, v, z, t):
+    """Force of a link and the rate of its own state."""
+    if code == 0:
+        return p[0] * d, 0.0
+    if code == 1:
+        return p[0] * v, 0.0
+    if code == 2:
+        return p[0] * min(max(v / p[5], -1.0), 1.0), 0.0
+    if code == 3:
+        level = p[0] + (p[1] - p[0]) * math.exp(-((v / p[2]) ** 2))
+        return level * min(max(v / p[5], -1.0), 1.0), 0.0
+    if code == 4:
+        return p[0] * v * abs(v), 0.0
+    if code == 5:
+        return (p[0] if v > 0.0 else p[1]) * v, 0.0
+    if code == 6:
+        return p[0] * d**3, 0.0
+    if code == 7:
+        return p[0] * (1.0 - (1.0 + d / p[1]) ** (-p[2])), 0.0
+    if code == 8:
+        if d > p[0] and p[2] >= 0.0:
+            return p[1] * (d - p[0]), 0.0
+        if d < -p[0] and p[2] <= 0.0:
+            return p[1] * (d + p[0]), 0.0
+        return 0.0, 0.0
+    if code == 9:
+        half = 0.5 * p[1]
+        return p[0] * (d - min(max(d, -half), half)), 0.0
+    if code == 10:
+        w = (abs(z) / p[0]) ** p[2]
+        return z, p[1] * (v - (p[3] * abs(v) * math.copysign(1.0, z) + (1.0 - p[3]) * v) * w)
+    if code == 11:
+        return p[0] * math.sin(2.0 * math.pi * d / p[1] + p[2]), 0.0
+    if code == 12:
+        return p[0] * (p[1] * math.sin(d / p[1]) - d), 0.0
+    if code == 13:
+        return p[0] * (p[1] * math.tanh(d / p[1]) - d), 0.0
+    if code == 14:
+        return (p[0] * d if (t / p[1]) % 1.0 < p[2] else 0.0), 0.0
+    if code == 15:
+        return p[0] * (d / p[1]) ** 2 * v, 0.0
+    if code == 16:  # spring and damper in series; z is the spring's force
+        return z, p[0] * v - z / p[1]
+    if code == 17:
+        return (p[0] * min(max(v / p[5], -1.0), 1.0) if (t / p[1]) % 1.0 < p[2] else 0.0), 0.0
+    if code == 18:  # the further out, the harder it rubs
+        return p[0] * p[1] * (d / p[1]) ** 2 * min(max(v / p[5], -1.0), 1.0), 0.0
+    if code == 19:  # the work done, z, thins it
+        return p[0] * v / (1.0 + z / p[1]), p[0] * v * v / (1.0 + z / p[1])
+    if code == 20:  # rubs only near the middle
+        return p[0] * math.exp(-((d / p[1]) ** 4)) * min(max(v / p[5], -1.0), 1.0), 0.0
+    if code == 21:
+        return p[0] * v / math.sqrt(1.0 + (v / p[1]) ** 2), 0.0
+    # a knock every period that nobody measured
+    s = (t / p[1]) % 1.0 * p[1] / p[2]
+    return (p[0] * math.sin(math.pi * s) if s < 1.0 else 0.0), 0.0
+
+
+@numba.njit(cache=True)
+def _moved(c, s, T, x, v, a):
+    """Motion of the moved nodes a share `s` into a sample's interval of `T` seconds."""
+    for j in range(c.shape[0]):
+        p = c[j]
+        x[j] = p[0] + s * (p[1] + s * (p[2] + s * (p[3] + s * (p[4] + s * p[5]))))
+        v[j] = (p[1] + s * (2 * p[2] + s * (3 * p[3] + s * (4 * p[4] + s * 5 * p[5])))) / T
+        a[j] = (2 * p[2] + s * (6 * p[3] + s * (12 * p[4] + s * 20 * p[5]))) / (T * T)
+
+
+@numba.njit(cache=True)
+def _rates(y, n, ends, codes, P, inverse, Mfm, c, push, s, T, t, x, v, a, f, out):
+    """Rates of (positions, speeds, link states); `f` gets the links' forces."""
+    x[:n] = y[:n]
+    v[:n] = y[n : 2 * n]
+    m = c.shape[0]
+    _moved(c, s, T, x[n : n + m], v[n : n + m], a[n : n + m])
+    pull = np.zeros(n)
+    for i in range(n):
+        q = push[i]
+        pull[i] = q[0] + s * (q[1] + s * (q[2] + s * q[3]))
+        for j in range(m):
+            pull[i] -= Mfm[i, j] * a[n + j]
+    for k in range(len(codes)):
+        i, j = ends[k, 0], ends[k, 1]
+        f[k], out[2 * n + k] = _force(codes[k], P[k], x[i] - x[j], v[i] - v[j], y[2 * n + k], t)
+        if i < n:
+            pull[i] -= f[k]
+        if j < n:
+            pull[j] += f[k]
+    for i in range(n):
+        out[i] = y[n + i]
+        total = 0.0
+        for j in range(n):
+            total += inverse[i, j] * pull[j]
+        out[n + i] = total
+        a[i] = total
+
+
+@numba.njit(cache=True)
+def _march(y, n, ends, codes, P, inverse, Mfm, motion, push, T, substeps):
+    """Classic Runge-Kutta from sample to sample; positions, speeds, accelerations of all nodes, forces of all links."""
+    size, m, links = motion.shape[0], motion.shape[1], len(codes)
+    nodes = n + m + 1  # the last is ground, at rest
+    X, V, A = np.zeros((size, nodes)), np.zeros((size, nodes)), np.zeros((size, nodes))
+    F = np.zeros((size, links))
+    x, v, a, f = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(links)
+    k1, k2, k3, k4 = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y))
+    h, w = T / substeps, 1.0 / substeps
+    for i in range(size):
+        c, q = motion[i], push[i]
+        for j in range(substeps):
+            s, t = j * w, (i + j * w) * T
+            _rates(y, n, ends, codes, P, inverse, Mfm, c, q, s, T, t, x, v, a, f, k1)
+            if j == 0:
+                X[i], V[i], A[i], F[i] = x, v, a, f
+            u = s + 0.5 * w
+            _rates(y + 0.5 * h * k1, n, ends, codes, P, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k2)
+            _rates(y + 0.5 * h * k2, n, ends, codes, P, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k3)
+            _rates(y + h * k3, n, ends, codes, P, inverse, Mfm, c, q, s + w, T, t + h, x, v, a, f, k4)
+            y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return X, V, A, F
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A moved node's displacement [m], velocity [m/s] and acceleration [m/s^2], or a force [N] and its rate, at the samples.
+
+    A current [A] is `held` from sample to sample and has no rate.
+    """
+
+    value: Array
+    rate: Array
+    second: Array
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a plant did: per node motion, per link force [N], per moved node the force that moved it [N]."""
+
+    position: dict[str, Array]
+    velocity: dict[str, Array]
+    acceleration: dict[str, Array]
+    link: dict[str, Array]
+    load: dict[str, Array]
+
+
+def integrate(
+    model: Model,
+    inputs: Mapping[str, Signal],
+    size: int,
+    interval: float,
+    *,
+    speed: float,
+    initial: Mapping[str, tuple[float, float]] | None = None,
+    creep: float = CREEP,
+) -> Run:
+    """Let `model` run for `size` samples, `interval` [s] apart. Raises ArithmeticError where it does not stay finite.
+
+    inputs: by the names of the model's inputs. speed: typical speed [m/s], to which the creep of dry friction is in
+    proportion. initial: displacement [m] and velocity [m/s] of free nodes. creep: see `CREEP`; ten times
+    as much is ten times as quick.
+    """
+    by_node = {i["at"]: i for i in model["inputs"] if i["quantity"] == "displacement"}
+    moved = list(by_node)
+    nodes = [n for n in model["masses"] if n not in moved] + moved + [GROUND]
+    n, m = len(nodes) - len(moved) - 1, len(moved)
+    mass = np.zeros((n + m + 1, n + m + 1))
+    for node, value in model["masses"].items():
+        mass[nodes.index(node), nodes.index(node)] += value
+    ends, codes, P, names = [], [], [], []
+    for e in model["elements"]:
+        if "between" not in e or e["type"] == "motor":
+            continue
+        i, j = (nodes.index(k) for k in e["between"])
+        if e["type"] == "inertance":
+            mass[np.ix_([i, j], [i, j])] += e["inertance"] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+            names.append((e["name"], -1, (i, j, e["inertance"])))
+            continue
+        code, defaults = LAWS[e["type"]]
+        values = [
+            SIDES.get(v, v) if isinstance(v, str) else v for v in (e.get(k, d) for k, d in defaults.items())
+        ]
+        names.append((e["name"], len(codes), None))
+        ends.append((i, j))
+        codes.append(code)
+        P.append([*values, *[0.0] * (5 - len(values)), creep * speed])
+    inverse = np.linalg.inv(mass[:n, :n]) if n else np.zeros((0, 0))
+    motion = np.zeros((size, m, 6))
+    for j, node in enumerate(moved):
+        motion[:, j] = _quintic(inputs[by_node[node]["name"]], interval)
+    push = np.zeros((size, n, 4))
+    motors = {e["name"]: e for e in model["elements"] if e["type"] == "motor"}
+    for i in model["inputs"]:
+        if i["quantity"] == "force":
+            push[:, nodes.index(i["at"])] += _cubic(inputs[i["name"]], interval)
+        elif i["quantity"] == "current":
+            motor = motors[i["element"]]
+            thrust = motor["thrust_constant"] * motor.get("ratio", 1.0) * _cubic(inputs[i["name"]], interval)
+            for node, sign in zip(motor["between"], (-1.0, 1.0), strict=True):
+                if node in nodes[:n]:
+                    push[:, nodes.index(node)] += sign * thrust
+    y = np.zeros(2 * n + len(codes))
+    for node, (position, velocity) in (initial or {}).items():
+        y[nodes.index(node)], y[n + nodes.index(node)] = position, velocity
+    steps = math.ceil(max(2.0, interval * _fastest(n, inverse, codes, P) / 1.2))
+    X, V, A, F = _march(
+        y,
+        n,
+        np.array(ends, dtype=np.int64).reshape(-1, 2),
+        np.array(codes, dtype=np.int64),
+        np.array(P, dtype=float).reshape(-1, 6),
+        inverse,
+        mass[:n, n : n + m].copy(),
+        motion,
+        push,
+        interval,
+        steps,
+    )
+    if not (np.isfinite(X).all() and np.isfinite(V).all()):
+        raise ArithmeticError("the plant does not stay finite")
+    link = {}
+    for name, k, inert in names:
+        link[name] = F[:, k] if inert is None else inert[2] * (A[:, inert[0]] - A[:, inert[1]])
+    load = {}
+    for node in moved:
+        j = nodes.index(node)
+        load[node] = A @ mass[j]
+        for k, (first, second) in enumerate(ends):
+            load[node] = load[node] + F[:, k] * ((first == j) - (second == j))
+    columns = [dict(zip(nodes, c.T, strict=True)) for c in (X, V, A)]
+    return Run(*columns, link, load)
+
+
+def _fastest(n: int, inverse: Array, codes: list[int], P: list[list[float]]) -> float:
+    """Fastest rate [1/s] at which the plant can answer: sum of the links' steepest slopes over mass."""
+    if not n:
+        return 0.0
+    light = float(np.max(np.diag(inverse)))
+    by_code = {code: name for name, (code, _) in LAWS.items()}
+    slow, fast = 0.0, 0.0
+    for code, p in zip(codes, P, strict=True):
+        name = by_code[code]
+        if name in ("linear_stiffness", "x_spring_with_play", "x_switched_stiffness", "x_maxwell"):
+            slow += 4.0 * abs(p[0]) * light
+        elif name in ("bump_stop", "hysteresis"):
+            slow += 4.0 * p[1] * light
+        elif name in ("linear_damping", "x_position_damping"):
+            fast += abs(p[0]) * light
+        elif name == "asymmetric_damping":
+            fast += max(abs(p[0]), abs(p[1])) * light
+        elif name in DRY:
+            level = (
+                p[0] * p[1] * 4.0
+                if name == "x_wedge_friction"
+                else p[1]
+                if name == "stribeck_friction"
+                else p[0]
+            )
+            fast += level / p[5] * light
+    # forty steps to a period of the stiffest spring; dry friction within Runge-Kutta's limit of stability
+    return max(fast, 8.0 * math.sqrt(slow))
+
+
+def _quintic(signal: Signal, T: float) -> Array:
+    """Polynomials, of the share of an interval, through value, rate and second rate at both of its ends."""
+    x, v, a = signal.value, signal.rate * T, signal.second * T * T
+    # what comes after the last sample is never read
+    x1, v1, a1 = (np.append(q[1:], q[-1]) for q in (x, v, a))
+    dx, dv, da = x1 - x - v - a / 2, v1 - v - a, a1 - a
+    return np.stack(
+        [x, v, a / 2, 10 * dx - 4 * dv + da / 2, -15 * dx + 7 * dv - da, 6 * dx - 3 * dv + da / 2], axis=1
+    )
+
+
+def _cubic(signal: Signal, T: float) -> Array:
+    x, v = signal.value, signal.rate * T
+    if signal.held:
+        return np.stack([x, 0 * x, 0 * x, 0 * x], axis=1)
+    x1, v1 = np.append(x[1:], x[-1]), np.append(v[1:], v[-1])
+    return np.stack([x, v, 3 * (x1 - x) - 2 * v - v1, 2 * (x - x1) + v + v1], axis=1)

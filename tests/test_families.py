@@ -1,0 +1,183 @@
+"""The families: their integrator against what can be worked out by hand, and what a case promises."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from families import FAMILIES, KINDS, make_case, save
+from families.plant import Signal, integrate
+from families.rigs import dyno
+from reference import simulate
+
+OSCILLATOR = {
+    "masses": {"mass": 2.0},
+    "elements": [
+        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 800.0}
+    ],
+    "inputs": [],
+}
+
+
+def swing(*extra: dict, start: float = 0.01, periods: float = 5.0, samples: int = 200) -> np.ndarray:
+    """Displacement [m] of a mass let go, at 20 rad/s."""
+    model = {**OSCILLATOR, "elements": [*OSCILLATOR["elements"], *extra]}
+    T = 2 * np.pi / 20.0 / samples
+    ran = integrate(
+        model, {}, int(periods * samples) + 1, T, speed=20 * start, initial={"mass": (start, 0.0)}
+    )
+    return ran.position["mass"]
+
+
+def on_mass(kind: str, **parameters: float) -> dict:
+    return {"name": "extra", "type": kind, "between": ["mass", "ground"], **parameters}
+
+
+def test_a_free_mass_on_a_spring_swings_as_a_cosine() -> None:
+    x = swing()
+    np.testing.assert_allclose(x, 0.01 * np.cos(2 * np.pi * np.arange(len(x)) / 200), atol=1e-7)
+
+
+def test_dry_friction_takes_four_levels_over_stiffness_from_every_swing() -> None:
+    level = 0.2
+    x = swing(on_mass("coulomb_friction", level=level))
+    tops = x[::200]
+    np.testing.assert_allclose(np.diff(tops), -4 * level / 800.0, rtol=0.02)
+
+
+def test_a_stuck_mass_stays_where_it_is() -> None:
+    x = swing(on_mass("coulomb_friction", level=9.0))  # the spring pulls with 8 N
+    assert abs(x[-1] / x[0] - 1) < 0.01
+
+
+def test_the_drag_of_a_swing_goes_with_its_square() -> None:
+    c2 = 20.0
+    tops = swing(on_mass("quadratic_damping", damping=c2), start=0.02, periods=8)[::200]
+    # averaged over a swing: 1 / A grows by 8/3 c2 / m a swing
+    np.testing.assert_allclose(np.diff(1 / tops), 8 / 3 * c2 / 2.0, rtol=0.03)
+
+
+def test_a_hardening_spring_swings_faster_by_duffings_formula() -> None:
+    k3, a = 4e5, 0.01
+    x = swing(on_mass("cubic_stiffness", stiffness=k3), start=a, periods=20)
+    crossings = np.flatnonzero((x[:-1] > 0) & (x[1:] <= 0))
+    period = (crossings[-1] - crossings[0]) / (len(crossings) - 1) / 200
+    assert period == pytest.approx(1 / (1 + 3 / 8 * k3 * a**2 / 800.0), rel=0.003)
+
+
+@pytest.mark.parametrize(
+    "kind, parameters",
+    [
+        ("coulomb_friction", {"level": 4.0}),
+        ("stribeck_friction", {"level": 3.0, "static_level": 6.0, "stribeck_velocity": 0.03}),
+        ("quadratic_damping", {"damping": 60.0}),
+        ("asymmetric_damping", {"extension": 0.0, "compression": 20.0}),
+        ("cubic_stiffness", {"stiffness": 2e6}),
+        ("gas_spring", {"force": 8.0, "length": 0.08, "exponent": 1.3}),
+        ("bump_stop", {"clearance": 0.006, "stiffness": 4000.0, "side": "compression"}),
+        ("hysteresis", {"level": 5.0, "stiffness": 3000.0, "exponent": 1.0, "shape": 0.5}),
+        ("cogging_force", {"amplitude": 3.0, "pitch": 0.011, "phase": 0.4}),
+        ("inertance", {"inertance": 0.7}),
+    ],
+)
+def test_every_law_moves_a_mass_as_the_other_integrator_says(kind: str, parameters: dict) -> None:
+    elements = [
+        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 800.0},
+        {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 8.0},
+        {"name": "extra", "type": kind, "between": ["mass", "base"], **parameters},
+    ]
+    model = {
+        "masses": {"mass": 2.0},
+        "elements": elements,
+        "inputs": [{"name": "base", "quantity": "displacement", "at": "base"}],
+        "outputs": [{"name": "x", "quantity": "displacement", "at": "mass"}],
+    }
+    T = 0.002
+    t = np.arange(1001) * T
+    w = np.array([9.0, 17.0, 26.0])
+    x, v, a = (0.004 * np.sum(w**p * np.sin(np.outer(t, w) + p * np.pi / 2), axis=1) for p in (0, 1, 2))
+    ran = integrate(model, {"base": Signal(x, v, a)}, len(t), T, speed=0.1)
+    other = simulate(model, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})["x"]
+    without = {**model, "elements": elements[:2]}
+    plain = simulate(without, t, {"base": x}, step=2e-5, derivatives={"base": (v, a)})["x"]
+    error = np.sqrt(np.mean((ran.position["mass"] - other) ** 2))
+    assert error < 0.002 * np.std(other)
+    assert np.sqrt(np.mean((plain - other) ** 2)) > 20 * error  # the law is felt
+
+
+def test_the_cell_of_a_test_machine_reads_inertia_spring_and_damper() -> None:
+    rig = dyno(np.random.default_rng(3))
+    e = [{"name": "b", "type": "inertance", "between": ["rod", "ground"], "inertance": 2.5}]
+    model = {**rig.model, "elements": [*rig.model["elements"], *e]}
+    s = rig.drives[0].inputs["stroke"]
+    ran = integrate(model, {"stroke": s}, rig.size, rig.interval, speed=rig.speed)
+    by = {e["name"]: e for e in model["elements"]}
+    force = by["damper"]["damping"] * s.rate + 2.5 * s.second
+    force = force + (by["gas"]["stiffness"] * s.value if "gas" in by else 0.0)
+    np.testing.assert_allclose(ran.load["rod"][:-1], force[:-1], rtol=1e-6, atol=1e-6 * np.std(force))
+
+
+def test_the_suite_is_broad() -> None:
+    assert len(set(KINDS)) == len(KINDS) >= 80
+    for family in FAMILIES.values():
+        assert "none" in family.kinds  # a clean one of each
+    assert sum(f.kinds[k].answer == "unknown" for f in FAMILIES.values() for k in f.kinds) >= 10
+
+
+QUICK = [
+    "decay.none",
+    "decay.friction",
+    "decay.friction_and_sine",
+    "spin.quadratic",
+    "dyno.asymmetric",
+    "cart.friction",
+    "pushed.delay",
+]
+
+
+@pytest.mark.parametrize("kind", [*QUICK, "dyno.unknown_position_damping"])
+def test_what_is_hidden_is_there_and_cannot_be_had_by_moving_parameters(kind: str) -> None:
+    case = make_case(kind, 4)
+    assert case.family in FAMILIES
+    channels = [c["name"] for c in case.model["inputs"] + case.model["outputs"]]
+    for table in (case.estimation, case.validation):
+        if table is None:
+            assert case.family == "spin"
+            continue
+        assert list(table) == ["time", *channels]
+        assert all(300 <= len(c) <= 20000 and np.isfinite(c).all() for c in table.values())
+    believed = {e["name"] for e in case.model["elements"]}
+    assert not [n for n in believed if n.startswith(("hidden", "nuisance"))]
+    if kind.endswith("none"):
+        assert case.answer == [] and max(case.irreducible.values()) < 0.03
+    else:
+        assert max(case.irreducible.values()) > 0.04
+        assert max(case.irreducible.values()) > 2 * 10 ** (-case.snr_db / 20)
+        assert max(case.irreducible.values()) < 1.2 * max(case.visibility.values())
+    json.dumps([case.model, case.record()])
+
+
+def test_seeds_decide_everything() -> None:
+    one, same, other = (make_case("decay.friction", s) for s in (1, 1, 2))
+    for k in one.estimation:
+        np.testing.assert_array_equal(one.estimation[k], same.estimation[k])
+    assert one.model == same.model != other.model
+
+
+def test_rigs_are_of_every_size() -> None:
+    cases = [make_case("spin.friction", s) for s in range(25)]
+    masses = np.array([next(iter(c.truth["model"]["masses"].values())) for c in cases])
+    lengths = np.array([len(c.estimation["time"]) for c in cases])
+    assert masses.max() / masses.min() > 1e4 and lengths.max() / lengths.min() > 5
+
+
+def test_saved_cases_are_read_back_as_a_folder_of_rigs(tmp_path: Path) -> None:
+    case = make_case("spin.friction", 0)
+    save([case], tmp_path / "rigs")
+    truth = json.loads((tmp_path / "rigs.truth.json").read_text())
+    assert truth[case.name]["answer"] == [["coulomb_friction", ["rim", "ground"]]]
+    assert not (tmp_path / "rigs" / case.name / "validation.csv").exists()
+    data = np.loadtxt(tmp_path / "rigs" / case.name / "estimation.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(data[:, 1], case.estimation["rim_velocity"], rtol=1e-7)
