@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from isd_gym.cost import StageCost
+from isd_gym.driving import Entry
 from isd_gym.errors import InputError
 from isd_gym.network import Network
-from isd_gym.scoring import Entry
 
 from .policy import SHIPPED, Policy
 

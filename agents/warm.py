@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from isd_gym.scoring import Entry
+from isd_gym.driving import Entry
 
 from .settings import PPOSettings, SACSettings
 

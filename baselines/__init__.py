@@ -12,16 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from isd_gym.cost import StageCost
+from isd_gym.driving import Idle
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 
-from .controller import Controller, Idle
+from .controller import Controller
 
-Factory = Callable[..., Controller]
+Factory = Callable[..., Controller | Idle]
 
 
 def _idle(name: str) -> Factory:
-    return lambda model, cost, control_step: Idle(model, name)
+    return lambda model, cost, control_step: Idle(name, model)
 
 
 def _skyhook(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
@@ -105,7 +106,7 @@ def make(
     cost: StageCost | None = None,
     control_step: float = 5e-3,
     **options: Any,
-) -> Controller:
+) -> Controller | Idle:
     """The controller of that name, believing in `model` (by default the car it is scored on).
 
     `options` replace single settings (``make("mpc", solver="daqp", horizon=30)``). Raises `InputError` for a name or an

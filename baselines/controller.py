@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
 
 import numpy as np
 
@@ -11,8 +10,7 @@ from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.env import MEASURED
 from isd_gym.network import Network
 
-BOUNDS = np.array([bound for _, _, bound in MEASURED])
-_BOUNDS = BOUNDS[:, None]
+_BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
 CURRENT = 5  # place of the present current in the observation
 
 
@@ -87,17 +85,3 @@ def limit(wanted: np.ndarray, present: np.ndarray) -> np.ndarray:
     wanted = np.where(np.isfinite(wanted), wanted, present)
     step = np.minimum(np.maximum(wanted - present, -SLEW_LIMIT), SLEW_LIMIT)
     return np.minimum(np.maximum(present + step, -CURRENT_LIMIT), CURRENT_LIMIT)
-
-
-class Idle(BatchController):
-    """No current."""
-
-    def __init__(self, model: Network, name: str = "isd-passive", **_: Any) -> None:
-        super().__init__(name, model)
-        self.reset()
-
-    def _start(self, count: int) -> None:
-        pass
-
-    def _command(self, obs: np.ndarray) -> np.ndarray:
-        return np.zeros(obs.shape[1])

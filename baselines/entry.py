@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from isd_gym.cost import StageCost
+from isd_gym.driving import Entry
 from isd_gym.network import Network
-from isd_gym.scoring import Entry
 
 
 def open_policy(

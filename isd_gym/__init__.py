@@ -1,3 +1,63 @@
-"""A vehicle suspension with a hydraulic electric inerter, for control, learning and diagnosis."""
+"""A vehicle suspension with a hydraulic electric inerter, for control, learning and diagnosis.
+
+Importing the package makes its environments known to Gymnasium and loads nothing else: the names below, and the modules
+(`isd_gym.env`, `isd_gym.road`, ...), come with their first use.
+"""
+
+from __future__ import annotations
+
+from . import _autoload  # noqa: F401  registers the environments, now or as soon as Gymnasium is there
+
+TYPE_CHECKING = False  # typing's own costs 10 ms, and this runs whenever Python starts (see _autoload)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from .cost import StageCost as StageCost
+    from .data import Table as Table
+    from .data import read_table as read_table
+    from .discrepancy import Diagnosis as Diagnosis
+    from .discrepancy import diagnose as diagnose
+    from .env import ISDSuspensionEnv as ISDSuspensionEnv
+    from .env import ISDSuspensionVectorEnv as ISDSuspensionVectorEnv
+    from .errors import InputError as InputError
+    from .network import Network as Network
+    from .network import linearise as linearise
+    from .scoring import Score as Score
+    from .scoring import score as score
+    from .simulate import simulate as simulate
 
 __version__ = "0.1.0"
+
+#: public name -> the module it comes from. `simulate` is a module that can be called: see its end
+_HOME = {
+    "Diagnosis": "discrepancy",
+    "ISDSuspensionEnv": "env",
+    "ISDSuspensionVectorEnv": "env",
+    "InputError": "errors",
+    "Network": "network",
+    "Score": "scoring",
+    "StageCost": "cost",
+    "Table": "data",
+    "diagnose": "discrepancy",
+    "linearise": "network",
+    "read_table": "data",
+    "score": "scoring",
+}
+__all__ = [*_HOME, "simulate"]
+
+
+def __getattr__(name: str) -> Any:
+    from importlib import import_module
+    from importlib.util import find_spec
+
+    if name in _HOME:
+        value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+        globals()[name] = value
+        return value
+    if not name.startswith("_") and find_spec(f"{__name__}.{name}") is not None:
+        return import_module(f".{name}", __name__)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

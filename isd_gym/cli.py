@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperCommand
 
 from .errors import InputError
+from .plugins import COMMANDS, REFERENCES, plugins
 
 app = typer.Typer(
     name="isd-gym",
@@ -261,7 +262,7 @@ def _reachable(
 ) -> tuple[Any, dict[str, Any]]:
     """Least known cost of these very episodes and the RMS of the signals there; None and {} where it is not known."""
     signals: dict[str, Any] = {}
-    for point in entry_points(group="isd_gym.references", name="clairvoyant"):
+    for point in plugins(REFERENCES, "clairvoyant"):
         return point.load()(plant, road, speed, episodes, seed, duration, signals=signals), signals
     return None, signals
 
@@ -293,7 +294,7 @@ def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str
     ]
     if best["policy"] == "passive" or None in changes:
         return lines
-    for point in entry_points(group="isd_gym.references", name="lq_front"):
+    for point in plugins(REFERENCES, "lq_front"):
         try:
             front = point.load()(changes[2], [changes[1]], network=plant, speed=result.speed, road=road)
         except InputError:  # a road or a car for which there is no such bound
@@ -564,7 +565,7 @@ def networks(name: Annotated[str | None, typer.Argument(help="Print this one.")]
 def _plug_in() -> None:
     """Commands of the packages above this one (train, reproduce, ...): entry points `isd_gym.commands`."""
     wanted = next((a for a in sys.argv[1:] if not a.startswith("-")), None)
-    for point in sorted(entry_points(group="isd_gym.commands"), key=lambda p: p.name):
+    for point in plugins(COMMANDS):
         # imported only when it is to run; --help and "did you mean" need its name and first sentence alone
         app.command(name=point.name)(point.load() if point.name == wanted else _mention(point))
 

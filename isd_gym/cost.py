@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
 
 from .errors import InputError
+
+Signal = TypeVar("Signal", float, np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,7 @@ class StageCost:
             if not getattr(self, f"{name}_reference") > 0.0:
                 raise InputError(f"the reference of {name} must be > 0")
 
-    @property
+    @cached_property
     def quadratic(self) -> tuple[float, float, float, float]:
         """Factors on the squares of acceleration [m/s^2], travel [m], tyre load [N] and current [A]."""
         return (
@@ -40,11 +46,29 @@ class StageCost:
             self.current / self.current_reference**2,
         )
 
-    def terms(self, acceleration, travel, tyre_load=0.0, current=0.0):
+    def terms(
+        self,
+        acceleration: Signal,
+        travel: Signal,
+        tyre_load: Signal | float = 0.0,
+        current: Signal | float = 0.0,
+    ) -> tuple[Signal, Signal, Signal | float, Signal | float]:
         """The four terms of the cost, of floats or arrays."""
         a, l, f, i = self.quadratic
-        return a * acceleration**2, l * travel**2, f * tyre_load**2, i * current**2
+        return (
+            a * acceleration * acceleration,
+            l * travel * travel,
+            f * tyre_load * tyre_load,
+            i * current * current,
+        )
 
-    def __call__(self, acceleration, travel, tyre_load=0.0, current=0.0):
+    def __call__(
+        self,
+        acceleration: Signal,
+        travel: Signal,
+        tyre_load: Signal | float = 0.0,
+        current: Signal | float = 0.0,
+    ) -> Signal:
+        """The cost: the sum of the terms."""
         a, l, f, i = self.terms(acceleration, travel, tyre_load, current)
         return a + l + f + i

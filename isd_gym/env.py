@@ -40,9 +40,11 @@ MEASURED = (
 )
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
+PICTURES = 50.0  # a simulated second, in a window; `render` may be called at every step
 GRAVITY = 9.81  # m/s^2
 PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
 N_MEASURED = len(MEASURED)
+STEP_INFO = ("tyre_load", "cost_acceleration", "cost_travel", "cost_tyre_load", "cost_current")
 OBSERVATIONS = ("measured", "full", "preview")
 
 
@@ -101,7 +103,7 @@ class Task:
         self.width = len(high)
         self.action_space = spaces.Box(-CURRENT_LIMIT, CURRENT_LIMIT, (1,), np.float32)
         self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
-        self.bounds = np.array([bound for _, _, bound in MEASURED[:-1]])
+        self.bounds = tuple(bound for _, _, bound in MEASURED[:-1])
         self._heights = np.array([c.quantity == "displacement" for c in extra])
         names = [name for name, _, _ in MEASURED]
         self._sensors = [e for e in net.elements if e.place == "channel" and e.where[0] in names]
@@ -187,8 +189,8 @@ class ISDSuspensionEnv(gym.Env):
     the bounds of the observation, which does not happen by itself.
 
     ## Info
-    `tyre_load` [N] (dynamic, positive in compression) and the terms of the cost: `cost_acceleration`, `cost_travel`,
-    `cost_tyre_load`, `cost_current`. `reset` returns the `speed` [m/s].
+    Of `reset` and of `step`: `speed` [m/s], `tyre_load` [N] (dynamic, positive in compression) and the terms of the
+    cost, `cost_acceleration`, `cost_travel`, `cost_tyre_load`, `cost_current`.
 
     ## Arguments
     `network`: a built-in name, a file (`isd-model/1`) or a `Network`. `road`: paper, A-H, bump, pothole, sweep, a CSV
@@ -200,7 +202,7 @@ class ISDSuspensionEnv(gym.Env):
     v0: first release. `ISDSuspensionEq8-v0` is the same with the paper's equation (8) as printed.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
 
     def __init__(
         self,
@@ -233,7 +235,10 @@ class ISDSuspensionEnv(gym.Env):
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self.render_mode = render_mode
-        self._quadratic = self.task.cost.quadratic
+        self.metadata = {
+            **self.metadata,
+            "render_fps": round(1 / control_step),
+        }  # one picture a step: real time
         self._slow = observation != "measured" or bool(self.task._sensors)
         self._renderer: Renderer | None = None
         self._ready = False
@@ -261,7 +266,8 @@ class ISDSuspensionEnv(gym.Env):
         batch.out[:] = 0.0
         if self.render_mode == "human":
             self.render()
-        return self.task.observe(batch.out)[0], {"speed": float(batch.speeds[0])}
+        self._speed = float(batch.speeds[0])
+        return self.task.observe(batch.out)[0], {"speed": self._speed, **dict.fromkeys(STEP_INFO, 0.0)}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if not self._ready:
@@ -283,9 +289,8 @@ class ISDSuspensionEnv(gym.Env):
         out = batch.step()
         self._steps += 1
         a, l, v, d, w, tyre = (signals := out[:6, 0].tolist())
-        qa, ql, qf, qi = self._quadratic
-        cost_a, cost_l, cost_f, cost_i = qa * a * a, ql * l * l, qf * tyre * tyre, qi * current * current
-        ba, bl, bv, bd, bw = 200.0, 1.0, 50.0, 1.0, 50.0
+        cost_a, cost_l, cost_f, cost_i = self.task.cost.terms(a, l, tyre, current)
+        ba, bl, bv, bd, bw = self.task.bounds
         broken = not (
             -ba <= a <= ba and -bl <= l <= bl and -bv <= v <= bv and -bd <= d <= bd and -bw <= w <= bw
         )
@@ -297,6 +302,7 @@ class ISDSuspensionEnv(gym.Env):
             signals[5] = current
             obs = np.array(signals, np.float32)
         info = {
+            "speed": self._speed,
             "tyre_load": tyre,
             "cost_acceleration": cost_a,
             "cost_travel": cost_l,
@@ -320,7 +326,7 @@ class ISDSuspensionEnv(gym.Env):
         from .rendering import Renderer
 
         if self._renderer is None:
-            self._renderer = Renderer(self.render_mode, fps=self.metadata["render_fps"])  # type: ignore[arg-type]
+            self._renderer = Renderer(self.render_mode, fps=PICTURES)  # type: ignore[arg-type]
         return self._renderer.draw(self.snapshot())
 
     def snapshot(self) -> Snapshot:
@@ -343,10 +349,14 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
     Car i is exactly the single environment seeded with ``seed + i``. Arguments as `ISDSuspensionEnv`'s, and
     `autoreset_mode`: next_step (Gymnasium's default), same_step (`final_obs` and `final_info` in `info`), disabled
-    (reset with ``options={"reset_mask": mask}``).
+    (reset with ``options={"reset_mask": mask}``). With ``render_mode="rgb_array"``, `render` gives a picture of every car.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 200,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(
         self,
@@ -364,8 +374,10 @@ class ISDSuspensionVectorEnv(VectorEnv):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode is not None:
-            raise InputError("a batch has no picture: use gymnasium.make with render_mode, one car at a time")
+        if render_mode not in (None, "rgb_array"):
+            raise InputError(
+                f"render_mode of a batch must be rgb_array, not {render_mode!r}: a window shows one car"
+            )
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs must be a positive whole number, not {num_envs!r}")
         try:
@@ -374,10 +386,9 @@ class ISDSuspensionVectorEnv(VectorEnv):
             raise InputError(
                 f"autoreset_mode must be one of {', '.join(_MODES)}, not {autoreset_mode!r}"
             ) from None
-        self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.mode = mode
         self.num_envs = num_envs
-        self.render_mode = None
+        self.render_mode = render_mode
         self.max_episode_steps = max_episode_steps
         self.task = Task(
             num_envs,
@@ -390,16 +401,30 @@ class ISDSuspensionVectorEnv(VectorEnv):
             control_step=control_step,
             preview=preview,
             duration=duration,
+            picture=render_mode is not None,
         )
+        self.metadata = {
+            **self.metadata,
+            "autoreset_mode": mode,
+            "render_fps": round(1 / control_step),
+        }
         self.single_action_space = self.task.action_space
         self.single_observation_space = self.task.observation_space
         self.action_space = gym.vector.utils.batch_space(self.single_action_space, num_envs)
         self.observation_space = gym.vector.utils.batch_space(self.single_observation_space, num_envs)
+        self._bounds = np.array(self.task.bounds)
         self._rngs: list[np.random.Generator] = []
         self.steps = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
         self._any_done = False
         self._oldest = 0
+        window = 1 + math.ceil(PICTURE_WINDOW / (speed * control_step))
+        #: of each car, for its picture: the road it has come over [m], and what it has cost
+        self._trails: list[deque[float]] = [
+            deque(maxlen=window) for _ in range(num_envs if render_mode is not None else 0)
+        ]
+        self._total_cost = np.zeros(num_envs)
+        self._renderers: list[Renderer] = []
 
     @property
     def network(self) -> Network:
@@ -431,7 +456,16 @@ class ISDSuspensionVectorEnv(VectorEnv):
                     self._rngs[i] = seeding.np_random(s)[0]
         batch = self.task.batch
         self._restart(np.flatnonzero(mask))
-        return self.task.observe(batch.out), {"speed": batch.speeds.copy()}
+        info, _ = self._info()
+        return self.task.observe(batch.out), info
+
+    def _info(self) -> tuple[dict[str, Any], np.ndarray]:
+        """`info` of all cars as they stand, and the cost of their last step (num_envs,)."""
+        out, current = self.task.batch.out, self.task.batch.current
+        terms = self.task.cost.terms(out[0], out[1], out[5], current)
+        info = dict(zip(STEP_INFO, (out[5].copy(), *terms), strict=True))
+        a, l, f, i = terms
+        return {"speed": self._speeds, **info}, a + l + f + i
 
     def _restart(self, which: np.ndarray) -> None:
         batch = self.task.batch
@@ -439,6 +473,12 @@ class ISDSuspensionVectorEnv(VectorEnv):
             batch.reset(int(i), self._rngs[i])
             self.task.forget(int(i))
         batch.out[:, which] = 0.0
+        self._speeds = batch.speeds.copy()
+        self._speeds.setflags(write=False)  # one array is handed out until a car starts again
+        for i in which if self._trails else ():
+            self._trails[i].clear()
+            self._trails[i].append(0.0)
+        self._total_cost[which] = 0.0
         self.steps[which] = 0
         self._done[which] = False
         self._any_done = bool(self._done.any())
@@ -472,22 +512,16 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._oldest += 1
         if revived is not None:
             self._restart(revived)
-        qa, ql, qf, qi = self.task.cost.quadratic
-        a, l, tyre, current = out[0], out[1], out[5], batch.cars[0]
-        cost_a, cost_l, cost_f, cost_i = qa * a * a, ql * l * l, qf * tyre * tyre, qi * current * current
-        reward = -(cost_a + cost_l + cost_f + cost_i)
+        info, cost = self._info()
+        if self._trails:
+            self._total_cost += cost
+            for i in np.flatnonzero(self.steps):  # not where a car has just started again
+                self._trails[i].append(float(batch.road_height[i]))
         obs = self.task.observe(out)
-        info: dict[str, Any] = {
-            "tyre_load": tyre.copy(),
-            "cost_acceleration": cost_a,
-            "cost_travel": cost_l,
-            "cost_tyre_load": cost_f,
-            "cost_current": cost_i,
-        }
         terminated = np.zeros(self.num_envs, bool)
         # NaN fails the comparison and is found below
-        if not bool((np.abs(out[:5]).max(axis=1) <= self.task.bounds).all()):
-            terminated = ~(np.abs(out[:5]) <= self.task.bounds[:, None]).all(axis=0)
+        if not bool((np.abs(out[:5]).max(axis=1) <= self._bounds).all()):
+            terminated = ~(np.abs(out[:5]) <= self._bounds[:, None]).all(axis=0)
             obs = np.clip(np.nan_to_num(obs), -self.task.high, self.task.high)
         if self._oldest >= self.max_episode_steps or terminated.any():
             truncated = (self.steps >= self.max_episode_steps) & ~terminated
@@ -499,7 +533,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
                 obs = self._restart_now(obs, info)
         else:
             truncated = np.zeros(self.num_envs, bool)
-        return obs, reward, terminated, truncated, info
+        return obs, -cost, terminated, truncated, info
 
     def _restart_now(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         which = np.flatnonzero(self._done)
@@ -516,6 +550,32 @@ class ISDSuspensionVectorEnv(VectorEnv):
         fresh = self.task.observe(self.task.batch.out)
         obs[which] = fresh[which]
         return obs
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture (height, width, 3) uint8 of every car; None, with a warning, without a `render_mode`."""
+        if self.render_mode is None:
+            gym.logger.warn('render() needs a render_mode, e.g. make_vec(..., render_mode="rgb_array")')
+            return None
+        if not self._rngs:
+            raise gym.error.ResetNeeded("call reset() before render()")
+        from .rendering import Renderer
+
+        if not self._renderers:
+            self._renderers = [Renderer(self.render_mode, fps=PICTURES) for _ in range(self.num_envs)]  # type: ignore[arg-type]
+        mean = self._total_cost / np.maximum(self.steps, 1)
+        shots = (
+            snapshot(self.task, i, int(self.steps[i]), np.array(trail), float(mean[i]))
+            for i, trail in enumerate(self._trails)
+        )
+        return tuple(r.draw(s) for r, s in zip(self._renderers, shots, strict=True))  # type: ignore[misc]
+
+    def close_extras(self, **kwargs: Any) -> None:
+        for renderer in self._renderers:
+            renderer.close()
+        self._renderers = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderers": []}
 
 
 _MODES = {

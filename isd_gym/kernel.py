@@ -39,7 +39,7 @@ import hashlib
 import math
 import types
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from importlib import resources
 from typing import Any, NamedTuple
 
 import numba as nb
@@ -101,9 +101,12 @@ def _stamp() -> int:
 
 @functools.cache
 def _stamp_of(laws: tuple[tuple[str, Any], ...]) -> int:
-    digest = hashlib.sha256(Path(__file__).read_bytes())
-    for path in sorted(Path(el.__file__).parent.glob("*.py")):
-        digest.update(path.read_bytes())
+    # as resources: the package may lie in a zip
+    parts = sorted(resources.files(el.__name__).iterdir(), key=lambda f: f.name)
+    code = [f for f in parts if f.name.endswith(".py")]
+    digest = hashlib.sha256()
+    for file in (resources.files(__package__) / "kernel.py", *code):
+        digest.update(file.read_bytes())
     for name, law in laws:
         digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
     return int.from_bytes(digest.digest()[:6], "big")

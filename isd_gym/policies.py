@@ -6,36 +6,16 @@ Each entry point is a function ``open(name, model, cost, control_step, options) 
 from __future__ import annotations
 
 from difflib import get_close_matches
-from importlib.metadata import entry_points
 from typing import Any
 
+from .batch import signal_channels
 from .cost import StageCost
+from .driving import Entry, Idle
 from .errors import InputError
 from .network import Network
-from .scoring import Entry
+from .plugins import POLICIES, plugins
 
-GROUP = "isd_gym.policies"
-
-
-class Idle:
-    """No current."""
-
-    fallbacks = 0
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def reset(self) -> None:
-        pass
-
-    def act(self, observation) -> float:
-        return 0.0
-
-    def reset_batch(self, count: int) -> None:
-        pass
-
-    def act_batch(self, observations):
-        return 0.0
+__all__ = ["Entry", "Idle", "conventional", "find", "passive"]
 
 
 def conventional(network: Network) -> Network:
@@ -43,8 +23,6 @@ def conventional(network: Network) -> Network:
 
     The first two masses are body and wheel, whatever they are called. Raises `InputError` for a network that is no car.
     """
-    from .batch import signal_channels
-
     signal_channels(network)  # says what is missing if this is no car
     car = Network.load("quarter-car-passive")
     own = network.parameters
@@ -76,7 +54,7 @@ def find(
     if name == "isd-passive":
         return Entry(name, lambda: Idle(name))
     known = ["passive", "isd-passive"]
-    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
+    for point in plugins(POLICIES):
         opener = point.load()
         entry = opener(name, model or network, cost or StageCost(), control_step, options)
         if entry is not None:

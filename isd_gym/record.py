@@ -16,8 +16,8 @@ import typer
 from .errors import InputError
 
 if TYPE_CHECKING:
+    from .driving import Entry
     from .network import Network
-    from .scoring import Entry
 
 #: a Minari id: (namespace/)name-vN; everything else is a folder
 ID = re.compile(r"(?:[-\w]+/)*[-\w]+-v\d+")
@@ -53,6 +53,7 @@ def write_dataset(
     import gymnasium as gym
     import numpy as np
 
+    from .driving import Crew, travel
     from .env import CONTROL_STEP, ISDSuspensionVectorEnv
     from .network import builtin_networks
 
@@ -63,12 +64,12 @@ def write_dataset(
         raise InputError(f"duration must be at least {CONTROL_STEP} s, not {duration}")
     folder, dataset_id = _place(str(out), entry.name)
     plant = entry.network or network
-    first = entry.make()
+    crew = Crew(entry, episodes)
     kwargs: dict[str, Any] = {
         "network": plant.name if _is_builtin(plant, builtin_networks()) else plant.to_dict(),
         "road": road,
         "speed": speed,
-        "observation": getattr(first, "observation", "measured"),
+        "observation": crew.observation,
         "duration": duration,
     }
     env = ISDSuspensionVectorEnv(episodes, **kwargs, max_episode_steps=steps, autoreset_mode="disabled")
@@ -76,29 +77,10 @@ def write_dataset(
     observations = np.empty((episodes, steps + 1, width), np.float32)
     actions = np.empty((episodes, steps, 1), np.float32)
     rewards = np.empty((episodes, steps))
-    batched = hasattr(first, "act_batch")
-    controllers = [first] if batched else [first, *(entry.make() for _ in range(episodes - 1))]
-    if batched:
-        first.reset_batch(episodes)  # type: ignore[attr-defined]
-    else:
-        for c in controllers:
-            c.reset()
-    observations[:, 0], _ = env.reset(seed=seed)
-    low, high = env.single_action_space.low, env.single_action_space.high  # type: ignore[attr-defined]
-    for k in range(steps):
-        seen = observations[:, k]
-        wanted = (
-            first.act_batch(seen)  # type: ignore[attr-defined]
-            if batched
-            else [c.act(o) for c, o in zip(controllers, seen, strict=True)]
-        )
-        actions[:, k, 0] = wanted
-        np.clip(actions[:, k], low, high, out=actions[:, k])
-        observations[:, k + 1], rewards[:, k], terminated, _, _ = env.step(actions[:, k])
-        if terminated.any():
-            raise InputError(f"'{entry.name}' broke the car in episode {int(np.argmax(terminated))}")
-        if progress is not None and (k % 100 == 99 or k == steps - 1):
-            progress((k + 1) / steps)
+    for leg in travel(crew, env, steps, seed=seed, dtype=np.float32, progress=progress):
+        k = leg.step
+        observations[:, k], observations[:, k + 1] = leg.seen, leg.ahead
+        actions[:, k], rewards[:, k] = leg.actions, leg.rewards
     spec = gym.make("ISDSuspension-v0", **kwargs, max_episode_steps=steps).spec
     last = np.zeros(steps, bool)
     last[-1] = True

@@ -1,4 +1,4 @@
-"""The environments, made known to Gymnasium by its plugin entry point; importing this costs nothing."""
+"""The environments, made known to Gymnasium; importing this costs nothing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ EPISODE_STEPS = 4000  # 20 s at 5 ms
 
 
 def register() -> None:
-    """Register every environment of the package (called by Gymnasium when it is imported)."""
+    """Register every environment of the package that Gymnasium does not know yet."""
     from gymnasium.envs.registration import register as add
     from gymnasium.envs.registration import registry
 

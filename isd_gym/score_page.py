@@ -275,14 +275,13 @@ def spectra(shown: Shown) -> Chart | None:
 
 def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     """Tyre load change and the causal bound's (travel change, acceleration change), where somebody knows it."""
-    from importlib.metadata import entry_points
-
     from .errors import InputError
     from .network import Network
+    from .plugins import REFERENCES, plugins
 
     if any(name != "passive" for name in list(score.runs)[:1]):
         return []  # the bound is told against the conventional car
-    for point in entry_points(group="isd_gym.references", name="lq_front"):
+    for point in plugins(REFERENCES, "lq_front"):
         travel = np.array([-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
         out = []
         for tyre in (0.0, 0.03):

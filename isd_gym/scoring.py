@@ -5,14 +5,31 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from . import elements as el
 from .cost import StageCost
+from .driving import Controller, Crew, Entry, Idle, travel
 from .errors import InputError
 from .network import Network
+from .policies import find, passive
+
+__all__ = [
+    "LIMITS",
+    "PAPER",
+    "SCHEMA",
+    "Controller",
+    "Entry",
+    "Idle",
+    "Run",
+    "Score",
+    "drive",
+    "frequency_weighting",
+    "score",
+    "weighted_rms",
+]
 
 SCHEMA = "isd-score/1"
 RESISTANCE = 3.8  # Ohm, Table 1
@@ -23,34 +40,12 @@ LIMITS = {
     "current_change": 0.5,
 }  # Table 5
 RESAMPLES = 4000
+TIMED = 1500  # decisions of a batched policy that are made again one at a time, against the clock
 #: Tables 7 and 8: passive, active RMS of acceleration [m/s^2], travel [m], tyre load [N]
 PAPER = {
     "Table 7 (simulation)": ((0.8306, 7.6e-3, 518.0), (0.6565, 6.3e-3, 515.0)),
     "Table 8 (bench)": ((1.0030, 7.9580e-3, 915.9), (0.8416, 7.2479e-3, 941.0)),
 }
-
-
-class Controller(Protocol):
-    """What can be scored. `act` gives the commanded current [A] for an observation (6,), see the environment.
-
-    Optional: `reset_batch(n)` and `act_batch(observations (n, 6)) -> (n,)` for many cars at once, `fallbacks` (a count),
-    `observation` ("measured", "full" or "preview": what it wants to see).
-    """
-
-    name: str
-
-    def reset(self) -> None: ...
-
-    def act(self, observation: np.ndarray) -> float: ...
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A policy to score: its name, how to make a controller, and the plant if it is not everybody's."""
-
-    name: str
-    make: Callable[[], Controller]
-    network: Network | None = None
 
 
 @dataclass
@@ -117,13 +112,13 @@ def drive(
     from .env import CONTROL_STEP, ISDSuspensionVectorEnv
 
     plant = entry.network or network
-    first = entry.make()
+    crew = Crew(entry, episodes)
     env = ISDSuspensionVectorEnv(
         episodes,
         network=plant,
         road=road,
         speed=speed,
-        observation=getattr(first, "observation", "measured"),
+        observation=crew.observation,
         cost=cost,
         randomize=randomize,
         duration=duration,
@@ -131,39 +126,15 @@ def drive(
     )
     steps = round(duration / CONTROL_STEP)
     signals = np.empty((5, steps, episodes))
-    batched = hasattr(first, "act_batch")
-    controllers = [first] if batched else [first, *(entry.make() for _ in range(episodes - 1))]
-    if batched:
-        first.reset_batch(episodes)  # type: ignore[attr-defined]
-    else:
-        for c in controllers:
-            c.reset()
-    obs, _ = env.reset(seed=seed)
-    actions = np.empty((episodes, 1))
-    times: list[float] = []
     seen = []
-    for k in range(steps):
-        if corrupt is not None:
-            obs = corrupt(obs, k)
-        if batched:
-            if k < 1500:
-                seen.append(obs[0].copy())
-            actions[:, 0] = first.act_batch(obs)  # type: ignore[attr-defined]
-        else:
-            for i, c in enumerate(controllers):
-                begin = clock.process_time()
-                actions[i, 0] = c.act(obs[i])
-                times.append(clock.process_time() - begin)
-        obs, _, terminated, _, _ = env.step(actions)
-        if terminated.any():
-            raise InputError(f"'{entry.name}' broke the car in episode {int(np.argmax(terminated))}")
-        out = env.task.batch.out
+    for leg in travel(crew, env, steps, seed=seed, corrupt=corrupt, progress=progress):
+        out, k = env.task.batch.out, leg.step
         signals[0, k], signals[1, k], signals[2, k], signals[3, k] = out[0], out[1], out[5], out[4]
         signals[4, k] = env.task.batch.current
-        if progress is not None and (k % 100 == 99 or k == steps - 1):
-            progress((k + 1) / steps)
-    fallbacks = sum(int(getattr(c, "fallbacks", 0)) for c in controllers)
-    if batched:  # one decision at a time, as a controller on a car would make it
+        if crew.batched and k < TIMED:
+            seen.append(leg.seen[0].copy())
+    times = crew.times
+    if crew.batched:  # one decision at a time, as a controller on a car would make it
         timed = entry.make()
         timed.reset()
         for row in seen:
@@ -180,7 +151,7 @@ def drive(
         thrust=motor.thrust_constant * motor.ratio if motor else 0.0,
         control_step=CONTROL_STEP,
         times=np.array(times),
-        fallbacks=fallbacks,
+        fallbacks=crew.fallbacks,
     )
 
 
@@ -237,10 +208,10 @@ class Score:
 
 
 def score(
-    entries: Sequence[Entry],
+    policies: str | Entry | Sequence[str | Entry],
     network: Network | str = "quarter-car-isd",
     *,
-    reference: Entry,
+    reference: Entry | None = None,
     road: Any = "paper",
     speed: float = 20.0,
     episodes: int = 32,
@@ -251,7 +222,7 @@ def score(
     clairvoyant: np.ndarray | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Score:
-    """Score policies against `reference` (the conventional passive car) on the same roads.
+    """Score policies, by name or as entries, against `reference` (the conventional passive car) on the same roads.
 
     Changes are paired: episodes are drawn with replacement, the same ones for both, and the 95 % interval is that of
     the ratio of the pooled values. `clairvoyant`: the least cost known for each episode (episodes,), for the share of the
@@ -263,6 +234,9 @@ def score(
         raise InputError(f"duration must be positive, not {duration}")
     network = Network.load(network)
     cost = cost or StageCost()
+    named = [policies] if isinstance(policies, str | Entry) else policies
+    entries = [find(p, network, cost=cost) if isinstance(p, str) else p for p in named]
+    reference = reference or passive(network)
     names = [e.name for e in entries]
     if len(set(names)) != len(names):
         raise InputError("a policy is named twice")
@@ -310,8 +284,8 @@ def score(
         }
         row["share_of_reachable_gain"] = None
         if clairvoyant is not None:
-            passive, own = runs[reference.name].cost(cost).mean(), run.cost(cost).mean()
-            row["share_of_reachable_gain"] = float((passive - own) / (passive - np.mean(clairvoyant)))
+            before, own = runs[reference.name].cost(cost).mean(), run.cost(cost).mean()
+            row["share_of_reachable_gain"] = float((before - own) / (before - np.mean(clairvoyant)))
         rows.append(row)
     kept = [r for r in rows if r["policy"] in names] if reference.name in names else rows
     return Score(

@@ -15,9 +15,9 @@ from .errors import InputError
 from .network import Network
 
 if TYPE_CHECKING:
+    from .driving import Entry
     from .rendering import Snapshot
     from .road import Road
-    from .scoring import Entry
 
 SIZE = {1: (960, 600), 2: (1200, 640)}  # [pixel] by number of cars
 GIF = 0.75  # of that size, and half the frames: a GIF holds every one of its pixels

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -448,3 +450,12 @@ def simulate(
     out = plant.run(fine, every=every, samples=len(time), initial=initial, derivatives=slopes)
     named = {c.name: convert(out[:, j, 0], UNITS[c.quantity], c.unit) for j, c in enumerate(plant.channels)}
     return sense(network, named, dt)
+
+
+class _Module(ModuleType):
+    """This module can be called: `isd_gym.simulate` is both the module and, as everybody expects, the function."""
+
+    __call__ = staticmethod(simulate)
+
+
+sys.modules[__name__].__class__ = _Module

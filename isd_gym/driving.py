@@ -1,0 +1,146 @@
+"""Policies at the wheel: what can drive, and the one loop in which it drives many cars."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from .batch import CURRENT_LIMIT
+from .errors import InputError
+from .network import Network
+
+if TYPE_CHECKING:
+    from .env import ISDSuspensionVectorEnv
+
+
+class Controller(Protocol):
+    """What can drive. `act` gives the commanded current [A] for an observation (6,), see the environment.
+
+    Optional: `reset_batch(n)` and `act_batch(observations (n, 6)) -> (n,)` for many cars at once, `fallbacks` (a count),
+    `observation` ("measured", "full" or "preview": what it wants to see).
+    """
+
+    name: str
+
+    def reset(self) -> None:
+        """Forget everything: a new road begins at rest."""
+
+    def act(self, observation: np.ndarray) -> float:
+        """Commanded current [A] for one observation."""
+        ...
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A policy: its name, how to make a controller, and the plant if it is not everybody's."""
+
+    name: str
+    make: Callable[[], Controller]
+    network: Network | None = None
+
+
+class Idle:
+    """No current, whatever is seen. `model`: the network it is told of, and has no use for."""
+
+    observation = "measured"
+    fallbacks = 0
+
+    def __init__(self, name: str, model: Network | None = None) -> None:
+        self.name, self.model = name, model
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: np.ndarray) -> float:
+        """0 A."""
+        return 0.0
+
+    def reset_batch(self, count: int) -> None:
+        """Nothing to forget, in any number of cars."""
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """0 A for each of the observations (n, 6): (n,)."""
+        return np.zeros(len(observations))
+
+
+class Crew:
+    """One policy at the wheel of `cars` cars: a controller that commands all of them at once, or one in each.
+
+    `observation`: what it wants to see; `times`: processor times of single decisions [s], where there is one controller a car.
+    """
+
+    def __init__(self, entry: Entry, cars: int) -> None:
+        first: Any = entry.make()
+        self.name, self.cars = entry.name, cars
+        self.observation: str = getattr(first, "observation", "measured")
+        self.batched = hasattr(first, "act_batch")
+        self.controllers = [first] if self.batched else [first, *(entry.make() for _ in range(cars - 1))]
+        self.times: list[float] = []
+
+    def reset(self) -> None:
+        """Forget everything: new roads begin."""
+        if self.batched:
+            self.controllers[0].reset_batch(self.cars)
+        else:
+            for c in self.controllers:
+                c.reset()
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Commanded currents [A] (cars,) for observations (cars, n)."""
+        if self.batched:
+            return np.asarray(self.controllers[0].act_batch(observations))
+        out = np.empty(self.cars)
+        for i, c in enumerate(self.controllers):
+            begin = clock.process_time()
+            out[i] = c.act(observations[i])
+            self.times.append(clock.process_time() - begin)
+        return out
+
+    @property
+    def fallbacks(self) -> int:
+        """How often one of them could not do what it is meant to and did something safe instead."""
+        return sum(int(getattr(c, "fallbacks", 0)) for c in self.controllers)
+
+
+class Leg(NamedTuple):
+    """One control step of all cars: what the policy saw (cars, n), commanded [A] (cars, 1) and earned (cars,), and
+    what it will see next (cars, n)."""
+
+    step: int
+    seen: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    ahead: np.ndarray
+
+
+def travel(
+    crew: Crew,
+    env: ISDSuspensionVectorEnv,
+    steps: int,
+    *,
+    seed: int = 0,
+    dtype: DTypeLike = float,
+    corrupt: Callable[[np.ndarray, int], np.ndarray] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Leg]:
+    """Drive all cars of `env` from their start for a number of steps; episode i has the road of seed ``seed + i``.
+
+    dtype: of the commands, which are limited to the action space. corrupt(observations, step): alters what the policy
+    sees. progress(share): told now and then. Raises `InputError` where a car breaks.
+    """
+    crew.reset()
+    obs, _ = env.reset(seed=seed)
+    for k in range(steps):
+        seen = obs if corrupt is None else corrupt(obs, k)
+        actions = np.asarray(crew.act(seen), dtype).reshape(crew.cars, 1).clip(-CURRENT_LIMIT, CURRENT_LIMIT)
+        obs, rewards, terminated, _, _ = env.step(actions)
+        if terminated.any():
+            raise InputError(f"'{crew.name}' broke the car in episode {int(np.argmax(terminated))}")
+        yield Leg(k, seen, actions, rewards, obs)
+        if progress is not None and (k % 100 == 99 or k == steps - 1):
+            progress((k + 1) / steps)
