@@ -386,7 +386,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             raise InputError(
                 f"autoreset_mode must be one of {', '.join(_MODES)}, not {autoreset_mode!r}"
             ) from None
-        self.mode = mode
+        self.autoreset_mode = mode
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.max_episode_steps = max_episode_steps
@@ -500,7 +500,9 @@ class ISDSuspensionVectorEnv(VectorEnv):
             raise InputError(f"action {int(np.argmin(np.isfinite(target)))} is not finite")
         batch = self.task.batch
         revived = (
-            np.flatnonzero(self._done) if self._any_done and self.mode is AutoresetMode.NEXT_STEP else None
+            np.flatnonzero(self._done)
+            if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
+            else None
         )
         now = batch.cars[0]
         change = np.clip(target, -CURRENT_LIMIT, CURRENT_LIMIT)
@@ -529,7 +531,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
                 terminated[revived] = False
             self._done = terminated | truncated
             self._any_done = bool(self._done.any())
-            if self._any_done and self.mode is AutoresetMode.SAME_STEP:
+            if self._any_done and self.autoreset_mode is AutoresetMode.SAME_STEP:
                 obs = self._restart_now(obs, info)
         else:
             truncated = np.zeros(self.num_envs, bool)
@@ -549,6 +551,9 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._restart(which)
         fresh = self.task.observe(self.task.batch.out)
         obs[which] = fresh[which]
+        info["speed"] = self._speeds
+        for name in STEP_INFO:
+            info[name][which] = 0.0
         return obs
 
     def render(self) -> tuple[np.ndarray, ...] | None:

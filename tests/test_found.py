@@ -1,0 +1,117 @@
+"""The package is found and light wherever it lies: installed, a source tree on the path, a zip."""
+
+import ast
+import inspect
+import os
+import pkgutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import isd_gym
+from isd_gym import plugins
+
+ROOT = Path(__file__).parents[1]
+MAKE = "import gymnasium; print(gymnasium.make('isd_gym:ISDSuspension-v0').reset(seed=0)[0].shape)"
+IMPORT = "import isd_gym, gymnasium; print(len(gymnasium.make_vec('ISDSuspension-v0', 3).reset(seed=0)[0]))"
+LATE = "import gymnasium, isd_gym; print(len(gymnasium.make_vec('ISDSuspension-v0', 3).reset(seed=0)[0]))"
+SCORE = (
+    "import isd_gym; print([p['policy'] for p in isd_gym.score('lqg', episodes=1, duration=0.1).policies])"
+)
+
+
+def python(code: str, place: Path) -> str:
+    """What `code` prints without any installation: no .pth file is read, the package comes from `place` alone."""
+    libraries = [p for p in sys.path if p.endswith("-packages") and not list(Path(p).glob("isd_gym-*"))]
+    if not libraries:
+        libraries = [str(Path(np.__file__).parents[1])]
+    path = os.pathsep.join([str(place), *libraries])
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", code],
+        capture_output=True, text=True, check=False, cwd="/", env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.fixture(scope="module", params=["source tree", "zip"])
+def place(request, tmp_path_factory):
+    """The packages outside any installation: as folders, and as a zip."""
+    base = tmp_path_factory.mktemp("found")
+    files = [
+        f
+        for name in ("isd_gym", "baselines", "agents")
+        for f in (ROOT / name).rglob("*")
+        if f.is_file() and "__pycache__" not in f.parts
+    ]
+    if request.param == "zip":
+        with zipfile.ZipFile(base / "isd.zip", "w") as archive:
+            for f in files:
+                archive.write(f, f.relative_to(ROOT))
+        return base / "isd.zip"
+    for f in files:
+        target = base / f.relative_to(ROOT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.symlink_to(f)
+    return base
+
+
+@pytest.mark.parametrize(
+    ("code", "answer"), [(MAKE, "(6,)"), (IMPORT, "3"), (LATE, "3")], ids=["make", "import", "late"]
+)
+def test_found_without_an_installation(place, code, answer):
+    assert python(code, place) == answer
+
+
+@pytest.mark.slow  # a zip compiles the kernel afresh
+def test_scores_without_an_installation(place):
+    assert python(SCORE, place) == "['passive', 'lqg']"
+
+
+def test_importing_is_light():
+    heavy = ["numpy", "scipy", "numba", "gymnasium", "torch", "matplotlib", "pandas", "osqp", "typing", "re"]
+    code = f"import sys; import isd_gym; print([m for m in {heavy} if m in sys.modules])"
+    assert python(code, ROOT) == "[]"
+
+
+def test_public_names():
+    assert {"Network", "simulate", "score", "diagnose"} <= set(isd_gym.__all__)
+    for name in isd_gym.__all__:
+        assert inspect.getdoc(getattr(isd_gym, name)), name
+    assert set(isd_gym.__all__) <= set(dir(isd_gym))
+    with pytest.raises(AttributeError, match="no attribute 'suspension'"):
+        isd_gym.suspension  # noqa: B018
+    tree = ast.parse((ROOT / "isd_gym/__init__.py").read_text())
+    (block,) = (n for n in tree.body if isinstance(n, ast.If))
+    typed = {
+        a.name: n.module for n in block.body if isinstance(n, ast.ImportFrom) and n.level for a in n.names
+    }
+    assert typed == {**isd_gym._HOME, "simulate": "simulate"}  # what a type checker sees is what there is
+
+
+def test_modules_after_the_dot():
+    for module in pkgutil.iter_modules(isd_gym.__path__):
+        if not module.name.startswith("_"):
+            assert getattr(isd_gym, module.name).__name__ == f"isd_gym.{module.name}"
+
+
+def test_simulate_is_a_module_and_a_function():
+    time = np.arange(100) * 1e-3
+    inputs = {"displacement": 0.01 * np.sin(20 * time)}
+    import isd_gym.simulate as module
+    from isd_gym.simulate import simulate
+
+    assert isd_gym.simulate is module and inspect.ismodule(module)
+    np.testing.assert_array_equal(
+        isd_gym.simulate("force-rig", time, inputs)["force"], simulate("force-rig", time, inputs)["force"]
+    )
+
+
+def test_own_plugins_are_those_of_pyproject():
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+    assert {g: v for g, v in declared.items() if g.startswith("isd_gym.")} == plugins.OWN

@@ -1,0 +1,215 @@
+"""The environments as other libraries drive them: Gymnasium's wrappers, TorchRL, skrl, SB3-contrib, RLlib.
+
+Each drives the cars through its own classes and must find what the environment itself says: the same observations,
+rewards and ends of episodes, for the same seeds and currents.
+"""
+
+import gymnasium as gym
+import gymnasium.wrappers as single
+import gymnasium.wrappers.vector as vector
+import numpy as np
+import pytest
+
+from isd_gym.env import STEP_INFO
+
+NAME = "ISDSuspension-v0"
+CARS, STEPS = 3, 30
+KEYS = {"speed", *STEP_INFO}
+#: what these libraries warn of is theirs
+theirs = pytest.mark.filterwarnings("ignore")
+
+
+def cars(**options):
+    return gym.make_vec(NAME, CARS, max_episode_steps=STEPS, **options)
+
+
+def currents(steps, count=CARS, seed=0):
+    return np.random.default_rng(seed).uniform(-5, 5, (steps, count, 1)).astype(np.float32)
+
+
+def returns(steps=STEPS):
+    """Sum of rewards of every car over an episode, by the environment itself."""
+    env = cars()
+    env.reset(seed=0)
+    return sum(env.step(a)[1] for a in currents(steps))
+
+
+# --------------------------------------------------------------------------------------- Gymnasium
+
+
+@theirs
+def test_wrappers_of_one_car():
+    env = gym.make(NAME, max_episode_steps=STEPS)
+    for wrap in (
+        lambda e: single.RescaleAction(e, -1.0, 1.0),
+        single.TimeAwareObservation,
+        single.NormalizeObservation,
+        lambda e: single.NormalizeReward(e, gamma=0.99),
+        lambda e: single.FrameStackObservation(e, 4),
+        single.RecordEpisodeStatistics,
+    ):
+        env = wrap(env)
+    obs, info = env.reset(seed=0)
+    assert obs.shape == (4, 7) and set(info) == KEYS
+    for a in currents(STEPS)[:, 0]:
+        obs, _, terminated, truncated, info = env.step(a / 5)
+    assert truncated and not terminated and np.isfinite(obs).all()
+    assert set(info) == KEYS | {"episode"} and info["episode"]["l"] == STEPS
+
+
+@theirs
+@pytest.mark.parametrize("mode", ["next_step", "disabled"])
+def test_wrappers_of_many_cars(mode):
+    env = vector.RecordEpisodeStatistics(cars(autoreset_mode=mode))
+    env = vector.ClipAction(vector.RescaleAction(env, -1.0, 1.0))
+    env = vector.DictInfoToList(vector.NormalizeReward(vector.NormalizeObservation(env)))
+    obs, info = env.reset(seed=0)
+    assert obs.shape == (CARS, 6) and [set(i) for i in info] == [KEYS] * CARS
+    for a in currents(STEPS):
+        _, _, _, truncated, info = env.step(a / 5)
+    assert truncated.all()
+    np.testing.assert_allclose([i["episode"]["r"] for i in info], returns(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_reset_and_step_tell_the_same(mode):
+    env = cars(autoreset_mode=mode, cost={"tyre_load": 0.1, "current": 0.1})
+    assert env.autoreset_mode is env.metadata["autoreset_mode"]
+    _, info = env.reset(seed=0)
+    assert set(info) == KEYS and all(v.shape == (CARS,) for v in info.values())
+    assert not any(info[k].any() for k in STEP_INFO)  # a car at rest
+    _, reward, *_, info = env.step(currents(1)[0])
+    assert set(info) == KEYS
+    np.testing.assert_allclose(reward, -sum(v for k, v in info.items() if k.startswith("cost_")))
+    one = gym.make(NAME)
+    _, first = one.reset(seed=0)
+    assert set(first) == set(one.step(currents(1)[0, 0])[4]) == KEYS
+
+
+def test_handed_out_speeds_are_those_of_the_step():
+    """What a step told stays what it was when cars start again at other speeds."""
+    env = cars(randomize={"speed": (10.0, 30.0)}, autoreset_mode="same_step")
+    _, info = env.reset(seed=0)
+    before, kept = info["speed"], info["speed"].copy()
+    for a in currents(STEPS):
+        *_, info = env.step(a)
+    np.testing.assert_array_equal(before, kept)
+    np.testing.assert_array_equal(info["final_info"]["speed"], kept)
+    assert (
+        not (info["speed"] == kept).any()
+        and not info["tyre_load"].any()
+        and info["final_info"]["tyre_load"].all()
+    )
+
+
+def test_workers_in_processes():
+    env = gym.make_vec(NAME, 2, vectorization_mode="async")
+    try:
+        own = gym.make_vec(NAME, 2)
+        obs, _ = env.reset(seed=0)
+        np.testing.assert_array_equal(obs, own.reset(seed=0)[0])
+        for a in currents(5, 2):
+            mine, theirs_ = own.step(a), env.step(a)
+            np.testing.assert_array_equal(mine[0], theirs_[0])
+            np.testing.assert_array_equal(mine[1], theirs_[1])
+    finally:
+        env.close()
+
+
+def test_pictures_of_a_batch_are_those_of_its_cars():
+    pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
+    many, one = cars(render_mode="rgb_array"), gym.make(NAME, render_mode="rgb_array").unwrapped
+    many.reset(seed=7), one.reset(seed=8)
+    for a in currents(12):
+        many.step(a), one.step(a[1])
+    pictures = many.render()
+    assert isinstance(pictures, tuple) and len(pictures) == CARS
+    np.testing.assert_array_equal(pictures[1], one.render())
+    assert not np.array_equal(pictures[0], pictures[1])
+    many.close(), one.close()
+
+
+@theirs
+def test_videos(tmp_path):
+    pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
+    pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
+    import imageio.v3 as iio
+
+    env = single.RecordVideo(
+        gym.make(NAME, render_mode="rgb_array", max_episode_steps=20), str(tmp_path / "one")
+    )
+    many = vector.RecordVideo(cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=20)
+    env.reset(seed=0), many.reset(seed=0)
+    for a in currents(20):
+        env.step(a[0]), many.step(a)
+    env.close(), many.close()
+    for folder, tiles in (("one", 1), ("many", CARS)):
+        (film,) = (tmp_path / folder).glob("*.mp4")
+        about = iio.immeta(film, plugin="FFMPEG")
+        assert about["fps"] == 200  # one picture a control step of 5 ms: real time
+        assert about["size"][0] * about["size"][1] == tiles * 960 * 600
+
+
+# ----------------------------------------------------------------------------------------- others
+
+
+@theirs
+@pytest.mark.parametrize("kind", ["GymEnv", "same_step", "disabled"])
+def test_torchrl(kind):
+    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is of isd-gym[libraries]")
+    if kind == "GymEnv":
+        env, count = envs.GymEnv(NAME, max_episode_steps=STEPS), 1
+    else:
+        env, count = envs.GymWrapper(cars(autoreset_mode=kind)), CARS
+    envs.check_env_specs(env)
+    assert env.batch_size == (() if kind == "GymEnv" else (CARS,))
+    env.set_seed(0)
+    whole = env.rollout(2 * STEPS + 5, break_when_any_done=False)
+    assert whole["next", "done"].sum() == 2 * count and not whole["next", "terminated"].any()
+    assert whole["next", "reward"].isfinite().all() and (whole["next", "reward"] <= 0).all()
+
+
+@theirs
+def test_skrl():
+    torch = pytest.importorskip("torch", reason="skrl needs torch")
+    wrappers = pytest.importorskip("skrl.envs.wrappers.torch", reason="skrl is of isd-gym[libraries]")
+    env = wrappers.wrap_env(cars(), verbose=False)
+    assert env.num_envs == CARS
+    env._env.reset(seed=0)
+    env._reset_once = False
+    total = sum(env.step(torch.from_numpy(a))[1].numpy()[:, 0] for a in currents(STEPS))
+    np.testing.assert_allclose(total, returns(), rtol=1e-5)
+
+
+@theirs
+def test_sb3_contrib_learns():
+    contrib = pytest.importorskip("sb3_contrib", reason="SB3-contrib is of isd-gym[libraries]")
+    from isd_gym.sb3 import make_vec_env
+
+    model = contrib.RecurrentPPO(
+        "MlpLstmPolicy", make_vec_env(4), n_steps=16, batch_size=32, n_epochs=1, seed=0
+    ).learn(128)
+    assert model.num_timesteps == 128 and all(p.isfinite().all() for p in model.policy.parameters())
+
+
+@theirs
+@pytest.mark.slow
+def test_rllib_trains(tmp_path):
+    pytest.importorskip("ray.rllib", reason="RLlib is of isd-gym[ray]")
+    import ray
+    from ray.rllib.algorithms.ppo import PPOConfig
+
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        config = (
+            PPOConfig()
+            .environment(f"isd_gym:{NAME}", env_config={"max_episode_steps": 200})
+            .env_runners(num_env_runners=1, rollout_fragment_length=200)
+            .training(train_batch_size_per_learner=400, minibatch_size=100, num_epochs=1)
+        )
+        algorithm = config.build_algo()
+        found = algorithm.train()["env_runners"]
+        assert found["episode_len_mean"] == 200 and -2000 < found["episode_return_mean"] < 0
+        algorithm.stop()
+    finally:
+        ray.shutdown()
