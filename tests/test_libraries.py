@@ -58,9 +58,8 @@ def test_wrappers_of_one_car():
 
 
 @theirs
-@pytest.mark.parametrize("mode", ["next_step", "disabled"])
-def test_wrappers_of_many_cars(mode):
-    env = vector.RecordEpisodeStatistics(cars(autoreset_mode=mode))
+def test_wrappers_of_many_cars():
+    env = vector.RecordEpisodeStatistics(cars())
     env = vector.ClipAction(vector.RescaleAction(env, -1.0, 1.0))
     env = vector.DictInfoToList(vector.NormalizeReward(vector.NormalizeObservation(env)))
     obs, info = env.reset(seed=0)
