@@ -11,7 +11,8 @@ without a truth is one of measured rigs: benchmarks/real.json says what may be n
 --jobs N       processes, one thread each (all cores without)
 --limit S      processor seconds per case; one that needs more is counted as missed (600)
 --json FILE    figures and rows in one file
---freeze FILE  verdicts, effects and values, to hold later states against; --against FILE does so
+--freeze FILE  verdicts, effects and values, to hold later states against; --against FILE does so. benchmarks/goldens.json is
+               such a file: what was said before the second design, of ../shared/rigs, ../shared/blind, and home with seed 201
 --figure FILE  the reliability curve
 """
 
@@ -285,8 +286,7 @@ def main() -> None:
     if args.json:
         args.json.write_text(json.dumps({"figures": grading.figures(rows), "rows": rows}))
     if args.freeze:
-        frozen = {f"{r['suite']}/{r['name']}": grading.golden(r) for r in rows}
-        args.freeze.write_text(json.dumps(frozen, indent=1) + "\n")
+        args.freeze.write_text(grading.freeze(rows))
     if args.against:
         lines = grading.differences(rows, json.loads(args.against.read_text()))
         print(f"\nagainst {args.against}: {len(lines)} moved", *lines, sep="\n  ")

@@ -5,6 +5,7 @@ Everything here reads `Diagnosis.to_dict()` and the truth beside it; nothing of 
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -357,6 +358,12 @@ def golden(row: Row) -> Row:
         "effects": effects,
         "closed": None if closed is None else round(closed, 3),
     }
+
+
+def freeze(rows: Iterable[Row]) -> str:
+    """The goldens of a run, as a file of one line per case."""
+    frozen = {f"{r['suite']}/{r['name']}": golden(r) for r in rows}
+    return "{\n" + ",\n".join(f" {json.dumps(k)}: {json.dumps(v)}" for k, v in frozen.items()) + "\n}\n"
 
 
 def _digits(x: float | None) -> float | None:

@@ -59,11 +59,12 @@ def test_known_forces_are_those_of_the_elements(peers):
 
 
 def test_row_of_the_benchmark_gives_its_model(peers):
-    row = {
-        "found": [["coulomb_friction", ["ground", "top"]]],
-        "base": {"inerter.inertance": [92.0, 91.0, 93.0]},
-        "parameters": {"coulomb_friction.level": [201.0, 199.0, 203.0]},
+    friction = {
+        "effect": "coulomb_friction",
+        "between": ["ground", "top"],
+        "parameters": {"level": {"value": 201.0}},
     }
+    row = {"diagnosis": {"effects": [friction], "parameters": {"inerter.inertance": {"value": 92.0}}}}
     network = peers.diagnosed(Network.load(RIG), row)
     assert network.element("inerter").inertance == 92.0
     assert network.element("coulomb_friction").level == 201.0

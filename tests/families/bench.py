@@ -150,69 +150,78 @@ def shares(model: Model, of: Mapping[str, Array], than: Mapping[str, Array]) -> 
     }
 
 
-def refitted(
-    rig: Rig, truth: Mapping[str, Array], spread: Mapping[str, float], rounds: int = 4
-) -> dict[str, float]:
-    """NRMSE per channel of the rig's model without what is hidden, fitted to the noiseless truth by Gauss and Newton.
+@dataclass(frozen=True)
+class Fit:
+    """The rig's model without what is hidden against the noiseless truth: parameters, each by a factor `exp(theta)`.
 
-    Parameters move as far as their stated spreads (three sigma at most), initial states freely where they are not at rest.
+    `spread` is how far they may move (relative, one sigma; three at most), against a prior worth a residual of `prior`.
+    Where a record begins in motion, its initial states move as well.
     """
-    drive, free = rig.drives[0], _offsets(rig.model)
-    deviation = {k: max(float(np.std(y)), 1e-300) for k, y in truth.items()}
-    paths, start = list(spread), drive.initial
-    sigma = np.array([*spread.values(), *[0.3] * (2 * len(start))])
-    unit = [(_rms([x, v * rig.time]), 1.0 / rig.time) for x, v in start.values()]
 
-    def residual(theta: Array) -> Array:
-        model = copy.deepcopy(rig.model)
-        for path, q in zip(paths, theta, strict=False):
+    rig: Rig
+    truth: Mapping[str, Array]
+    spread: Mapping[str, float]
+    prior: float = 0.05
+
+    @property
+    def sigma(self) -> Array:
+        return np.array([*self.spread.values(), *[0.3] * (2 * len(self.rig.drives[0].initial))])
+
+    def residual(self, theta: Array) -> Array:
+        """Simulated less true, all channels one after the other, as shares of their deviations; inf where it breaks down."""
+        rig, model, free = self.rig, copy.deepcopy(self.rig.model), _offsets(self.rig.model)
+        for path, q in zip(self.spread, theta, strict=False):
             set_relative(model, path, q)
-        initial = {}
-        for i, (node, (x, v)) in enumerate(start.items()):
-            dx, dv = theta[len(paths) + 2 * i : len(paths) + 2 * i + 2]
-            initial[node] = (x + dx * unit[i][0], v + dv * unit[i][0] * unit[i][1])
-        y = outputs(rig, model, run(rig, model, drive, initial))
-        columns = [
-            (y[k] - truth[k] - (np.mean(y[k] - truth[k]) if k in free else 0.0)) / deviation[k] for k in truth
-        ]
-        return np.concatenate(columns)
+        initial, moves = {}, iter(theta[len(self.spread) :])
+        for node, (x, v) in rig.drives[0].initial.items():
+            size = float(np.hypot(x, v * rig.time))
+            initial[node] = (x + next(moves) * size, v + next(moves) * size / rig.time)
+        try:
+            y = outputs(rig, model, run(rig, model, rig.drives[0], initial, COARSE))
+        except ArithmeticError:
+            return np.full(len(self.truth) * rig.size, np.inf)
+        errors = {k: y[k] - self.truth[k] for k in self.truth}
+        shift = {k: float(np.mean(e)) if k in free else 0.0 for k, e in errors.items()}
+        deviation = {k: max(float(np.std(q)), 1e-300) for k, q in self.truth.items()}
+        return np.concatenate([(e - shift[k]) / deviation[k] for k, e in errors.items()])
 
-    theta, weight = np.zeros(len(sigma)), 0.05  # a prior as strong as a residual of 5 %
-    r = residual(theta)
+    def cost(self, r: Array, theta: Array) -> float:
+        return float(np.mean(r**2) + self.prior**2 * np.mean((theta / self.sigma) ** 2))
 
-    def cost(r: Array, theta: Array) -> float:
-        return (
-            float(np.mean(r**2) + weight**2 * np.mean((theta / sigma) ** 2))
-            if len(theta)
-            else float(np.mean(r**2))
-        )
-
-    best, damp = cost(r, theta), 1e-3
-    for _ in range(rounds if len(theta) else 0):
-        J = np.stack([(residual(theta + 1e-4 * e) - r) / 1e-4 for e in np.eye(len(theta))], axis=1)
-        H = J.T @ J / len(r) + np.diag(weight**2 / len(theta) / sigma**2)
-        g = J.T @ r / len(r) + weight**2 / len(theta) * theta / sigma**2
-        for _ in range(4):
-            new = np.clip(theta - np.linalg.solve(H + damp * np.diag(np.diag(H)), g), -3 * sigma, 3 * sigma)
-            try:
-                rn = residual(new)
-            except ArithmeticError:
-                rn = np.full_like(r, np.inf)
-            if cost(rn, new) < best:
+    def left(self, rounds: int = 5) -> dict[str, float]:
+        """NRMSE per channel that is left, by Levenberg's steps."""
+        theta, damp = np.zeros(len(self.sigma)), 1e-3
+        r = self.residual(theta)
+        for _ in range(rounds if len(theta) else 0):
+            new, rn, damp = self.step(r, theta, damp)
+            gain = self.cost(r, theta) - self.cost(rn, new)
+            if not gain > 0.0:
                 break
+            r, theta = rn, new
+            if gain < 0.01 * self.cost(r, theta):
+                break
+        return dict(zip(self.truth, (_rms(c) for c in np.split(r, len(self.truth))), strict=True))
+
+    def step(self, r: Array, theta: Array, damp: float) -> tuple[Array, Array, float]:
+        """A step that does better, or the last that was tried."""
+        J = np.stack([(self.residual(theta + 1e-4 * e) - r) / 1e-4 for e in np.eye(len(theta))], axis=1)
+        pull = self.prior**2 / len(theta) / self.sigma**2
+        H, g = J.T @ J / len(r) + np.diag(pull), J.T @ r / len(r) + pull * theta
+        for _ in range(5):
+            move = np.linalg.solve(H + damp * np.diag(np.diag(H)), g)
+            new = np.clip(theta - move, -3 * self.sigma, 3 * self.sigma)
+            rn = self.residual(new)
+            if self.cost(rn, new) < self.cost(r, theta):
+                return new, rn, damp / 10.0
             damp *= 10.0
-        else:
-            break
-        gain, theta, r, best, damp = best - cost(rn, new), new, rn, cost(rn, new), damp / 10.0
-        if gain < 0.01 * best:
-            break
-    return dict(zip(truth, (_rms(c) for c in np.split(r, len(truth))), strict=True))
+        return new, rn, damp
 
 
 def set_relative(model: Model, path: str, relative: float) -> None:
+    """Multiply a parameter by the exponential of `relative`."""
     name, parameter = path.split(".")
     if parameter == "mass":
-        model["masses"][name] *= 1.0 + relative
+        model["masses"][name] *= float(np.exp(relative))
         return
     e = next(e for e in model["elements"] if e["name"] == name)
-    e[parameter] *= 1.0 + relative
+    e[parameter] *= float(np.exp(relative))

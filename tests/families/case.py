@@ -6,7 +6,7 @@ import copy
 import json
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from .bench import COARSE, Drive, Rig, changed, outputs, refitted, run, scale, set_relative, shares
+from .bench import COARSE, Drive, Fit, Rig, changed, outputs, run, scale, set_relative, shares
 from .effects import FIRST, Change, Hidden, cogging, coulomb, hardening, quadratic
-from .plant import Array, Model
+from .plant import Array, Model, Run
+from .rivals import imitated
 
 MAIN = {
     "linear_stiffness": "stiffness",
@@ -84,6 +85,11 @@ def spreads(rig: Rig, spread: float) -> dict[str, float]:
     return {k: v for k, v in out.items() if k not in rig.known}
 
 
+def unbounded(rig: Rig) -> dict[str, float]:
+    """Every parameter, free to change by factors."""
+    return dict.fromkeys(spreads(replace(rig, known=()), 1.0), 1.0)
+
+
 Measure = Callable[[dict[str, Array]], float]
 
 
@@ -134,10 +140,18 @@ def nuisances(rig: Rig, taken: set[str], r: Generator) -> Change:
     return total
 
 
+#: what is hidden must leave so much, in shares of the signal: times the noise, and in any case
+TOLD = (2.0, 0.05)
+#: and no more, or nobody would have believed the model
+MOST = 1.2
+#: what the nearest rival must leave, for an effect that has a name, and for one that has none
+ALONE, NAMELESS = (0.5, 0.012), (1.5, 0.04)
+
+
 def make_case(family: Family, kind: str, seed: int) -> Case:
     """One case of `kind` ("family.what"); every choice is drawn from `kind` and `seed`."""
     hidden = family.kinds[kind.split(".", 1)[1]]
-    for attempt in range(30):
+    for attempt in range(60):
         r = np.random.default_rng([zlib.crc32(kind.encode()), seed, attempt])
         try:
             case = _attempt(family, hidden, kind, seed, r)
@@ -145,7 +159,7 @@ def make_case(family: Family, kind: str, seed: int) -> Case:
             continue
         if case is not None:
             return case
-    raise ArithmeticError(f"{kind} {seed}: no rig on which this could be seen")
+    raise ArithmeticError(f"{kind} {seed}: no rig on which this could be told")
 
 
 def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator) -> Case | None:
@@ -153,64 +167,91 @@ def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator)
     spread = float(r.choice([0.02, 0.03, 0.05, 0.10]))
     stated = spreads(rig, spread)
     snr_db = float(r.uniform(*rig.snr_db))
-    aim = float(np.exp(r.uniform(*np.log(hidden.gap))))
-    plain_run = run(rig, rig.model, rig.drives[0])
+    noise = 10 ** (-snr_db / 20)
     channel = rig.model["outputs"][0]["name"]
-    places = [(shape, channel if place == FIRST else place) for shape, place in hidden.parts]
-    parts = [shape(r, scale(rig, plain_run, place), place) for shape, place in places]
     answer = hidden.answer
     if isinstance(answer, list):
         answer = [[effect, channel if place == FIRST else place] for effect, place in answer]
-    weights = np.exp(r.uniform(-0.3, 0.3, len(parts)))
-
-    def make(x: float) -> Change:
-        return sum((part(x * w) for part, w in zip(parts, weights, strict=True)), Change())
-
-    def left(truth: dict[str, Array]) -> float:
-        return max(refitted(rig, truth, stated).values())
-
-    change = sized(rig, make, aim, left) if parts else Change()
+    change = hide(rig, hidden, channel, stated, noise, r)
+    if change is None:
+        return None
     small = nuisances(rig, {f"{e['type']} {tuple(e.get('between', ()))}" for e in change.elements}, r)
     without = changed(rig.model, small, "nuisance")
     true = changed(without, change, "hidden")
-
-    def clean(model: Model, drive: Drive) -> dict[str, Array]:
-        return outputs(rig, model, run(rig, model, drive))
-
-    seen = clean(true, rig.drives[0])
-    irreducible = refitted(rig, seen, stated)
-    if parts and max(irreducible.values()) < max(0.6 * hidden.gap[0], 2.0 * 10 ** (-snr_db / 20)):
-        return None  # nobody could tell
-    believed = clean(without, rig.drives[0])
-    visibility = shares(rig.model, believed, seen) if parts else dict.fromkeys(seen, 0.0)
-
+    runs = [run(rig, true, drive) for drive in rig.drives]
+    seen = [outputs(rig, true, ran) for ran in runs]
+    if not told(rig, hidden, change, runs[0], seen[0], noise):
+        return None
+    left = Fit(rig, seen[0], stated).left()
+    if hidden.parts and not max(TOLD[0] * noise, TOLD[1]) < max(left.values()) < MOST:
+        return None
+    visibility = shares(rig.model, outputs(rig, without, run(rig, without, rig.drives[0])), seen[0])
+    if not hidden.parts:
+        visibility = dict.fromkeys(visibility, 0.0)
     owner = copy.deepcopy(rig.model)
     owner["uncertainty"] = stated
     for path, sigma in stated.items():
         set_relative(owner, path, sigma * r.uniform(-1.0, 1.0))
-    noise = Noise.draw(r, owner, {k: float(np.std(y)) for k, y in seen.items()}, snr_db)
-    records = []
-    for i, drive in enumerate(rig.drives):
-        y = seen if i == 0 else clean(true, drive)
-        records.append(noise.record(r, rig, drive, y))
+    sensors = Noise.draw(r, owner, {k: float(np.std(y)) for k, y in seen[0].items()}, snr_db)
+    records = [sensors.record(r, rig, drive, y) for drive, y in zip(rig.drives, seen, strict=True)]
+    played = [{"type": "backlash", "gap": gap, "in": spring} for spring, gap in change.play]
+    truth = {
+        "model": true,
+        "hidden": [dict(e) for e in change.elements] + played,
+        "nuisances": [dict(e) for e in small.elements],
+    }
+    second = records[1] if len(records) > 1 else None
     return Case(
-        kind,
-        seed,
-        owner,
-        records[0],
-        records[1] if len(records) > 1 else None,
-        copy.deepcopy(answer),
-        {
-            "model": true,
-            "hidden": [dict(e) for e in change.elements]
-            + [{"type": "backlash", "gap": g, "in": s} for s, g in change.play],
-            "nuisances": [dict(e) for e in small.elements],
-        },
-        snr_db,
-        spread,
-        visibility,
-        irreducible,
+        kind, seed, owner, records[0], second, copy.deepcopy(answer), truth, snr_db, spread, visibility, left
     )
+
+
+def hide(
+    rig: Rig, hidden: Hidden, channel: str, stated: dict[str, float], noise: float, r: Generator
+) -> Change | None:
+    """What is hidden, of a size at which it leaves the share that is drawn for it; None where no size does.
+
+    What is left is judged with all parameters free, so that the law's shape is what is seen; where what is hidden is
+    linear itself, with parameters held as their owner holds them.
+    """
+    if not hidden.parts:
+        return Change()
+    ran = run(rig, rig.model, rig.drives[0])
+    places = [(shape, channel if place == FIRST else place) for shape, place in hidden.parts]
+    parts = [shape(r, scale(rig, ran, place), place) for shape, place in places]
+    weights = np.exp(r.uniform(-0.3, 0.3, len(parts)))
+    spread = stated if hidden.linear else unbounded(rig)
+
+    def make(x: float) -> Change:
+        return sum((part(x * w) for part, w in zip(parts, weights, strict=True)), Change())
+
+    def left(y: dict[str, Array]) -> float:
+        return max(Fit(rig, y, spread, 0.05 if hidden.linear else 0.01).left().values())
+
+    least = max(TOLD[0] * noise, TOLD[1], hidden.gap[0])
+    aim = float(np.exp(r.uniform(np.log(least), np.log(max(hidden.gap[1], 1.2 * least)))))
+    change = sized(rig, make, aim, left)
+    model = changed(rig.model, change, "trial")
+    reached = left(outputs(rig, model, run(rig, model, rig.drives[0], creep=COARSE)))
+    return change if reached > 0.7 * least else None
+
+
+def told(rig: Rig, hidden: Hidden, change: Change, ran: Run, seen: dict[str, Array], noise: float) -> bool:
+    """Whether no law of the library but the hidden one could be meant."""
+    unknown = hidden.answer == "unknown"
+    times, least = NAMELESS if unknown else ALONE
+    if not hidden.parts or hidden.linear:
+        return True
+    gap = max(Fit(rig, seen, unbounded(rig), 0.01).left().values())
+    for i, e in enumerate(change.elements):
+        if "between" not in e or e["type"] in ("linear_stiffness", "linear_damping", "inertance"):
+            continue
+        first, second = e["between"]
+        d, v = (q[first] - q[second] for q in (ran.position, ran.velocity))
+        _, rest = imitated(ran.link[f"hidden_{i + 1}"], d, v, e["type"])
+        if gap * rest < max(times * noise, least):
+            return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,7 @@ class Hidden:
     parts: tuple[tuple[Shape, Any], ...] = ()
     answer: list[list[Any]] | str = field(default_factory=list)
     gap: tuple[float, float] = (0.08, 0.5)
+    linear: bool = False  # what is hidden is linear itself: parameters without limits would make up for it
 
     def __and__(self, other: Hidden) -> Hidden:
         assert isinstance(self.answer, list) and isinstance(other.answer, list)
@@ -75,9 +76,13 @@ FIRST = "first output"
 """Stands for the channel of that place in whatever model is drawn."""
 
 
+LINEAR = ("linear_damping", "linear_stiffness", "inertance", "sensor_gain", "sensor_delay", "actuator_lag")
+
+
 def at(name: str, shape: Shape, place: Pair | str, **more: Any) -> Hidden:
     """An effect of the library at two terminals, a motor or a channel."""
-    return Hidden(((shape, place),), [[name, list(place) if isinstance(place, tuple) else place]], **more)
+    answer: list[list[Any]] = [[name, list(place) if isinstance(place, tuple) else place]]
+    return Hidden(((shape, place),), answer, linear=name in LINEAR, **more)
 
 
 def unknown(shape: Shape, place: Pair | str) -> Hidden:

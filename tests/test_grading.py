@@ -1,0 +1,155 @@
+"""The diagnosis' benchmark: what counts as right, and that a run goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import grading
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+GROUND = ["mass", "ground"]
+
+
+def said(verdict: str, *effects: tuple[str, Any], confidence: float = 0.999, **more: Any) -> dict[str, Any]:
+    names = [
+        {
+            "effect": e,
+            ("channel" if isinstance(p, str) else "between"): p,
+            "confidence": confidence,
+            "parameters": {},
+        }
+        for e, p in effects
+    ]
+    d = {"verdict": verdict, "effects": names, "alternatives": [], "parameters": {}, "gap": {"closed": None}}
+    return {"suite": "s", "name": "n", "family": "f", "kind": "k", "seconds": 1.0, "diagnosis": d, **more}
+
+
+FRICTION = [["coulomb_friction", GROUND]]
+
+
+@pytest.mark.parametrize(
+    "answer, row, grade",
+    [
+        (FRICTION, said("missing_effect", ("coulomb_friction", ["ground", "mass"])), "right"),
+        (FRICTION, said("missing_effect", ("coulomb_friction", ["mass", "base"])), "wrong"),
+        (FRICTION, said("missing_effect", ("sensor_delay", "mass_position")), "wrong"),
+        (FRICTION, said("parameters_only"), "missed"),
+        (FRICTION, said("ambiguous"), "missed"),
+        ([["backlash", None]], said("missing_effect", ("backlash", ["a", "b"])), "right"),
+        ([], said("no_discrepancy"), "right"),
+        ([], said("unknown_effect"), "missed"),
+        ([], said("missing_effect", ("cubic_stiffness", GROUND)), "wrong"),
+        ("unknown", said("unknown_effect"), "right"),
+        ("unknown", said("parameters_only"), "missed"),
+        ("unknown", said("missing_effect", ("gas_spring", GROUND)), "wrong"),
+        (
+            {"needs": [["coulomb_friction", "stribeck_friction"]]},
+            said("x", ("stribeck_friction", GROUND)),
+            "right",
+        ),
+        ({"needs": ["hysteresis"], "allows": ["backlash"]}, said("x", ("backlash", GROUND)), "wrong"),
+        ({"needs": ["hysteresis"], "allows": ["backlash"]}, said("x"), "missed"),
+        (
+            {"needs": ["cubic_stiffness"]},
+            said("x", ("cubic_stiffness", GROUND), ("cogging_force", GROUND)),
+            "wrong",
+        ),
+    ],
+)
+def test_what_is_right_wrong_and_missed(answer: Any, row: dict[str, Any], grade: str) -> None:
+    assert grading.graded({**row, "answer": answer}) == grade
+
+
+def test_a_nuisance_that_is_really_there_may_be_named_but_not_instead() -> None:
+    truth = {"hidden": [], "nuisances": [{"type": "cubic_stiffness", "between": GROUND, "stiffness": 1.0}]}
+    both = said("missing_effect", ("coulomb_friction", GROUND), ("cubic_stiffness", GROUND))
+    only = said("missing_effect", ("cubic_stiffness", GROUND))
+    assert grading.graded({**both, "answer": FRICTION, "truth": truth}) == "right"
+    assert grading.graded({**both, "answer": FRICTION, "truth": {}}) == "wrong"
+    assert grading.graded({**only, "answer": FRICTION, "truth": truth}) == "wrong"
+
+
+def test_what_broke_off_or_ran_out_of_time_is_missed_and_is_told() -> None:
+    broken = {"suite": "s", "name": "n", "family": "f", "kind": "k", "seconds": 2.0, "answer": FRICTION}
+    rows = [{**broken, "error": "InputError: clipped"}, {**broken, "timed_out": True}]
+    figures = grading.figures(rows)
+    assert (figures["missed"], figures["broke_off"], figures["out_of_time"]) == (1.0, 1, 1)
+    assert "out of time" in grading.report(rows)
+
+
+def test_stated_confidence_is_held_against_what_was_right() -> None:
+    rows = [
+        {
+            **said("m", ("coulomb_friction", GROUND if i < 8 else ["x", "y"]), confidence=0.93),
+            "answer": FRICTION,
+        }
+        for i in range(10)
+    ]
+    (curve,) = grading.reliability(rows)
+    assert (curve["names"], curve["right"], curve["stated"]) == (10, 0.8, pytest.approx(0.93))
+    assert curve["least"] == pytest.approx(0.490, abs=0.001) and curve["most"] == pytest.approx(
+        0.943, abs=0.001
+    )
+
+
+def test_values_and_intervals_are_held_against_the_truth() -> None:
+    row = said("missing_effect", ("coulomb_friction", GROUND))
+    row["diagnosis"]["effects"][0]["parameters"] = {"level": {"value": 1.1, "low": 1.0, "high": 1.2}}
+    row["diagnosis"]["parameters"] = {"mass.mass": {"value": 2.0, "low": 1.9, "high": 2.1}}
+    truth = {
+        "hidden": [{"type": "coulomb_friction", "level": 1.05}],
+        "nuisances": [],
+        "base": {"mass.mass": 2.3},
+    }
+    errors, inside, base = grading.values([{**row, "answer": FRICTION, "truth": truth}])
+    assert errors == [pytest.approx(1.1 / 1.05 - 1)] and inside == [True] and base == [False]
+
+
+def test_a_golden_tells_a_verdict_a_place_and_a_value_that_moved() -> None:
+    row = said("missing_effect", ("coulomb_friction", GROUND))
+    row["answer"] = FRICTION
+    row["diagnosis"]["effects"][0]["parameters"] = {"level": {"value": 1.1234, "low": 1.0, "high": 1.2}}
+    frozen = json.loads(grading.freeze([row]))
+    assert frozen["s/n"]["effects"] == [
+        {"effect": "coulomb_friction", "place": ["ground", "mass"], "values": {"level": 1.12}}
+    ]
+    assert grading.differences([row], frozen) == []
+    row["diagnosis"]["effects"][0]["parameters"]["level"]["value"] = 1.2
+    assert len(grading.differences([row], frozen)) == 1
+    assert len(grading.differences([{**said("parameters_only"), "answer": FRICTION}], frozen)) == 1
+
+
+def test_the_goldens_are_of_known_rigs() -> None:
+    frozen = json.loads((BENCHMARKS / "goldens.json").read_text())
+    assert len(frozen) >= 37
+    verdicts = {"missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"}
+    assert all("error" in g or g["verdict"] in verdicts for g in frozen.values())
+
+
+@pytest.mark.slow
+def test_a_run_ends_in_a_table_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        str(BENCHMARKS / "diagnose.py"),
+        "--suite",
+        "spin.none",
+        "dyno.none",
+        "--out",
+        str(tmp_path),
+    ]
+    first = subprocess.run([*command, "--jobs", "2"], capture_output=True, text=True, check=True).stdout
+    assert "all               2" in first
+    files = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("*.json")}
+    assert set(files) == {"families-spin.none-1.json", "families-dyno.none-1.json"}
+    again = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "2 of 2 are there already" in again
+    assert {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("*.json")} == files
+    assert first[first.index("family  ") :] == again[again.index("family  ") :]
