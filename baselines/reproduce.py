@@ -21,7 +21,8 @@ from isd_gym.cost import StageCost
 from isd_gym.env import CONTROL_STEP, ISDSuspensionVectorEnv
 from isd_gym.files import check_folder, whole_folder, write_text
 from isd_gym.network import Network
-from isd_gym.plots import (
+from isd_gym.policies import find, passive
+from isd_gym.report.plots import (
     LOOKS,
     MUTED,
     Look,
@@ -35,8 +36,7 @@ from isd_gym.plots import (
     save,
     style,
 )
-from isd_gym.plots import Picture as PagePicture
-from isd_gym.policies import find, passive
+from isd_gym.report.plots import Picture as PagePicture
 from isd_gym.road import PRINTED_KAPPA, paper_road
 from isd_gym.scoring import PAPER, Score, score
 from isd_gym.simulate import simulate

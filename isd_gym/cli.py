@@ -223,7 +223,7 @@ def score(
 
     _check_file(json_file)
     if report is not None:
-        from .score_page import check_report
+        from .report import check_report
 
         check_report(report)
     plant = Network.load(network)
@@ -250,7 +250,7 @@ def score(
         result.references["clairvoyant_point"] = _point(result, signals)
     _write_json(json_file, result.to_dict())
     if report is not None:
-        from .score_page import score_report
+        from .report import score_report
 
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)

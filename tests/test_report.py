@@ -15,12 +15,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym import charts, cli, plots, report, score_page, show
+from isd_gym import cli, show
 from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
 from isd_gym.elements import CoulombFriction
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
+from isd_gym.report import charts, plots
+from isd_gym.report import diagnosis as report
+from isd_gym.report import score as score_page
 from isd_gym.scoring import score
 from isd_gym.simulate import simulate
 

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import elements as el
+from .. import elements as el
+from ..errors import InputError
+from ..files import check_folder, whole_folder, write_text
+from ..network import Channel, Network, linearise
+from ..simulate import simulate
+from ..units import UNITS, convert
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
-from .errors import InputError
-from .files import check_folder, whole_folder, write_text
-from .network import Channel, Network, linearise
 from .plots import (
     BLUE,
     INK,
@@ -33,11 +35,9 @@ from .plots import (
     style,
     unit_text,
 )
-from .simulate import simulate
-from .units import UNITS, convert
 
 if TYPE_CHECKING:
-    from .discrepancy import Diagnosis, Effect, Law, Quantity, Trace
+    from ..discrepancy import Diagnosis, Effect, Law, Quantity, Trace
 
 Array = NDArray[np.float64]
 
@@ -426,10 +426,10 @@ class Probe:
 
 def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array, Array]:
     """Travel [m] and rate [m/s] between two nodes in a model that is started as the record begins."""
-    from .discrepancy.choose import motions, plain
-    from .discrepancy.fit import Fitter
-    from .discrepancy.hypotheses import base_structure
-    from .discrepancy.problem import Problem, Record
+    from ..discrepancy.choose import motions, plain
+    from ..discrepancy.fit import Fitter
+    from ..discrepancy.hypotheses import base_structure
+    from ..discrepancy.problem import Problem, Record
 
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])
@@ -453,7 +453,7 @@ def series_law(view: View, effect: Effect) -> Law | None:
 
     Its terminals are no pair of the old model, so that the diagnosis itself has no motion there.
     """
-    from .discrepancy.result import Law
+    from ..discrepancy.result import Law
 
     model = view.d.model
     own: Any = model.element(effect.element)

@@ -221,7 +221,7 @@ def page(template: str, *, pictures: Iterable[Picture] = (), **context: Any) -> 
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-    folder = resources.files("isd_gym") / "templates"
+    folder = resources.files(__package__) / "templates"
     pictures = list(pictures)
     charts = [
         {"name": p.stem, "data": json.dumps(p.live, separators=(",", ":")).replace("<", "\\u003c")}

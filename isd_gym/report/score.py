@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..files import check_folder, whole_folder, write_text
 from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
-from .files import check_folder, whole_folder, write_text
 from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
 
 if TYPE_CHECKING:
-    from .scoring import Score
+    from ..scoring import Score
 
 SCORE_KIND = "score report"
 SCORE_PARTS = ("index.html", "score.json", "*.png")
@@ -72,7 +72,7 @@ class Shown:
         self.looks = looks(self.names)
         self.runs = score.runs
         self.step = score.runs[self.reference].control_step
-        from .cost import StageCost
+        from ..cost import StageCost
 
         self.costs = {n: run.cost(StageCost()) for n, run in self.runs.items()}
         self.best = min(self.names, key=lambda n: self.costs[n].mean())
@@ -222,7 +222,7 @@ def histories(shown: Shown) -> Chart:
 
 def spectra(shown: Shown) -> Chart | None:
     """PSDs above, their ratio to the reference below."""
-    from .scoring import frequency_weighting
+    from ..scoring import frequency_weighting
 
     units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
     scales = {"body_acceleration": 1.0, "suspension_travel": 1e3, "tyre_load": 1.0}
@@ -275,9 +275,9 @@ def spectra(shown: Shown) -> Chart | None:
 
 def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
     """Tyre load change and the causal bound's (travel change, acceleration change), where somebody knows it."""
-    from .errors import InputError
-    from .network import Network
-    from .plugins import REFERENCES, plugins
+    from ..errors import InputError
+    from ..network import Network
+    from ..plugins import REFERENCES, plugins
 
     if any(name != "passive" for name in list(score.runs)[:1]):
         return []  # the bound is told against the conventional car
@@ -306,7 +306,7 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
 
 def trade_off(shown: Shown) -> Chart:
     """Acceleration over travel, both as change against the reference; the tyre load is written beside."""
-    from .scoring import PAPER
+    from ..scoring import PAPER
 
     items: list[Item] = [Rule("x", 0.0), Rule("y", 0.0)]
     xs, ys = [0.0], [0.0]
@@ -460,7 +460,7 @@ def distribution(shown: Shown) -> Chart | None:
 
 def limits(shown: Shown) -> Chart:
     """Share of time that a signal spends above a value, up to and beyond the limit."""
-    from .scoring import LIMITS
+    from ..scoring import LIMITS
 
     few, left_out = shown.few(3)
     least = max(0.5 / shown.runs[shown.reference].current.size, 1e-6)

@@ -1,0 +1,11 @@
+"""Pages that open anywhere: of a diagnosis and of a score.
+
+`plots` sets the looks and puts a page together, `charts` tells a chart once, for the picture and for the live page.
+"""
+
+from __future__ import annotations
+
+from .diagnosis import check_target, write_report
+from .score import check_report, score_report
+
+__all__ = ["check_report", "check_target", "score_report", "write_report"]
