@@ -581,7 +581,9 @@ def _mention(point: EntryPoint) -> Callable[[], None]:
     try:
         spec = find_spec(package)  # of a package at the top: nothing is run
         folder = Path(((spec and spec.submodule_search_locations) or [""])[0])
-        tree = ast.parse(folder.joinpath(*parts).with_suffix(".py").read_text(encoding="utf-8"))
+        module = folder.joinpath(*parts)
+        source = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+        tree = ast.parse(source.read_text(encoding="utf-8"))
         found = [f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == point.attr]
         stand_in.__doc__ = ast.get_docstring(found[0])
     except (OSError, ValueError, SyntaxError, IndexError):

@@ -1,0 +1,64 @@
+"""`isd-gym reproduce`: every table and figure of the paper computed afresh, beside what is printed, with a verdict.
+
+Each section is a function of a `Study` (what has been driven and found so far) that returns a `Section`: tables,
+pictures, sentences; a file each. Every number in a sentence is computed here; none is copied from an earlier run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def command(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the page and its figures.", metavar="DIR")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few and short episodes: a look in a minute.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
+    ] = None,
+) -> None:
+    """Reproduce every table and figure of the paper beside what is printed, and say which claims hold.
+
+    Writes DIR/index.html (one page that opens anywhere), the figures as PNG and DIR/reproduction.json.
+
+    Example: isd-gym reproduce --out reproduction
+    """
+    from isd_gym.cli import _check_file, _progress, _warm_up, _write_json
+    from isd_gym.files import check_folder
+
+    from .page import plain, reproduce
+    from .study import KIND, PARTS
+
+    _check_file(json_file)
+    check_folder(out, KIND, "reproduction.json", PARTS)
+    with _progress() as update:
+        _warm_up(update)
+        result = reproduce(out, quick, update)
+    _write_json(json_file, plain(result))
+    show(result)
+    typer.echo(f"page: {out / 'index.html'}", err=True)
+
+
+def show(result: dict[str, Any]) -> None:
+    """The claims and the tables on the terminal."""
+    import sys
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as Rich
+
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(result["lead"], highlight=False)
+    for table in result["tables"]:
+        shown = Rich(title=table["title"] or table["section"], box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False,
+                     show_lines=table["section"] == "The claims")  # fmt: skip
+        words = max((len(c) for row in table["rows"] for c in row), default=0) > 40
+        for i, head in enumerate(table["heads"]):
+            shown.add_column(head, justify="left" if i == 0 or words else "right", overflow="fold")
+        for row in table["rows"]:
+            shown.add_row(*row)
+        console.print(shown)
