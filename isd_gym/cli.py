@@ -551,15 +551,44 @@ def show(
 
 
 @app.command()
-def networks(name: Annotated[str | None, typer.Argument(help="Print this one.")] = None) -> None:
-    """List the built-in networks, or print one as JSON to start your own from."""
+def networks(
+    name: Annotated[
+        str | None, typer.Argument(help="Print this one as JSON: a built-in network or a model file.")
+    ] = None,
+    draw: Annotated[
+        Path | None,
+        typer.Option("--draw", help="Draw it instead of printing it: .svg, .png or .pdf.", metavar="FILE"),
+    ] = None,
+) -> None:
+    """List the built-in networks, print one to start your own from, or draw one.
+
+    A drawing has the nodes, the elements with their values, and the inputs and outputs.
+
+    Example: isd-gym networks quarter-car-isd --draw car.svg
+    """
     from .network import Network, builtin_networks
 
+    if draw is not None:
+        from .report.schematic import check_suffix
+        from .report.schematic import draw as sketch
+
+        if name is None:
+            raise InputError("--draw wants a network: isd-gym networks NAME --draw FILE")
+        _check_file(draw)
+        check_suffix(draw)
+        sketch(Network.load(name)).save(draw)
+        typer.echo(f"{name} drawn to {draw}")
+        return
     if name is not None:
         typer.echo(Network.load(name).dumps(), nl=False)
         return
+    from rich.console import Console
+    from rich.table import Table
+
+    made = Table.grid(padding=(0, 2))
     for built in builtin_networks():
-        typer.echo(f"{built:<22} {Network.load(built).description}")
+        made.add_row(built, Network.load(built).description)
+    Console(width=None if sys.stdout.isatty() else 118, highlight=False, markup=False).print(made)
 
 
 def _plug_in() -> None:

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import html
 import html.parser
 import json
 import re
@@ -101,6 +102,12 @@ def small_score():
     car = Network.load("quarter-car-isd")
     entries = [find(n, car) for n in ("passive", "isd-passive", "skyhook")]
     return score(entries, car, reference=passive(car), episodes=3, duration=4.0)
+
+
+@pytest.fixture(autouse=True)
+def no_bound(monkeypatch):
+    """The causal bound takes seconds and is tested beside the baselines."""
+    monkeypatch.setattr(score_page, "fronts", lambda score: [])
 
 
 @pytest.fixture
@@ -638,6 +645,14 @@ def test_the_live_chart_holds_the_record_that_was_measured(diagnosis, tmp_path):
                 trace.measured[c]
             )
     assert set(page.data) == {f"chart-{n}" for n in ("gap", "time", "spectra", "plane", "law", "parameters")}
+
+
+def test_the_model_is_drawn_before_and_after(diagnosis, tmp_path):
+    text = report.write_report(diagnosis, tmp_path / "x").read_text()
+    before, after = re.findall(r"<svg.*?</svg>", text, re.S)
+    assert 'data-part="el:seal"' not in before and 'data-part="el:seal"' in after
+    (lights,) = re.findall(r'data-lights="(.*?)"', text)
+    assert json.loads(html.unescape(lights))[:2] == ["node:piston", "node:joint"]
 
 
 def test_a_long_record_is_thinned_and_the_page_says_so(diagnosis, monkeypatch):

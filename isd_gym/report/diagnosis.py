@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -35,9 +36,11 @@ from .plots import (
     style,
     unit_text,
 )
+from .schematic import draw as sketch
+from .schematic import place_parts
 
 if TYPE_CHECKING:
-    from ..discrepancy import Diagnosis, Effect, Law, Quantity, Trace
+    from ..discrepancy import Contender, Diagnosis, Effect, Law, Quantity, Trace
 
 Array = NDArray[np.float64]
 
@@ -173,6 +176,21 @@ class View:
         if unit == "N" and peak >= 5e3:
             return Scale(1e-3, "kN")
         return Scale(1.0, unit_text(unit))
+
+    def drawings(self) -> list[tuple[str, str]]:
+        """The network as SVG with a title each: as given, and with what was found in colour."""
+        found = {e.element for e in self.d.effects}
+        pairs: list[tuple[str, Network, set[str]]] = [("The model as given", self.d.base, set())]
+        if self.named:
+            pairs.append(("With what was found, in colour", self.d.model, found))
+        try:
+            return [(title, sketch(n, found=marked).svg(inline=True)) for title, n, marked in pairs]
+        except InputError:  # nothing between nodes
+            return []
+
+    def lights(self, c: Contender) -> str:
+        """What of the drawing lights up for a rival, as JSON."""
+        return json.dumps([part for where in c.where for part in place_parts(self.d.base, where)])
 
     @property
     def summary(self) -> str:

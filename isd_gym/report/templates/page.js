@@ -545,7 +545,7 @@ wide();
 
 // a rival lights up in the drawing where it would stand
 for (const row of document.querySelectorAll("[data-lights]")) {
-  const parts = row.dataset.lights.split(" ").flatMap(n => [...document.querySelectorAll(`[data-part="${CSS.escape(n)}"]`)]);
+  const parts = JSON.parse(row.dataset.lights).flatMap(n => [...document.querySelectorAll(`[data-part="${CSS.escape(n)}"]`)]);
   const light = on => () => { for (const p of parts) p.classList.toggle("lit", on); row.classList.toggle("lit", on); };
   row.tabIndex = 0;
   for (const e of ["mouseenter", "focus"]) row.addEventListener(e, light(true));

@@ -1,0 +1,678 @@
+"""A network drawn as one would on a whiteboard: nodes as bars, masses as boxes, elements between them with their values.
+
+Series and parallel groups are found by reduction of the graph, so that what is in series stands below one another and what
+is in parallel side by side; what is neither (a bridge) stands beside the rest with wires that may cross. A drawing is a list of
+strokes and words, written as SVG (in a page it follows the reader's colours), or as PNG or PDF.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from .. import elements as el
+from ..errors import InputError
+from ..network import Channel, Network
+from .plots import channel_text, number, unit_text
+
+GROUND = "ground"
+SYMBOL = 46.0  # height of an element's symbol [px]
+TALL = 84.0  # of an element with its wires
+BOX = 34.0  # of a mass
+LETTER = 6.1  # mean width of a letter of the small print
+SMALL = 11.0
+SUFFIXES = (".svg", ".png", ".pdf")
+#: colours where no page decides: ink, muted, found, signal
+PLAIN = {"ink": "#262b30", "muted": "#606870", "found": "#D55E00", "signal": "#0072B2"}
+
+
+# ------------------------------------------------------------------------------------------------- the drawing
+
+
+@dataclass
+class Stroke:
+    """A polyline; closed and filled where it says so."""
+
+    points: list[tuple[float, float]]
+    part: str = ""
+    colour: str = "ink"
+    width: float = 1.4
+    closed: bool = False
+    filled: bool = False
+    dashed: bool = False
+
+
+@dataclass
+class Word:
+    x: float
+    y: float
+    text: str
+    part: str = ""
+    colour: str = "ink"
+    anchor: str = "start"
+    bold: bool = False
+    size: float = SMALL
+
+
+@dataclass
+class Drawing:
+    """Strokes and words on a sheet of `width` by `height` [px]; `part` of each says what it belongs to."""
+
+    width: float = 0.0
+    height: float = 0.0
+    strokes: list[Stroke] = field(default_factory=list)
+    words: list[Word] = field(default_factory=list)
+    title: str = ""
+
+    def svg(self, *, inline: bool = False) -> str:
+        """As SVG; `inline` in the colours of the page it stands in (CSS variables), else in its own on white."""
+
+        def colour(name: str) -> str:
+            return (
+                {"ink": "currentColor"}.get(name, f"var(--{name}, {PLAIN[name]})") if inline else PLAIN[name]
+            )
+
+        paper = "var(--paper, #fff)" if inline else "#fff"
+        parts: dict[str, list[str]] = {}
+        for s in self.strokes:
+            path = " ".join(f"{x:.1f},{y:.1f}" for x, y in s.points)
+            paint = colour(s.colour)
+            fill = paint if s.filled else (paper if s.closed else "none")
+            dash = ' stroke-dasharray="4 3"' if s.dashed else ""
+            tag = "polygon" if s.closed else "polyline"
+            parts.setdefault(s.part, []).append(
+                f'<{tag} points="{path}" fill="{fill}" stroke="{paint}" stroke-width="{s.width}"{dash}/>'
+            )
+        for w in self.words:
+            weight = ' font-weight="600"' if w.bold else ""
+            parts.setdefault(w.part, []).append(
+                f'<text x="{w.x:.1f}" y="{w.y:.1f}" font-size="{w.size}" text-anchor="{w.anchor}" '
+                f'fill="{colour(w.colour)}"{weight} paint-order="stroke" stroke="{paper}" stroke-width="3">{escape(w.text)}</text>'
+            )
+        body = "".join(f'<g data-part="{escape(name)}">{"".join(marks)}</g>' for name, marks in parts.items())
+        size = f'width="{self.width:.0f}" height="{self.height:.0f}" viewBox="0 0 {self.width:.0f} {self.height:.0f}"'
+        head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} class="schematic" role="img" font-family="system-ui, sans-serif" stroke-linejoin="round">'
+        back = "" if inline else f'<rect width="{self.width:.0f}" height="{self.height:.0f}" fill="#fff"/>'
+        return f"{head}<title>{escape(self.title)}</title>{back}{body}</svg>"
+
+    def save(self, path: str | Path) -> Path:
+        """Write it; the suffix says how. Raises `InputError` for another suffix or a place that cannot be written."""
+        from ..files import whole, write_text
+
+        path = Path(path)
+        check_suffix(path)
+        if path.suffix.lower() == ".svg":
+            write_text(path, self.svg() + "\n")
+            return path
+        from matplotlib.patches import Polygon
+
+        from .plots import figure, halo, style
+
+        with style(), whole(path) as temporary:
+            fig = figure(self.width / 96, self.height / 96)
+            fig.set_layout_engine("none")
+            ax = fig.add_axes((0, 0, 1, 1))
+            ax.set_axis_off()
+            ax.set_xlim(0, self.width)
+            ax.set_ylim(self.height, 0)
+            for s in self.strokes:
+                if s.closed:
+                    face = PLAIN[s.colour] if s.filled else "white"
+                    ax.add_patch(
+                        Polygon(
+                            s.points, facecolor=face, edgecolor=PLAIN[s.colour], lw=0.75 * s.width, zorder=2
+                        )
+                    )
+                else:
+                    xs, ys = zip(*s.points, strict=True)
+                    ax.plot(xs, ys, color=PLAIN[s.colour], lw=0.75 * s.width, ls="--" if s.dashed else "-")
+            for w in self.words:
+                ha = {"start": "left", "middle": "center", "end": "right"}[w.anchor]
+                ax.text(
+                    w.x, w.y, w.text, fontsize=0.75 * w.size * 0.94, color=PLAIN[w.colour], ha=ha, va="baseline",
+                    fontweight="bold" if w.bold else "normal", zorder=4, parse_math=False, path_effects=halo(),
+                )  # fmt: skip
+            bare = {"CreationDate": None} if path.suffix.lower() == ".pdf" else {"Software": None}
+            fig.savefig(temporary, format=path.suffix[1:].lower(), dpi=192, metadata=bare)
+        return path
+
+
+def check_suffix(path: Path) -> None:
+    """Raise `InputError` for a file that no drawing can be."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"cannot draw to '{path}': end the name in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
+        )
+
+
+# ------------------------------------------------------------------------------------- series, parallel, the rest
+
+
+@dataclass(frozen=True)
+class Piece:
+    """An element, or pieces in series from the top down (`inner` the nodes between them), or in parallel."""
+
+    top: str
+    bottom: str
+    element: el.Element | None = None
+    parts: tuple[Piece, ...] = ()
+    inner: tuple[str, ...] = ()
+
+    @property
+    def series(self) -> bool:
+        return bool(self.inner)
+
+    def flipped(self) -> Piece:
+        parts = tuple(p.flipped() for p in self.parts)
+        if self.series:
+            parts = parts[::-1]
+        return Piece(self.bottom, self.top, self.element, parts, self.inner[::-1])
+
+    def reads(self, top: str) -> Piece:
+        return self if self.top == top else self.flipped()
+
+
+def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
+    """Pieces merged in parallel and in series, through every node but those to `keep`, until nothing changes."""
+    pieces, keep = list(pieces), set(keep)
+    while True:
+        by_pair: dict[frozenset[str], list[Piece]] = {}
+        for p in pieces:
+            by_pair.setdefault(frozenset((p.top, p.bottom)), []).append(p)
+        merged = []
+        for group in by_pair.values():
+            if len(group) == 1:
+                merged.append(group[0])
+                continue
+            top, bottom = group[0].top, group[0].bottom
+            flat: list[Piece] = []
+            for p in (g.reads(top) for g in group):
+                flat += p.parts if p.parts and not p.series else (p,)
+            merged.append(Piece(top, bottom, parts=tuple(flat)))
+        pieces = merged
+        ends: dict[str, list[Piece]] = {}
+        for p in pieces:
+            for n in (p.top, p.bottom):
+                ends.setdefault(n, []).append(p)
+        node = next((n for n, at in ends.items() if len(at) == 2 and n not in keep), None)
+        if node is None:
+            return pieces
+        first, second = ends[node]
+        upper = first if first.bottom == node else first.flipped()
+        lower = second.reads(node)
+        parts = (upper.parts if upper.series else (upper,)) + (lower.parts if lower.series else (lower,))
+        joined = Piece(upper.top, lower.bottom, parts=parts, inner=(*upper.inner, node, *lower.inner))
+        at = min(pieces.index(first), pieces.index(second))
+        pieces = [p for p in pieces if p is not first and p is not second]
+        pieces.insert(at, joined)
+
+
+# --------------------------------------------------------------------------------------------------- words
+
+
+def values_text(e: el.Element) -> list[str]:
+    """The numbers of an element with their units, a line each."""
+    out = []
+    for f in el.parameter_fields(type(e)):
+        value = getattr(e, f.name)
+        if not isinstance(value, int | float):
+            continue
+        unit = unit_text(f.metadata["unit"])
+        scaled, prefix = _prefixed(float(value), unit)
+        out.append(f"{scaled} {prefix}{unit}" if unit else f"{channel_text(f.name)} {scaled}")
+    return out[:3]
+
+
+def _prefixed(value: float, unit: str) -> tuple[str, str]:
+    """``709 k`` of 709000: as one writes it, where the unit takes a prefix."""
+    if unit[:1] in ("N", "m") and not unit.startswith(("m³", "m²")):
+        if abs(value) >= 1e6:
+            return number(value / 1e6, _digits(value)), "M"
+        if abs(value) >= 1e4:
+            return number(value / 1e3, _digits(value)), "k"
+        if unit == "m" and 0 < abs(value) < 0.1:
+            return number(value * 1e3, _digits(value)), "m"
+    return number(value, _digits(value)), ""
+
+
+def _digits(value: float) -> int:
+    """As many significant digits as the value was given with, two to four."""
+    for n in (1, 2, 3):
+        if value == 0 or math.isclose(float(f"{value:.{n - 1}e}"), value, rel_tol=1e-9):
+            return max(n, 1)
+    return 4
+
+
+def _channel(c: Channel) -> str:
+    unit = unit_text(c.unit)
+    more = "" if getattr(c, "measured", True) else ", not measured"
+    return f"{channel_text(c.name)} [{unit}]{more}" if unit else channel_text(c.name) + more
+
+
+# -------------------------------------------------------------------------------------------------- the layout
+
+
+class _Sheet:
+    def __init__(self, network: Network, found: Iterable[str]) -> None:
+        self.net = network
+        self.found = set(found)
+        self.out = Drawing(
+            title=f"{network.name}: {network.description}" if network.description else network.name
+        )
+        self.y: dict[str, tuple[float, float]] = {}  # node -> upper and lower edge
+        self.x: dict[str, list[float]] = {}  # node -> where something is attached
+        self.beside: dict[str, list[str]] = {}  # element -> what else is written there
+        self.signal: dict[str, list[str]] = {}
+        for e in network.elements:
+            if e.place == "element":
+                words = [channel_text(e.type), *values_text(e)]
+                self.beside.setdefault(e.where[0], []).append(" ".join(words))
+        for c in network.inputs:
+            for name in c.elements:
+                self.signal.setdefault(name, []).append(f"← {_channel(c)}")
+        for c in network.outputs:
+            for name in c.elements:
+                self.signal.setdefault(name, []).append(f"→ {self.output(c)}")
+
+    def output(self, c: Channel) -> str:
+        """An output with what its sensor does to it."""
+        does = [
+            f"{channel_text(e.type)} {' '.join(values_text(e))}"
+            for e in self.net.elements
+            if e.place == "channel" and e.where[0] == c.name
+        ]
+        return ", ".join([_channel(c), *does])
+
+    # sizes
+
+    def words(self, e: el.Element) -> list[tuple[str, str, bool]]:
+        colour = "found" if e.name in self.found else "ink"
+        lines = [(channel_text(e.name), colour, True)]
+        lines += [(t, "found" if colour == "found" else "muted", False) for t in values_text(e)]
+        for t in self.beside.get(e.name, []):
+            hit = any(
+                o.name in self.found
+                for o in self.net.elements
+                if o.place == "element" and o.where[0] == e.name
+            )
+            lines.append((t, "found" if hit else "muted", False))
+        return lines + [(t, "signal", False) for t in self.signal.get(e.name, [])]
+
+    def width(self, p: Piece) -> float:
+        if p.element is not None:
+            return 44.0 + LETTER * max(len(t) for t, _, _ in self.words(p.element))
+        if p.series:
+            return self.margin(p) + max(
+                [self.width(q) for q in p.parts] + [self.node_width(n) for n in p.inner]
+            )
+        return sum(self.width(q) for q in p.parts)
+
+    def margin(self, p: Piece) -> float:
+        """Room at the left for the names of nodes without mass."""
+        return max([LETTER * len(n) + 8.0 for n in p.inner if n not in self.net.masses], default=0.0)
+
+    def tall(self, n: str) -> float:
+        return BOX if n in self.net.masses else 0.0
+
+    def node_width(self, n: str) -> float:
+        return 30.0 + LETTER * 1.1 * len(self.mass_text(n)) if n in self.net.masses else 30.0
+
+    def mass_text(self, n: str) -> str:
+        mass = self.net.masses[n]
+        return f"{channel_text(n)}  {number(mass, _digits(mass))} kg"
+
+    def height(self, p: Piece) -> float:
+        if p.element is not None:
+            return max(TALL, 30.0 + 13.0 * len(self.words(p.element)))
+        if p.series:
+            return sum(map(self.height, p.parts)) + sum(map(self.tall, p.inner))
+        return max(map(self.height, p.parts))
+
+    # placing
+
+    def place(self, p: Piece, x: float, top: float, bottom: float, wide: float) -> None:
+        """Draw a piece in the strip that begins at x and is `wide`, between two heights."""
+        if p.element is not None:
+            self.draw_element(p, x, top, bottom, wide)
+        elif p.series:
+            spare = (bottom - top - self.height(p)) / len(p.parts)
+            at = top
+            x, wide = x + self.margin(p), wide - self.margin(p)
+            for k, q in enumerate(p.parts):
+                tall = self.height(q) + spare
+                if k:
+                    n = p.inner[k - 1]
+                    self.y[n] = (at, at + self.tall(n))
+                    at += self.tall(n)
+                self.place(q, x, at, at + tall, wide)
+                at += tall
+        else:
+            spare = (wide - self.width(p)) / len(p.parts)
+            for q in p.parts:
+                own = self.width(q) + spare
+                self.place(q, x, top, bottom, own)
+                x += own
+
+    def draw_element(self, p: Piece, x: float, top: float, bottom: float, wide: float) -> None:
+        e = p.element
+        assert e is not None
+        words = self.words(e)
+        own = 44.0 + LETTER * max(len(t) for t, _, _ in words)
+        cx, cy = x + 0.5 * (wide - own) + 20.0, 0.5 * (top + bottom)
+        part = f"el:{e.name}"
+        colour = "found" if e.name in self.found else "ink"
+        for n in (p.top, p.bottom):
+            self.x.setdefault(n, []).append(cx)
+        half = SYMBOL / 2
+
+        def line(points: Sequence[tuple[float, float]], **how: Any) -> None:
+            shifted = [(cx + a, cy + b) for a, b in points]
+            self.out.strokes.append(Stroke(shifted, part, colour, **how))
+
+        line([(0, top - cy), (0, -half)])
+        line([(0, half), (0, bottom - cy)])
+        symbol = SYMBOLS.get(e.type, _box("f"))
+        for points, how in symbol:
+            line(points, **how)
+        if e.type not in SYMBOLS or e.type in LETTERED:
+            self.out.words.append(
+                Word(cx, cy + 4, LETTERED.get(e.type, "f"), part, colour, "middle", True, 12.0)
+            )
+        at = cy - 6.5 * (len(words) - 1) + 4
+        for text, ink, bold in words:
+            self.out.words.append(Word(cx + 18.0, at, text, part, ink, bold=bold))
+            at += 13.0
+
+    def draw_nodes(self) -> None:
+        net, moved = self.net, {c.at for c in self.net.inputs if c.at and c.quantity in MOVES}
+        for n, (top, bottom) in self.y.items():
+            xs = self.x.get(n) or [60.0]
+            part = f"node:{n}"
+            middle = 0.5 * (min(xs) + max(xs))
+            if n in net.masses:
+                half = max(0.5 * (max(xs) - min(xs)) + 22.0, 0.5 * self.node_width(n))
+                left, right = middle - half, middle + half
+                corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
+                self.out.strokes.append(Stroke(corners, part, width=1.6, closed=True))
+                self.out.words.append(
+                    Word(
+                        middle, 0.5 * (top + bottom) + 4, self.mass_text(n), part, "ink", "middle", True, 12.5
+                    )
+                )
+            else:
+                at = 0.5 * (top + bottom)
+                left, right = min(xs) - 12.0, max(xs) + 12.0
+                fixed = n == GROUND or n in moved
+                if n == GROUND or fixed:
+                    left, right = left - 16.0, right + 16.0
+                self.out.strokes.append(Stroke([(left, at), (right, at)], part, width=2.6 if fixed else 1.8))
+                if n == GROUND:
+                    for k in range(int((right - left) // 9)):
+                        self.out.strokes.append(
+                            Stroke([(left + 9 * k + 9, at), (left + 9 * k, at + 9)], part, "muted", 1.0)
+                        )
+                else:
+                    # a name inside the drawing where it covers nothing: left of its bar
+                    self.out.words.append(Word(left - 5, at + 4, channel_text(n), part, "muted", "end"))
+            self.edge[n] = (left, right, 0.5 * (top + bottom))
+
+    edge: dict[str, tuple[float, float, float]]
+
+
+MOVES = ("displacement", "velocity", "acceleration")
+Symbol = list[tuple[list[tuple[float, float]], dict[str, Any]]]
+
+
+def _zigzag(reach: float = 8.0, turns: int = 6) -> list[tuple[float, float]]:
+    half = SYMBOL / 2
+    inner = [(reach * (-1) ** k, -half + 6 + (SYMBOL - 12) * (k + 0.5) / turns) for k in range(turns)]
+    return [(0.0, -half), (0.0, -half + 5), *inner, (0.0, half - 5), (0.0, half)]
+
+
+def _box(letter: str) -> Symbol:
+    half = SYMBOL / 2
+    corners = [(-11.0, -12.0), (11.0, -12.0), (11.0, 12.0), (-11.0, 12.0)]
+    return [([(0.0, -half), (0.0, -12.0)], {}), ([(0.0, 12.0), (0.0, half)], {}), (corners, {"closed": True})]
+
+
+def _circle(radius: float) -> list[tuple[float, float]]:
+    return [(radius * math.cos(a), radius * math.sin(a)) for a in (2 * math.pi * k / 40 for k in range(40))]
+
+
+_HALF = SYMBOL / 2
+_POT: Symbol = [
+    ([(-9.0, -6.0), (-9.0, 12.0), (9.0, 12.0), (9.0, -6.0)], {}),
+    ([(0.0, 12.0), (0.0, _HALF)], {}),
+    ([(0.0, -_HALF), (0.0, 2.0)], {}),
+    ([(-7.0, 2.0), (7.0, 2.0)], {"width": 2.2}),
+]
+_ARROW: Symbol = [([(-13.0, 13.0), (13.0, -13.0)], {}), ([(7.0, -12.0), (13.0, -13.0), (12.0, -7.0)], {})]
+_PLATES: Symbol = [
+    ([(0.0, -_HALF), (0.0, -14.0), (-3.0, -14.0), (-3.0, 10.0)], {"width": 2.2}),
+    ([(0.0, _HALF), (0.0, 14.0), (3.0, 14.0), (3.0, -10.0)], {"width": 2.2}),
+    *(([(-3.0, -8.0 + 4 * k), (-8.0, -4.0 + 4 * k)], {"width": 1.0}) for k in range(4)),
+]
+_STOP: Symbol = [
+    ([(0.0, -_HALF), (0.0, -9.0)], {}),
+    ([(-9.0, -9.0), (9.0, -9.0)], {"width": 2.2}),
+    ([(-7.0, 9.0), (7.0, 9.0), (3.0, -3.0), (-3.0, -3.0)], {"closed": True, "filled": True}),
+    ([(0.0, 9.0), (0.0, _HALF)], {}),
+]
+_INERTER: Symbol = [
+    ([(0.0, -_HALF), (0.0, 3.0)], {}),
+    ([(-9.0, -12.0), (-9.0, 12.0), (9.0, 12.0), (9.0, -12.0)], {}),
+    ([(0.0, 12.0), (0.0, _HALF)], {}),
+    *(([(0.0, -12.0 + 3.5 * k), (3.0, -10.2 + 3.5 * k)], {"width": 1.0}) for k in range(5)),
+    ([(x + 6.0, y - 3.0) for x, y in _circle(4.0)], {"closed": True}),
+]
+_SPRING: Symbol = [(_zigzag(), {})]
+_PLAY: Symbol = [
+    ([(0.0, -_HALF), (0.0, -4.0)], {}),
+    ([(-6.0, -4.0), (6.0, -4.0)], {"width": 2.2}),
+    ([(-9.0, -10.0), (-9.0, 10.0), (9.0, 10.0), (9.0, -10.0)], {}),
+    ([(-9.0, -10.0), (-4.0, -10.0)], {}),
+    ([(4.0, -10.0), (9.0, -10.0)], {}),
+    ([(0.0, 10.0), (0.0, _HALF)], {}),
+]
+SYMBOLS: Mapping[str, Symbol] = {
+    "linear_stiffness": _SPRING,
+    "series_compliance": _SPRING,
+    "cubic_stiffness": [*_SPRING, *_ARROW],
+    "linear_damping": _POT,
+    "quadratic_damping": [*_POT, *_ARROW],
+    "asymmetric_damping": [*_POT, *_ARROW],
+    "inertance": _INERTER,
+    "coulomb_friction": _PLATES,
+    "stribeck_friction": _PLATES,
+    "bump_stop": _STOP,
+    "backlash": _PLAY,
+    "motor": [
+        ([(0.0, -_HALF), (0.0, -12.0)], {}),
+        ([(0.0, 12.0), (0.0, _HALF)], {}),
+        (_circle(12.0), {"closed": True}),
+    ],
+}
+LETTERED = {
+    "motor": "M",
+    "gas_spring": "p",
+    "hysteresis": "z",
+    "cogging_force": "~",
+    "terminal_inertia": "m",
+    "tabulated_force": "F",
+}
+
+
+def _poles(network: Network) -> tuple[str, str]:
+    """What stands below everything, and what above: the ground or the moved node, and what is farthest from it."""
+    nodes = {n for e in network.elements if e.place == "between" for n in e.where}
+    moved = [c.at for c in network.inputs if c.at in nodes and c.quantity in MOVES]
+    bottom = GROUND if GROUND in nodes else moved[0] if moved else min(nodes)
+    near: dict[str, set[str]] = {}
+    for e in network.elements:
+        if e.place == "between":
+            near.setdefault(e.where[0], set()).add(e.where[1])
+            near.setdefault(e.where[1], set()).add(e.where[0])
+    far, ring = {bottom: 0}, [bottom]
+    while ring:
+        ring = sorted({m for n in ring for m in near[n]} - set(far))
+        for n in ring:
+            far[n] = 1 + min(far[m] for m in near[n] if m in far)
+    # among the farthest: a mass, as a car's body is, and one that is held by the most
+    top = max(
+        far, key=lambda n: (far[n] > 0, n in network.masses, n in moved, far[n], network.masses.get(n, 0.0))
+    )
+    if bottom == GROUND and moved and not network.masses:
+        top = str(moved[0])
+    return top, bottom
+
+
+def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
+    """The network as a `Drawing`; the elements named in `found` stand out. Raises `InputError` where it has no element."""
+    pieces = [Piece(e.where[0], e.where[1], element=e) for e in network.elements if e.place == "between"]
+    if not pieces:
+        raise InputError("a network without elements between nodes cannot be drawn")
+    sheet = _Sheet(network, found)
+    sheet.edge = {}
+    top, bottom = _poles(network)
+    if top == bottom:
+        top = next(n for p in pieces for n in (p.top, p.bottom) if n != bottom)
+    rest = reduced(pieces, {top, bottom})
+    main = [p for p in rest if {p.top, p.bottom} == {top, bottom}]
+    others = [p for p in rest if p not in main]
+    margin, head = 90.0, 46.0
+    x = margin
+    tallest = max([sheet.height(p) for p in main] + [_levels_height(sheet, others, top, bottom)])
+    sheet.y[top] = (head, head + sheet.tall(top))
+    begin = sheet.y[top][1]
+    sheet.y[bottom] = (begin + tallest, begin + tallest + sheet.tall(bottom))
+    for p in main:
+        wide = sheet.width(p)
+        sheet.place(p.reads(top), x, begin, begin + tallest, wide)
+        x += wide
+    if others:
+        x = _place_others(sheet, others, top, bottom, x, begin, tallest)
+    sheet.draw_nodes()
+    _signals(sheet, x)
+    return sheet.out
+
+
+def _depths(pieces: Sequence[Piece], top: str, bottom: str) -> dict[str, int]:
+    """Rows of the nodes of what is no series or parallel group, from the top down."""
+    near: dict[str, set[str]] = {}
+    for p in pieces:
+        near.setdefault(p.top, set()).add(p.bottom)
+        near.setdefault(p.bottom, set()).add(p.top)
+    # the voltages of a chain of resistors: every inner node between its neighbours
+    level = {n: 0.0 if n == top else 1.0 if n == bottom else 0.5 for n in near}
+    for _ in range(200):
+        for n in near:
+            if n not in (top, bottom):
+                level[n] = sum(level[m] for m in near[n]) / len(near[n])
+    order = sorted((n for n in near if n not in (top, bottom)), key=lambda n: (round(level[n], 6), n))
+    return {n: k + 1 for k, n in enumerate(order)}
+
+
+def _levels_height(sheet: _Sheet, pieces: Sequence[Piece], top: str, bottom: str) -> float:
+    if not pieces:
+        return 0.0
+    rows = len(_depths(pieces, top, bottom)) + 1
+    return rows * (max(map(sheet.height, pieces)) + BOX)
+
+
+def _place_others(
+    sheet: _Sheet, pieces: Sequence[Piece], top: str, bottom: str, x: float, begin: float, tallest: float
+) -> float:
+    """What is neither in series nor in parallel: each node on a row of its own, each piece in a column."""
+    depth = _depths(pieces, top, bottom)
+    pitch = tallest / (len(depth) + 1)
+    for n, k in depth.items():
+        at = begin + k * pitch - 0.5 * sheet.tall(n)
+        sheet.y[n] = (at, at + sheet.tall(n))
+    for p in sorted(pieces, key=lambda p: sum(sheet.y[n][0] for n in (p.top, p.bottom))):
+        p = p if sheet.y[p.top][0] < sheet.y[p.bottom][0] else p.flipped()
+        wide = sheet.width(p) + 14.0
+        sheet.place(p, x, sheet.y[p.top][1], sheet.y[p.bottom][0], wide)
+        x += wide
+    return x
+
+
+def _arrow(sheet: _Sheet, x: float, y0: float, y1: float, part: str, both: bool = False) -> None:
+    """A vertical arrow from y0 to y1."""
+    s = math.copysign(5.0, y1 - y0)
+    sheet.out.strokes.append(Stroke([(x, y0), (x, y1)], part, "signal", 1.2))
+    sheet.out.strokes.append(Stroke([(x - 3.5, y1 - s), (x, y1), (x + 3.5, y1 - s)], part, "signal", 1.2))
+    if both:
+        sheet.out.strokes.append(Stroke([(x - 3.5, y0 + s), (x, y0), (x + 3.5, y0 + s)], part, "signal", 1.2))
+
+
+def _signals(sheet: _Sheet, x: float) -> None:
+    """Inputs and outputs at nodes and between them, then the size of the sheet."""
+    net, out = sheet.net, sheet.out
+    right = max([x, *(e[1] for e in sheet.edge.values())]) + 10.0
+    used: dict[str, int] = {}
+    taken: dict[str, float] = {}  # node -> where its words end
+    widest = right
+    sides: list[tuple[str, str, bool]] = [(c.at, _channel(c), True) for c in net.inputs if c.at] + [
+        (c.at, sheet.output(c), False) for c in net.outputs if c.at
+    ]
+    names = [c.name for c in net.inputs if c.at] + [c.name for c in net.outputs if c.at]
+    quantities = [c.quantity for c in net.inputs if c.at] + [c.quantity for c in net.outputs if c.at]
+    for (node, text, comes), name, quantity in zip(sides, names, quantities, strict=True):
+        if node not in sheet.edge:
+            continue
+        _, end, at = sheet.edge[node]
+        k = used[node] = used.get(node, -1) + 1
+        part = f"ch:{name}"
+        ax, ay = end + 14.0, at + 17.0 * k
+        if comes and quantity == "force":
+            _arrow(sheet, ax, ay - 14, ay + 4, part)
+        else:
+            _arrow(sheet, ax, ay + 7, ay - 8, part, both=comes)
+        words = f"{text} in" if comes else text
+        out.words.append(Word(ax + 9, ay + 4, words, part, "signal"))
+        taken[node] = max(taken.get(node, 0.0), ax + 12 + LETTER * 1.03 * len(words))
+        widest = max(widest, taken[node])
+    column = widest + 16.0
+    for c in net.outputs:
+        if c.between is None or not set(c.between) <= set(sheet.edge):
+            continue
+        part = f"ch:{c.name}"
+        ys = [sheet.edge[n][2] for n in c.between]
+        for n, y in zip(c.between, ys, strict=True):
+            start = max(sheet.edge[n][1], taken.get(n, 0.0)) + 4
+            out.strokes.append(Stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True))
+        _arrow(sheet, column, max(ys), min(ys), part, both=True)
+        text = sheet.output(c)
+        # beside the arrow, not at the height of a node
+        place = min(ys) + 0.5 * (max(ys) - min(ys))
+        out.words.append(Word(column + 7, place, text, part, "signal"))
+        column += 26.0 + LETTER * len(text)
+        widest = max(widest, column)
+    low = min(
+        [a for s in out.strokes for a, _ in s.points]
+        + [w.x - (LETTER * len(w.text) if w.anchor == "end" else 0) for w in out.words]
+    )
+    shift = low - 10.0
+    for s in out.strokes:
+        s.points = [(a - shift, b) for a, b in s.points]
+    for w in out.words:
+        w.x -= shift
+    out.width = widest - shift + 14.0
+    out.height = max([b for s in out.strokes for _, b in s.points] + [w.y for w in out.words]) + 18.0
+    out.words.insert(0, Word(10.0, 20.0, net.name, "", "ink", bold=True, size=14.0))
+    out.width = max(out.width, 40.0 + 8.0 * len(net.name))
+
+
+def place_parts(network: Network, where: Sequence[str]) -> list[str]:
+    """What lights up in a drawing for a place: two nodes and what stands between them, a motor, or a channel."""
+    if len(where) == 2:
+        between = [e.name for e in network.elements if e.place == "between" and set(e.where) == set(where)]
+        return [*(f"node:{n}" for n in where), *(f"el:{n}" for n in between)]
+    return [f"el:{where[0]}", f"ch:{where[0]}"]
+
+
+__all__ = ["Drawing", "check_suffix", "draw", "place_parts", "reduced"]
