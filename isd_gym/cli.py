@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from .console import check_file, lines, progress, warm_up, write_json
 from .errors import InputError
 from .plugins import COMMANDS, REFERENCES, plugins
 
@@ -48,20 +47,6 @@ def _options(
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
 ]
-
-
-def _write_json(path: Path | None, data: dict[str, Any]) -> None:
-    if path is not None:
-        from .files import write_text
-
-        write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
-
-
-def _check_file(path: Path | None) -> None:
-    if path is not None:
-        from .files import check_file
-
-        check_file(path)
 
 
 class _SeveralValues(TyperCommand):
@@ -121,67 +106,6 @@ def _check_records(data: list[Path], validate: list[Path]) -> None:
         seen.add(own)
 
 
-@contextmanager
-def _lines() -> Iterator[Callable[[str], None]]:
-    """Lines of progress with the time gone by on stderr; silent where it is no terminal."""
-    import time
-
-    from rich.console import Console
-
-    if not sys.stderr.isatty():
-        yield lambda line: None
-        return
-    console, begun = Console(stderr=True), time.monotonic()
-    with console.status("starting") as status:
-
-        def say(line: str) -> None:
-            console.print(
-                f"{time.monotonic() - begun:6.1f} s  {line}", style="dim", highlight=False, markup=False
-            )
-            status.update("working")
-
-        yield say
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on stderr, one line a task; silent where stderr is no terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    bar = Progress(
-        TextColumn("{task.description:<24}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
-    tasks: dict[str, Any] = {}
-
-    def update(name: str, share: float) -> None:
-        if name not in tasks:
-            tasks[name] = bar.add_task(name, total=1.0)
-        bar.update(tasks[name], completed=share)
-
-    with bar:
-        yield update
-
-
-def _warm_up(update: Callable[[str, float], None]) -> None:
-    """Compile the kernel, or load it, with a line that says so."""
-    import numpy as np
-
-    from .env import ISDSuspensionVectorEnv
-
-    update("preparing the kernel", 0.0)
-    env = ISDSuspensionVectorEnv(2)
-    env.reset(seed=0)
-    env.step(np.zeros((2, 1)))
-    update("preparing the kernel", 1.0)
-
-
 @app.command()
 def score(
     policies: Annotated[
@@ -221,7 +145,7 @@ def score(
     from .road import road as find_road
     from .scoring import score as run
 
-    _check_file(json_file)
+    check_file(json_file)
     if report is not None:
         from .report import check_report
 
@@ -231,8 +155,8 @@ def score(
     belief = Network.load(model) if model else None
     entries = [find(name, plant, model=belief) for name in policies]
     known, signals = _reachable(plant, ground, speed, episodes, seed, duration)
-    with _progress() as update:
-        _warm_up(update)
+    with progress() as update:
+        warm_up(update)
         result = run(
             entries,
             plant,
@@ -248,7 +172,7 @@ def score(
     result.references |= _references(result, plant, ground, known)
     if signals:
         result.references["clairvoyant_point"] = _point(result, signals)
-    _write_json(json_file, result.to_dict())
+    write_json(json_file, result.to_dict())
     if report is not None:
         from .report import score_report
 
@@ -403,7 +327,7 @@ def simulate(
     from .network import Network
     from .simulate import simulate as run
 
-    _check_file(out)
+    check_file(out)
     network = Network.load(model)
     table = read_table(data, expected={c.name: c.unit for c in network.inputs})
     outputs = run(network, table.time, table.columns, step=step)
@@ -453,7 +377,7 @@ def diagnose(
     from .report import check_target, write_report
 
     check_target(out)
-    _check_file(json_file)
+    check_file(json_file)
     network = Network.load(model)
     options: dict[str, Any] = {
         "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
@@ -464,7 +388,7 @@ def diagnose(
     _check_channels(options["rename"].values(), channels, "--rename")
     _check_channels(options["units"], [*channels, *options["rename"]], "--unit")
     _check_records(data, validate or [])
-    with _lines() as say:
+    with lines() as say:
         fitted, held = ([read_table(f, **options) for f in files] for files in (data, validate or []))
         result = run(fitted, network, validate=held, progress=say, seed=seed)
         say("writing the report")
@@ -475,7 +399,7 @@ def diagnose(
             "Seed": str(seed),
         }
         page = write_report(result, out, about=about)
-    _write_json(json_file, result.to_dict())
+    write_json(json_file, result.to_dict())
     _print_diagnosis(result)
     typer.echo(f"report: {page}", err=True)
 
@@ -532,7 +456,7 @@ def show(
     from .road import road as find_road
     from .show import check_window, film, live
 
-    _check_file(out)
+    check_file(out)
     if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)
@@ -540,12 +464,12 @@ def show(
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()
-        with _progress() as update:
-            _warm_up(update)
+        with progress() as update:
+            warm_up(update)
         live(entries, plant, **drive)
         return
-    with _progress() as update:
-        _warm_up(update)
+    with progress() as update:
+        warm_up(update)
         film(entries, plant, out, progress=lambda share: update("filming", share), **drive)
     typer.echo(f"{seconds:g} s of {' and '.join(e.name for e in entries)} in {out}")
 
@@ -574,7 +498,7 @@ def networks(
 
         if name is None:
             raise InputError("--draw wants a network: isd-gym networks NAME --draw FILE")
-        _check_file(draw)
+        check_file(draw)
         check_suffix(draw)
         sketch(Network.load(name)).save(draw)
         typer.echo(f"{name} drawn to {draw}")

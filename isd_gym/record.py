@@ -180,14 +180,15 @@ def record(
 
     Example: isd-gym record mpc --out isd/mpc-v0
     """
-    from .cli import _progress, _warm_up
+    from .console import progress as bar
+    from .console import warm_up
     from .network import Network
     from .policies import find
 
     plant = Network.load(network)
     entry = find(policy, plant)
-    with _progress() as update:
-        _warm_up(update)
+    with bar() as update:
+        warm_up(update)
         write_dataset(
             entry,
             out,

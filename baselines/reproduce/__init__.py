@@ -27,18 +27,18 @@ def command(
 
     Example: isd-gym reproduce --out reproduction
     """
-    from isd_gym.cli import _check_file, _progress, _warm_up, _write_json
+    from isd_gym.console import check_file, progress, warm_up, write_json
     from isd_gym.files import check_folder
 
     from .page import plain, reproduce
     from .study import KIND, PARTS
 
-    _check_file(json_file)
+    check_file(json_file)
     check_folder(out, KIND, "reproduction.json", PARTS)
-    with _progress() as update:
-        _warm_up(update)
+    with progress() as update:
+        warm_up(update)
         result = reproduce(out, quick, update)
-    _write_json(json_file, plain(result))
+    write_json(json_file, plain(result))
     show(result)
     typer.echo(f"page: {out / 'index.html'}", err=True)
 

@@ -1,0 +1,85 @@
+"""What commands share: progress on stderr, files that they are asked to write."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from . import files
+
+
+def write_json(path: Path | None, data: dict[str, Any]) -> None:
+    """Write what a command found to the FILE of --json, if there is one."""
+    if path is not None:
+        files.write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def check_file(path: Path | None) -> None:
+    """Raise `InputError` at once where FILE, if there is one, could not be written at the end of long work."""
+    if path is not None:
+        files.check_file(path)
+
+
+@contextmanager
+def lines() -> Iterator[Callable[[str], None]]:
+    """Lines of progress with the time gone by on stderr; silent where it is no terminal."""
+    import time
+
+    from rich.console import Console
+
+    if not sys.stderr.isatty():
+        yield lambda line: None
+        return
+    console, begun = Console(stderr=True), time.monotonic()
+    with console.status("starting") as status:
+
+        def say(line: str) -> None:
+            console.print(
+                f"{time.monotonic() - begun:6.1f} s  {line}", style="dim", highlight=False, markup=False
+            )
+            status.update("working")
+
+        yield say
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on stderr, one line a task; silent where stderr is no terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(
+        TextColumn("{task.description:<24}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+    tasks: dict[str, Any] = {}
+
+    def update(name: str, share: float) -> None:
+        if name not in tasks:
+            tasks[name] = bar.add_task(name, total=1.0)
+        bar.update(tasks[name], completed=share)
+
+    with bar:
+        yield update
+
+
+def warm_up(update: Callable[[str, float], None]) -> None:
+    """Compile the kernel, or load it, with a line that says so."""
+    import numpy as np
+
+    from .env import ISDSuspensionVectorEnv
+
+    update("preparing the kernel", 0.0)
+    env = ISDSuspensionVectorEnv(2)
+    env.reset(seed=0)
+    env.step(np.zeros((2, 1)))
+    update("preparing the kernel", 1.0)
