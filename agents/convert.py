@@ -1,18 +1,15 @@
 """Policies of Stable-Baselines3 (.zip, with or without VecNormalize) as policies that numpy alone can run.
 
 An archive of Stable-Baselines3 holds pickles, and loading a pickle runs whatever code its maker put in. Here none is
-run: the reader below builds arrays and inert placeholders, and nothing else. Even so, convert once and keep the
-folder: it says what it is, and no other program needs to be as careful with it.
+run: `pickles` reads what a pickle says and calls nothing. Even so, convert once and keep the folder: it says what it
+is, and no other program needs to be as careful with it.
 """
 
 from __future__ import annotations
 
 import io
-import json
 import math
-import pickle
 import zipfile
-from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,10 +18,12 @@ import numpy as np
 
 from isd_gym.batch import CURRENT_LIMIT
 from isd_gym.env import N_MEASURED
-from isd_gym.errors import InputError
+from isd_gym.errors import InputError, shown
+from isd_gym.inputs import number, parse_json, read_bytes, too_large
 from isd_gym.network import Network
 
 from .memory import Memory
+from .pickles import STORAGES, Name, Stored, Thing, array, mapping, read_pickle, tensor
 from .policy import Head, Policy
 
 WARNING = (
@@ -33,105 +32,110 @@ WARNING = (
 )
 
 
-class _Inert:
-    """Stands in for any object of a pickle: it remembers its state and does nothing."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        self.state: Any = {}
-
-    def __setstate__(self, state: Any) -> None:
-        self.state = state
+#: bytes that an archive's parts may have together, unpacked
+ARCHIVE_LIMIT = 512 * 2**20
 
 
-def _array(kind: Any, shape: Any, code: Any) -> np.ndarray:
-    return np.ndarray.__new__(np.ndarray, (0,), "b")
+class _Zip:
+    """The parts of a zip archive, read only after their sizes were found bearable; raises `InputError`."""
 
+    def __init__(self, data: bytes, where: str) -> None:
+        self.where = where
+        try:
+            self.file = zipfile.ZipFile(io.BytesIO(data))
+            self.parts = {part.filename: part for part in self.file.infolist()}
+        except Exception as error:  # a zip can be broken in any way
+            raise InputError(f"{where}: not a zip archive ({type(error).__name__})") from None
+        total = sum(part.file_size for part in self.parts.values())
+        if total > ARCHIVE_LIMIT:
+            raise too_large(where, total, ARCHIVE_LIMIT)
 
-def _from_buffer(data: Any, dtype: Any, shape: Any, order: Any, *rest: Any) -> np.ndarray:
-    return np.frombuffer(data, dtype).reshape(shape, order=order)
-
-
-def _scalar(dtype: Any, data: bytes) -> Any:
-    return np.frombuffer(data, dtype)[0]
-
-
-def _tensor(storage: np.ndarray, offset: int, size: tuple, stride: tuple, *rest: Any) -> np.ndarray:
-    view = np.lib.stride_tricks.as_strided(
-        storage[offset:], size, [s * storage.itemsize for s in stride], writeable=False
-    )
-    if size and offset + sum((n - 1) * s for n, s in zip(size, stride, strict=True)) >= len(storage):
-        raise InputError("a tensor is larger than what is stored of it")
-    return np.array(view)
-
-
-_STORAGES = {
-    "FloatStorage": np.float32,
-    "DoubleStorage": np.float64,
-    "LongStorage": np.int64,
-    "BoolStorage": np.bool_,
-}
-_KNOWN: dict[tuple[str, str], Any] = {
-    ("collections", "OrderedDict"): OrderedDict,
-    ("numpy", "ndarray"): np.ndarray,
-    ("numpy", "dtype"): np.dtype,
-    ("torch._utils", "_rebuild_tensor_v2"): _tensor,
-    **{("torch", name): kind for name, kind in _STORAGES.items()},
-    **{
-        (f"numpy.{core}.{module}", name): made
-        for core in ("core", "_core")
-        for module, name, made in (
-            ("multiarray", "_reconstruct", _array),
-            ("multiarray", "scalar", _scalar),
-            ("numeric", "_frombuffer", _from_buffer),
-        )
-    },
-}
-
-
-class _Reader(pickle.Unpickler):
-    """An unpickler that knows arrays and tensors; every other global becomes `_Inert`."""
-
-    def __init__(self, data: bytes, storages: Mapping[str, bytes] | None = None) -> None:
-        super().__init__(io.BytesIO(data))
-        self._storages = storages or {}
-
-    def find_class(self, module: str, name: str) -> Any:
-        return _KNOWN.get((module, name), _Inert)
-
-    def persistent_load(self, pid: Any) -> np.ndarray:
-        _, kind, key, *_ = pid
-        return np.frombuffer(self._storages[key], kind)
+    def read(self, name: str) -> bytes:
+        """The bytes of a part."""
+        part = self.parts.get(name)
+        if part is None:
+            raise InputError(f"{self.where}: no part {shown(name)}")
+        if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or part.flag_bits & 1:
+            raise InputError(
+                f"{self.where}: part {shown(name)} is packed in another way than saved archives are"
+            )
+        try:
+            with self.file.open(part) as stream:
+                found = stream.read(part.file_size)  # never more than was told, whatever lies there
+        except Exception as error:
+            raise InputError(f"{self.where}: part {shown(name)} is broken ({type(error).__name__})") from None
+        if len(found) != part.file_size:
+            raise InputError(f"{self.where}: part {shown(name)} is shorter than told")
+        return found
 
 
 def read_torch(data: bytes, where: str) -> dict[str, np.ndarray]:
     """The arrays of a state dict saved by `torch.save`, without torch and without running its pickle."""
+    archive = _Zip(data, where)
+    inside = {name.partition("/")[2]: name for name in archive.parts}
+    if "data.pkl" not in inside:
+        raise InputError(f"{where}: not weights saved by torch")
+    if "byteorder" in inside and archive.read(inside["byteorder"]) != b"little":
+        raise InputError(f"{where}: not saved on a little-endian machine")
+    storages: dict[tuple[str, str], np.ndarray] = {}
+
+    def storage(reference: Any) -> np.ndarray:
+        key = reference.key if isinstance(reference, Stored) else None
+        if not (
+            isinstance(key, tuple) and len(key) >= 3 and isinstance(key[1], Name) and isinstance(key[2], str)
+        ):
+            raise InputError("a tensor without a storage")
+        _, made, name, *_ = key
+        if made.module != "torch" or made.name not in STORAGES or f"data/{name}" not in inside:
+            raise InputError(f"no storage {shown(name)} of {shown(made.name)}")
+        place = (made.name, name)
+        if place not in storages:
+            kind, held = STORAGES[made.name], archive.read(inside[f"data/{name}"])
+            storages[place] = np.frombuffer(held[: len(held) // kind.itemsize * kind.itemsize], kind)
+        return storages[place]
+
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            files = {name.partition("/")[2]: archive.read(name) for name in archive.namelist()}
-        if files.get("byteorder", b"little") != b"little":
-            raise InputError(f"{where}: saved on a big-endian machine")
-        storages = {k.removeprefix("data/"): v for k, v in files.items() if k.startswith("data/")}
-        state = _Reader(files["data.pkl"], storages).load()
-        return {k: v for k, v in state.items() if isinstance(v, np.ndarray)}
-    except InputError:
-        raise
-    except Exception as error:  # a pickle can fail in any way
-        raise InputError(f"{where}: not weights saved by torch ({type(error).__name__})") from None
+        out, total = {}, 0
+        for name, value in mapping(read_pickle(archive.read(inside["data.pkl"]))).items():
+            if isinstance(value, Thing) and value.made == _TENSOR and len(value.arguments) >= 4:
+                reference, offset, size, stride = value.arguments[:4]
+                found = tensor(storage(reference), offset, size, stride)
+                total += found.nbytes
+                if total > ARCHIVE_LIMIT:
+                    raise InputError("tensors that overlap")
+                out[str(name)] = found
+        return out
+    except InputError as error:
+        raise InputError(f"{where}: not weights saved by torch ({error})") from None
+
+
+_TENSOR = Name("torch._utils", "_rebuild_tensor_v2")
 
 
 def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
     """(mean, scale, clip) of the observations in a saved VecNormalize, without running its pickle."""
     try:
-        state = _Reader(Path(path).read_bytes()).load().state
-        rms = state["obs_rms"].state
-        mean, variance = np.asarray(rms["mean"], float), np.asarray(rms["var"], float)
-        if not state.get("norm_obs", True):
+        thing = read_pickle(read_bytes(path))
+        if not isinstance(thing, Thing) or not isinstance(thing.state, dict):
+            raise InputError("another object")
+        state = thing.state
+        rms = state.get("obs_rms")
+        if not isinstance(rms, Thing) or not isinstance(rms.state, dict):
+            raise InputError("no running mean of the observations")
+        mean, variance = (array(rms.state.get(key)).astype(float) for key in ("mean", "var"))
+        if state.get("norm_obs", True) is not True:
             return np.zeros_like(mean), np.ones_like(mean), math.inf
-        return mean, np.sqrt(variance + float(state["epsilon"])), float(state["clip_obs"])
-    except OSError as error:
-        raise InputError(f"cannot read '{path}': {error.strerror}") from None
-    except Exception as error:
-        raise InputError(f"'{path}' is not a saved VecNormalize ({type(error).__name__})") from None
+        epsilon, clip = (number(array(state.get(k)).item(), k) for k in ("epsilon", "clip_obs"))
+        if not (np.isfinite(mean).all() and np.isfinite(variance).all() and (variance >= 0).all()):
+            raise InputError("mean and variance are not finite")
+        if not (clip > 0 and epsilon > 0):
+            raise InputError("clip_obs and epsilon are not > 0")
+        return mean, np.sqrt(variance + epsilon), clip
+    except InputError as error:
+        text = str(error)
+        if text.startswith(f"{path}:"):
+            raise
+        raise InputError(f"'{path}' is not a saved VecNormalize ({text})") from None
 
 
 def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
@@ -148,12 +152,17 @@ def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.nd
         raise InputError(
             "its features extractor has weights of its own; only the flat MlpPolicy can be converted"
         )
-    numbers = sorted(
-        int(k.removeprefix(hidden).removesuffix(".weight"))
+    inner = [
+        k.removeprefix(hidden).removesuffix(".weight")
         for k in state
         if k.startswith(hidden) and k.endswith(".weight")
-    )
-    names = [f"{hidden}{i}" for i in numbers] + ([last] if last else [])
+    ]
+    if not all(i.isascii() and i.isdecimal() and len(i) < 4 for i in inner):
+        raise InputError("its layers are not numbered")
+    names = [f"{hidden}{i}" for i in sorted(inner, key=int)] + ([last] if last else [])
+    for name in (f"{n}.{part}" for n in names for part in ("weight", "bias")):
+        if name not in state:
+            raise InputError(f"{shown(name)} is missing")
     return kind, [(state[f"{n}.weight"], state[f"{n}.bias"]) for n in names]
 
 
@@ -168,6 +177,8 @@ def build(
 ) -> Policy:
     """Policy of an SB3 state dict (arrays); `high` is the bound of the action space it was trained on."""
     kind, layers = actor_layers(state)
+    if any(value.dtype.kind != "f" for layer in layers for value in layer):
+        raise InputError("weights that are no floats")
     if kind == "ppo" and high != 1.0:  # PPO's mean is in the action's unit, SAC's and TD3's in [-1, 1]
         layers[-1] = (layers[-1][0] / high, layers[-1][1] / high)
     return Policy(
@@ -187,6 +198,12 @@ def _space(data: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
     return space
 
 
+def _shape(space: Mapping[str, Any]) -> str:
+    shape = space.get("_shape")
+    short = isinstance(shape, list) and len(shape) < 6 and all(isinstance(n, int) for n in shape)
+    return str(shape) if short else shown(shape)
+
+
 def convert(
     archive: str | Path,
     *,
@@ -201,39 +218,38 @@ def convert(
     An action space of +-1 is taken as a share of the current's limit. Raises `InputError` in one line for anything
     that is no such archive or was trained for other spaces.
     """
-    path = Path(archive)
-    try:
-        with zipfile.ZipFile(path) as file:
-            data = json.loads(file.read("data"))
-            weights = file.read("policy.pth")
-    except OSError as error:
-        raise InputError(f"cannot read '{path}': {error.strerror}") from None
-    except (zipfile.BadZipFile, KeyError, ValueError):
-        raise InputError(f"'{path}' is not an archive of Stable-Baselines3") from None
-    where = f"'{path}'"
-    seen = _space(data, "observation_space", where).get("_shape")
+    path, where = Path(archive), shown(str(archive), 200)
+    file = _Zip(read_bytes(path, ARCHIVE_LIMIT), where)
+    data = parse_json(file.read("data"), where)
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where} is not an archive of Stable-Baselines3: its data is {shown(data)}")
+    seen = _space(data, "observation_space", where)
     acts = _space(data, "action_space", where)
     memory = memory or Memory()
     wanted = memory.width(N_MEASURED)
-    if list(seen or []) != [wanted]:
-        raise InputError(f"{where} was trained on observations of shape {seen}, this car gives [{wanted}]")
-    if list(acts.get("_shape") or []) != [1]:
+    if seen.get("_shape") != [wanted]:
         raise InputError(
-            f"{where} was trained for actions of shape {acts.get('_shape')}, the car has one current"
+            f"{where} was trained on observations of shape {_shape(seen)}, this car gives [{wanted}]"
         )
-    high = float(str(acts.get("high", "[1.]")).strip("[] "))
+    if acts.get("_shape") != [1]:
+        raise InputError(f"{where} was trained for actions of shape {_shape(acts)}, the car has one current")
+    try:
+        high = float(str(acts.get("high", "[1.]"))[:40].strip("[] "))
+    except ValueError:
+        raise InputError(f"{where}: the bound of its actions is {shown(acts.get('high'))}") from None
     if high not in (1.0, CURRENT_LIMIT):
         raise InputError(f"{where} was trained for actions up to {high:g}, neither 1 nor {CURRENT_LIMIT:g} A")
-    state = read_torch(weights, where)
+    state = read_torch(file.read("policy.pth"), where)
     try:
         kind, _ = actor_layers(state)
         given = data.get("policy_kwargs", {})
+        given = given if isinstance(given, Mapping) else {}
         text = str(given.get("activation_fn", "Tanh" if kind == "ppo" else "ReLU"))
         activation = next(
             (a for a in ("tanh", "relu") if f".{a}'" in text.lower() or a == text.lower()), None
         )
         if activation is None:
-            raise InputError(f"activation {text} is not supported (Tanh, ReLU)")
+            raise InputError(f"activation {shown(text)} is not supported (Tanh, ReLU)")
         mean, scale, clip = read_normalize(normalize) if normalize else (None, None, math.inf)
         return build(
             state,

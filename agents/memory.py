@@ -16,7 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from isd_gym.errors import InputError
+from isd_gym.errors import InputError, shown
+from isd_gym.inputs import number
+
+#: what a policy's file may ask for: states of a filter, signals, orders of change, the size of any number
+STATES, SIGNALS, ORDERS, LARGEST = 64, 1024, 8, 1e12
 
 
 @dataclass(frozen=True)
@@ -46,19 +50,38 @@ class Filter:
     current: int = 5
 
     def __post_init__(self) -> None:
-        n, nf, ny = len(self.B), len(self.K), len(self.D)
+        try:
+            n, nf, ny = len(self.B), len(self.K), len(self.D)
+        except TypeError:
+            raise InputError("memory: filter's B, K and D must be lists of numbers") from None
+        if not (0 < n <= STATES and nf <= STATES and ny <= SIGNALS):
+            raise InputError(f"memory: filter has more than {STATES} states or {SIGNALS} signals")
         shapes = dict(
             A=(n, n), B=(n,), G=(n, nf), S=(nf, n), K=(nf, nf), C=(ny, n), D=(ny,), F=(ny, nf), L=(n, ny)
         )
         for name, shape in (shapes | dict(law=(n,), rate=(n,))).items():
             try:
                 value = np.array(getattr(self, name), float)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise InputError(f"memory: filter's {name} is not a matrix") from None
-            if value.size != math.prod(shape) or not np.isfinite(value).all():
+            if not (value.shape == shape or value.size == math.prod(shape) == 0):
                 raise InputError(f"memory: filter's {name} must have shape {shape}, not {value.shape}")
-        if not (all(self.K[j][j] > 0 for j in range(nf)) and self.slew > 0 and math.isfinite(self.force)):
-            raise InputError("memory: filter's diagonal of K and slew must be > 0, its force finite")
+            if not (np.abs(value) <= LARGEST).all():
+                raise InputError(f"memory: filter's {name} must be finite, at most {LARGEST:g}")
+        for name in ("force", "slew", "reach"):
+            size = number(getattr(self, name), f"memory: filter's {name}")
+            if not (abs(size) <= LARGEST and (name == "force" or size > 0)):
+                raise InputError(f"memory: filter's {name} must be > 0 and at most {LARGEST:g}, not {size:g}")
+        if not all(self.K[j][j] > 0 for j in range(nf)):
+            raise InputError("memory: filter's diagonal of K must be > 0")
+        if (
+            isinstance(self.current, bool)
+            or not isinstance(self.current, int)
+            or not 0 <= self.current < SIGNALS
+        ):
+            raise InputError(
+                f"memory: filter's current must be the place of a signal, not {shown(self.current)}"
+            )
 
     @property
     def width(self) -> int:
@@ -91,13 +114,23 @@ class Memory:
     filter: Filter | None = None
 
     def __post_init__(self) -> None:
-        if self.order < 0 or (self.order > 0 and len(self.change) != len(self.scale)):
+        if not 0 <= self.order <= ORDERS:
+            raise InputError(f"memory: order must be 0 to {ORDERS}, not {shown(self.order)}")
+        if max(len(self.scale), len(self.change), len(self.leak)) > SIGNALS:
+            raise InputError(f"memory: more than {SIGNALS} signals or leaks")
+        if self.order > 0 and len(self.change) != len(self.scale):
             raise InputError("memory: change needs one scale for each signal")
-        if any(not s > 0 for s in (*self.scale, *self.change)):
-            raise InputError("memory: scales must be > 0")
+        if any(not 1 / LARGEST < s < LARGEST for s in (*self.scale, *self.change)):
+            raise InputError(f"memory: scales must be > 0, at most {LARGEST:g}")
+        if not 0 < self.step <= 10:
+            raise InputError(f"memory: step must be > 0 and at most 10 s, not {self.step:g}")
         for signal, tau, scale in self.leak:
-            if not (0 <= signal < len(self.scale) and tau > self.step and scale > 0):
-                raise InputError(f"memory: leak ({signal}, {tau}, {scale}) is not (signal, seconds, scale)")
+            if not (
+                0 <= signal < len(self.scale) and self.step < tau < LARGEST and 1 / LARGEST < scale < LARGEST
+            ):
+                raise InputError(
+                    f"memory: leak ({signal}, {tau:g}, {scale:g}) is not (signal, seconds, scale)"
+                )
 
     def width(self, signals: int) -> int:
         """Number of features of `signals` measured signals."""
@@ -124,7 +157,9 @@ class Memory:
                 step=float(data.get("step", 5e-3)),
                 filter=Filter.from_dict(data["filter"]) if data.get("filter") else None,
             )
-        except (TypeError, ValueError, AttributeError) as error:
+        except InputError:
+            raise
+        except (TypeError, ValueError, OverflowError, AttributeError, RecursionError) as error:
             raise InputError(f"memory: {error}") from None
 
     def start(self, observations: np.ndarray) -> Recall:

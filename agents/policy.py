@@ -22,14 +22,19 @@ from typing import Any
 import numpy as np
 
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
-from isd_gym.errors import InputError
-from isd_gym.files import whole, write_text
+from isd_gym.errors import InputError, plain, shown
+from isd_gym.files import whole_folder
+from isd_gym.inputs import number, parse_json, read_bytes
 from isd_gym.network import Network
 
-from .memory import Memory, Recall
+from .memory import LARGEST, Memory, Recall
+from .pickles import sizes
 
 SCHEMA = "isd-policy/1"
 JSON_NAME, WEIGHTS_NAME = "policy.json", "weights.safetensors"
+POLICY = ("policy", JSON_NAME, (JSON_NAME, WEIGHTS_NAME))
+#: what a policy's files may ask for: bytes of a file, tensors, layers, neurons of a layer
+FILE_LIMIT, TENSORS, LAYERS, WIDTH = 256 * 2**20, 256, 32, 8192
 FEATURE_LIMIT = 10.0  # features beyond ten times their scale tell the policy nothing more
 CURRENT_SIGNAL = 5  # of the observation
 SHIPPED = Path(__file__).parent / "policies"
@@ -52,9 +57,15 @@ class Head:
 
     def __post_init__(self) -> None:
         if self.mode not in ("target", "increment", "residual"):
-            raise InputError(f"action mode must be target, increment or residual, not {self.mode!r}")
-        if not (0 < self.limit < math.inf and 0 < self.slew < math.inf):
-            raise InputError("the action's limit and slew must be > 0")
+            raise InputError(f"action mode must be target, increment or residual, not {shown(self.mode)}")
+        for key, most in (("limit", CURRENT_LIMIT), ("slew", SLEW_LIMIT)):
+            value = number(getattr(self, key), f"the action's {key}")
+            if not 0 < value <= most:
+                raise InputError(f"the action's {key} must be > 0 and at most {most:g} A, not {value:g}")
+        if not 0 <= number(self.keep, "the action's keep") <= 1:
+            raise InputError(f"the action's keep must be 0 to 1, not {self.keep:g}")
+        if abs(number(self.gain, "the action's gain")) > 2 * CURRENT_LIMIT:
+            raise InputError(f"the action's gain must be at most {2 * CURRENT_LIMIT:g} A, not {self.gain:g}")
 
     def current(
         self, share: np.ndarray, observations: np.ndarray, recall: Recall | None = None
@@ -113,15 +124,23 @@ def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarra
     """The tensors of a safetensors file as float arrays; `InputError` if it is not one."""
     try:
         (length,) = struct.unpack_from("<Q", data)
-        header = json.loads(data[8 : 8 + length])
-        body = data[8 + length :]
+        if length > len(data) - 8:
+            raise ValueError
+        header = parse_json(data[8 : 8 + length], where)
+        if not isinstance(header, dict) or len(header) > TENSORS:
+            raise ValueError
         out = {}
         for name, entry in header.items():
-            if name != "__metadata__":
-                begin, end = entry["data_offsets"]
-                out[name] = np.frombuffer(body[begin:end], _DTYPES[entry["dtype"]]).reshape(entry["shape"])
+            if name == "__metadata__":
+                continue
+            kind, (begin, end) = _DTYPES[entry["dtype"]], sizes(entry["data_offsets"], "offsets")
+            shape = sizes(entry["shape"], "sizes")
+            if not begin <= end <= len(data) - 8 - length or end - begin != math.prod(shape) * kind.itemsize:
+                raise ValueError
+            found = np.frombuffer(data, kind, math.prod(shape), 8 + length + begin)
+            out[name] = found.reshape(shape)
         return out
-    except (struct.error, ValueError, KeyError, TypeError, AttributeError, OverflowError):
+    except (struct.error, ValueError, KeyError, TypeError):
         raise InputError(f"{where}: not a safetensors file of floats") from None
 
 
@@ -165,40 +184,58 @@ class Policy:
         network: Network | None = None,
         info: Mapping[str, Any] | None = None,
     ) -> None:
-        if activation not in ACTIVATIONS:
-            raise InputError(f"activation must be one of {', '.join(ACTIVATIONS)}, not {activation!r}")
+        if not isinstance(activation, str) or activation not in ACTIVATIONS:
+            raise InputError(f"activation must be one of {', '.join(ACTIVATIONS)}, not {shown(activation)}")
         if output not in OUTPUTS:
-            raise InputError(f"output must be one of {', '.join(OUTPUTS)}, not {output!r}")
+            raise InputError(f"output must be one of {', '.join(OUTPUTS)}, not {shown(output)}")
         if not weights:
             raise InputError("the policy has no layers")
         self.memory, self.head = memory or Memory(), head or Head()
         if self.head.mode == "residual" and self.memory.filter is None:
             raise InputError("a residual action needs a memory with a filter")
+        if not (isinstance(clip, int | float) and clip > 0):
+            raise InputError(f"clip must be > 0, not {shown(clip)}")
         self.activation, self.output, self.clip, self.name = activation, output, float(clip), name
         #: the network it was trained on
         self.model = network
         self.info = dict(info or {})
-        self.weights = [(np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights]
+        if len(weights) > LAYERS:
+            raise InputError(f"the policy has {len(weights)} layers, at most {LAYERS} are run")
+        with np.errstate(over="ignore"):
+            self.weights = [(np.array(w, np.float32), np.array(b, np.float32)) for w, b in weights]
         for i, (w, b) in enumerate(self.weights):
-            before = self.weights[i - 1][0].shape[0] if i else w.shape[-1]
-            if w.ndim != 2 or b.shape != w.shape[:1] or w.shape[1] != before:
+            if w.ndim != 2 or b.shape != w.shape[:1] or (i and w.shape[1] != len(self.weights[i - 1][1])):
                 raise InputError(f"layer {i} of the weights does not fit: {w.shape} and {b.shape}")
-            if not (np.isfinite(w).all() and np.isfinite(b).all()):
-                raise InputError(f"layer {i} of the weights is not finite")
+            if not 0 < min(w.shape) <= max(w.shape) <= WIDTH:
+                raise InputError(f"layer {i} of the weights has sizes {w.shape}, at most {WIDTH} are run")
+            if not ((np.abs(w) <= LARGEST).all() and (np.abs(b) <= LARGEST).all()):
+                raise InputError(f"layer {i} of the weights is not finite, or larger than {LARGEST:g}")
         if self.weights[-1][0].shape[0] != 1:
             raise InputError(
                 f"the policy has {self.weights[-1][0].shape[0]} outputs, the car has one current"
             )
         features = self.weights[0][0].shape[1]
-        self.mean = np.zeros(features, np.float32) if mean is None else np.array(mean, np.float32)
-        self.scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
-        if self.mean.shape != (features,) or self.scale.shape != (features,) or not (self.scale > 0).all():
+        with np.errstate(over="ignore", under="ignore"):
+            self.mean = np.zeros(features, np.float32) if mean is None else np.array(mean, np.float32)
+            self.scale = np.ones(features, np.float32) if scale is None else np.array(scale, np.float32)
+        if self.mean.shape != (features,) or self.scale.shape != (features,):
             raise InputError(f"the normalisation needs {features} means and positive scales")
+        if not (
+            (np.abs(self.mean) <= LARGEST).all()
+            and (self.scale >= 1 / LARGEST).all()
+            and (self.scale <= LARGEST).all()
+        ):
+            raise InputError(f"the normalisation needs means and positive scales of at most {LARGEST:g}")
         self.signals = (features - self.memory.extra) // (1 + self.memory.order)
         if self.memory.width(self.signals) != features:
             raise InputError(
                 f"the policy has {features} inputs, its memory gives {self.memory.width(self.signals)}"
             )
+        needed = [CURRENT_SIGNAL] if self.head.mode == "increment" else []
+        if self.memory.filter is not None:
+            needed += [self.memory.filter.current, len(self.memory.filter.D) - 1]
+        if not max(needed, default=0) < self.signals:
+            raise InputError(f"the policy reads signal {max(needed)}, the observation has {self.signals}")
         self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
         self._act = ACTIVATIONS[activation]
         self._recall: Recall | None = None
@@ -232,15 +269,19 @@ class Policy:
             features = recall.features
         else:
             features = recall.see(obs)
-        return self.head.current(self.share(features), obs, recall)[:, 0]
+        wanted = self.head.current(self.share(features), obs, recall)[:, 0]
+        if not math.isfinite(wanted.sum()):  # numbers that overflowed on the way command nothing
+            wanted = np.where(np.isfinite(wanted), wanted, np.float32(0.0))
+        return wanted
 
     def share(self, features: np.ndarray) -> np.ndarray:
         """The network itself: features (count, features) -> (count, 1) in [-1, 1]."""
-        x = np.clip((features - self.mean) / self.scale, -self.clip, self.clip)
-        for w, b in self._transposed[:-1]:
-            x = self._act(x @ w + b)
-        w, b = self._transposed[-1]
-        y = x @ w + b
+        with np.errstate(over="ignore", invalid="ignore"):
+            x = np.clip((features - self.mean) / self.scale, -self.clip, self.clip)
+            for w, b in self._transposed[:-1]:
+                x = self._act(x @ w + b)
+            w, b = self._transposed[-1]
+            y = x @ w + b
         return np.tanh(y) if self.output == "tanh" else np.clip(y, -1.0, 1.0)
 
     def copy(self) -> Policy:
@@ -262,9 +303,11 @@ class Policy:
     # ---------------------------------------------------------------------------------------- files
 
     def save(self, folder: str | Path) -> Path:
-        """Write `policy.json` and the weights into `folder`; returns it. An old policy there is replaced."""
+        """Write `policy.json` and the weights into `folder`; returns it.
+
+        The folder is new, empty or an earlier policy, which is replaced as a whole; raises `InputError` for any other.
+        """
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         tensors = {"normalisation.mean": self.mean, "normalisation.scale": self.scale}
         for i, (w, b) in enumerate(self.weights):
             tensors |= {f"layer.{i}.weight": w, f"layer.{i}.bias": b}
@@ -283,39 +326,38 @@ class Policy:
             "action": asdict(self.head),
             "network": self.model.to_dict() if self.model is not None else None,
         }
-        # weights first: a folder whose json is there is whole
-        with whole(folder / WEIGHTS_NAME) as path:
-            path.write_bytes(blob)
-        write_text(folder / JSON_NAME, json.dumps({**head, **self.info}, indent=1) + "\n")
+        with whole_folder(folder, *POLICY) as place:
+            (place / WEIGHTS_NAME).write_bytes(blob)
+            text = json.dumps({**head, **self.info}, indent=1, allow_nan=False)
+            (place / JSON_NAME).write_text(text + "\n", encoding="utf-8")
         return folder
 
     @classmethod
     def load(cls, folder: str | Path) -> Policy:
         """Read a policy folder, or a shipped policy by its name (ppo, sac); `InputError` if anything is amiss."""
         given, folder = folder, Path(folder)
+        where = f"policy {shown(str(given), 200)}"
         if not folder.exists() and (SHIPPED / str(given) / JSON_NAME).is_file():
             folder = SHIPPED / str(given)
         if folder.suffix == ".zip":
             raise InputError(
-                f"'{given}' is a pickle, which can run code: convert it once with `isd-gym convert`"
+                f"{shown(str(given), 200)} is a pickle, which can run code: convert it once with `isd-gym convert`"
             )
-        data = _read(folder, JSON_NAME)
+        head = parse_json(_read(folder, JSON_NAME), f"{where}: {JSON_NAME}")
+        if not isinstance(head, dict) or head.get("schema") != SCHEMA:
+            raise InputError(f"{where}: {JSON_NAME} is not of schema '{SCHEMA}'")
+        blob = _read(folder, WEIGHTS_NAME)
         try:
-            head = json.loads(data)
-            if not isinstance(head, dict) or head.get("schema") != SCHEMA:
-                raise InputError(f"policy '{given}': {JSON_NAME} is not of schema '{SCHEMA}'")
-            blob = _read(folder, WEIGHTS_NAME)
             if hashlib.sha256(blob).hexdigest() != head["weights"]["sha256"]:
-                raise InputError(
-                    f"policy '{given}': {WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}"
-                )
-            tensors = read_safetensors(blob, f"policy '{given}', {WEIGHTS_NAME}")
-            actor = head["actor"]
+                raise InputError(f"{WEIGHTS_NAME} was altered, its sha256 is not that of {JSON_NAME}")
+            tensors = read_safetensors(blob, WEIGHTS_NAME)
+            actor, network = head["actor"], head.get("network")
+            if not (network is None or isinstance(network, dict)):
+                raise InputError(f"network must be an object, not {shown(network)}")
             weights = [
                 (tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"])
                 for i in range(len(actor["layers"]))
             ]
-            network = head.get("network")
             own = ("schema", "name", "weights", "actor", "memory", "action", "network")
             return cls(
                 weights,
@@ -326,21 +368,17 @@ class Policy:
                 clip=math.inf if actor["clip"] is None else actor["clip"],
                 mean=tensors["normalisation.mean"],
                 scale=tensors["normalisation.scale"],
-                name=str(head["name"]),
+                name=plain(str(head["name"])),
                 network=Network.load(network) if network else None,
                 info={k: v for k, v in head.items() if k not in own},
             )
         except InputError as error:
-            text = str(error)
-            raise InputError(text if text.startswith("policy '") else f"policy '{given}': {text}") from None
-        except (UnicodeDecodeError, json.JSONDecodeError):
-            raise InputError(f"policy '{given}': {JSON_NAME} is not JSON") from None
+            raise InputError(f"{where}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"policy '{given}': {JSON_NAME} lacks or garbles {error}") from None
+            raise InputError(f"{where}: {JSON_NAME} lacks or garbles {error}") from None
 
 
 def _read(folder: Path, name: str) -> bytes:
-    try:
-        return (folder / name).read_bytes()
-    except OSError:
-        raise InputError(f"policy '{folder}': no {name} there") from None
+    if not (folder / name).exists():
+        raise InputError(f"policy {shown(str(folder), 200)}: no {name} there")
+    return read_bytes(folder / name, FILE_LIMIT)

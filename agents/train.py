@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from isd_gym.errors import InputError
-from isd_gym.files import write_text
+from isd_gym.files import claim_folder, write_text
+from isd_gym.inputs import read_json
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
 from isd_gym.road import road as find_road
@@ -34,6 +35,12 @@ from .policy import Policy
 from .settings import RANDOMIZE, SETTINGS, PPOSettings, SACSettings
 
 SCHEMA = "isd-training/1"
+#: kind, mark and parts of the folder of a run
+FOLDER = (
+    "training run",
+    "run.json",
+    ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"),
+)
 ENV_ID = "ISDSuspension-v0"
 #: validation roads, seen neither in training (seeds from 2e6) nor in scoring (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
@@ -128,18 +135,12 @@ class Run:
 
     def _claim(self) -> Path | None:
         """Make the folder this run's; the newest checkpoint in it, if any."""
-        if self.out.exists() and not self.out.is_dir():
-            raise InputError(f"'{self.out}' is not a folder")
-        self.out.mkdir(parents=True, exist_ok=True)
-        note = self.out / "run.json"
-        if not note.exists():
-            if any(self.out.iterdir()):
-                raise InputError(f"'{self.out}' is not empty and holds no training run")
-        else:
-            try:
-                held = json.loads(note.read_text())
-            except (OSError, ValueError):
-                raise InputError(f"'{note}' cannot be read; train into another folder") from None
+        claim_folder(self.out, *FOLDER)
+        note = self.out / FOLDER[1]
+        if note.exists():
+            held = read_json(note, f"'{note}' cannot be read; train into another folder")
+            if not (isinstance(held, dict) and isinstance(held.get("settings"), dict)):
+                raise InputError(f"'{note}' describes no training run; train into another folder")
             for key in ("algorithm", "seed", "road", "speed", "randomize", "network"):
                 if held.get(key) != self.asked[key]:
                     what = "" if key == "network" else f": {held.get(key)}, not {self.asked[key]}"

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from .console import check_file, lines, progress, warm_up, write_json
-from .errors import InputError
+from .console import TrustOption, check_file, lines, progress, warm_up, write_json
+from .errors import InputError, plain, shown
 from .plugins import COMMANDS, REFERENCES, plugins
 
 app = typer.Typer(
@@ -131,6 +131,7 @@ def score(
     report: Annotated[
         Path | None, typer.Option("--report", help="Write plots and a page to this folder.", metavar="DIR")
     ] = None,
+    trust_zip: TrustOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Score policies on the same roads, paired, against the conventional passive car.
@@ -153,7 +154,7 @@ def score(
     plant = Network.load(network)
     ground = find_road(road)
     belief = Network.load(model) if model else None
-    entries = [find(name, plant, model=belief) for name in policies]
+    entries = [find(name, plant, model=belief, trust_zip=trust_zip) for name in policies]
     known, signals = _reachable(plant, ground, speed, episodes, seed, duration)
     with progress() as update:
         warm_up(update)
@@ -236,13 +237,14 @@ def _print_score(result: Any) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from .scoring import PAPER
 
     console = Console(width=None if sys.stdout.isatty() else 118)
 
     def table(title: str | None, *heads: str) -> Table:
-        made = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+        made = Table(title=title and Text(title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
         for i, head in enumerate(heads):
             made.add_column(head, justify="left" if i == 0 else "right", no_wrap=True)
         return made
@@ -256,7 +258,7 @@ def _print_score(result: Any) -> None:
     shares = any(row["share_of_reachable_gain"] is not None for row in result.policies)
     main_heads = ["policy", "cost J", "acceleration\nm/s²", "travel\nmm", "tyre load\nN"]
     first = table(
-        f"{result.network}, road '{result.road}', {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
+        f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
         f"seeds {result.seed} to {result.seed + result.episodes - 1}; RMS, change against passive, 95 % interval",
         *main_heads,
         *(["of the gain\nreachable"] if shares else []),
@@ -267,8 +269,9 @@ def _print_score(result: Any) -> None:
         *("limits\npassed", "fallbacks", "ms per step\nmedian", "\n99.9 %"),
     )
     for row in result.policies:
-        cells = [
-            row["policy"],
+        policy = Text(plain(row["policy"], 40))  # a name is no markup
+        cells: list[Any] = [
+            policy,
             cell(row["cost"], 3),
             cell(row["body_acceleration_rms"], 3),
             cell(row["suspension_travel_rms"], 2, 1e3),
@@ -278,7 +281,7 @@ def _print_score(result: Any) -> None:
             cells.append(f"{100 * row['share_of_reachable_gain']:.0f} %")
         first.add_row(*cells)
         second.add_row(
-            row["policy"],
+            policy,
             f"{row['weighted_acceleration_rms']['value']:.3f}",
             f"{row['peak_body_acceleration']['value']:.2f}",
             f"{1e3 * row['peak_suspension_travel']['value']:.1f}",
@@ -305,7 +308,7 @@ def _print_score(result: Any) -> None:
         ]
         console.print(f"The paper's {name}: " + ", ".join(parts), style="dim", highlight=False, markup=False)
     for line in (r for r in result.references.values() if isinstance(r, str)):
-        console.print(line, style="dim", highlight=False, markup=False)
+        console.print(plain(line, 400), style="dim", highlight=False, markup=False)
 
 
 @app.command()
@@ -408,6 +411,7 @@ def _print_diagnosis(result: Any) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console(width=None if sys.stdout.isatty() else 118)
     console.print(result.summary, highlight=False, markup=False, soft_wrap=True)
@@ -418,7 +422,7 @@ def _print_diagnosis(result: Any) -> None:
     for stage in stages:
         made.add_column(stage.replace("_", " "), justify="right", no_wrap=True)
     for channel in result.gap["refit"]:
-        made.add_row(channel, *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
+        made.add_row(Text(plain(channel, 40)), *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
     console.print(made)
     if result.closed is not None:
         console.print(
@@ -446,6 +450,7 @@ def show(
     network: Annotated[
         str, typer.Option(help="The plant: a built-in network or a model file.")
     ] = "quarter-car-isd",
+    trust_zip: TrustOption = False,
 ) -> None:
     """Watch a policy drive, alone or beside another, live or as a film.
 
@@ -460,7 +465,7 @@ def show(
     if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)
-    entries = [find(name, plant) for name in (policy, against) if name is not None]
+    entries = [find(name, plant, trust_zip=trust_zip) for name in (policy, against) if name is not None]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()
@@ -584,7 +589,7 @@ def _broken(error: OSError) -> int:
 
     if not isinstance(error, BrokenPipeError):
         name = f": '{error.filename}'" if error.filename else ""
-        typer.echo(f"isd-gym: {error.strerror or error}{name}", err=True)
+        typer.echo(f"isd-gym: {plain(f'{error.strerror or error}{name}', 400)}", err=True)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more can be told there
     return 1
 
@@ -627,7 +632,7 @@ def _explain(error: Any) -> int:
         known = {c.name or getattr(c.callback, "__name__", "") for c in app.registered_commands}
         path = " ".join(["isd-gym", *(a for a in sys.argv[1:2] if a in known)])
         path = context.command_path if context is not None else path
-        typer.echo(f"{path}: {text} (see {path} --help)", err=True)
+        typer.echo(f"{path}: {plain(text, 400)} (see {path} --help)", err=True)
     return int(error.exit_code)
 
 

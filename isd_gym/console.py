@@ -7,9 +7,18 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from . import files
+
+TrustOption = Annotated[
+    bool,
+    typer.Option(
+        "--trust-zip", help="Open a .zip of Stable-Baselines3 as it is, without converting it first."
+    ),
+]
 
 
 def write_json(path: Path | None, data: dict[str, Any]) -> None:

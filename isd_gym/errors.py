@@ -1,7 +1,53 @@
-"""The error every bad input ends in."""
+"""The error every bad input ends in, and how text from a file is shown."""
 
 from __future__ import annotations
 
+import unicodedata
+from typing import Any
+
+MESSAGE_LIMIT = 1200  # characters; longer messages lose their middle
+NAME_LIMIT = 80
+
+
+def plain(text: str, limit: int = NAME_LIMIT) -> str:
+    """`text` as it may stand in a terminal, a table or a message: one line, nothing that steers, at most `limit` characters.
+
+    Control and format characters, line and paragraph separators and lone surrogates become escapes such as ``\\x1b``.
+    """
+    if len(text) > limit:
+        tail = limit // 4
+        text = f"{text[: limit - tail - 1]}…{text[-tail:]}"
+    if text.isprintable():
+        return text
+    return "".join(c if harmless(c) else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def harmless(text: str) -> bool:
+    """Whether `text` holds neither control nor format characters, no line separators and no lone surrogates."""
+    return text.isprintable() or not any(
+        unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") for c in text
+    )
+
+
+def shown(value: Any, limit: int = NAME_LIMIT) -> str:
+    """A name or another value of a file for a message: a text in quotes, escaped and cut; a container by its kind alone."""
+    if isinstance(value, str):
+        return f"'{plain(value, limit)}'"
+    if value is None or isinstance(value, bool | float):
+        return repr(value)
+    if isinstance(value, int):
+        digits = int(value.bit_length() * 0.30103) + 1
+        return str(value) if digits < 40 else f"a whole number of {digits} digits"
+    if isinstance(value, list | tuple):
+        return f"a list of {len(value)}"
+    return "an object" if isinstance(value, dict) else f"a {type(value).__name__}"
+
 
 class InputError(ValueError):
-    """What a user handed over cannot be used; the message is one line that says what and where."""
+    """What a user handed over cannot be used; the message is one line that says what and where.
+
+    Whatever a file's names hold, the message stays one line that steers no terminal.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(plain(str(message), MESSAGE_LIMIT))

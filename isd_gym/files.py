@@ -1,21 +1,34 @@
-"""Writing files and folders whole or not at all."""
+"""Writing files and folders whole or not at all, and never where something of somebody else's lies.
+
+All that is written is made in a workshop, a locked folder ``.isd-gym-…`` beside its place, and takes that place in one
+step. A process that is killed leaves its workshop behind; the next one that writes there clears it.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
-from .errors import InputError
+from .errors import InputError, shown
+
+try:
+    import fcntl
+except ImportError:  # Windows: workshops of the dead stay until somebody removes them
+    fcntl = None  # type: ignore[assignment]
+
+_PREFIX = ".isd-gym-"
+_EARLIER = "earlier"
 
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block ends well, and is gone when it does not.
+    """A temporary path that takes the place of `path` when the block ends well, and is gone when it does not.
 
     A link stays one, and what it points to is replaced. A device or pipe (/dev/stdout) is written into, never replaced.
     """
@@ -29,28 +42,65 @@ def whole(path: str | Path) -> Iterator[Path]:
             yield temporary
             _pour(temporary, path)
         return
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    except OSError as error:
-        raise InputError(f"cannot write '{path}' ({error.strerror})") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with _workshop(path) as shop:
+        yield shop / path.name
+        try:
+            os.replace(shop / path.name, path)
+        except OSError as error:
+            raise _cannot(path, error) from None
 
 
-def _pour(source: Path, target: Path) -> None:
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` to `path` atomically."""
+    with whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()) -> Iterator[Path]:
+    """A temporary folder that takes the place of `path` when the block ends well, and is gone when it does not.
+
+    What stands at `path` may be nothing, an empty folder, or an earlier `kind`: a folder that holds the file `mark` and
+    only files and folders that match `parts` (patterns such as ``*.png``), none of them a link; that one is exchanged
+    for the new one in a single step. Raises `InputError` for any other.
+    """
+    path = Path(path)
+    check_folder(path, kind, mark, parts)
     try:
-        with source.open("rb") as have, target.open("wb") as into:
-            shutil.copyfileobj(have, into)
+        path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"cannot write '{target}' ({error.strerror})") from None
+        raise _cannot(path, error) from None
+    with _workshop(path) as shop:
+        made = shop / path.name
+        made.mkdir()
+        yield made
+        check_folder(path, kind, mark, parts)  # long work may lie between
+        try:
+            if not path.exists():
+                os.replace(made, path)
+            elif not _exchange(made, path):
+                (shop / _EARLIER).mkdir()
+                os.replace(
+                    path, shop / _EARLIER / path.name
+                )  # `_clear` puts it back, should we be killed here
+                try:
+                    os.replace(made, path)
+                except OSError:
+                    os.replace(shop / _EARLIER / path.name, path)
+                    raise
+        except OSError as error:
+            raise _cannot(path, error) from None
+
+
+def claim_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -> Path:
+    """Make the folder `path` for a `kind` that grows in place, under the rule of `whole_folder`; returns it."""
+    path = Path(path)
+    check_folder(path, kind, mark, parts)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot(path, error) from None
+    return path
 
 
 def check_file(path: str | Path) -> None:
@@ -62,51 +112,7 @@ def check_file(path: str | Path) -> None:
         raise InputError(f"cannot write '{path}': it is a folder; name a file")
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write `text` to `path` atomically."""
-    with whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def whole_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -> Iterator[Path]:
-    """A temporary folder beside `path` that takes its place when the block ends well, and is gone when it does not.
-
-    What stands at `path` may be nothing, an empty folder, or an earlier `kind`: a folder that holds the file `mark` and
-    only files that match `parts` (patterns such as ``*.png``); that one is replaced. Raises `InputError` for any other.
-    """
-    path = Path(path)
-    check_folder(path, kind, mark, parts)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}-"))
-    except OSError as error:
-        raise InputError(f"cannot write '{path}' ({error.strerror})") from None
-    try:
-        yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
-        check_folder(path, kind, mark, parts)  # long work may lie between
-        try:
-            if path.exists():
-                earlier = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}-"))
-                os.replace(path, earlier)
-                try:
-                    os.replace(temporary, path)
-                except OSError:
-                    os.replace(earlier, path)
-                    raise
-                shutil.rmtree(earlier, ignore_errors=True)
-            else:
-                os.replace(temporary, path)
-        except OSError as error:
-            raise InputError(f"cannot write '{path}' ({error.strerror})") from None
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def check_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -> None:
+def check_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()) -> None:
     """Raise `InputError` where `whole_folder` would not write, so that long work does not begin in vain."""
     path = Path(path)
     if path.is_symlink() or (path.exists() and not path.is_dir()):
@@ -115,13 +121,112 @@ def check_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -
         raise InputError(f"cannot write a {kind} to '{path}': name a folder of its own")
     if not path.is_dir():
         return
-    there = sorted(p.name for p in path.iterdir())
-    strange = [n for n in there if not any(fnmatch(n, p) for p in parts)]
-    if there and mark not in there:
+    try:
+        there = sorted((p for p in path.iterdir() if not p.name.startswith(_PREFIX)), key=lambda p: p.name)
+    except OSError as error:
+        raise _cannot(path, error) from None
+    if there and mark not in {p.name for p in there}:
         raise InputError(
-            f"folder '{path}' is not empty and holds no earlier {kind} (it holds {there[0]}); name another"
+            f"folder '{path}' is not empty and holds no earlier {kind} (it holds {shown(there[0].name)}); name another"
         )
-    if strange:
-        raise InputError(
-            f"folder '{path}' also holds {strange[0]}, which is no part of a {kind}; name another"
-        )
+    for part in there:
+        if part.is_symlink():
+            raise InputError(
+                f"folder '{path}' holds {shown(part.name)}, a link, which is no part of a {kind}; name another"
+            )
+        if not any(fnmatch(part.name, p) for p in parts):
+            raise InputError(
+                f"folder '{path}' also holds {shown(part.name)}, which is no part of a {kind}; name another"
+            )
+
+
+# ------------------------------------------------------------------------------------------- the workshop
+
+
+def _cannot(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot write '{path}' ({error.strerror or error})")
+
+
+@contextmanager
+def _workshop(path: Path) -> Iterator[Path]:
+    """A locked folder beside `path`, gone afterwards; those of processes that are gone are cleared first."""
+    _clear(path.parent)
+    handle = None
+    try:
+        while True:
+            shop = Path(tempfile.mkdtemp(dir=path.parent, prefix=_PREFIX))
+            handle = _lock(shop)
+            if shop.is_dir():
+                break
+            if handle is not None:  # somebody cleared it before it was locked
+                os.close(handle)
+    except OSError as error:
+        raise _cannot(path, error) from None
+    try:
+        yield shop
+    finally:
+        shutil.rmtree(shop, ignore_errors=True)
+        if handle is not None:
+            os.close(handle)
+
+
+def _lock(shop: Path) -> int | None:
+    """A handle that holds the lock of a workshop as long as its process lives; None where it cannot be had."""
+    if fcntl is None:
+        return None
+    try:
+        handle = os.open(shop, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
+
+
+def _clear(folder: Path) -> None:
+    """Remove the workshops that nobody works in, and put back what one of them had taken away."""
+    try:
+        stale = [p for p in folder.iterdir() if p.name.startswith(_PREFIX)]
+    except OSError:
+        return
+    for shop in stale:
+        handle = _lock(shop)
+        if handle is None:
+            continue
+        try:
+            for taken in (shop / _EARLIER).iterdir() if (shop / _EARLIER).is_dir() else ():
+                if not (folder / taken.name).exists():
+                    os.replace(taken, folder / taken.name)
+            shutil.rmtree(shop, ignore_errors=True)
+        except OSError:
+            pass  # it is in nobody's way
+        finally:
+            os.close(handle)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; False where the system or the file system cannot."""
+    import ctypes
+
+    calls = {"linux": ("renameat2", True), "darwin": ("renamex_np", False)}
+    if sys.platform not in calls:
+        return False
+    name, at = calls[sys.platform]
+    try:
+        call = getattr(ctypes.CDLL(None, use_errno=True), name)
+    except (OSError, AttributeError):
+        return False
+    first, second = os.fsencode(one.absolute()), os.fsencode(other.absolute())
+    swap, here = ctypes.c_uint(2), ctypes.c_int(-100)  # RENAME_EXCHANGE, RENAME_SWAP; AT_FDCWD
+    return call(*((here, first, here, second, swap) if at else (first, second, swap))) == 0
+
+
+def _pour(source: Path, target: Path) -> None:
+    try:
+        with source.open("rb") as have, target.open("wb") as into:
+            shutil.copyfileobj(have, into)
+    except OSError as error:
+        raise _cannot(target, error) from None

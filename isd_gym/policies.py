@@ -5,13 +5,14 @@ Each entry point is a function ``open(name, model, cost, control_step, options) 
 
 from __future__ import annotations
 
+import os
 from difflib import get_close_matches
 from typing import Any
 
 from .batch import signal_channels
 from .cost import StageCost
 from .driving import Entry, Idle
-from .errors import InputError
+from .errors import InputError, shown
 from .network import Network
 from .plugins import POLICIES, plugins
 
@@ -43,12 +44,19 @@ def find(
     model: Network | None = None,
     cost: StageCost | None = None,
     control_step: float = 5e-3,
+    trust_zip: bool = False,
     **options: Any,
 ) -> Entry:
     """The policy of that name: passive, isd-passive, a baseline, or a trained policy's folder (or .zip).
 
-    `model` is what a controller believes in, by default the plant `network`. Raises `InputError` listing what there is.
+    `model` is what a controller believes in, by default the plant `network`. A .zip holds pickles and is opened only with
+    `trust_zip`. Raises `InputError` listing what there is.
     """
+    if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
+        raise InputError(
+            f"{shown(name, 200)} is an archive with pickles in it: convert it once with `isd-gym convert`, "
+            "or say --trust-zip if it is your own"
+        )
     if name == "passive":
         return passive(network)
     if name == "isd-passive":
@@ -61,6 +69,8 @@ def find(
             return entry
         known += getattr(opener, "names", list)()
     known = list(dict.fromkeys(known))
-    near = get_close_matches(name, known, 1)
+    near = get_close_matches(name[:80], known, 1)
     asked = f" (did you mean '{near[0]}'?)" if near else ""
-    raise InputError(f"no policy '{name}'{asked}: neither a policy folder nor one of {', '.join(known)}")
+    raise InputError(
+        f"no policy {shown(name, 200)}{asked}: neither a policy folder nor one of {', '.join(known)}"
+    )

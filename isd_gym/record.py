@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .console import TrustOption
 from .errors import InputError
+from .files import whole_folder
 
 if TYPE_CHECKING:
     from .driving import Entry
@@ -92,7 +90,7 @@ def write_dataset(
         if namespace and namespace not in list_local_namespaces():
             create_namespace(namespace)
         data = folder / "data"
-    with _whole_folder(folder) as temporary:
+    with whole_folder(folder, "data set") as temporary:
         storage = MinariStorage.new(
             temporary / data.relative_to(folder),
             env.single_observation_space,
@@ -146,20 +144,6 @@ def _place(out: str, policy: str) -> tuple[Path, str]:
     return folder.absolute(), f"isd/{re.sub(r'[^-0-9A-Za-z_]', '-', policy)}-v0"
 
 
-@contextmanager
-def _whole_folder(folder: Path) -> Iterator[Path]:
-    """A temporary folder beside `folder` that takes its place when the block ends well, and is gone when it does not."""
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}-"))
-    try:
-        yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o777 & ~mask)
-        temporary.rename(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
 def record(
     policy: Annotated[
         str, typer.Argument(help="passive, mpc, ..., a shipped policy, or a policy's folder or .zip.")
@@ -175,6 +159,7 @@ def record(
     network: Annotated[
         str, typer.Option(help="The plant: a built-in network or a model file.")
     ] = "quarter-car-isd",
+    trust_zip: TrustOption = False,
 ) -> None:
     """Save a policy's rollouts as a Minari data set, for offline reinforcement learning.
 
@@ -186,7 +171,7 @@ def record(
     from .policies import find
 
     plant = Network.load(network)
-    entry = find(policy, plant)
+    entry = find(policy, plant, trust_zip=trust_zip)
     with bar() as update:
         warm_up(update)
         write_dataset(

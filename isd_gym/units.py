@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .errors import InputError
+from .errors import InputError, shown
 
 #: quantity of a channel -> its SI unit
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A"}
@@ -40,7 +40,7 @@ def convert(value, unit: str, target: str):
     for name in (unit, target):
         key = _SPELLINGS.get(name, name) if isinstance(name, str) else name
         if not isinstance(key, str) or key not in TABLE:
-            raise InputError(f"unknown unit {name!r} (known: {', '.join(TABLE)})")
+            raise InputError(f"unknown unit {shown(name)} (known: {', '.join(TABLE)})")
         pair.append(TABLE[key])
     (si, factor), (si_target, factor_target) = pair
     if si != si_target:

@@ -428,7 +428,7 @@ def test_an_archive_for_other_spaces_is_refused(sb3, tmp_path):
         ("p", "observations of shape"),
         ("c", "Box|shape"),
         ("x", "archive"),
-        ("none", "read"),
+        ("none", "no such file"),
     ):
         with pytest.raises(InputError, match=says) as error:
             convert(tmp_path / f"{name}.zip")

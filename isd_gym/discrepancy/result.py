@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import write_text
+from ..files import claim_folder, write_text
 from ..network import Network
 from .problem import Array
 
 SCHEMA = "isd-diagnosis/1"
+#: kind, mark and parts of the folder of a diagnosis, with its report
+FOLDER = ("diagnosis", "diagnosis.json", ("report.html", "diagnosis.json", "model.json", "*.png"))
 
 
 @dataclass(frozen=True)
@@ -176,12 +177,11 @@ class Diagnosis:
         )
 
     def save(self, folder: str | Path) -> None:
-        """Write diagnosis.json and model.json into `folder` (made where it is missing), each whole or not at all."""
-        folder = Path(folder)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot make folder '{folder}' ({error.strerror})") from None
+        """Write diagnosis.json and model.json into `folder`, each whole or not at all.
+
+        The folder is new, empty or an earlier diagnosis; raises `InputError` for any other.
+        """
+        folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
         self.model.save(folder / "model.json")
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, plain, shown
+from ..inputs import number
 
 if TYPE_CHECKING:
     from ..network import Network
@@ -37,6 +38,8 @@ def parameter(
 ) -> Any:
     """A parameter [unit] with its plausible range (low, high) for a car corner, and the hard lower limit.
 
+    The hard upper limit is a million times the plausible end, for a magnitude where there is no lower limit.
+
     `fixed` parameters give the law its shape and are not fitted unless asked for. `spread`: how far from its default
     a value is plausible at all (one sigma, where a car's range says nothing about other rigs). `stride`: how far a
     single step of a fit may go.
@@ -45,6 +48,7 @@ def parameter(
         "unit": unit,
         "range": (low, high),
         "minimum": minimum,
+        "maximum": 1e6 * max(abs(low), abs(high)) if math.isfinite(low) and math.isfinite(high) else 1e12,
         "open": open_end,
         "fixed": fixed,
         "spread": spread,
@@ -162,21 +166,22 @@ class Element:
     def __post_init__(self) -> None:
         for f in parameter_fields(type(self)):
             value = getattr(self, f.name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"element '{self.name}': {f.name} must be a number, not {value!r}")
-            if not math.isfinite(value):
-                raise InputError(f"element '{self.name}': {f.name} must be finite, not {value}")
-            low = f.metadata["minimum"]
+            value = number(value, f"element '{plain(self.name)}': {f.name}")
+            low, high = f.metadata["minimum"], f.metadata["maximum"]
+            if abs(value) > high:
+                raise InputError(
+                    f"element '{self.name}': {f.name} must be at most {high:g} {f.metadata['unit']}, not {value:g}"
+                )
             if value < low or (f.metadata["open"] and value == low):
                 rule = f"> {low:g}" if f.metadata["open"] else f">= {low:g}"
                 raise InputError(
                     f"element '{self.name}': {f.name} must be {rule} {f.metadata['unit']}, not {value:g}"
                 )
-            object.__setattr__(self, f.name, float(value))
+            object.__setattr__(self, f.name, value)
         for key, allowed in self.choices.items():
             if getattr(self, key) not in allowed:
                 raise InputError(
-                    f"element '{self.name}': {key} must be one of {', '.join(allowed)}, not {getattr(self, key)!r}"
+                    f"element '{self.name}': {key} must be one of {', '.join(allowed)}, not {shown(getattr(self, key))}"
                 )
 
     @property

@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import elements as el
-from ..errors import InputError
+from ..errors import InputError, shown
+from ..inputs import parse_json, read_bytes
 from ..units import UNITS, convert
-from .model import Channel, Network
+from .model import ELEMENTS, Channel, Network, check_name
 
 SCHEMA = "isd-model/1"
+TEXT_LENGTH = 4000  # of a model's own name and description
 
 
 def builtin_networks() -> list[str]:
@@ -30,28 +32,25 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
         return from_dict(source)
     text_name = str(source)
     builtin = resources.files("isd_gym") / "networks" / f"{text_name}.json"
-    if "/" not in text_name and builtin.is_file():
-        text = builtin.read_text()
+    where = f"model {shown(text_name, 200)}"
+    if "/" not in text_name and "\0" not in text_name and builtin.is_file():
+        data = parse_json(builtin.read_bytes(), where)
     else:
         path = Path(source)
         if not path.exists():
             known = builtin_networks()
             near = get_close_matches(text_name, known, 1)
             asked = f" (did you mean '{near[0]}'?)" if near else ""
-            raise InputError(f"no model '{source}'{asked}: neither a file nor one of {', '.join(known)}")
-        try:
-            text = path.read_text()
-        except (OSError, UnicodeDecodeError) as error:
-            why = "it is a folder" if path.is_dir() else error
-            raise InputError(f"cannot read model '{source}': {why}") from None
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"model '{source}': not JSON, line {error.lineno}: {error.msg}") from None
+            raise InputError(
+                f"no model {shown(text_name, 200)}{asked}: neither a file nor one of {', '.join(known)}"
+            )
+        if path.is_dir():
+            raise InputError(f"cannot read {where}: it is a folder")
+        data = parse_json(read_bytes(path), where)
     try:
         return from_dict(data)
     except InputError as error:
-        raise InputError(f"model '{source}': {error}") from None
+        raise InputError(f"{where}: {error}") from None
 
 
 def from_dict(data: Any) -> Network:
@@ -59,19 +58,21 @@ def from_dict(data: Any) -> Network:
     known = {"schema", "name", "description", "masses", "elements", "inputs", "outputs", "uncertainty"}
     _check_keys(data, known, {"schema", "elements"}, "the model")
     if data["schema"] != SCHEMA:
-        raise InputError(f"schema is {data['schema']!r}, expected '{SCHEMA}'")
+        raise InputError(f"schema is {shown(data['schema'])}, expected '{SCHEMA}'")
     masses = data.get("masses", {})
     if not isinstance(masses, Mapping):
         raise InputError("masses must be an object of node: kg")
     for key in ("elements", "inputs", "outputs"):
         if not isinstance(data.get(key, []), list):
             raise InputError(f"{key} must be a list")
+        if len(data.get(key, [])) > ELEMENTS:
+            raise InputError(f"the model has {len(data[key])} {key}, at most {ELEMENTS} are handled")
     uncertainty = data.get("uncertainty", {})
     if not isinstance(uncertainty, Mapping):
         raise InputError("uncertainty must be an object of parameter: relative sigma")
     return Network(
-        name=str(data.get("name", "model")),
-        description=str(data.get("description", "")),
+        name=_text(data, "name", "model"),
+        description=_text(data, "description", ""),
         masses=dict(masses),
         elements=tuple(read_element(e, i) for i, e in enumerate(data["elements"])),
         inputs=tuple(read_channel(c, "inputs", i) for i, c in enumerate(data.get("inputs", []))),
@@ -106,12 +107,19 @@ def dumps(network: Network) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
+def _text(data: Mapping[str, Any], key: str, usual: str) -> str:
+    value = data.get(key, usual)
+    if not isinstance(value, str) or len(value) > TEXT_LENGTH:
+        raise InputError(f"{key} must be a text of at most {TEXT_LENGTH} characters, not {shown(value)}")
+    return value
+
+
 def _check_keys(data: Any, known: set[str], needed: set[str], where: str) -> None:
     if not isinstance(data, Mapping):
         raise InputError(f"{where} must be a JSON object, not {type(data).__name__}")
     for key in data:
         if key not in known:
-            raise InputError(f"{where}: unknown key '{key}' (known: {', '.join(sorted(known))})")
+            raise InputError(f"{where}: unknown key {shown(key)} (known: {', '.join(sorted(known))})")
     for key in sorted(needed):
         if key not in data:
             raise InputError(f"{where}: '{key}' is missing")
@@ -119,22 +127,22 @@ def _check_keys(data: Any, known: set[str], needed: set[str], where: str) -> Non
 
 def _name_of(data: Any, what: str, index: int) -> str:
     if isinstance(data, Mapping) and isinstance(data.get("name"), str) and data["name"]:
-        return data["name"]
+        return check_name(data["name"], f"{what}[{index}]")
     raise InputError(f'{what}[{index}] needs a "name"')
 
 
 def _nodes_of(value: Any, where: str) -> tuple[str, str]:
     if isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(n, str) and n for n in value):
         return value[0], value[1]
-    raise InputError(f'{where}: "between" must be a list of two node names, not {value!r}')
+    raise InputError(f'{where}: "between" must be a list of two node names, not {shown(value)}')
 
 
 def read_element(data: Any, index: int) -> el.Element:
     name = _name_of(data, "elements", index)
     where = f"element '{name}'"
     kind = data.get("type")
-    if kind not in el.TYPES:
-        raise InputError(f"{where}: unknown type {kind!r} (known: {', '.join(sorted(el.TYPES))})")
+    if not isinstance(kind, str) or kind not in el.TYPES:
+        raise InputError(f"{where}: unknown type {shown(kind)} (known: {', '.join(sorted(el.TYPES))})")
     cls = el.TYPES[kind]
     own = {f.name for f in fields(cls)} - {"name", "where"}
     needed = {f.name for f in fields(cls) if f.name in own and f.default is f.default_factory}
@@ -145,7 +153,7 @@ def read_element(data: Any, index: int) -> el.Element:
     elif isinstance(place, str):
         terminals = (place,)
     else:
-        raise InputError(f'{where}: "{cls.place}" must be a name, not {place!r}')
+        raise InputError(f'{where}: "{cls.place}" must be a name, not {shown(place)}')
     return cls(name=name, where=terminals, **{k: data[k] for k in own if k in data})
 
 
@@ -156,16 +164,16 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         data, {"name", "quantity", "unit", "at", "between", "element", "offset"}, {"quantity", "unit"}, where
     )
     quantity = data["quantity"]
-    if quantity not in UNITS:
-        raise InputError(f"{where}: unknown quantity {quantity!r} (known: {', '.join(UNITS)})")
+    if not isinstance(quantity, str) or quantity not in UNITS:
+        raise InputError(f"{where}: unknown quantity {shown(quantity)} (known: {', '.join(UNITS)})")
     try:
         convert(1.0, data["unit"], UNITS[quantity])
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     if data.get("offset", "none") not in ("free", "none"):
-        raise InputError(f'{where}: "offset" must be "free" or "none", not {data["offset"]!r}')
+        raise InputError(f'{where}: "offset" must be "free" or "none", not {shown(data["offset"])}')
     if "at" in data and not isinstance(data["at"], str):
-        raise InputError(f'{where}: "at" must be the name of a node, not {data["at"]!r}')
+        raise InputError(f'{where}: "at" must be the name of a node, not {shown(data["at"])}')
     element = data.get("element")
     if (
         isinstance(element, list)
@@ -176,7 +184,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         element = tuple(element)
     elif element is not None and not isinstance(element, str):
         raise InputError(
-            f'{where}: "element" must be a name (or, of an output, a list of names), not {element!r}'
+            f'{where}: "element" must be a name (or, of an output, a list of names), not {shown(element)}'
         )
     return Channel(
         name=name,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -11,12 +10,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import elements as el
-from ..errors import InputError
+from ..errors import InputError, harmless, shown
+from ..inputs import number
 
 if TYPE_CHECKING:
     from .assembly import Assembly
 
 GROUND = "ground"
+#: what a model may ask for: longer names, more parts or larger numbers are refused, not tried
+NAME_LENGTH, NODES, ELEMENTS, CHANNELS = 200, 250, 1000, 1000
+MASSES = (1e-9, 1e9)  # [kg]
+
+
+def check_name(name: Any, what: str) -> str:
+    """`name`, where it may be the name of a node, an element or a channel; raises `InputError` elsewhere."""
+    if not isinstance(name, str) or not 0 < len(name) <= NAME_LENGTH or not harmless(name):
+        raise InputError(
+            f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, none that steers a terminal)"
+        )
+    return name
 
 
 @dataclass(frozen=True)
@@ -103,9 +115,23 @@ class Network:
     # --------------------------------------------------------------------------------- validation
 
     def __post_init__(self) -> None:
-        self._check_masses()
         if not self.elements:
             raise InputError("the model has no elements")
+        for count, what, most in (
+            (len(self.elements), "elements", ELEMENTS),
+            (len(self.inputs) + len(self.outputs), "channels", CHANNELS),
+            (len(self.masses), "masses", NODES),
+            (len(self.nodes), "nodes", NODES),
+        ):
+            if count > most:
+                raise InputError(f"the model has {count} {what}, at most {most} are handled")
+        for node in self.nodes:
+            check_name(node, "node")
+        for e in self.elements:
+            check_name(e.name, "element")
+        for c in self.inputs + self.outputs:
+            check_name(c.name, "channel")
+        self._check_masses()
         _unique([e.name for e in self.elements], "element")
         _unique([c.name for c in self.inputs + self.outputs], "channel")
         if "time" in {c.name for c in self.inputs + self.outputs}:
@@ -139,22 +165,22 @@ class Network:
         known = self.parameters
         for key, sigma in self.uncertainty.items():
             if key not in known:
-                raise InputError(f"uncertainty: no parameter '{key}'")
-            if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 <= sigma < math.inf:
-                raise InputError(f"uncertainty: '{key}' must be a relative sigma >= 0, not {sigma!r}")
+                raise InputError(f"uncertainty: no parameter {shown(key)}")
+            if not 0 <= number(sigma, f"uncertainty: '{key}'") <= 100:
+                raise InputError(
+                    f"uncertainty: '{key}' must be a relative sigma of 0 to 100, not {shown(sigma)}"
+                )
         self._check_connected()
 
     def _check_masses(self) -> None:
         for node, mass in self.masses.items():
             if node == GROUND:
                 raise InputError("the ground has no mass: remove it from masses")
-            if (
-                isinstance(mass, bool)
-                or not isinstance(mass, int | float)
-                or not math.isfinite(mass)
-                or mass <= 0
-            ):
-                raise InputError(f"masses: '{node}' must be a positive number of kg, not {mass!r}")
+            low, high = MASSES
+            if isinstance(mass, bool) or not isinstance(mass, int | float) or not low <= mass <= high:
+                raise InputError(
+                    f"masses: '{node}' must be a positive number of kg, {low:g} to {high:g}, not {shown(mass)}"
+                )
 
     def _check_input(self, c: Channel, motors: set[str]) -> None:
         if c.quantity == "current":
@@ -254,13 +280,13 @@ class Network:
                         return f.metadata["unit"]
         if name == "mass" and owner in self.masses:
             return "kg"
-        raise InputError(f"no parameter '{path}'; there are {', '.join(self.parameters)}")
+        raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
 
     def element(self, name: str) -> el.Element:
         for e in self.elements:
             if e.name == name:
                 return e
-        raise InputError(f"no element '{name}'; there are {', '.join(e.name for e in self.elements)}")
+        raise InputError(f"no element {shown(name)}; there are {', '.join(e.name for e in self.elements)}")
 
     def with_parameters(self, values: Mapping[str, float]) -> Network:
         """A copy with the parameters at the given paths replaced."""
@@ -270,7 +296,7 @@ class Network:
         for path, value in values.items():
             owner, _, name = path.rpartition(".")
             if path not in self.parameters:
-                raise InputError(f"no parameter '{path}'; there are {', '.join(self.parameters)}")
+                raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
             if owner in kinds and name in {f.name for f in el.parameter_fields(kinds[owner])}:
                 changes.setdefault(owner, {})[name] = float(value)
             else:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import elements as el
+from ..discrepancy.result import FOLDER
 from ..errors import InputError
 from ..files import check_folder, whole_folder, write_text
 from ..network import Channel, Network, linearise
@@ -44,8 +45,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-PARTS = ("report.html", "diagnosis.json", "model.json", "*.png")
-KIND = "diagnosis"
 
 TITLES = {
     "missing_effect": "A physical effect is missing",
@@ -104,7 +103,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
     """
     folder = Path(folder)
     view = View(diagnosis)
-    with style(), whole_folder(folder, KIND, "diagnosis.json", PARTS) as place:
+    with style(), whole_folder(folder, *FOLDER) as place:
         diagnosis.save(place)
         pictures: dict[str, Picture] = {}
         for make in FIGURES:
@@ -126,7 +125,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
 
 def check_target(folder: str | Path) -> None:
     """Raise `InputError` where `write_report` would not write: before long work, not after it."""
-    check_folder(folder, KIND, "diagnosis.json", PARTS)
+    check_folder(folder, *FOLDER)
 
 
 # ------------------------------------------------------------------------------------------------ what is shown

@@ -33,6 +33,7 @@ def model_schema() -> dict[str, Any]:
     """Schema of `isd-model/1` with every element type that is registered."""
     from ..elements import TYPES
     from ..network import SCHEMA
+    from ..network.model import MASSES
 
     types = sorted(TYPES)
     return {
@@ -50,7 +51,7 @@ def model_schema() -> dict[str, Any]:
                 "description": "mass [kg] of each node that has one",
                 "type": "object",
                 "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
-                "additionalProperties": {"type": "number", "exclusiveMinimum": 0},
+                "additionalProperties": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1]},
             },
             "elements": {
                 "type": "array",
@@ -75,7 +76,7 @@ def model_schema() -> dict[str, Any]:
                 "description": "relative one-sigma of a parameter, by its path ('body.mass', 'oil.stiffness')",
                 "type": "object",
                 "propertyNames": {"pattern": r"^.+\..+$"},
-                "additionalProperties": {"type": "number", "minimum": 0},
+                "additionalProperties": {"type": "number", "minimum": 0, "maximum": 100},
             },
         },
         "$defs": {
@@ -114,6 +115,9 @@ def _element(cls: type) -> dict[str, Any]:
                 spec["description"] += f", usually {low:g} to {high:g}"
             if math.isfinite(f.metadata["minimum"]):
                 spec["exclusiveMinimum" if f.metadata["open"] else "minimum"] = f.metadata["minimum"]
+            else:
+                spec["minimum"] = -f.metadata["maximum"]
+            spec["maximum"] = f.metadata["maximum"]
         else:
             spec = {"enum": list(cls.choices[f.name])}  # type: ignore[attr-defined]
         if f.default is MISSING:

@@ -1,0 +1,618 @@
+"""Files of strangers: whatever is in them, the answer is a result or one line, and nothing outside is touched."""
+
+import contextlib
+import json
+import os
+import pickle
+import re
+import struct
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from agents.convert import convert, read_normalize, read_torch
+from agents.pickles import array, read_pickle
+from agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
+from isd_gym.errors import InputError, plain, shown
+from isd_gym.files import claim_folder, whole, whole_folder
+from isd_gym.network import Network
+
+
+def refused(run, match=None):
+    """`run` ends in an `InputError` of one harmless line that matches."""
+    with pytest.raises(InputError, match=match) as error:
+        run()
+    text = str(error.value)
+    assert text.isprintable() and len(text) < 1500
+    return text
+
+
+def cli(*args, cwd, env=None, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "isd_gym.cli", *map(str, args)],
+        capture_output=True, text=True, check=False, cwd=cwd, env=env, **options,
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------- names
+
+
+def test_names_are_shown_in_one_line_that_steers_nothing():
+    assert shown("body") == "'body'" and shown("Straße 7 µm²") == "'Straße 7 µm²'"
+    assert shown("a\nisd-gym: all fine") == r"'a\nisd-gym: all fine'"
+    assert shown("\x1b[31mred\u202e\ud800\u2028") == r"'\x1b[31mred\u202e\ud800\u2028'"
+    assert len(shown("x" * 10_000)) < 100
+    assert shown(10**400) == "a whole number of 401 digits" and shown({"a": 1}) == "an object"
+    assert str(InputError("first\nsecond\r\x1b[2J")) == r"first\nsecond\r\x1b[2J"
+    assert len(str(InputError("x" * 100_000))) <= 1200
+    assert plain("ok") == "ok"
+
+
+# ------------------------------------------------------- archives of Stable-Baselines3: no code, no pointers
+
+
+class Calls:
+    """Pickles as a call of whatever is asked for."""
+
+    def __init__(self, made, *args, state=None):
+        self.parts = (made, args) if state is None else (made, args, state)
+
+    def __reduce__(self):
+        return self.parts
+
+
+def torch_file(state):
+    """A state dict's file whose tensors are described by `state`: name -> (size, stride, offset), 24 floats stored."""
+
+    def text(value):
+        return b"X" + struct.pack("<I", len(value)) + value.encode()
+
+    def whole_number(value):
+        return b"\x8a\x08" + struct.pack("<q", value)
+
+    def tuple_of(values):
+        return b"(" + b"".join(map(whole_number, values)) + b"t"
+
+    out = b"\x80\x02}("
+    for name, (size, stride, offset) in state.items():
+        out += text(name) + b"ctorch._utils\n_rebuild_tensor_v2\n("
+        out += b"(" + text("storage") + b"ctorch\nFloatStorage\n" + text("0") + text("cpu") + whole_number(24)
+        out += (
+            b"tQ"
+            + whole_number(offset)
+            + tuple_of(size)
+            + tuple_of(stride)
+            + b"\x89ccollections\nOrderedDict\n)RtR"
+        )
+    return zipped({"w/data.pkl": out + b"u.", "w/data/0": np.arange(24, dtype="<f4").tobytes()})
+
+
+def zipped(parts):
+    import io
+
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    return buffer.getvalue()
+
+
+def test_tensors_inside_what_is_stored_are_read():
+    found = read_torch(
+        torch_file({"a": ((2, 3), (3, 1), 6), "t": ((3, 2), (1, 3), 0), "none": ((0, 4), (4, 1), 0)}), "w"
+    )
+    np.testing.assert_array_equal(found["a"], np.arange(6.0, 12.0).reshape(2, 3))
+    np.testing.assert_array_equal(found["t"], np.arange(6.0).reshape(2, 3).T)
+    assert found["none"].shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    "tensor",
+    [
+        ((4,), (-1_000_000,), 0),  # four megabytes before the buffer
+        ((4, 4), (1, -1), 3),
+        ((4,), (1,), -8),
+        ((5, 5), (5, 1), 0),
+        ((24,), (1,), 1),
+        ((2,), (2**62,), 0),
+        ((2**62, 2**62), (0, 0), 0),
+        ((10**9,), (0,), 0),  # four gigabytes out of one number
+        ((2, 2), (1,), 0),
+        ((-1,), (1,), 0),
+    ],
+)
+def test_a_tensor_outside_its_buffer_is_refused(tensor):
+    refused(lambda: read_torch(torch_file({"a": tensor}), "w"), "not weights saved by torch")
+
+
+def normalize_file(path, mean):
+    """A saved VecNormalize whose mean is the pickled `mean`."""
+    rms = Calls(Plain, state={"mean": mean, "var": np.ones(6)})
+    thing = Calls(Plain, state={"obs_rms": rms, "epsilon": 1e-8, "clip_obs": 10.0})
+    path.write_bytes(pickle.dumps(thing, 4))
+    return path
+
+
+class Plain:
+    pass
+
+
+HOSTILE_MEANS = {
+    "pointers of bytes": Calls(np.ndarray, (1, 6), "O", b"\x41" * 48),
+    "objects in disguise": Calls(
+        np.ndarray, (6,), Calls(np.dtype, "V8", False, True, state=(3, "|", None, ("a",), {"a": (np.dtype("O"), 0)}, 8, 1, 0)), b"\x41" * 48
+    ),
+    "a dtype's state": Calls(
+        np._core.multiarray._reconstruct, np.ndarray, (0,), b"b",
+        state=(1, (6,), Calls(np.dtype, "f8", False, True, state=(3, "|", None, None, None, 8, 1, 63)), False, b"\x41" * 48),
+    ),
+    "a dtype of objects": Calls(
+        np._core.multiarray._reconstruct, np.ndarray, (0,), b"b",
+        state=(1, (6,), np.dtype("O"), False, [1] * 6),
+    ),
+    "objects": np.array([None] * 6, object),
+    "code": Calls(os.system, "exit 1"),
+    "less than told": Calls(
+        np._core.multiarray._reconstruct, np.ndarray, (0,), b"b",
+        state=(1, (2**40,), np.dtype("f8"), False, b"\x00" * 48),
+    ),
+    "a scalar of objects": Calls(np._core.multiarray.scalar, np.dtype("O"), b"\x41" * 8),
+    "not finite": np.full(6, np.nan),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", HOSTILE_MEANS)
+def test_no_array_is_made_of_a_pickle_s_own_constructors(how, tmp_path):
+    if (
+        how == "a dtype's state"
+    ):  # its flags said "objects inside": here they are passed over, the numbers are numbers
+        mean, _, _ = read_normalize(normalize_file(tmp_path / "n.pkl", HOSTILE_MEANS[how]))
+        assert mean.dtype == np.float64 and (mean == np.frombuffer(b"\x41" * 8)[0]).all()
+        return
+    path = normalize_file(tmp_path / "n.pkl", HOSTILE_MEANS[how])
+    refused(lambda: read_normalize(path), "is not a saved VecNormalize")
+
+
+def test_arrays_that_numpy_pickles_are_read_in_every_protocol():
+    values = [
+        np.arange(6.0).reshape(2, 3),
+        np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        np.float64(2.5),
+        np.zeros(0),
+        np.arange(3),
+    ]
+    for protocol in range(2, 6):
+        for value in values:
+            np.testing.assert_array_equal(array(read_pickle(pickle.dumps(value, protocol))), value)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x80\x04.",
+        b"\x80\x04(((((",
+        b"r\xff\xff\xff\x7f.",  # a memo of two thousand million places
+        b"\x80\x04N" + b"\x85" * 200_000 + b".",  # a tuple in a tuple in ...
+        b"\x80\x04}" + b"N" + b"\x85" * 200_000 + b"Ns.",  # ... as a key
+        b"L" + b"9" * 5000 + b"L\n.",
+        b"cos\nsystem\n(S'exit 1'\ntR.",
+        b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7fN.",
+    ],
+)
+def test_a_hostile_pickle_is_an_outline_or_one_line(data):
+    with contextlib.suppress(InputError):
+        read_pickle(data)
+
+
+def archive(path, data=None, parts=None, **change):
+    """A Stable-Baselines3 PPO archive of one hidden layer, without Stable-Baselines3."""
+    shapes = {
+        "mlp_extractor.policy_net.0.weight": ((4, 6), (6, 1), 0),
+        "mlp_extractor.policy_net.0.bias": ((4,), (1,), 0),
+        "action_net.weight": ((1, 4), (4, 1), 0),
+        "action_net.bias": ((1,), (1,), 0),
+    } | (parts or {})
+    box = {":type:": "<class 'gymnasium.spaces.box.Box'>"}
+    data = data or {
+        "observation_space": box | {"_shape": [6]},
+        "action_space": box | {"_shape": [1], "high": "[1.]"},
+        "policy_kwargs": {},
+    }  # fmt: skip
+    weights = torch_file({k: v for k, v in shapes.items() if v})
+    path.write_bytes(zipped({"data": json.dumps(data | change), "policy.pth": weights}))
+    return path
+
+
+BOX = {":type:": "Box"}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"observation_space": BOX | {"_shape": 5}}, "shape 5"),
+        ({"observation_space": 5}, "not a Box"),
+        ({"action_space": BOX | {"_shape": [1], "high": "much"}}, "bound of its actions is 'much'"),
+        ({"action_space": BOX | {"_shape": [10**400]}}, "digits"),
+        ({"policy_kwargs": {"activation_fn": "\x1b[31m"}}, r"activation '\\x1b\[31m' is not supported"),
+    ],
+)
+def test_an_archive_s_description_may_be_anything(change, says, tmp_path):
+    refused(lambda: convert(archive(tmp_path / "m.zip", **change)), says)
+
+
+def test_broken_archives_are_one_line(tmp_path):
+    path = tmp_path / "m.zip"
+    assert convert(archive(path)).act(np.zeros(6)) == 5.0
+    refused(lambda: convert(archive(path, parts={"action_net.bias": None})), "'action_net.bias' is missing")
+    refused(lambda: convert(archive(path, parts={"action_net.weight": ((4,), (1,), 0)})), "does not fit")
+    path.write_bytes(zipped({"data": "[1]", "policy.pth": b""}))
+    refused(lambda: convert(path), "its data is a list")
+    path.write_bytes(zipped({"data": "[" * 100_000, "policy.pth": b""}))
+    refused(lambda: convert(path), "levels|not JSON")
+    path.write_bytes(zipped({"data": '{"a": ' + "9" * 5000 + "}", "policy.pth": b""}))
+    refused(lambda: convert(path), "5000 digits")
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as bomb:
+        for i in range(3):
+            with bomb.open(f"part{i}", "w", force_zip64=True) as part:
+                for _ in range(200):
+                    part.write(bytes(2**20))
+    assert path.stat().st_size < 2**20
+    refused(lambda: convert(path), "would take 0.586 GB")
+
+
+def test_a_zip_is_opened_only_when_that_is_asked_for(tmp_path):
+    archive(tmp_path / "m.zip")
+    drive = ["--episodes", "1", "--duration", "0.1"]
+    done = cli("score", "m.zip", *drive, cwd=tmp_path)
+    assert done.returncode == 2 and "--trust-zip" in done.stderr and len(done.stderr.splitlines()) == 1
+    done = cli("score", "m.zip", "--trust-zip", *drive, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "isd-gym convert" not in done.stdout
+
+
+# ------------------------------------------------------------------------------------------- policy folders
+
+
+def spoilt(tmp_path, **change):
+    """A shipped policy whose policy.json has other values at the given paths ('memory.filter.current')."""
+    folder = tmp_path / "policy"
+    folder.mkdir(exist_ok=True)
+    head = json.loads((SHIPPED / "ppo" / JSON_NAME).read_text())
+    for path, value in change.items():
+        *outer, last = path.split(".")
+        place = head
+        for key in outer:
+            place = place[key]
+        place[last] = value
+    (folder / JSON_NAME).write_text(json.dumps(head))
+    (folder / WEIGHTS_NAME).write_bytes((SHIPPED / "ppo" / WEIGHTS_NAME).read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "says"),
+    [
+        ("memory.filter.current", 99, "reads signal 99"),
+        ("memory.filter.current", "text", "place of a signal"),
+        ("memory.filter.current", 10**200, "place of a signal"),
+        ("memory.filter.slew", "text", "must be a number"),
+        ("memory.filter.A", [[1.0]], "shape"),
+        ("memory.filter.B", 5, "lists"),
+        ("memory.filter.K", [[1e300]], "finite"),
+        ("memory.order", 10**9, "order"),
+        ("memory.step", -1, "step"),
+        ("memory", [], "memory"),
+        ("actor.clip", "wide", "clip"),
+        ("actor.clip", -1, "clip"),
+        ("actor.layers", 5, "layers|len"),
+        ("actor.layers", list(range(10_000)), "layer.3"),
+        ("actor.activation", ["tanh"], "activation"),
+        ("action.limit", 50.0, "limit must be > 0 and at most 5 A, not 50"),
+        ("action.limit", 10**200, "at most 5 A"),
+        ("action.gain", "x", "gain"),
+        ("network", "/etc/passwd", "network must be an object"),
+        ("weights", None, "garbles"),
+        ("name", "x", None),
+    ],
+)
+def test_a_policy_folder_with_a_strange_value_is_one_line(path, value, says, tmp_path):
+    folder = spoilt(tmp_path, **{path: value})
+    if says is None:
+        assert Policy.load(folder).name == value
+    else:
+        refused(lambda: Policy.load(folder), says)
+
+
+@pytest.mark.parametrize(
+    "text", ["NaN", "Infinity", "1e999", "9" * 5000, "[" * 5000 + "]" * 5000, '"\\ud800"']
+)
+@pytest.mark.parametrize("path", ["clip", "keep", "scale"])
+def test_what_is_no_number_is_refused_at_loading(text, path, tmp_path):
+    folder = spoilt(tmp_path)
+    file = folder / JSON_NAME
+    text, n = re.subn(
+        rf'"{path}": (\[[^\]]*\]|[^,}}]*)',
+        f'"{path}": ' + text.replace("\\", "\\\\"),
+        file.read_text(),
+        count=1,
+    )
+    assert n == 1
+    file.write_text(text)
+    refused(lambda: Policy.load(folder))
+
+
+def test_a_policy_commands_no_more_than_the_limits_and_always_a_number():
+    rng = np.random.default_rng(0)
+    big = [
+        (1e11 * rng.standard_normal((64, 6)), np.zeros(64)),
+        (1e12 * np.sign(rng.standard_normal((64, 64))), np.zeros(64)),
+    ]
+    big += [(w, b) for w, b in big[1:] * 6] + [(rng.standard_normal((1, 64)), np.zeros(1))]
+    for mode in ("target", "increment"):
+        policy = Policy(
+            [(np.clip(w, -1e12, 1e12), b) for w, b in big], activation="relu", head=Head(mode=mode)
+        )
+        for _ in range(20):
+            current = policy.act(10.0 ** rng.uniform(-3, 30, 6) * rng.choice([-1, 1], 6))
+            assert np.isfinite(current) and abs(current) <= 5.0
+    for wrong in (dict(limit=np.nan), dict(limit=6.0), dict(slew=50.0), dict(keep=2.0), dict(gain=np.inf)):
+        refused(lambda wrong=wrong: Head(**wrong))
+    ones = [(np.ones((1, 6)), np.zeros(1))]
+    for wrong in (
+        dict(clip=np.nan),
+        dict(mean=np.full(6, np.nan)),
+        dict(scale=np.full(6, np.inf)),
+        dict(scale=np.zeros(6)),
+    ):
+        refused(lambda wrong=wrong: Policy(ones, **wrong))
+    refused(lambda: Policy([(np.full((1, 6), 1e300), np.zeros(1))]), "larger")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        {"a": {"dtype": "F32", "shape": [2], "data_offsets": [-8, 0]}},
+        {"a": {"dtype": "F32", "shape": [2**40], "data_offsets": [0, 8]}},
+        {"a": {"dtype": "O", "shape": [1], "data_offsets": [0, 8]}},
+        {"a": {"dtype": ["F32"], "shape": [2], "data_offsets": [0, 8]}},
+        {"a": {"dtype": "F32", "shape": [2], "data_offsets": [0, 10**400]}},
+        {"a": 5},
+        [1],
+        {str(i): {"dtype": "F32", "shape": [], "data_offsets": [0, 4]} for i in range(1000)},
+    ],
+)
+def test_a_header_of_weights_may_be_anything(header):
+    from agents.policy import read_safetensors
+
+    text = json.dumps(header).encode()
+    refused(lambda: read_safetensors(struct.pack("<Q", len(text)) + text + bytes(8)), "safetensors|digits")
+    refused(lambda: read_safetensors(struct.pack("<Q", 2**63) + text), "safetensors")
+
+
+# ------------------------------------------------------------------------------------------- models
+
+
+def model(**change):
+    return Network.load("quarter-car-isd").to_dict() | change
+
+
+def element(**change):
+    data = model()
+    data["elements"][0] |= change
+    return data
+
+
+def output(**change):
+    data = model()
+    data["outputs"][0] |= change
+    return data
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (element(type=["linear_stiffness"]), "unknown type a list"),
+        (element(type={}), "unknown type an object"),
+        (output(quantity=["force"]), "unknown quantity a list"),
+        (output(quantity={"a": 1}), "unknown quantity an object"),
+        (output(unit=["m"]), "unknown unit a list"),
+        (element(stiffness=10**400), "must be finite, not a whole number of 401 digits"),
+        (element(stiffness=1e308), r"stiffness must be at most 1e\+12 N/m"),
+        (element(between=["body", ["wheel"]]), "two node names"),
+        (element(between=["body", "a\nisd-gym: all fine"]), r"'a\\nisd-gym: all fine' cannot be a name"),
+        (element(name="\x1b[31m"), r"'\\x1b\[31m' cannot be a name"),
+        (element(name="x" * 10_000), "cannot be a name"),
+        (model(masses={"body": 10**400}), "positive number of kg"),
+        (model(masses={"body": 1e300}), "1e-09 to 1e"),
+        (model(masses={"body\u202e": 1.0}), "cannot be a name"),
+        (model(masses={str(i): 1.0 for i in range(5000)}), "at most"),
+        (model(elements=[{}] * 5000), "at most"),
+        (model(uncertainty={"body.mass": 10**400}), "finite"),
+        (model(name=["x"]), "name must be a text"),
+        (model(schema={"\x1b": 1}), "schema is an object"),
+        ({"schema": "isd-model/1", "elements": [], "\x1b[2J\n" * 99: 1}, "unknown key"),
+    ],
+)
+def test_a_model_may_hold_anything(data, says):
+    refused(lambda: Network.load(data), says)
+
+
+def test_every_number_of_every_element_has_a_hard_limit():
+    from dataclasses import fields
+
+    from isd_gym import elements as el
+
+    for kind, cls in el.TYPES.items():
+        where = ("a", "b") if cls.place == "between" else ("a",)
+        usual = {
+            f.name: max(f.metadata["range"][0], 1e-3) if np.isfinite(f.metadata["range"][0]) else 1.0
+            for f in fields(cls)
+            if "unit" in f.metadata
+        }
+        cls(name="x", where=where, **usual)
+        for name in usual:
+            for value in (1.5e33, -1e308, float("nan"), 10**400, "1", True, None, [1.0]):
+                refused(
+                    lambda cls=cls, v={**usual, name: value}, where=where: cls(name="x", where=where, **v),
+                    f"{name} must be",
+                )
+        assert kind
+
+
+def test_large_networks_answer_or_are_refused_within_seconds():
+    import time
+
+    from isd_gym.network import linearise
+
+    def chain(n):
+        nodes = ["ground", *(f"n{i}" for i in range(n))]
+        links = [
+            {"name": f"{k}{i}", "type": t, "between": [nodes[i], nodes[i + 1]], v: 1e3}
+            for i in range(n)
+            for k, t, v in (("k", "linear_stiffness", "stiffness"), ("c", "linear_damping", "damping"))
+        ]
+        force = {"name": "f", "quantity": "force", "at": nodes[-1], "unit": "N"}
+        return {
+            "schema": "isd-model/1",
+            "masses": {m: 1.0 for m in nodes[1:]},
+            "elements": links,
+            "inputs": [force],
+        }
+
+    begin = time.process_time()
+    assert len(linearise(chain(250)).A) == 500
+    refused(lambda: Network.load(chain(5000)), "at most")
+    assert time.process_time() - begin < 20
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"\xef\xbb\xbf" + json.dumps(model()).encode(), None),
+        (b"[" * 100_000, "levels|not JSON"),
+        (b'{"schema": ' + b"[" * 500 + b"]" * 500 + b"}", "levels"),
+        (b'{"schema": "isd-model/1", "elements": [' + b"9" * 5000 + b"]}", "5000 digits"),
+        (b'{"schema": NaN}', "NaN is no number"),
+        (b'{"schema": 1e999}', "too large"),
+        (b'{"schema": "\\ud800"}', "no Unicode text"),
+        (b"\xff\xfe{", "not JSON"),
+        (b"", "not JSON"),
+    ],
+)
+def test_a_model_s_file_may_hold_anything(content, says, tmp_path):
+    path = tmp_path / "m.json"
+    path.write_bytes(content)
+    if says is None:
+        assert Network.load(path) == Network.load("quarter-car-isd")
+    else:
+        refused(lambda: Network.load(path), says)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_a_pipe_for_a_file_is_one_line_and_nobody_waits(tmp_path):
+    for name in ("m.json", "p/policy.json", "m.zip"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        os.mkfifo(tmp_path / name)
+    for run in (
+        lambda: Network.load(tmp_path / "m.json"),
+        lambda: Policy.load(tmp_path / "p"),
+        lambda: convert(tmp_path / "m.zip"),
+        lambda: read_normalize(tmp_path / "m.zip"),
+    ):
+        refused(run, "pipe")
+
+
+# ------------------------------------------------------------------------------------------- folders
+
+PLACE = ("thing", "thing.json", ("thing.json", "*.png"))
+
+
+def write_thing(folder, text="new"):
+    with whole_folder(folder, *PLACE) as place:
+        (place / "thing.json").write_text(text)
+
+
+def test_a_folder_of_somebody_else_is_left_alone(tmp_path):
+    write_thing(tmp_path / "a")
+    write_thing(tmp_path / "a", "again")
+    assert (tmp_path / "a" / "thing.json").read_text() == "again"
+    secret = tmp_path / "secret.png"
+    secret.write_text("mine")
+    (tmp_path / "a" / "plot.png").symlink_to(secret)
+    refused(lambda: write_thing(tmp_path / "a"), "'plot.png', a link")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    refused(lambda: write_thing(tmp_path / "b"), "no folder")
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "thing.json\n").write_text("")
+    refused(lambda: write_thing(tmp_path / "c"), r"'thing.json\\n'")
+    refused(lambda: claim_folder(tmp_path / "c", *PLACE))
+    assert secret.read_text() == "mine" and sorted(p.name for p in tmp_path.iterdir()) == [
+        "a",
+        "b",
+        "c",
+        "secret.png",
+    ]
+
+
+def test_a_converted_policy_goes_nowhere_but_its_folder(tmp_path):
+    archive(tmp_path / "m.zip")
+    own = tmp_path / "own.txt"
+    own.write_text("mine")
+    folder = tmp_path / "docs"
+    folder.mkdir()
+    (folder / JSON_NAME).symlink_to(own)
+    refused(lambda: convert(tmp_path / "m.zip").save(folder), "a link")
+    (folder / JSON_NAME).unlink()
+    (folder / "thesis.tex").write_text("years")
+    refused(lambda: convert(tmp_path / "m.zip").save(folder), "not empty")
+    assert own.read_text() == "mine" and [p.name for p in folder.iterdir()] == ["thesis.tex"]
+    saved = convert(tmp_path / "m.zip").save(tmp_path / "policy")
+    assert Policy.load(convert(tmp_path / "m.zip").save(saved)).name == "m"
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import isd_gym.files as files
+where, when = sys.argv[1], sys.argv[2]
+die = lambda *a: os.kill(os.getpid(), signal.SIGKILL)
+if when == "fallback":  # a system that cannot exchange, killed between the two renames
+    files._exchange = lambda a, b: False
+    replace, calls = os.replace, []
+    def second(a, b):
+        calls.append(a)
+        die() if len(calls) == 2 else replace(a, b)
+    os.replace = second
+elif when == "after":
+    exchange = files._exchange
+    files._exchange = lambda a, b: (exchange(a, b), die())
+with files.whole_folder(where, "thing", "thing.json", ("thing.json",)) as place:
+    (place / "thing.json").write_text("new")
+    if when == "within":
+        die()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kill -9")
+@pytest.mark.parametrize(("when", "text"), [("within", "old"), ("fallback", "old"), ("after", "new")])
+def test_a_kill_at_any_moment_loses_no_folder_and_leaves_nothing_for_long(when, text, tmp_path):
+    write_thing(tmp_path / "a", "old")
+    done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a"), when], check=False)
+    assert done.returncode == -9
+    write_thing(tmp_path / "b")  # the next write in that place clears up
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b"]
+    assert (tmp_path / "a" / "thing.json").read_text() == text
+
+
+def test_the_workshop_of_a_living_process_is_not_cleared(tmp_path):
+    with whole_folder(tmp_path / "a", *PLACE) as place, whole(tmp_path / "x.json") as file:
+        write_thing(tmp_path / "b")
+        (place / "thing.json").write_text("still here")
+        file.write_text("here too")
+    assert (tmp_path / "a" / "thing.json").read_text() == "still here"
+    assert (tmp_path / "x.json").read_text() == "here too"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b", "x.json"]
