@@ -238,7 +238,7 @@ class GroupSAC(SAC):
                 wanted = data.rewards + data.discounts * value
             loss = self.common(critic(data.observations, data.actions)[0] - wanted).square().mean()
             critic.optimizer.zero_grad()
-            loss.backward()
+            loss.backward()  # type: ignore[no-untyped-call]
             critic.optimizer.step()
             self._n_updates += 1
             if moves and self._n_updates % self.delay == 0:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.linalg import null_space, solve_continuous_are, solve_continuous_lyapunov
@@ -288,7 +289,7 @@ def best_acceleration(
 def lq_front(
     tyre_change: float | None = 0.0,
     travel_changes: Sequence[float] | None = None,
-    **options,
+    **options: Any,
 ) -> np.ndarray:
     """Border of (travel change, acceleration change), shape (k, 2), at a given tyre load change; unreachable ones left out."""
     rows = []

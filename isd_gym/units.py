@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 from .errors import InputError, shown
 
 #: quantity of a channel -> its SI unit
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A"}
+Value = TypeVar("Value", float, Any)  # a number, or an array of them
+
 #: unit -> (SI unit, factor)
 TABLE: dict[str, tuple[str, float]] = {
     "m": ("m", 1.0),
@@ -34,7 +38,7 @@ _SPELLINGS = {"m/s2": "m/s^2", "m/s**2": "m/s^2", "m/s²": "m/s^2", "mm/s2": "mm
 _SPELLINGS |= {"sec": "s", "µm": "um", "kph": "km/h", "newton": "N", "G": "g", "µs": "us"}
 
 
-def convert(value, unit: str, target: str):
+def convert(value: Value, unit: str, target: str) -> Value:
     """`value` in `unit` as `target`; both must measure the same thing. Raises `InputError`."""
     pair = []
     for name in (unit, target):
