@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -38,7 +41,7 @@ def train(
 ) -> None:
     """Train a policy; called again with the same folder it resumes where it stopped.
 
-    Shows the cost J on validation roads beside the passive car's and the baselines'. The best policy is in DIR/policy, for
+    Ctrl-C saves where it is and prints the line that goes on. Shows the cost J on validation roads beside the passive car's and the baselines'. The best policy is in DIR/policy, for
     `isd-gym score DIR/policy`; TensorBoard's log is in DIR/tensorboard.
 
     Example: isd-gym train sac --out runs/sac
@@ -49,21 +52,54 @@ def train(
 
     if json_file is not None and not json_file.parent.is_dir():
         raise InputError(f"cannot write '{json_file}': no folder '{json_file.parent}'")
-    report = run(
-        algorithm.value,
-        out,
-        seed=seed,
-        steps=steps,
-        network=network,
-        road=road,
-        speed=speed,
-        randomize=randomize,
-        say=lambda line: typer.echo(line, err=True),
-    )
+    with _bar() as (say, progress):
+        report = run(
+            algorithm.value,
+            out,
+            seed=seed,
+            steps=steps,
+            network=network,
+            road=road,
+            speed=speed,
+            randomize=randomize,
+            say=say,
+            progress=progress,
+        )
     if json_file is not None:
         from isd_gym.files import write_text
 
         write_text(json_file, json.dumps(report, indent=1) + "\n")
+
+
+@contextmanager
+def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]]]:
+    """Lines on stderr, and below them a bar with the time gone and the time to go where stderr is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True, highlight=False, markup=False)
+    bar = Progress(
+        TextColumn("{task.description:<16}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.percentage:5.1f} %"),
+        TimeElapsedColumn(),
+        TextColumn("to go"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    )
+    tasks: dict[str, Any] = {}
+
+    def progress(name: str, share: float) -> None:
+        if name not in tasks:
+            for earlier in tasks.values():
+                bar.update(earlier, visible=False)
+            tasks[name] = bar.add_task(name, total=1.0)
+        bar.update(tasks[name], completed=min(share, 1.0))
+
+    with bar:
+        yield (lambda line: console.print(line, soft_wrap=True)), progress
 
 
 def convert(

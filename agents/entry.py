@@ -40,4 +40,22 @@ def names() -> list[str]:
     return sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
 
 
+def about() -> dict[str, str]:
+    """What each of them is, in a line, from its own file."""
+    import json
+
+    out = {}
+    for name in names():
+        try:
+            held = json.loads((SHIPPED / name / "policy.json").read_text(encoding="utf-8"))
+            change = held["score"]["cost"]["change"]
+            out[name] = (
+                f"shipped {held['algorithm'].upper()} policy, cost J {100 * change:+.1f} % against passive when it was trained"
+            )
+        except (OSError, ValueError, KeyError, TypeError):
+            out[name] = "shipped policy"
+    return out
+
+
+open_policy.about = about  # type: ignore[attr-defined]
 open_policy.names = names  # type: ignore[attr-defined]

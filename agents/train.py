@@ -10,6 +10,7 @@ import json
 import math
 import os
 import platform
+import shlex
 import shutil
 import time
 import warnings
@@ -63,8 +64,11 @@ def train(
     randomize: bool | Mapping[str, Any] = False,
     settings: PPOSettings | SACSettings | None = None,
     say: Callable[[str], None] = print,
+    progress: Callable[[str, float], None] = lambda task, share: None,
 ) -> dict[str, Any]:
     """Train `algorithm` (ppo, sac) in folder `out`, or go on where the run in it stopped; returns the report.
+
+    `say` is given lines of progress, `progress` (task, share of it done); Ctrl-C saves where it is before it leaves.
 
     `randomize`: True for `settings.RANDOMIZE`, or ranges as the environment takes them. The policy kept is the one of
     least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
@@ -81,7 +85,7 @@ def train(
     plant = Network.load(network)
     find_road(road)
     spread: dict[str, Any] | None = dict(RANDOMIZE) if randomize is True else dict(randomize or {}) or None
-    run = Run(Path(out), algorithm, seed, plant, road, float(speed), spread, settings, say)
+    run = Run(Path(out), algorithm, seed, plant, road, float(speed), spread, settings, say, progress)
     return run.go()
 
 
@@ -99,9 +103,11 @@ class Run:
         spread: dict[str, Any] | None,
         settings: PPOSettings | SACSettings,
         say: Callable[[str], None],
+        progress: Callable[[str, float], None] = lambda task, share: None,
     ) -> None:
         self.out, self.algorithm, self.seed, self.plant = out, algorithm, seed, plant
         self.road, self.speed, self.spread, self.settings, self.say = road, speed, spread, settings, say
+        self.progress = progress
         self.memory = self._memory()
         self.asked = {
             "schema": SCHEMA,
@@ -212,6 +218,7 @@ class Run:
 
         s = self.settings
         checkpoint = self._claim()
+        self.progress("preparing", 0.0)
         torch.set_num_threads(1)  # nets this small lose more to threads than they gain
         env = self._environment(s.cars)
         kind: Any = {"ppo": PPO, "sac": GroupSAC}[self.algorithm]
@@ -241,14 +248,22 @@ class Run:
                 self._imitate(model)
         if "references" not in self.state:
             self.state["references"] = self._references()
+        self.progress("preparing", 1.0)
         if model.num_timesteps < s.steps:
-            model.learn(
-                s.steps - model.num_timesteps,
-                callback=_callback(self, env),
-                reset_num_timesteps=False,
-                tb_log_name=self.algorithm,
-                log_interval=1 if self.algorithm == "ppo" else 50,
-            )
+            try:
+                model.learn(
+                    s.steps - model.num_timesteps,
+                    callback=_callback(self, env),
+                    reset_num_timesteps=False,
+                    tb_log_name=self.algorithm,
+                    log_interval=1 if self.algorithm == "ppo" else 50,
+                )
+            except KeyboardInterrupt:
+                self.save(model)
+                done = min(model.num_timesteps / s.steps, 1.0)
+                self.say(f"saved at {100 * done:.1f} %; this goes on from there:  {self.command(self.out)}")
+                raise
+            self.progress("training", 1.0)
             self.follow(model, s.averaging)
             self.look(model, env)
             self.save(model)
@@ -267,7 +282,15 @@ class Run:
             return
         self.say(f"imitating {self.settings.teacher}")
         env = self._environment(64)
-        warm_start(model, env, entry, self.settings, self._seed(0) + 1_000_000)
+        told = f"imitating {self.settings.teacher}"
+        warm_start(
+            model,
+            env,
+            entry,
+            self.settings,
+            self._seed(0) + 1_000_000,
+            lambda share: self.progress(told, share),
+        )
         env.close()
         self.state["seconds"] += time.perf_counter() - begin
 
@@ -349,7 +372,7 @@ class Run:
         idle, *rivals = known
         rival = min(rivals, key=known.__getitem__, default=None)
         self.say(
-            f"{100 * model.num_timesteps / self.settings.steps:5.1f} %  {model.num_timesteps / 1e6:6.2f} M steps"
+            f"{100 * min(model.num_timesteps / self.settings.steps, 1.0):5.1f} %  {model.num_timesteps / 1e6:6.2f} M steps"
             f"  {self.state['seconds']:5.0f} s  J {j:.4f} ({100 * (j / known[idle] - 1):+.1f} %)"
             f"  best {min(j, best):.4f}  {idle} {known[idle]:.4f}"
             + (f"  {rival} {known[rival]:.4f}" if rival else "")
@@ -357,12 +380,12 @@ class Run:
         model.logger.record("score/cost", j)
         model.logger.record("score/change", j / known[idle] - 1)
 
-    def command(self) -> str:
+    def command(self, out: Path | str = "DIR") -> str:
         """What to type for this run, or how it differs from what can be typed."""
         s, usual = self.settings, SETTINGS[self.algorithm]()
         if describe(replace(s, steps=usual.steps)) != describe(usual):
             return "agents.train.train with the settings below"
-        words = [f"isd-gym train {self.algorithm} --out DIR --seed {self.seed}"]
+        words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
         if s.steps != usual.steps:
             words.append(f"--steps {s.steps}")
         if self.plant != Network.load("quarter-car-isd"):
@@ -437,7 +460,7 @@ def _callback(run: Run, env: Any) -> Any:
 
         def _on_training_start(self) -> None:
             self.clock, self.env_clock = time.perf_counter(), env.seconds
-            self.saved = time.perf_counter()
+            self.saved, self.shown = time.perf_counter(), 0.0
             self.rounds = 0 if not run.average else 1_000_000
             curve = run.state["curve"]
             self.due = curve[-1]["steps"] + self._every() if curve else 0
@@ -473,6 +496,9 @@ def _callback(run: Run, env: Any) -> Any:
             self._tick()
 
         def _on_step(self) -> bool:
+            if (now := time.perf_counter()) - self.shown > 0.2:
+                self.shown = now
+                run.progress("training", min(self.model.num_timesteps / run.settings.steps, 1.0))
             return True
 
     return Watch()

@@ -7,6 +7,7 @@ that: a trained policy is a network and nothing else.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,12 @@ NOISE = 0.5  # of the demonstrated increments, so that recovering is taught as w
 
 
 def demonstrate(
-    env: Any, entry: Entry, steps: int, gamma: float, rng: np.random.Generator
+    env: Any,
+    entry: Entry,
+    steps: int,
+    gamma: float,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, torch.Tensor]:
     """What `entry` does in the training environment `env` (`Remember`), shuffled.
 
@@ -32,7 +38,9 @@ def demonstrate(
     teacher.reset_batch(env.num_envs)
     features = env.reset()
     seen, wanted, done, rewards = [], [], [], []
-    for _ in range(steps):
+    for k in range(steps):
+        if k % 50 == 0:
+            progress(k / steps)
         now = env.observations
         share = env.head.share(np.asarray(teacher.act_batch(now), np.float32).reshape(-1, 1), now)
         noisy = np.clip(share + NOISE * rng.standard_normal(share.shape, np.float32), -1.0, 1.0)
@@ -55,11 +63,20 @@ def demonstrate(
     return {k: torch.from_numpy(np.ascontiguousarray(v[order])) for k, v in flat.items()}
 
 
-def warm_start(model: Any, env: Any, entry: Entry, settings: PPOSettings | SACSettings, seed: int) -> None:
-    """Fit actor and critic of an SB3 PPO or SAC `model` to a teacher's demonstration."""
+def warm_start(
+    model: Any,
+    env: Any,
+    entry: Entry,
+    settings: PPOSettings | SACSettings,
+    seed: int,
+    progress: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Fit actor and critic of an SB3 PPO or SAC `model` to a teacher's demonstration. progress(share of it done)."""
     rng = np.random.default_rng(seed)
     env.seed(seed)
-    data = demonstrate(env, entry, settings.warm_steps, settings.gamma, rng)
+    data = demonstrate(
+        env, entry, settings.warm_steps, settings.gamma, rng, lambda share: progress(0.5 * share)
+    )
     policy = model.policy
     sac = hasattr(policy, "critic")
     parameters = [*policy.actor.parameters(), *policy.critic.parameters()] if sac else [*policy.parameters()]
@@ -69,6 +86,8 @@ def warm_start(model: Any, env: Any, entry: Entry, settings: PPOSettings | SACSe
             policy.actor.log_std.bias.fill_(settings.log_std)
     optimizer = torch.optim.Adam(parameters, 2e-3)
     for k in range(settings.warm_updates):
+        if k % 20 == 0:
+            progress(0.5 + 0.5 * k / settings.warm_updates)
         for group in optimizer.param_groups:
             group["lr"] = 2e-3 * (1 - k / settings.warm_updates) + 1e-5
         rows = torch.from_numpy(rng.integers(len(data["value"]), size=2048))
@@ -83,5 +102,6 @@ def warm_start(model: Any, env: Any, entry: Entry, settings: PPOSettings | SACSe
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
+    progress(1.0)
     if sac:
         policy.critic_target.load_state_dict(policy.critic.state_dict())

@@ -96,6 +96,19 @@ CONTROLLERS: dict[str, Factory] = {
     "mpc-friction": _friction,
     "mpc-friction-preview": partial(_friction, preview=True),
 }
+#: what they are, in a line each
+ABOUT = {
+    "passive": "the conventional passive car",
+    "isd-passive": "the plant without current",
+    "skyhook": "a damper to the sky, by the motor",
+    "add": "acceleration-driven damping",
+    "lqg": "linear-quadratic optimum on the measured signals, with a Kalman filter",
+    "lqr-full": "linear-quadratic optimum that sees the whole state, which no car measures",
+    "mpc-paper": "the paper's predictive controller with the settings a toolbox would take",
+    "mpc": "the paper's predictive controller, tuned",
+    "mpc-friction": "predictive control that knows of the seal's friction (differential dynamic programming)",
+    "mpc-friction-preview": "the same with the road ahead in sight",
+}
 #: the plant of a controller that has its own
 PLANTS = {"passive": "quarter-car-passive"}
 

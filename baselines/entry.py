@@ -26,4 +26,12 @@ def names() -> list[str]:
     return sorted(CONTROLLERS)
 
 
+def about() -> dict[str, str]:
+    """What each of them is, in a line."""
+    from . import ABOUT, CONTROLLERS
+
+    return {name: ABOUT.get(name, "") for name in CONTROLLERS}
+
+
+open_policy.about = about  # type: ignore[attr-defined]
 open_policy.names = names  # type: ignore[attr-defined]

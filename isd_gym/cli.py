@@ -2,25 +2,65 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from .console import TrustOption, check_file, lines, progress, warm_up, write_json
 from .errors import InputError, plain, shown
 from .plugins import COMMANDS, REFERENCES, plugins
 
+
+class _Commands(TyperGroup):
+    """A list of commands that says each in a whole sentence, over as many lines as it takes."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        rows = []
+        for name in self.list_commands(ctx):
+            command = self.get_command(ctx, name)
+            text = " ".join((command.help or "" if command else "").split("\n\n")[0].split())
+            rows.append((name, text))
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def _offer(*names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Words for the shell to complete with, looked up only when it asks."""
+
+    def words(incomplete: str) -> list[str]:
+        return sorted(w for find in names for w in find() if w.startswith(incomplete))
+
+    return words
+
+
+def _policies() -> Iterable[str]:
+    from .policies import available
+
+    return available()
+
+
+def _networks() -> Iterable[str]:
+    from .network import builtin_networks
+
+    return builtin_networks()
+
+
+def _roads() -> Iterable[str]:
+    return ("paper", "paper-printed", "flat", *"ABCDEFGH", "bump", "pothole", "sweep")
+
+
 app = typer.Typer(
     name="isd-gym",
+    cls=_Commands,
     help="A vehicle suspension with a hydraulic electric inerter: score and train controllers, simulate networks, "
     "and find the physics that a model lacks.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -111,19 +151,24 @@ def score(
     policies: Annotated[
         list[str],
         typer.Argument(
-            help="passive, isd-passive, skyhook, lqg, mpc, ..., a shipped policy (ppo, sac), or a policy's folder or .zip."
+            help="passive, isd-passive, skyhook, lqg, mpc, ... (isd-gym policies lists them), or a policy's folder or .zip.",
+            autocompletion=_offer(_policies),
         ),
     ],
     road: Annotated[
         str,
-        typer.Option(help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, a CSV file, C+bump."),
+        typer.Option(
+            help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, a CSV file, C+bump.",
+            autocompletion=_offer(_roads),
+        ),
     ] = "paper",
     speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
     episodes: Annotated[int, typer.Option(help="Roads to drive, the same for all.", min=1)] = 32,
     seed: Annotated[int, typer.Option(help="Episode i has the road of seed + i.", min=0)] = 0,
     duration: Annotated[float, typer.Option(help="Length of an episode [s].")] = 20.0,
     network: Annotated[
-        str, typer.Option(help="The plant: a built-in network or a model file.")
+        str,
+        typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
     ] = "quarter-car-isd",
     model: Annotated[
         str | None, typer.Option(help="The network the controllers believe in; the plant unless given.")
@@ -242,58 +287,56 @@ def _print_score(result: Any) -> None:
     from .scoring import PAPER
 
     console = Console(width=None if sys.stdout.isatty() else 118)
+    narrow = console.width < 106
 
     def table(title: str | None, *heads: str) -> Table:
         made = Table(title=title and Text(title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
         for i, head in enumerate(heads):
-            made.add_column(head, justify="left" if i == 0 else "right", no_wrap=True)
+            # names may be folded, figures never cut
+            made.add_column(head, justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
         return made
 
     def cell(q: dict[str, Any], digits: int, scale: float = 1.0) -> str:
         text = f"{q['value'] * scale:.{digits}f}"
-        if "change" in q and (q["low"], q["high"]) != (0.0, 0.0):
-            text += f" {100 * q['change']:+.1f} %\n[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+        if "change" in q and q["change"] != 0.0:
+            text += f"{chr(10) if narrow else ' '}{100 * q['change']:+.1f} %"
+            if result.episodes > 1:
+                text += f"\n[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
         return text
 
-    shares = any(row["share_of_reachable_gain"] is not None for row in result.policies)
-    main_heads = ["policy", "cost J", "acceleration\nm/s²", "travel\nmm", "tyre load\nN"]
-    first = table(
+    main: dict[str, Callable[[Any], str]] = {
+        "cost J": lambda r: cell(r["cost"], 3),
+        "acceleration\nm/s²": lambda r: cell(r["body_acceleration_rms"], 3),
+        "travel\nmm": lambda r: cell(r["suspension_travel_rms"], 2, 1e3),
+        "tyre load\nN": lambda r: cell(r["tyre_load_rms"], 0),
+    }
+    share: dict[str, Callable[[Any], str]] = {}
+    if any(row["share_of_reachable_gain"] is not None for row in result.policies):
+        share["of the gain\nreachable"] = lambda r: f"{100 * r['share_of_reachable_gain']:.0f} %"
+    motion: dict[str, Callable[[Any], str]] = {
+        "W_k\nm/s²": lambda r: f"{r['weighted_acceleration_rms']['value']:.3f}",
+        "peak acc.\nm/s²": lambda r: f"{r['peak_body_acceleration']['value']:.2f}",
+        "peak travel\nmm": lambda r: f"{1e3 * r['peak_suspension_travel']['value']:.1f}",
+        "current\nA": lambda r: f"{r['current_rms']['value']:.2f}",
+        "energy\nJ": lambda r: f"{r['energy']['value']:.0f}",
+    }
+    work: dict[str, Callable[[Any], str]] = {
+        "exceed-\nances": lambda r: str(sum(r["limit_violations"].values())),
+        "fall-\nbacks": lambda r: str(r["fallbacks"]),
+        "processor ms\nper step": lambda r: f"{1e3 * r['control_time']['median']:.3f}",
+        "\n99.9 %": lambda r: f"{1e3 * r['control_time']['p99_9']:.3f}",
+    }
+    interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
+    title = (
         f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
-        f"seeds {result.seed} to {result.seed + result.episodes - 1}; RMS, change against passive, 95 % interval",
-        *main_heads,
-        *(["of the gain\nreachable"] if shares else []),
+        f"seeds {result.seed} to {result.seed + result.episodes - 1}; RMS, change against passive{interval}"
     )
-    second = table(
-        None,
-        *("policy", "W_k\nm/s²", "peak acc.\nm/s²", "peak travel\nmm", "current\nA", "energy\nJ"),
-        *("limits\npassed", "fallbacks", "ms per step\nmedian", "\n99.9 %"),
-    )
-    for row in result.policies:
-        policy = Text(plain(row["policy"], 40))  # a name is no markup
-        cells: list[Any] = [
-            policy,
-            cell(row["cost"], 3),
-            cell(row["body_acceleration_rms"], 3),
-            cell(row["suspension_travel_rms"], 2, 1e3),
-            cell(row["tyre_load_rms"], 0),
-        ]
-        if shares:
-            cells.append(f"{100 * row['share_of_reachable_gain']:.0f} %")
-        first.add_row(*cells)
-        second.add_row(
-            policy,
-            f"{row['weighted_acceleration_rms']['value']:.3f}",
-            f"{row['peak_body_acceleration']['value']:.2f}",
-            f"{1e3 * row['peak_suspension_travel']['value']:.1f}",
-            f"{row['current_rms']['value']:.2f}",
-            f"{row['energy']['value']:.0f}",
-            str(sum(row["limit_violations"].values())),
-            str(row["fallbacks"]),
-            f"{1e3 * row['control_time']['median']:.3f}",
-            f"{1e3 * row['control_time']['p99_9']:.3f}",
-        )
-    console.print(first)
-    console.print(second)
+    groups = [main, motion, share | work] if narrow else [main | share, motion | work]
+    for k, group in enumerate(groups):
+        made = table(title if k == 0 else None, "policy", *group)
+        for row in result.policies:
+            made.add_row(Text(plain(row["policy"], 40)), *(say(row) for say in group.values()))
+        console.print(made)
     for name, (before, after) in PAPER.items():
         parts = [
             f"{what} {b * s:.{d}f} -> {a * s:.{d}f} ({100 * (a / b - 1):+.1f} %)"
@@ -313,7 +356,12 @@ def _print_score(result: Any) -> None:
 
 @app.command()
 def simulate(
-    model: Annotated[str, typer.Argument(help="A model file (isd-model/1) or a built-in network.")],
+    model: Annotated[
+        str,
+        typer.Argument(
+            help="A model file (isd-model/1) or a built-in network.", autocompletion=_offer(_networks)
+        ),
+    ],
     data: Annotated[
         Path, typer.Argument(help="A table with time and the model's inputs: CSV, Parquet, .mat, .mf4.")
     ],
@@ -432,7 +480,9 @@ def _print_diagnosis(result: Any) -> None:
 
 @app.command()
 def show(
-    policy: Annotated[str, typer.Argument(help="A policy, named as for score.")],
+    policy: Annotated[
+        str, typer.Argument(help="A policy, named as for score.", autocompletion=_offer(_policies))
+    ],
     against: Annotated[
         str | None, typer.Option(help="A second one beside it, on the same road.", metavar="POLICY")
     ] = None,
@@ -442,13 +492,17 @@ def show(
     ] = None,
     road: Annotated[
         str,
-        typer.Option(help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, a CSV file, C+bump."),
+        typer.Option(
+            help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, a CSV file, C+bump.",
+            autocompletion=_offer(_roads),
+        ),
     ] = "paper",
     speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
     seconds: Annotated[float, typer.Option(help="How long to drive [s].")] = 10.0,
     seed: Annotated[int, typer.Option(help="Of the road, as in score.", min=0)] = 0,
     network: Annotated[
-        str, typer.Option(help="The plant: a built-in network or a model file.")
+        str,
+        typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
     ] = "quarter-car-isd",
     trust_zip: TrustOption = False,
 ) -> None:
@@ -480,9 +534,41 @@ def show(
 
 
 @app.command()
+def policies(json_file: JsonOption = None) -> None:
+    """List what can be scored and shown by name.
+
+    Beside these, a trained policy's folder or .zip, and whatever other packages bring.
+
+    Example: isd-gym policies
+    """
+    from .policies import available
+
+    known = available()
+    write_json(json_file, {"policies": known})
+    _list(known)
+
+
+def _list(rows: Mapping[str, str]) -> None:
+    """Names and what they are, in as many lines as the terminal's width takes."""
+    from rich.console import Console
+    from rich.table import Table
+
+    made = Table.grid(padding=(0, 2))
+    made.add_column(no_wrap=True)
+    made.add_column()
+    for name, text in rows.items():
+        made.add_row(name, text)
+    Console(width=None if sys.stdout.isatty() else 118, highlight=False, markup=False).print(made)
+
+
+@app.command()
 def networks(
     name: Annotated[
-        str | None, typer.Argument(help="Print this one as JSON: a built-in network or a model file.")
+        str | None,
+        typer.Argument(
+            help="Print this one as JSON: a built-in network or a model file.",
+            autocompletion=_offer(_networks),
+        ),
     ] = None,
     draw: Annotated[
         Path | None,
@@ -511,18 +597,14 @@ def networks(
     if name is not None:
         typer.echo(Network.load(name).dumps(), nl=False)
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    made = Table.grid(padding=(0, 2))
-    for built in builtin_networks():
-        made.add_row(built, Network.load(built).description)
-    Console(width=None if sys.stdout.isatty() else 118, highlight=False, markup=False).print(made)
+    _list({built: Network.load(built).description for built in builtin_networks()})
 
 
 def _plug_in() -> None:
     """Commands of the packages above this one (train, reproduce, ...): entry points `isd_gym.commands`."""
-    wanted = next((a for a in sys.argv[1:] if not a.startswith("-")), None)
+    typed = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS")  # a shell that completes
+    words = typed.split()[1:] if typed else sys.argv[1:]
+    wanted = next((a for a in words if not a.startswith("-")), None)
     for point in plugins(COMMANDS):
         # imported only when it is to run; --help and "did you mean" need its name and first sentence alone
         app.command(name=point.name)(point.load() if point.name == wanted else _mention(point))
@@ -554,7 +636,7 @@ def main() -> None:
     stopped = _listen()
     try:
         _plug_in()
-        code = app(standalone_mode=False)
+        code = app(prog_name="isd-gym", standalone_mode=False)
         sys.stdout.flush()
     except InputError as error:
         typer.echo(f"isd-gym: {error}", err=True)
@@ -585,8 +667,6 @@ def main() -> None:
 
 def _broken(error: OSError) -> int:
     """A reader that has gone is no news; a full disk, a file that may not be read is one line."""
-    import os
-
     if not isinstance(error, BrokenPipeError):
         name = f": '{error.filename}'" if error.filename else ""
         typer.echo(f"isd-gym: {plain(f'{error.strerror or error}{name}', 400)}", err=True)

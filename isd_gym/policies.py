@@ -74,3 +74,23 @@ def find(
     raise InputError(
         f"no policy {shown(name, 200)}{asked}: neither a policy folder nor one of {', '.join(known)}"
     )
+
+
+def available() -> dict[str, str]:
+    """What can be named without a path, and what it is in a line: the built-in, the baselines, the shipped, other packages'.
+
+    An opener says its names by an attribute `about`, a function that gives {name: line}, or `names`, a function that lists them.
+    """
+    known = {
+        "passive": "the conventional passive car: spring and damper in parallel; what all are compared with",
+        "isd-passive": "the plant without current",
+    }
+    for point in plugins(POLICIES):
+        opener = point.load()
+        own = (
+            opener.about()
+            if hasattr(opener, "about")
+            else dict.fromkeys(getattr(opener, "names", list)(), point.value)
+        )
+        known |= {name: text for name, text in own.items() if name not in known}
+    return known

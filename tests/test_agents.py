@@ -546,6 +546,38 @@ def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
 
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(sb3, brief, tmp_path, algorithm):
+    """Progress begins at once, never passes the whole, and what was done counts when the run goes on."""
+    from agents.train import train
+
+    told: list[tuple[str, float]] = []
+    lines: list[str] = []
+
+    def watch(task: str, share: float) -> None:
+        told.append((task, share))
+        if task == "training" and share > 0.4:
+            raise KeyboardInterrupt
+
+    settings = replace(brief[algorithm], checkpoint_seconds=1e9)
+    out = tmp_path / "my run"
+    with pytest.raises(KeyboardInterrupt):
+        train(algorithm, out, settings=settings, say=lines.append, progress=watch)
+    (saved,) = out.glob("checkpoint-*")
+    done = int(saved.name.removeprefix("checkpoint-"))
+    assert 0.4 * settings.steps < done < settings.steps
+    assert "this goes on from there" in lines[-1]
+    assert told[0] == ("preparing", 0.0) and all(0 <= share <= 1 for _, share in told)
+    assert ("imitating lqg" in {task for task, _ in told}) == (settings.teacher == "lqg")
+    again: list[str] = []
+    report = train(algorithm, out, settings=settings, say=again.append)
+    assert any(line.startswith("resuming") for line in again)
+    assert report["training"]["curve"][-1]["steps"] >= settings.steps
+    assert not any(float(line.split("%")[0]) > 100 for line in (*lines, *again) if line.lstrip()[0].isdigit())
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")
 def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
     """A few hundred updates are enough to be far better than no current at all."""
     from agents.train import train

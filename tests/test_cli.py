@@ -1,6 +1,7 @@
 """The command line as a newcomer meets it: right answers, and one helpful line for wrong ones."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -11,13 +12,14 @@ from isd_gym.data import read_table
 from isd_gym.network import Network
 
 
-def run(*args, cwd=None):
+def run(*args, cwd=None, env=None):
     return subprocess.run(
         [sys.executable, "-m", "isd_gym.cli", *map(str, args)],
         capture_output=True,
         text=True,
         check=False,
         cwd=cwd,
+        env={**os.environ, **(env or {})},
     )
 
 
@@ -272,3 +274,35 @@ def test_nowhere_to_keep_the_kernel_is_one_line():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
     assert "set NUMBA_CACHE_DIR" in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
+def test_the_list_of_commands_is_not_cut():
+    done = run("--help", env={"COLUMNS": "80"})
+    listed = done.stdout.split("Commands:")[1]
+    assert "..." not in listed and max(map(len, done.stdout.splitlines())) <= 80
+    assert " ".join(done.stdout.split()).count("against the conventional passive car.") == 1
+
+
+def test_policies_lists_what_can_be_scored(tmp_path):
+    from isd_gym.network import Network
+    from isd_gym.policies import available, find
+
+    done = run("policies", "--json", str(tmp_path / "p.json"))
+    known = json.loads((tmp_path / "p.json").read_text())["policies"]
+    assert known == available() and all(known.values())
+    assert {"passive", "isd-passive", "mpc", "lqg", "ppo", "sac"} <= set(known)
+    for name in known:
+        assert name in done.stdout
+        assert find(name, Network.load("quarter-car-isd")).name
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("isd-gym sc", {"score"}), ("isd-gym score mpc-f", {"mpc-friction"}), ("isd-gym networks force", {"force-rig"}),
+     ("isd-gym train --rand", {"--randomize"})],
+)  # fmt: skip
+def test_the_shell_completes(typed, offered):
+    done = run(
+        env={"_ISD_GYM_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
+    )
+    assert offered <= set(done.stdout.split()), done.stdout + done.stderr

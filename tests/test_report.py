@@ -465,6 +465,29 @@ def test_numbers_are_printed_without_exponents(value, text):
     assert plots.number(value) == text
 
 
+@pytest.mark.parametrize("width", [80, 118])
+def test_the_tables_cut_no_figure(small_score, monkeypatch, width):
+    import io
+
+    import rich.console
+
+    rows = [json.loads(json.dumps(row)) for row in small_score.policies]
+    for row in rows:
+        row["energy"]["value"], row["share_of_reachable_gain"] = 13456.0, 0.41
+        row["limit_violations"] |= {"current": 98765}
+    out, made = io.StringIO(), rich.console.Console
+    monkeypatch.setattr(rich.console, "Console", lambda **k: made(file=out, width=width))
+    cli._print_score(replace(small_score, policies=rows))
+    text = out.getvalue()
+    assert "…" not in text and max(map(len, text.splitlines())) <= width
+    for row in rows:
+        q = row["tyre_load_rms"]
+        assert text.count("13456") == len(rows) and text.count("98765") == len(rows)
+        assert f"{row['cost']['value']:.3f}" in text and f"{q['value']:.0f}" in text
+        if q["change"]:
+            assert f"[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]" in text
+
+
 # ------------------------------------------------------------------------------------------------------ show
 
 
