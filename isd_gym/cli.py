@@ -534,6 +534,35 @@ def show(
 
 
 @app.command()
+def export(
+    model: Annotated[
+        str,
+        typer.Argument(
+            help="A model file (isd-model/1) or a built-in network.", autocompletion=_offer(_networks)
+        ),
+    ],
+    fmu: Annotated[Path, typer.Option("--fmu", help="Where the unit goes: a name in .fmu.", metavar="FILE")],
+    step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
+) -> None:
+    """Export a model as an FMU for co-simulation (FMI 2.0).
+
+    The unit calls this package's kernel: it runs where Python finds isd_gym. Inputs, outputs and parameters keep their
+    names and units.
+
+    Example: isd-gym export quarter-car-isd --fmu car.fmu
+    """
+    from .fmu import export_fmu
+    from .network import Network
+
+    network = Network.load(model)
+    export_fmu(network, fmu, step=step)
+    typer.echo(
+        f"{len(network.inputs)} inputs, {len(network.outputs)} outputs and {len(network.parameters)} parameters of "
+        f"{network.name} in {fmu}"
+    )
+
+
+@app.command()
 def policies(json_file: JsonOption = None) -> None:
     """List what can be scored and shown by name.
 
