@@ -28,12 +28,13 @@ from isd_gym.errors import InputError
 from isd_gym.network import Network
 
 from .controller import CURRENT, BatchController
-from .lqg import Estimator
+from .estimator import Estimator
 from .model import (
     ROAD_INTENSITY,
     Model,
     Sensors,
     Weights,
+    device_reach,
     equivalent_damping,
     move_regulator,
     prediction_model,
@@ -355,7 +356,11 @@ class FrictionMpc(BatchController):
         cost = cost or StageCost()
         self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)
         self.weights = w = Weights(
-            replace(cost, tyre_load=cost.tyre_load + s.tyre_load), s.move, s.effort, s.centring
+            replace(cost, tyre_load=cost.tyre_load + s.tyre_load),
+            s.move,
+            s.effort,
+            s.centring,
+            device_reach(model),
         )
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
         stops = {e.name: 0.0 for e in m.laws if e.bound is None}

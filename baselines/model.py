@@ -6,9 +6,10 @@ velocity only and the model of equation (9) has no integrator that nothing can s
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
@@ -20,6 +21,8 @@ from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble
 from isd_gym.road import paper_road
 
+PAPER_CAR = "quarter-car-isd"
+SLIDING = 0.05  # m/s, a rate of the device on the paper's road: where a friction's level is read
 N_SENSORS = 5  # the measured signals that the physics determines; the sixth is the present current
 TYRE = 5  # row of the tyre load among the signals
 #: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
@@ -104,7 +107,7 @@ class Model:
         """Which of the laws are dry friction."""
         return [j for j, e in enumerate(self.laws) if e.bound is not None]
 
-    def levels(self, rate: float = 0.05) -> np.ndarray:
+    def levels(self, rate: float = SLIDING) -> np.ndarray:
         """Friction level [N] of each law at a sliding rate [m/s]; 0 for laws that are not dry friction."""
         out = np.zeros(len(self.laws))
         for j in self.friction:
@@ -219,24 +222,39 @@ def prediction_model(
 # ------------------------------------------------------------------------------------ linear-quadratic
 
 
+def device_reach(network: Network) -> float:
+    """Travel [m] at which the stop beside the motor of `network` is met; that of the paper's device where it has none."""
+    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
+    stops = [e for e in network.elements if isinstance(e, el.BumpStop)]
+    beside = [e.clearance for e in stops if motor is not None and set(e.where) == set(motor.where)]
+    return min(beside) if beside else paper_reach()
+
+
+@functools.cache
+def paper_reach() -> float:
+    """Travel [m] of the paper's device: the deputy cylinder's stroke over the ratio of areas (Table 1)."""
+    return next(e.clearance for e in Network.load(PAPER_CAR).elements if isinstance(e, el.BumpStop))
+
+
 @dataclass(frozen=True)
 class Weights:
     """Quadratic weights of a design: the stage cost, and what shapes it.
 
     move [1/A^2] on the change of current per step; effort [1/A^2] on the current; centring [-] on the device's travel
-    over its stop (24.65 mm), which nothing else holds in the middle.
+    over its `reach` [m], see `device_reach`: nothing else holds it in the middle.
     """
 
     cost: StageCost
     move: float = 0.0
     effort: float = 0.0
     centring: float = 0.01
+    reach: float = field(default_factory=paper_reach)
 
     @property
     def signals(self) -> np.ndarray:
         """Diagonal (6,) on the signals."""
         a, l, f, _ = self.cost.quadratic
-        return np.array([a, l, 0.0, self.centring / 0.02465**2, 0.0, f])
+        return np.array([a, l, 0.0, self.centring / self.reach**2, 0.0, f])
 
     @property
     def current(self) -> float:

@@ -21,12 +21,13 @@ from isd_gym.errors import InputError
 from isd_gym.network import Network
 
 from .controller import CURRENT, Controller, clean, limit
-from .lqg import Estimator
+from .estimator import Estimator
 from .model import (
     ROAD_INTENSITY,
     Model,
     Sensors,
     Weights,
+    device_reach,
     move_regulator,
     prediction_model,
     statistical_linearisation,
@@ -93,7 +94,10 @@ class Mpc(Controller):
         self.settings = s = settings or MpcSettings()
         cost = cost or StageCost()
         self.weights = w = Weights(
-            replace(cost, tyre_load=cost.tyre_load + s.tyre_load), move=s.move, centring=s.centring
+            replace(cost, tyre_load=cost.tyre_load + s.tyre_load),
+            move=s.move,
+            centring=s.centring,
+            reach=device_reach(model),
         )
         design = replace(w, centring=max(w.centring, 1e-3))  # a regulator must hold the device somewhere
         self.linear = statistical_linearisation(model, control_step, design, road_intensity=s.road_intensity)

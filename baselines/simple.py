@@ -21,6 +21,7 @@ from isd_gym.cost import StageCost
 from isd_gym.network import Network
 
 from .controller import BatchController
+from .model import SLIDING
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,9 @@ class Strut:
             return cls(network.masses[body], spring, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf)
         parallel = [e for e in between if set(e.between) == set(motor.between)]
         k, c, b = np.sum([e.linear() for e in parallel], axis=0)
-        level = sum(e.bound(np.array(e.law_parameters()), 0.0, 0.05) for e in parallel if e.bound is not None)
+        level = sum(
+            e.bound(np.array(e.law_parameters()), 0.0, SLIDING) for e in parallel if e.bound is not None
+        )
         series = [
             e.linear()[1]
             for e in between

@@ -57,6 +57,7 @@ CAR_COLOURS = (BLUE, VERMILLION)
 PULL, PUSH = GREEN, PURPLE  # thrust that contracts the device (positive current), that extends it
 
 _WHEEL_RADIUS = 0.32  # [m], what the wheel stands for; the factor on screen is relative to it
+CYLINDER = 0.05  # m, stroke of the main cylinder (Table 1), as drawn where no stop ends the travel before
 _EXAGGERATION = (6.0, 4.0, 3.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
 _HISTORY = 4.0  # [s]
 _SMALLEST = (640, 400)
@@ -640,7 +641,7 @@ class _Scene:
             c.rect(colour, x + 12 * u, y - w / 2, left + width - 6 * u - x - 12 * u + w / 2, w)
             c.rect(colour, left + width - 6 * u - w / 2, middle, w, y - middle + w / 2)
         limit = shot.device_travel_limit
-        share = travel / (limit or 0.05)
+        share = travel / (limit or CYLINDER)
         touching = limit is not None and abs(share) > 0.985
         if shot.current_limit is not None:
             colour, force = self._current_colour(), min(1.0, abs(shot.current) / shot.current_limit)

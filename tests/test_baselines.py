@@ -12,8 +12,9 @@ import pytest
 
 import baselines
 from baselines.controller import clean, limit
+from baselines.estimator import Estimator
 from baselines.friction import FrictionMpc, FrictionMpcSettings, _plan
-from baselines.lqg import Estimator, Lqg, LqgSettings
+from baselines.lqg import Lqg, LqgSettings
 from baselines.model import (
     Sensors,
     Weights,
