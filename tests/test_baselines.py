@@ -19,6 +19,7 @@ from baselines.model import (
     Sensors,
     Weights,
     closed_loop_spread,
+    device_reach,
     equivalent_damping,
     move_regulator,
     prediction_model,
@@ -102,6 +103,14 @@ def test_white_road_gives_the_spread_of_the_conventional_car():
     m = prediction_model(Network.load("quarter-car-passive"), STEP)
     rms = np.sqrt(np.diag(m.C @ closed_loop_spread(m, np.zeros(m.n)) @ m.C.T))
     assert rms[[0, 1, 5]] == pytest.approx([0.828, 7.16e-3, 516.0], rel=4e-3)
+
+
+def test_centring_is_over_the_stop_of_the_believed_device():
+    shorter = CAR.with_parameters({"end_stop.clearance": 0.01})
+    assert device_reach(CAR) == device_reach(frictionless()) == 0.02465 and device_reach(shorter) == 0.01
+    for name in ("lqg", "mpc", "mpc-friction"):
+        near, far = (baselines.make(name, model=m).weights.signals for m in (shorter, CAR))
+        assert near[3] == pytest.approx(far[3] * 2.465**2)
 
 
 def test_equivalent_damping_is_the_least_squares_gain():
