@@ -1,21 +1,16 @@
-"""Where the gap lives, in plain words; the law that was found, drawn; and the experiment that would separate rivals."""
+"""Where the gap lives, in plain words; and the law that was found, drawn."""
 
 from __future__ import annotations
-
-import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from .. import elements as el
+from ..elements import Motion
 from ..errors import InputError
-from ..network import Network
-from .choose import Rival, motions
 from .fit import Fit
-from .hypotheses import Motion
-from .problem import Array, Problem, Record
+from .motion import motions
+from .problem import Array, Problem
 from .result import Law, Place, Quantity
 
 
@@ -29,7 +24,7 @@ def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float
     needed = order[: int(np.searchsorted(np.cumsum(s[order]), 0.8 * s.sum())) + 1]
     keep = np.zeros(len(f), bool)
     keep[needed] = True
-    width = max(1, round(0.5 / (f[1] - f[0])))
+    width = max(1, round(0.01 * len(f)))
     out: list[tuple[float, float]] = []
     for k in np.flatnonzero(keep):
         low, high = float(max(f[k] - 0.5 * f[1], 0.0)), float(f[k] + 0.5 * f[1])
@@ -52,7 +47,7 @@ def when(
     n = len(e)
     if not e.mean() > 0:
         return "everywhere"
-    width = max(1, int(0.02 / record.rate))
+    width = max(1, int(0.2 * problem.time / record.rate))
     e = np.asarray(np.convolve(e, np.ones(width) / width, mode="same"), dtype=np.float64)
     best = (1.6, "everywhere")  # a condition must raise the energy by this factor to be worth saying
 
@@ -124,46 +119,16 @@ def places(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
 def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) -> Law | None:
     """The force of a found two-terminal effect over travel or rate, with the band of its parameters' intervals."""
     e = fit.network.element(name)
-    if e.place != "between":
+    if e.place != "between" or e.plane == "time":
         return None
     motion = motions(problem, fit).get(e.between)
     if motion is None:
         return None
-    rate = isinstance(
-        e,
-        el.LinearDamping
-        | el.QuadraticDamping
-        | el.AsymmetricDamping
-        | el.CoulombFriction
-        | el.StribeckFriction,
-    )
+    rate = e.plane == "rate"
     visited = motion.v if rate else motion.d
     reach = float(np.quantile(np.abs(visited), 0.999)) or 1e-6
     axis = np.linspace(-reach, reach, 1601)  # a cogging may have dozens of periods
-
-    def force(element: el.Element) -> Array:
-        p = np.array(element.law_parameters())
-        k, c, b = element.linear()
-        cls = type(element)
-        if cls.bound is not None:
-            return np.array([cls.bound(p, 0.0, v) * np.sign(v) for v in axis])
-        if cls.law is not None:
-            if isinstance(element, el.Hysteresis):
-                loop, z, last, out = np.concatenate([axis, axis[::-1], axis]), 0.0, axis[0], []
-                for d in loop:
-                    f, z = cls.law(p, d, 0.0, last, z, 1e-3)
-                    last = d
-                    out.append(f)
-                return np.array(out[-len(axis) :])
-            return np.array(
-                [
-                    cls.law(p, 0.0, x, 0.0, 0.0, 1e-3)[0] if rate else cls.law(p, x, 0.0, x, 0.0, 1e-3)[0]
-                    for x in axis
-                ]
-            )
-        return (c if rate else k) * axis
-
-    middle = force(e)
+    middle = e.curve(axis)
     spread = np.zeros(len(axis))
     for key, q in quantities.items():
         for value in (q.low, q.high):
@@ -171,7 +136,7 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
                 changed = fit.network.with_parameters({f"{name}.{key}": value}).element(name)
             except InputError:
                 continue
-            spread = np.maximum(spread, np.abs(force(changed) - middle))
+            spread = np.maximum(spread, np.abs(changed.curve(axis) - middle))
     return Law(
         name,
         "rate" if rate else "travel",
@@ -182,97 +147,3 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
         visited[:: max(1, len(visited) // 2000)],
         np.zeros(0),
     )
-
-
-def experiments(network: Network, record: Record) -> list[tuple[str, dict[str, Array], float]]:
-    """Candidate tests: (description, inputs, step): sines, a slow triangle, a bump and current steps."""
-    step = 2e-3
-    t = np.arange(0.0, 10.0, step)
-    moved = [c for c in network.inputs if c.quantity == "displacement"]
-    current = [c for c in network.inputs if c.quantity == "current"]
-    forces = [c for c in network.inputs if c.quantity == "force"]
-    silent = {c.name: np.zeros(len(t)) for c in network.inputs}
-    out: list[tuple[str, dict[str, Array], float]] = []
-    window = np.minimum(1.0, np.minimum(t, t[-1] - t) / 0.5)
-    for c in moved:
-        x = record.inputs[c.name]
-        reach = float(np.ptp(x)) / 2 or 0.01
-        for scale in (0.5, 1.5):
-            a = scale * reach
-            for f in (0.5, 1.5, 4.0, 10.0):
-                amplitude = min(a, 0.6 / (2 * math.pi * f))
-                out.append(
-                    (
-                        f"sine of {1e3 * amplitude:.3g} mm at {f:g} Hz at {c.name}",
-                        silent | {c.name: amplitude * window * np.sin(2 * math.pi * f * t)},
-                        step,
-                    )
-                )
-            out.append(
-                (
-                    f"triangle of {1e3 * a:.3g} mm at 0.1 Hz at {c.name}",
-                    silent | {c.name: a * (2 / math.pi) * np.arcsin(np.sin(2 * math.pi * 0.1 * t))},
-                    step,
-                )
-            )
-        bump = np.where((t > 1) & (t < 1.2), 0.5 * (1 - np.cos(2 * math.pi * (t - 1) / 0.2)), 0.0)
-        out.append(
-            (
-                f"bump of {2e3 * reach:.3g} mm, 0.2 s long, at {c.name}",
-                silent | {c.name: 2 * reach * bump},
-                step,
-            )
-        )
-    for c in current:
-        top = float(np.abs(record.inputs[c.name]).max()) or 1.0
-        out.append(
-            (
-                f"steps of {top:.3g} A in {c.name}",
-                silent | {c.name: top * np.sign(np.sin(2 * math.pi * 0.7 * t))},
-                step,
-            )
-        )
-        out.append(
-            (
-                f"sine of {top:.3g} A at 1.5 Hz in {c.name}",
-                silent | {c.name: top * np.sin(2 * math.pi * 1.5 * t)},
-                step,
-            )
-        )
-    for c in forces:
-        top = float(np.abs(record.inputs[c.name]).max()) or 1.0
-        for f in (0.3, 1.5, 5.0):
-            out.append(
-                (
-                    f"sine of {top:.3g} N at {f:g} Hz at {c.name}",
-                    silent | {c.name: top * np.sin(2 * math.pi * f * t)},
-                    step,
-                )
-            )
-    return out
-
-
-def next_experiment(problem: Problem, rivals: list[Rival], floor: Array) -> dict[str, Any] | None:
-    """The candidate test whose outcome the two foremost rivals predict most differently, in noise standard deviations."""
-    if len(rivals) < 2:
-        return None
-    first = problem.records[problem.estimation[0]]
-    best: tuple[float, str, str] = (0.0, "", "")
-    for text, inputs, step in experiments(problem.network, first):
-        n = len(next(iter(inputs.values())))
-        blank = Record("experiment", step, inputs, np.zeros((n, len(problem.channels))))
-        trial = Problem(problem.network, [blank], [False], problem.step)
-        try:
-            a, b = (trial.simulate([r.fit.network], 0)[:, :, 0] for r in rivals[:2])
-        except (InputError, np.linalg.LinAlgError):
-            continue
-        if not (np.isfinite(a).all() and np.isfinite(b).all()):
-            continue
-        separation = np.sqrt(np.mean((a - b) ** 2, axis=0)) / np.maximum(floor, 1e-300)
-        j = int(np.argmax(separation))
-        if separation[j] > best[0]:
-            best = float(separation[j]), text, problem.channels[j]
-    if not best[1]:
-        return None
-    names = [" and ".join(h.label for h in r.hypotheses) for r in rivals[:2]]
-    return {"do": best[1], "watch": best[2], "separates": names, "separation_sigma": best[0]}

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..network import Channel, Network, assemble
-from .hypotheses import Structure
-from .problem import Problem, Whitener, bare, motion_rows_of
-
-Array = NDArray[np.float64]
+from ..network import Network, assemble
+from .initial import along, guess, state_scale
+from .least_squares import bounded_step
+from .noise import Whitener
+from .problem import Array, Problem, bare
+from .structure import Structure
 
 
 @dataclass
@@ -33,8 +33,6 @@ class Fit:
     cost: float  # sum of squares of whitened residuals over estimation records
     prior: float
     hessian: Array | None = None  # of the structure's parameters, initial states and offsets eliminated
-    jacobian: dict[int, Array] | None = None  # whitened, (n * channels, parameters), nuisances projected out
-    white: dict[int, Array] | None = None
 
     @property
     def network(self) -> Network:
@@ -46,100 +44,6 @@ class Fitter:
         self.problem = problem
         self.weights = weights
         self._known: dict[tuple[int, int], tuple[Structure, tuple[Array, Array]]] = {}
-
-    # -- initial states ---------------------------------------------------------------------------------
-    def state_scale(self, network: Network, index: int) -> tuple[Array, Array]:
-        """(reference rows over the states, prior standard deviation of each row): wide, from the data's own motion."""
-        asm = assemble(bare(network))
-        rows = motion_rows_of(asm)
-        record = self.problem.records[index]
-        spans = [0.0]
-        for c in network.inputs:
-            if c.quantity == "displacement":
-                spans.append(float(np.ptp(record.inputs[c.name])))
-        for j, c in enumerate(network.outputs):
-            y = record.measured[:, j] / self.problem.factors[j]
-            if c.quantity == "displacement":
-                spans.append(float(np.ptp(y)))
-            elif c.quantity == "velocity":
-                spans.append(float(np.ptp(y)) / 6.0)
-            elif c.quantity == "acceleration":
-                spans.append(float(np.ptp(y)) / 36.0)
-        span = max(spans) or 0.01
-        return rows, np.full(len(rows), 2.0 * span)
-
-    def guess(self, network: Network, index: int, about: Array | None = None) -> Array:
-        """An initial state from the first samples: displacements and their slopes as measured, the rest small.
-
-        Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
-        `about` (states,): where a simulation of what came before ended; it is believed to a tenth of the motion.
-        """
-        record = self.problem.records[index]
-        pure = bare(network)
-        moved = [c for c in pure.outputs if c.quantity == "displacement"]
-        rates = tuple(Channel(f"_{c.name}", "velocity", "m/s", at=c.at, between=c.between) for c in moved)
-        asm = assemble(pure, rates)
-        n0 = asm.size[0]
-        if not n0:
-            return np.zeros(0)
-        rows, scale = self.state_scale(network, index)
-        if about is not None:
-            scale = 0.05 * scale
-        centre = np.zeros(n0) if about is None else about
-        A, b = [rows / scale[:, None]], [rows @ centre / scale]
-        count = min(max(5, int(0.02 / record.rate)), len(record))
-        t = np.arange(count) * record.rate
-        x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
-        road = np.array([record.inputs[c.name][0] for c in pure.inputs if c.quantity == "displacement"])
-        for j, c in enumerate(pure.outputs):
-            if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
-                continue
-            y = record.measured[:count, j] / self.problem.factors[j]
-            slope, value = np.polyfit(t, y, 1)
-            sigma = float(np.std(record.measured[:, j])) / self.problem.factors[j] * 0.02 + 1e-12
-            A.append(asm.outputs[j : j + 1, x] / sigma)
-            b.append(np.array([(value - asm.outputs[j, r] @ road) / sigma]))
-            if c in moved:
-                k = len(pure.outputs) + moved.index(c)
-                if not asm.outputs_by_difference[k]:
-                    wide = sigma / max(t[-1], 1e-9) * 2
-                    A.append(asm.outputs[k : k + 1, x] / wide)
-                    b.append(np.array([slope / wide]))
-        x0 = np.linalg.lstsq(np.vstack(A), np.concatenate(b), rcond=None)[0]
-        return x0 if np.isfinite(x0).all() else np.zeros(n0)
-
-    def along(
-        self, structure: Structure, x: Array, index: int, initial: Array, at: Sequence[int]
-    ) -> list[Array]:
-        """States (states,) that the simulation from `initial` has at the compared samples `at`.
-
-        They are read off the motion of the nodes, so that records can be cut and joined anywhere.
-        """
-        net = structure.at(x)
-        pure = bare(net)
-        nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
-        record = self.problem.records[index]
-        watched = replace(pure, outputs=tuple(Channel(f"_{n}", "displacement", "m", at=n) for n in nodes))
-        probe = Problem(watched, [replace(record, taps=None, thin=1)], [False], self.problem.step)
-        network = replace(
-            net, outputs=watched.outputs, elements=tuple(e for e in net.elements if e.place != "channel")
-        )
-        y = probe.simulate([network], 0, initial[:, None], like=net)[:, :, 0]
-        v = np.gradient(y, record.step, axis=0)
-        asm = assemble(pure)
-        moved = [c.name for c in pure.inputs if c.quantity == "displacement"]
-        r = np.stack([record.inputs[c] for c in moved], axis=1) if moved else np.zeros((len(y), 0))
-        rate = np.gradient(r, record.step, axis=0) if moved else r
-        cols = {part: asm.columns(part) for part in ("x", "r", "v")}
-        position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
-        rows = np.vstack([position[:, cols["x"]], 0.05 * velocity[:, cols["x"]]])
-        out = []
-        for k in at:
-            k = min(k * record.thin, len(y) - 1)
-            rest = [m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k] for m in (position, velocity)]
-            seen = np.concatenate([y[k] - rest[0], 0.05 * (v[k] - rest[1])])
-            out.append(np.linalg.lstsq(rows, seen, rcond=None)[0])
-        return out
 
     def simulate_point(self, structure: Structure, x: Array, index: int, initial: Array) -> Array:
         net = structure.at(x)
@@ -160,7 +64,7 @@ class Fitter:
             shifted = x.copy()
             shifted[k] += h
             nets.append(structure.at(shifted))
-        rows, scale = self.state_scale(nets[0], index)
+        rows, scale = state_scale(self.problem, nets[0], index)
         state_step = np.array(
             [1e-3 * float(scale[0]) / max(np.abs(rows[:, i]).max(), 1e-9) for i in range(n0)]
         )
@@ -199,12 +103,12 @@ class Fitter:
             if initial and i in initial and len(initial[i]) == n0:
                 starts = [initial[i]]
             elif n0:
-                starts = [self.guess(net, i)]
+                starts = [guess(problem, net, i)]
                 if last is not None and problem.records[i].follows(problem.records[last[0]]):
                     k, end = last[0], len(problem.records[last[0]]) - 1
-                    before, now = self.along(structure, x, k, last[1].initial[k], (end - 1, end))
+                    before, now = along(problem, structure, x, k, last[1].initial[k], (end - 1, end))
                     ahead = 2 * now - before
-                    starts = [self.guess(net, i, ahead), ahead, *starts]
+                    starts = [guess(problem, net, i, ahead), ahead, *starts]
                 if about and len(about.get(i, ())) == n0:
                     starts.append(about[i])
                 if len(starts) > 1:
@@ -240,7 +144,6 @@ class Fitter:
         iterations: int = 8,
         records: list[int] | None = None,
         tolerance: float = 1e-4,
-        keep: bool = False,
         frozen: bool = False,
         quit_above: float = math.inf,
     ) -> Fit:
@@ -254,7 +157,9 @@ class Fitter:
         net = structure.at(x)
         n0 = assemble(bare(net)).size[0]
         initial = {
-            i: initial[i].copy() if initial and i in initial and len(initial[i]) == n0 else self.guess(net, i)
+            i: initial[i].copy()
+            if initial and i in initial and len(initial[i]) == n0
+            else guess(problem, net, i)
             for i in records
         }
         ny = len(problem.channels)
@@ -264,40 +169,22 @@ class Fitter:
         low = np.array([f.low for f in structure.free])
         high = np.array([f.high for f in structure.free])
         p = 0 if frozen else len(x)
+        stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in structure.free])
         damping = 1e-4
         point = self._linearise(structure, x, initial, offset, records, p)
         cost = point[0] + self._prior(structure, x, initial, mean, sigma)
         if not math.isfinite(cost):
             raise InputError("the simulation breaks down at the start values")
         for iteration in range(iterations):
-            total, H, g, nuisance, outs = point
+            _, H, g, nuisance, _ = point
             H, g = H.copy(), g.copy()
             H[np.arange(p), np.arange(p)] += 1.0 / sigma[:p] ** 2
             g[:p] += (mean[:p] - x[:p]) / sigma[:p] ** 2
+            wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(x), sigma))
             improved = False
             for _ in range(6):
-                D = np.diag(H).copy()
-                if p:
-                    A = H + np.diag(damping * D)
-                    free = np.ones(p, bool)
-                    for _ in range(3):  # steps that leave the limits are held there
-                        step = np.zeros(p)
-                        idx = np.flatnonzero(free)
-                        if len(idx):
-                            step[idx] = np.linalg.solve(A[np.ix_(idx, idx)], g[idx])
-                        out = (x + step < low - 1e-12) & (x <= low + 1e-9) | (x + step > high + 1e-12) & (
-                            x >= high - 1e-9
-                        )
-                        if not np.any(out & free):
-                            break
-                        free &= ~out
-                    limit = np.where([f.log for f in structure.free], 1.5, 3.0 * np.maximum(np.abs(x), sigma))
-                    limit[[f.path.endswith(".phase") for f in structure.free]] = 1.0
-                    step = np.clip(step, -limit, limit)
-                    trial = np.clip(x + step, low, high)
-                    step = trial - x
-                else:
-                    step, trial = np.zeros(0), x
+                step = bounded_step(H, g, x, low, high, wide, damping) if p else np.zeros(0)
+                trial = x + step if p else x
                 ti, to = {}, {}
                 for i in records:
                     B, C, rhs = nuisance[i]
@@ -392,7 +279,7 @@ class Fitter:
     def _scales(self, structure: Structure, x: Array, index: int) -> tuple[Array, Array]:
         key = (id(structure), index)
         if key not in self._known:  # the prior of the initial state: that of the start values will do
-            self._known[key] = (structure, self.state_scale(structure.network, index))
+            self._known[key] = (structure, state_scale(self.problem, structure.network, index))
         return self._known[key][1]
 
     def _linearise(self, structure, x, initial, offset, records, p):
@@ -435,3 +322,19 @@ class Fitter:
                 g += G[a, 0]
             nuisance[i] = (B, C if len(C) else np.zeros((0, 0)), rhs)
         return total, H, g, nuisance, outs
+
+
+def residuals(problem: Problem, fit: Fit) -> list[Array]:
+    """What the fit leaves of each of its records (n, channels)."""
+    return [problem.records[i].measured - y for i, y in fit.outputs.items()]
+
+
+def gap(problem: Problem, fit: Fit) -> float:
+    """Geometric mean over channels of the residual's power over the signal's: how wide the gap is, whatever its spectrum.
+
+    One channel that drifts does not drown the others.
+    """
+    r = np.concatenate(residuals(problem, fit))
+    y = problem.measured(list(fit.outputs))
+    share = np.mean(r**2, axis=0) / np.maximum(np.var(y, axis=0), 1e-300)
+    return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

@@ -1,7 +1,7 @@
-"""Records against a model: what was measured, what a network says about it, and how residuals are weighed.
+"""Records against a model: what was measured, and what a network says about it.
 
 `Problem` holds the records in the units of the model's channels and simulates many variants of one network structure
-in a single call of the kernel (one lane each). `Whitener` turns coloured residuals into nearly white ones.
+in a single call of the kernel (one lane each).
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import oaconvolve, welch
@@ -20,6 +21,8 @@ from ..simulate import Plant, effective_current, upsample
 from ..units import UNITS, convert
 
 Array = NDArray[np.float64]
+#: what a record is for: to fit by, to choose among candidates by, to report by
+Role = Literal["fit", "choose", "report"]
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,11 @@ class Record:
     def time(self) -> Array:
         return np.asarray(self.start + self.rate * (self.margin + np.arange(len(self))), dtype=np.float64)
 
+    @cached_property
+    def pace(self) -> float:
+        """The time [s] in which the motion changes: one over the circular frequency that halves the outputs' power."""
+        return min(pace(self.measured[:, j], self.rate) for j in range(self.measured.shape[1]))
+
     def seen(self, values: Array) -> Array:
         """Those of `values` (samples, ...) at the inputs' samples that are compared."""
         return values[self.margin * self.thin :: self.thin][: len(self)]
@@ -79,6 +87,14 @@ class Record:
             slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
             start=self.start + first * self.rate,
         )
+
+
+def pace(values: Array, step: float) -> float:
+    """One over the circular frequency [s] below which half of the power of `values` (n,) lies."""
+    f, s = welch(values - values.mean(), 1.0 / step, nperseg=min(len(values), 4096))
+    total = np.cumsum(s)
+    middle = float(np.interp(0.5 * total[-1], total, f)) if total[-1] > 0 else 0.0
+    return 1.0 / (2 * math.pi * max(middle, f[1]))
 
 
 def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
@@ -103,25 +119,56 @@ def bare(network: Network) -> Network:
 class Problem:
     """A base model and records to judge it by.
 
-    network: the owner's model. records: estimation first, then held-out ones; `held[i]` says which is which.
+    network: the owner's model. records: with the `roles` that they have, those to fit by first. step [s]: the largest of
+    the physics.
     """
 
-    def __init__(self, network: Network, records: Sequence[Record], held: Sequence[bool], step: float = 2e-3):
+    def __init__(
+        self, network: Network, records: Sequence[Record], roles: Sequence[Role], step: float = 2e-3
+    ):
         self.network = network
         self.records = list(records)
-        self.held = list(held)
+        self.roles = list(roles)
         self.step = step
         self.channels = [c.name for c in network.outputs]
         self.factors = np.array([convert(1.0, UNITS[c.quantity], c.unit) for c in network.outputs])
         self.free_offset = np.array([c.offset for c in network.outputs])
 
-    @property
-    def estimation(self) -> list[int]:
-        return [i for i, h in enumerate(self.held) if not h]
+    def _of(self, *roles: Role) -> list[int]:
+        return [i for i, r in enumerate(self.roles) if r in roles]
 
     @property
-    def validation(self) -> list[int]:
-        return [i for i, h in enumerate(self.held) if h]
+    def estimation(self) -> list[int]:
+        return self._of("fit")
+
+    @property
+    def held(self) -> list[int]:
+        """Records that take no part in fitting."""
+        return self._of("choose", "report")
+
+    @property
+    def choosing(self) -> list[int]:
+        return self._of("choose")
+
+    @property
+    def reporting(self) -> list[int]:
+        """Records that take no part in choosing either; the choosing ones where there are not enough for both."""
+        return self._of("report") or self.choosing
+
+    @cached_property
+    def time(self) -> float:
+        """The rig's own time scale [s]."""
+        return float(np.median([r.pace for r in self.records]))
+
+    def measured(self, records: Sequence[int] | None = None) -> Array:
+        """Outputs (samples, channels) of the records (those to fit by), one after the other."""
+        return np.concatenate(
+            [self.records[i].measured for i in (self.estimation if records is None else records)]
+        )
+
+    def with_records(self, records: Sequence[Record]) -> Problem:
+        """The same with other records in the same roles."""
+        return Problem(self.network, records, self.roles, self.step)
 
     def constants(self, index: int) -> Array:
         """What a free offset does to record `index`: (samples, channels, free offsets), one where the channel is its own."""
@@ -198,156 +245,24 @@ class Problem:
             if id(asm) not in maps:
                 key = asm.position.tobytes() + asm.velocity.tobytes()
                 if key not in known:
-                    known[key] = carrier(source, asm)
+                    known[key] = carrier(source, asm, self.time)
                 maps[id(asm)] = known[key]
         return np.stack([maps[id(asm)] @ initial[:, k] for k, asm in enumerate(plant.assemblies)], axis=1)
 
 
-def motion_rows_of(asm: Assembly, nodes: Sequence[str] | None = None) -> Array:
-    """Displacement and scaled velocity of nodes as rows over the states: what an initial state means physically."""
+def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = None) -> Array:
+    """Displacement, and velocity times `time` [s], of nodes as rows over the states: what an initial state means physically."""
     x = asm.columns("x")
     every = [n for n in asm.network.nodes if n not in asm.network.moved_nodes]
     pick = [every.index(n) for n in (every if nodes is None else nodes)]
-    return np.vstack([asm.position[pick, x], 0.05 * asm.velocity[pick, x]])
+    return np.vstack([asm.position[pick, x], time * asm.velocity[pick, x]])
 
 
-def carrier(source: Assembly, target: Assembly) -> Array:
+def carrier(source: Assembly, target: Assembly, time: float) -> Array:
     """Matrix from initial states of one network to those of another: the nodes that both have move alike."""
     moved = source.network.moved_nodes
     both = [n for n in source.network.nodes if n in target.network.nodes and n not in moved]
     if not both or not target.size[0]:
         return np.zeros((target.size[0], source.size[0]))
-    own, other = motion_rows_of(target, both), motion_rows_of(source, both)
+    own, other = motion_rows_of(target, time, both), motion_rows_of(source, time, both)
     return np.asarray(np.linalg.lstsq(own, other, rcond=None)[0], dtype=np.float64)
-
-
-# ------------------------------------------------------------------------------------------- weights
-
-
-@dataclass(frozen=True)
-class Whitener:
-    """Autoregressive filters, one a channel: residual -> innovations of unit variance. `taps` (channels, order+1)."""
-
-    taps: tuple[Array, ...]
-
-    def __call__(self, residual: Array) -> Array:
-        """residual (n, channels, ...) -> same shape, whitened along time."""
-        wide = residual.reshape(*residual.shape[:2], -1)
-        out = np.empty(wide.shape)
-        for j, a in enumerate(self.taps):
-            _filter(a, wide[:, j], out[:, j])
-        return out.reshape(residual.shape)
-
-
-@nb.njit(cache=True, nogil=True)
-def _filter(taps, x, out):
-    """out[t] = sum over k of taps[k] x[t - k], for every column of x (n, columns)."""
-    for t in range(len(x)):
-        for c in range(x.shape[1]):
-            out[t, c] = taps[0] * x[t, c]
-        for k in range(1, min(len(taps), t + 1)):
-            for c in range(x.shape[1]):
-                out[t, c] += taps[k] * x[t - k, c]
-
-
-def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> tuple[Array, float]:
-    """Least-squares AR taps (1, -a1, ...) and innovation standard deviation of several stretches of one series.
-
-    White noise of deviation `least` is added in thought: bands where a record happens to be quieter than any model
-    can be trusted to be are not weighed by how quiet they are.
-    """
-    gram: Array = np.zeros((order, order))
-    rhs: Array = np.zeros(order)
-    count, total = 0, 0.0
-    for x in series:
-        lags = np.lib.stride_tricks.sliding_window_view(x, order + 1)[:, ::-1]
-        gram += lags[:, 1:].T @ lags[:, 1:]
-        rhs += lags[:, 1:].T @ lags[:, 0]
-        total += float(lags[:, 0] @ lags[:, 0])
-        count += len(lags)
-    total += count * least**2
-    gram += count * least**2 * np.eye(order)
-    ridge = 1e-9 * float(np.trace(gram)) / order + 1e-300
-    a = np.linalg.solve(gram + ridge * np.eye(order), rhs)
-    variance = max(float(total - 2 * a @ rhs + a @ gram @ a), 1e-300) / max(count, 1)
-    return np.concatenate([[1.0], -a]), math.sqrt(variance)
-
-
-def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> Whitener:
-    """Filters from residuals [(n, channels), ...] of the best model at hand; `floor` (channels,): noise to reckon with."""
-    taps = []
-    for j in range(residuals[0].shape[1]):
-        series = [r[:, j] - r[:, j].mean() for r in residuals]
-        a, sigma = autoregression(series, min(order, min(map(len, series)) // 8), float(floor[j]))
-        taps.append(a / max(sigma, 1e-300))
-    return Whitener(tuple(taps))
-
-
-def innovations(residuals: Sequence[Array], floor: Array, order: int = 20) -> float:
-    """Sum over channels of n log(innovation variance): minus twice the log likelihood under own coloured noise."""
-    total = 0.0
-    for j in range(residuals[0].shape[1]):
-        series = [r[:, j] - r[:, j].mean() for r in residuals]
-        _, sigma = autoregression(series, min(order, min(map(len, series)) // 8), float(floor[j]))
-        total += 2 * sum(len(s) for s in series) * math.log(max(sigma, 1e-300))
-    return total
-
-
-def noise_of(series: Sequence[Array], step: float, *, white: bool = False) -> Noise:
-    """Coloured measurement noise in residuals (n,): white plus AR(1), fitted to the spectrum above the motion.
-
-    Below some 15 Hz signal and model error cover the noise, so its level there is that of the law found above. It is never
-    more than the series itself. `white`: what a low-pass left of the spectrum tells a level, but no colour.
-    """
-    density, frequency = [], np.zeros(0)
-    length = min(1024, min(len(x) for x in series))
-    for x in series:
-        frequency, s = welch(x - x.mean(), 1.0 / step, nperseg=length)
-        density.append(s * len(x))
-    s = np.maximum(np.sum(density, axis=0) / sum(len(x) for x in series), 1e-300)
-    w = 2 * np.pi * frequency * step
-    top = frequency[-1]
-    pick = (frequency > max(min(15.0, 0.3 * top), 2 * frequency[1])) & (
-        frequency < (0.7 if white else 0.98) * top
-    )
-    best: tuple[float, Noise] = (math.inf, Noise(0.0, 0.0, 0.0))
-    for phi in (0.0,) if white else (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.87, 0.93):
-        shape = 1.0 / (1 + phi**2 - 2 * phi * np.cos(w[pick]))
-        for share in (1.0,) if phi == 0 else (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9):
-            model = share + (1 - share) * shape * (1 - phi) ** 2
-            logs = np.log(s[pick] / model)
-            # a median: peaks of unexplained motion do not lift the level
-            level = float(np.median(logs))
-            error = float(np.mean(np.minimum(np.abs(logs - level), 1.0)))
-            if error < best[0] - 1e-9:
-                unit = math.exp(level) / (2 * step)
-                best = error, Noise(unit * share, unit * (1 - share) * (1 - phi) ** 2, phi)
-    noise = best[1]
-    share = min(1.0, float(np.var(np.concatenate(series))) / max(noise.deviation**2, 1e-300))
-    return Noise(noise.white * share, noise.drive * share, noise.phi)
-
-
-@dataclass(frozen=True)
-class Noise:
-    """White noise and AR(1) noise together: `white` variance, innovation variance `drive`, coefficient `phi`."""
-
-    white: float
-    drive: float
-    phi: float
-
-    @property
-    def deviation(self) -> float:
-        return math.sqrt(self.white + self.drive / (1 - self.phi**2))
-
-    def density(self, w: Array) -> Array:
-        return self.white + self.drive / (1 + self.phi**2 - 2 * self.phi * np.cos(w))
-
-
-def passed(W: Whitener, noise: Sequence[Noise]) -> Array:
-    """Mean square per channel that pure noise leaves behind the filters."""
-    w = np.linspace(0, math.pi, 2048)
-    out = []
-    for a, n in zip(W.taps, noise, strict=True):
-        response = np.abs(np.exp(-1j * np.outer(w, np.arange(len(a)))) @ a) ** 2
-        out.append(float(np.mean(response * n.density(w))))
-    return np.array(out)

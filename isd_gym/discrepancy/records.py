@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,13 +14,19 @@ from ..data import Table, check, read_table
 from ..errors import InputError
 from ..network import Channel, Network
 from ..units import UNITS, convert
-from .problem import Array, Record, low_pass
+from .problem import Array, Record, Role, low_pass
 
-STRETCH = 5.0  # [s] held-out records are judged in stretches, each from an initial state of its own
+#: length of the stretches in which held-out records are judged, in the rig's own time scale: some thirty periods
+STRETCH = 200.0
 
 
-def read(source: Table | str | Path, network: Network, notes: list[str]) -> Record:
-    """A checked record, inputs in SI, outputs in the channels' units. Raises `InputError` where it cannot be used."""
+def read(
+    source: Table | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
+) -> Record:
+    """A checked record, inputs in SI, outputs in the channels' units. Raises `InputError` where it cannot be used.
+
+    accept: names of checks (or 'all') whose errors are only warnings here.
+    """
     expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
     table = source if isinstance(source, Table) else read_table(source, expected=expected)
     for name in expected:
@@ -145,23 +152,52 @@ def _bandwidth(record: Record, network: Network, channel: Channel, order: int) -
     return max(end, float(20 * f[1]))
 
 
-def split_records(
-    estimation: list[Record], held: list[Record], notes: list[str]
-) -> tuple[list[Record], list[Record]]:
-    if held:
-        return estimation, held
-    if len(estimation) > 1:
-        count = max(1, len(estimation) // 3)
-        notes.append(f"held out: {', '.join(r.name for r in estimation[-count:])}")
-        return estimation[:-count], estimation[-count:]
-    record = estimation[0]
-    at = (2 * len(record)) // 3
-    notes.append("held out: the last third of the only record")
-    return [record.part(0, at, record.name)], [record.part(at, len(record), f"{record.name} (last third)")]
+def dealt(
+    data: list[Record], validate: list[Record], notes: list[str], time: float
+) -> tuple[list[Record], list[Role]]:
+    """Records with what each is for: to fit by, to choose among candidates by, to report by.
+
+    What nobody set aside is set aside here: whole records, or the later part of a single one. Held-out records are cut
+    into stretches of `STRETCH` times the rig's own `time` [s], every other one to choose and to report by.
+    """
+    fit, held = data, validate
+    if not held and len(fit) > 1:
+        count = max(1, len(fit) // 3)
+        fit, held = fit[:-count], fit[-count:]
+        notes.append(f"held out: {', '.join(r.name for r in held)}")
+    elif not held:
+        fit, held = _cut(fit[0])
+        share = len(held[0]) / (len(held[0]) + len(fit[0]))
+        notes.append(f"held out: the last {share:.0%} of the only record, a third of its motion")
+    pieces = [piece for r in held for piece in stretches(r, STRETCH * time)]
+    roles: list[Role] = ["choose"] * len(pieces)
+    if len(pieces) > 1:
+        roles = ["choose" if k % 2 == 0 else "report" for k in range(len(pieces))]
+        notes.append(
+            f"{len(pieces)} held-out stretches: every other one chose between explanations, the figures are of the rest"
+        )
+    else:
+        notes.append(
+            "too little is held out for a set of its own: what chose between explanations is reported, too"
+        )
+    fitted: list[Role] = ["fit"] * len(fit)
+    return [*fit, *pieces], fitted + roles
 
 
-def stretches(record: Record, seconds: float = STRETCH) -> list[Record]:
+def _cut(record: Record) -> tuple[list[Record], list[Record]]:
+    """A single record cut where two thirds of its motion have passed: a decay has next to none in its last third."""
+    y = record.measured - record.measured.mean(axis=0)
+    width = max(1, int(0.2 * record.pace / record.rate))
+    smooth = np.apply_along_axis(lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y)
+    way = np.cumsum(np.sum(np.abs(np.diff(smooth, axis=0)) / np.maximum(y.std(axis=0), 1e-300), axis=1))
+    at = int(np.searchsorted(way, 2 / 3 * way[-1])) + width // 2
+    at = min(max(at, len(record) // 4), len(record) - max(len(record) // 6, 32))
+    return [record.part(0, at, record.name)], [record.part(at, len(record), f"{record.name} (later part)")]
+
+
+def stretches(record: Record, seconds: float, least: int = 300) -> list[Record]:
+    """A record in stretches of so many seconds, each judged from an initial state of its own, none below `least` samples."""
     count = max(1, int(len(record) * record.rate / seconds))
-    count = min(count, max(1, len(record) // (400 if seconds == STRETCH else 200)))
+    count = min(count, max(1, len(record) // least))
     edges = np.linspace(0, len(record), count + 1).astype(int)
     return [record.part(a, b, record.name) for a, b in pairwise(edges)]

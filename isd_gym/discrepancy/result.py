@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,10 @@ import numpy as np
 
 from ..files import claim_folder, write_text
 from ..network import Network
+from .criteria import Criteria, Gate
+from .evidence import Evidence
 from .problem import Array
+from .settings import SearchSettings
 
 SCHEMA = "isd-diagnosis/1"
 #: kind, mark and parts of the folder of a diagnosis, with its report
@@ -95,17 +98,6 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Gate:
-    """One of the gates a name has to pass: `value` against `limit`."""
-
-    name: str
-    passed: bool
-    value: float
-    limit: float
-    text: str
-
-
-@dataclass(frozen=True)
 class Trace:
     """One record: `time` (n,), and per channel what was measured and what each model says (n,)."""
 
@@ -155,6 +147,10 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     units: dict[str, str] = field(default_factory=dict)
+    small_effects: tuple[Effect, ...] = ()  # there, but too small to be named
+    evidence: Evidence | None = None
+    criteria: Criteria | None = None
+    settings: SearchSettings | None = None
 
     def to_dict(self) -> dict[str, Any]:
         return _plain(
@@ -163,6 +159,7 @@ class Diagnosis:
                 "verdict": self.verdict,
                 "summary": self.summary,
                 "effects": [e.to_dict() for e in self.effects],
+                "small_effects": [e.to_dict() for e in self.small_effects],
                 "alternatives": [c.to_dict() for c in self.contenders],
                 "where": [p.to_dict() for p in self.where],
                 "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
@@ -172,6 +169,9 @@ class Diagnosis:
                     for g in self.gates
                 ],
                 "next_experiment": self.next_experiment,
+                "evidence": asdict(self.evidence) if self.evidence else None,
+                "criteria": asdict(self.criteria) if self.criteria else None,
+                "search": asdict(self.settings) if self.settings else None,
                 "notes": list(self.notes),
             }
         )

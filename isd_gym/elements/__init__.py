@@ -30,9 +30,11 @@ from .base import (
     Setting,
     Start,
     beside,
+    discover,
     parameter,
     parameter_fields,
     register,
+    rms,
 )
 from .drives import DRIVE_ORDER, ActuatorDelay, ActuatorLag, ThrustSaturation, delayed
 from .friction import CoulombFriction, StribeckFriction
@@ -84,7 +86,9 @@ __all__ = [
     "TyreLiftOff",
     "beside",
     "delayed",
+    "discover",
     "parameter",
     "parameter_fields",
     "register",
+    "rms",
 ]

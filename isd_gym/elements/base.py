@@ -6,9 +6,11 @@ v [m/s] it pulls `first` by -F and `second` by +F.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -87,7 +89,8 @@ class Setting:
     """Where a hypothesis is to be tried: the place, what stands there, and how the data are sized.
 
     `motion` of the pair (None at a motor or a channel); `force` [N]: a typical one of the data; `signal`: deviation of
-    the current [A] of the motor, or of the channel [its unit]; `options`: the choices that are not numbers.
+    the current [A] of the motor, or of the channel [its unit]; `time` [s]: in which the motion changes, one over its
+    typical circular frequency; `options`: the choices that are not numbers.
     """
 
     network: Network
@@ -95,6 +98,7 @@ class Setting:
     motion: Motion | None
     force: float
     signal: float = 1.0
+    time: float = 0.05
     options: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -273,6 +277,10 @@ class Element:
         """Whether the values mean what the name says; a law that does not may be a step on the way, but is never named."""
         return True
 
+    def fault(self, time: float) -> float:
+        """How large a sensor's fault is: of a gain, or of the `time` [s] in which the motion changes; 0 for a force."""
+        return 0.0
+
     def own_share(self, beside: Sequence[Element]) -> float:
         """Share of its force that is its own, and not what could be a parameter of what stands there."""
         return 1.0
@@ -309,6 +317,7 @@ _PARAMETERS: dict[type[Element], tuple[Field, ...]] = {}
 
 
 TYPES: dict[str, type[Element]] = {}
+ENTRY_POINTS = "isd_gym.elements"
 
 
 def register(cls: type[Element]) -> type[Element]:
@@ -318,6 +327,18 @@ def register(cls: type[Element]) -> type[Element]:
         raise InputError(f"{cls.__name__} has no type name")
     TYPES[cls.type] = cls
     return cls
+
+
+@functools.cache
+def discover() -> None:
+    """Register what installed packages offer through the entry point group ``isd_gym.elements``.
+
+    An entry is a module that registers its classes when imported, or a function without arguments that does.
+    """
+    for entry in entry_points(group=ENTRY_POINTS):
+        found = entry.load()
+        if callable(found) and not isinstance(found, type):
+            found()
 
 
 # ------------------------------------------------------------------------------- starts of a stranger's law

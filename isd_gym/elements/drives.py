@@ -72,7 +72,9 @@ class ActuatorLag(_Drive):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"time_constant": t}, grows=("time_constant",)) for t in (0.002, 0.01)]
+        return [
+            Start({"time_constant": t}, grows=("time_constant",)) for t in (0.05 * at.time, 0.25 * at.time)
+        ]
 
 
 @register
@@ -89,7 +91,7 @@ class ActuatorDelay(_Drive):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"delay": t}, grows=("delay",)) for t in (0.002, 0.01)]
+        return [Start({"delay": t}, grows=("delay",)) for t in (0.05 * at.time, 0.25 * at.time)]
 
 
 #: order in which a drive's effects act, whatever the order in the model: bus, electric circuit, iron

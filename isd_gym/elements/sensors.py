@@ -29,6 +29,9 @@ class SensorGain(_Sensor):
     def apply(self, signal: Array, step: float) -> Array:
         return self.gain * signal
 
+    def fault(self, time: float) -> float:
+        return abs(self.gain - 1.0)
+
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         return [Start({"gain": 1.05}, signed=True)]
@@ -72,6 +75,9 @@ class SensorDelay(_Sensor):
     def apply(self, signal: Array, step: float) -> Array:
         return delayed(signal, self.delay / step)
 
+    def fault(self, time: float) -> float:
+        return self.delay / time
+
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"delay": t}, grows=("delay",)) for t in (0.002, 0.01)]
+        return [Start({"delay": t}, grows=("delay",)) for t in (0.05 * at.time, 0.25 * at.time)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import fields
 from difflib import get_close_matches
@@ -141,6 +142,8 @@ def read_element(data: Any, index: int) -> el.Element:
     name = _name_of(data, "elements", index)
     where = f"element '{name}'"
     kind = data.get("type")
+    if isinstance(kind, str) and kind not in el.TYPES:
+        el.discover()  # an installed package may offer it
     if not isinstance(kind, str) or kind not in el.TYPES:
         raise InputError(f"{where}: unknown type {shown(kind)} (known: {', '.join(sorted(el.TYPES))})")
     cls = el.TYPES[kind]
@@ -161,7 +164,10 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     name = _name_of(data, kind, index)
     where = f"{kind[:-1]} '{name}'"
     _check_keys(
-        data, {"name", "quantity", "unit", "at", "between", "element", "offset"}, {"quantity", "unit"}, where
+        data,
+        {"name", "quantity", "unit", "at", "between", "element", "offset", "noise"},
+        {"quantity", "unit"},
+        where,
     )
     quantity = data["quantity"]
     if not isinstance(quantity, str) or quantity not in UNITS:
@@ -170,6 +176,11 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         convert(1.0, data["unit"], UNITS[quantity])
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
+    noise = data.get("noise")
+    if noise is not None and (
+        isinstance(noise, bool) or not isinstance(noise, int | float) or not 0 < noise < math.inf
+    ):
+        raise InputError(f'{where}: "noise" must be a positive RMS in the channel\'s unit, not {shown(noise)}')
     if data.get("offset", "none") not in ("free", "none"):
         raise InputError(f'{where}: "offset" must be "free" or "none", not {shown(data["offset"])}')
     if "at" in data and not isinstance(data["at"], str):
@@ -194,4 +205,5 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         element=element,
         between=_nodes_of(data["between"], where) if "between" in data else None,
         offset=data.get("offset") == "free",
+        noise=None if noise is None else float(noise),
     )

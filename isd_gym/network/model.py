@@ -35,7 +35,8 @@ def check_name(name: Any, what: str) -> str:
 class Channel:
     """An input or output: a quantity `at` a node, `between` two nodes, or of an `element`.
 
-    `factor` turns the channel's own unit into SI; `offset` is true where an unknown constant rides on it.
+    `factor` turns the channel's own unit into SI; `offset` is true where an unknown constant rides on it;
+    `noise`: its RMS in the channel's unit, where the owner of the sensor knows it.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Channel:
     between: tuple[str, str] | None = None
     element: str | tuple[str, ...] | None = None  # several: the sum of their forces
     offset: bool = False
+    noise: float | None = None  # RMS in the channel's unit, from the sensor's sheet
 
     @property
     def elements(self) -> tuple[str, ...]:
@@ -62,6 +64,8 @@ class Channel:
         out["unit"] = self.unit
         if self.offset:
             out["offset"] = "free"
+        if self.noise is not None:
+            out["noise"] = self.noise
         return out
 
 
@@ -195,6 +199,8 @@ class Network:
             )
         if c.offset:
             raise InputError(f"input '{c.name}': only outputs have an offset")
+        if c.noise is not None:
+            raise InputError(f"input '{c.name}': only outputs have a noise")
 
     def _check_output(self, c: Channel, by_name: Mapping[str, el.Element]) -> None:
         if c.quantity == "force":

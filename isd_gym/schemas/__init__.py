@@ -181,7 +181,14 @@ def _input() -> dict[str, Any]:
 def _output() -> dict[str, Any]:
     name = {"$ref": "#/$defs/name"}
     several = {"oneOf": [name, {"type": "array", "items": name, "minItems": 1}]}
-    offset = {"offset": {"enum": ["free", "none"], "description": "free: an unknown constant, fitted"}}
+    offset = {
+        "offset": {"enum": ["free", "none"], "description": "free: an unknown constant, fitted"},
+        "noise": {
+            "type": "number",
+            "exclusiveMinimum": 0,
+            "description": "RMS in the channel's unit, from the sensor's sheet",
+        },
+    }
     motion = ("displacement", "velocity", "acceleration")
     return {
         "description": "motion at a node or between two; force of an element (or the sum of several), or at a moved node",

@@ -1,0 +1,222 @@
+"""One table of criteria: what a name has to pass. `decide` reads evidence and nothing else; no fit happens inside.
+
+The verdict is the conjunction of the gates that the report shows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from .evidence import Evidence
+
+Verdict = Literal["missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"]
+
+
+def limit(value: float, unit: str, why: str, source: str) -> Any:
+    """A criterion: its limit and unit, why it is asked for, and how the figure was found."""
+    return field(default=value, metadata={"unit": unit, "why": why, "source": source})
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """The limits that decide. Every one is documented by its metadata (unit, why, how it was calibrated)."""
+
+    significant: float = limit(
+        60.0,
+        "2 log L",
+        "what chance, and the choice among some hundred hypotheses, gains for nothing",
+        "a hundred hypotheses of two parameters each: 2 ln 100 + 2 x 4 is 17; coloured noise that is itself estimated takes "
+        "the rest (clean rigs of the hidden suite stay below 50)",
+    )
+    replicated: float = limit(
+        2.0, "standard errors", "the gain is there again in held-out blocks", "two-sided 95 %"
+    )
+    material: float = limit(
+        0.03,
+        "share of a channel's deviation",
+        "smaller disagreements are everybody's",
+        "rigs of known make are good to a few per cent",
+    )
+    share: float = limit(
+        0.05,
+        "share of the force, current or signal at its place",
+        "every rig has effects of a few per cent that no model holds",
+        "as above",
+    )
+    small: float = limit(
+        0.02,
+        "share of the typical force",
+        "the size of those effects, for what they make of the outputs",
+        "as above",
+    )
+    wide: float = limit(
+        0.10,
+        "share of the deviation, mean over channels",
+        "a gap so wide is worth a name whatever the force, where one effect closes it",
+        "slightly damped rigs, where 3 % of the force is a quarter of the motion",
+    )
+    alone: float = limit(
+        0.90, "share of the excess", "what a small effect must close of such a gap", "as above"
+    )
+    half: float = limit(
+        0.50, "share of the excess", "what one more effect must remove of what is left", "half: it leads"
+    )
+    adequate: float = limit(
+        0.85,
+        "share of the excess",
+        "what is named must explain the gap",
+        "what small effects leave beside a true name on fresh rigs: below 10 % in nine of ten",
+    )
+    several: float = limit(
+        3.0,
+        "powers",
+        "where less is explained, what is left may be so many small effects' sum",
+        "two to four a rig",
+    )
+    ahead: float = limit(
+        1.1, "ratio of excess errors", "the nearest rival of another kind errs more", "a tenth, beyond chance"
+    )
+    forces_first: float = limit(
+        2.0,
+        "ratio of excess errors",
+        "a sensor is only blamed where no force explains nearly as much",
+        "sensors are checked, and can be checked again; laws of friction are not",
+    )
+    determined: float = limit(
+        1.0,
+        "half the 95 % interval over the value",
+        "a name needs a number",
+        "an interval that leaves out zero",
+    )
+    doubtful: float = limit(
+        0.25,
+        "of gain; or of the motion's time",
+        "a sensor fault as large as that is not believed without a second look",
+        "sensors off by a quarter are found before",
+    )
+    misses: float = limit(
+        0.10,
+        "share of a channel's deviation",
+        "a model that misses so much never agrees within a noise that is only bounded",
+        "no measured rig has noise of a tenth",
+    )
+
+
+CRITERIA = Criteria()
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One of the gates that a name has to pass: `value` against `limit`."""
+
+    name: str
+    passed: bool
+    value: float
+    limit: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The verdict and the gates that it follows from; `small`: what there is, is too small to be named."""
+
+    verdict: Verdict
+    gates: tuple[Gate, ...]
+    small: bool = False
+
+
+def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
+    """The gates with their figures."""
+    size = min(x.share for x in e.effects)
+    alone = len(e.effects) == 1 and e.explained >= c.alone and e.width > c.wide
+    left = "no more" if e.adequate_rest(c.several) else "more"
+    worst = max((x.spread for x in e.effects), default=0.0)
+    odd = [x for x in e.effects if x.complaint]
+    sensors = [x for x in e.effects if x.sensor]
+    return (
+        Gate(
+            "significant",
+            e.gain > c.significant or e.halved,
+            e.gain,
+            c.significant,
+            "twice the log likelihood gained over the refitted model, its own coloured noise allowed for"
+            + (" (or half of the gap's power closed, as here)" if e.halved else ""),
+        ),
+        Gate(
+            "replicated",
+            e.again > c.replicated,
+            e.again,
+            c.replicated,
+            "standard errors, over held-out blocks, by which it does better than the refitted model",
+        ),
+        Gate(
+            "material",
+            e.moved >= c.material and (size >= c.share or alone),
+            e.moved,
+            c.material,
+            f"share of a channel's standard deviation that it moves; {size:.1%} of the force, current or signal at its place "
+            + (
+                f"(less than {c.share:.0%}, but it closes {e.explained:.0%} of a wide gap)"
+                if alone and size < c.share
+                else f"(needed {c.share:.0%})"
+            ),
+        ),
+        Gate(
+            "adequate",
+            e.explained >= c.half and (e.explained >= c.adequate or e.adequate_rest(c.several)),
+            e.explained,
+            c.adequate,
+            "share of the held-out excess error removed, and of that in the channel with the widest gap; what is left is "
+            f"{left} than small effects make",
+        ),
+        Gate(
+            "determined",
+            worst < c.determined and not odd,
+            worst,
+            c.determined,
+            "half of the widest 95 % interval over its value"
+            + (f"; {odd[0].label}: {odd[0].complaint}" if odd else ""),
+        ),
+        Gate(
+            "ahead",
+            not e.abreast,
+            min(e.lead, 1e3),
+            c.ahead,
+            "excess error of the nearest rival of another kind over its own"
+            + (f"; abreast: {'; '.join(e.abreast)}" if e.abreast else ""),
+        ),
+        Gate(
+            "forces first",
+            not sensors or (e.force_lead >= c.forces_first and all(x.fault < c.doubtful for x in sensors)),
+            min(e.force_lead, 1e3) if sensors else math.inf,
+            c.forces_first,
+            "no sensor is blamed"
+            if not sensors
+            else "excess error of the best explanation by a force over that by the sensor's fault",
+        ),
+    )
+
+
+def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
+    """The verdict that the evidence allows."""
+    agreed: Verdict = "no_discrepancy" if e.agrees_before else "parameters_only"
+    if all(x < c.material for x in e.excess_refit) and e.believed(c.misses):
+        return Decision(agreed, ())
+    gates = gates_of(e, c) if e.effects else ()
+    failed = {g.name for g in gates if not g.passed}
+    if gates and not failed:
+        return Decision("missing_effect", gates)
+    # small effects would make the gap, or do close it
+    closes = bool(gates) and e.closed_by_small(c.share)
+    if (all(x < w for x, w in zip(e.excess_refit, e.worth, strict=True)) or closes) and e.believed(c.misses):
+        return Decision(agreed, gates, small=bool(gates) and not failed & {"significant", "replicated"})
+    if gates and failed <= {"ahead", "forces first"}:
+        return Decision("ambiguous", gates)
+    return Decision("unknown_effect", gates)
+
+
+def table(c: Criteria = CRITERIA) -> list[dict[str, str | float]]:
+    """The criteria as rows: id, limit, unit, why, source."""
+    return [{"id": f.name, "limit": getattr(c, f.name), **f.metadata} for f in fields(c)]

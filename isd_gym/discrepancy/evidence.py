@@ -1,0 +1,98 @@
+"""Everything that is measured of one candidate, once: the numbers that `criteria.decide` reads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EffectEvidence:
+    """One effect of a candidate.
+
+    share: of the force, current or signal at its place. spread: half of its widest 95 % interval over the value.
+    complaint: why its values cannot be what its name says, empty where they can. sensor: whether it is a sensor's fault,
+    and `fault` how large a one (of a gain, or of the time in which the motion changes).
+    """
+
+    label: str
+    share: float
+    spread: float = 0.0
+    complaint: str = ""
+    sensor: bool = False
+    fault: float = 0.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A candidate against the owner's model refitted. Per channel, as shares of its deviation on the records to choose by:
+
+    before, refit, after: errors of the owner's model, of it refitted, and of the candidate. floor: noise; floor_known:
+    whether the signal or the owner tells it, or it is only bounded. worth: excess that small effects make. Of the
+    candidate: its `effects`; gain (2 log L) and whether it halves the gap's power (halved); again: standard errors of the
+    gain over held-out blocks; explained: share of the refitted model's excess; lead: excess of the nearest rival of another
+    kind over its own, and those that are abreast; force_lead: the same of the best rival that blames no sensor. closest:
+    errors of the richest candidate, and `closest_share` the largest share of its effects. limits: what the data ask for
+    beyond what the owner allows.
+    """
+
+    channels: tuple[str, ...]
+    before: tuple[float, ...]
+    refit: tuple[float, ...]
+    after: tuple[float, ...]
+    floor: tuple[float, ...]
+    floor_known: tuple[bool, ...]
+    worth: tuple[float, ...]
+    effects: tuple[EffectEvidence, ...] = ()
+    gain: float = 0.0
+    halved: bool = False
+    again: float = 0.0
+    explained: float = 0.0
+    lead: float = math.inf
+    abreast: tuple[str, ...] = ()
+    force_lead: float = math.inf
+    closest: tuple[float, ...] = ()
+    closest_share: float = 1.0
+    limits: tuple[str, ...] = ()
+
+    def _excess(self, row: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(math.sqrt(max(x**2 - f**2, 0.0)) for x, f in zip(row, self.floor, strict=True))
+
+    @property
+    def excess_before(self) -> tuple[float, ...]:
+        return self._excess(self.before)
+
+    @property
+    def excess_refit(self) -> tuple[float, ...]:
+        return self._excess(self.refit)
+
+    @property
+    def excess_after(self) -> tuple[float, ...]:
+        return self._excess(self.after)
+
+    @property
+    def width(self) -> float:
+        """How wide the gap is beyond the noise, in the mean over channels."""
+        return sum(self.excess_refit) / len(self.channels)
+
+    @property
+    def moved(self) -> float:
+        """Largest share of a channel's deviation that the candidate moves towards the measurement."""
+        return max(math.sqrt(max(r**2 - a**2, 0.0)) for r, a in zip(self.refit, self.after, strict=True))
+
+    @property
+    def agrees_before(self) -> bool:
+        return all(x < w for x, w in zip(self.excess_before, self.worth, strict=True))
+
+    def adequate_rest(self, several: float) -> bool:
+        """Whether what is left is no more than so many small effects make, whose powers add up."""
+        return all(x**2 < several * w**2 for x, w in zip(self.excess_after, self.worth, strict=True))
+
+    def closed_by_small(self, share: float) -> bool:
+        """Whether effects too small to be named would close the gap."""
+        rest = all(x < w for x, w in zip(self._excess(self.closest), self.worth, strict=True))
+        return bool(self.closest) and rest and self.closest_share < share
+
+    def believed(self, misses: float) -> bool:
+        """Whether a noise that is only bounded covers no more than a small error."""
+        return all(k or r < misses for k, r in zip(self.floor_known, self.refit, strict=True))

@@ -1,0 +1,135 @@
+"""Initial states: what is known of them beforehand, a first guess from the first samples, and how they carry over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..network import Channel, Network, assemble
+from .problem import Array, Problem, bare, motion_rows_of
+from .structure import Structure, twin
+
+
+def state_scale(problem: Problem, network: Network, index: int) -> tuple[Array, Array]:
+    """(reference rows over the states, prior standard deviation of each row): wide, from the data's own motion."""
+    asm = assemble(bare(network))
+    rows = motion_rows_of(asm, problem.time)
+    record, time = problem.records[index], problem.time
+    spans = [0.0]
+    for c in network.inputs:
+        if c.quantity == "displacement":
+            spans.append(float(np.ptp(record.inputs[c.name])))
+    lengths = {"displacement": 1.0, "velocity": time, "acceleration": time**2}
+    for j, c in enumerate(network.outputs):
+        if c.quantity in lengths:
+            spans.append(float(np.ptp(record.measured[:, j])) / problem.factors[j] * lengths[c.quantity])
+    return rows, np.full(len(rows), 2.0 * (max(spans) or 0.01))
+
+
+def guess(problem: Problem, network: Network, index: int, about: Array | None = None) -> Array:
+    """An initial state from the first samples: displacements and their slopes as measured, the rest small.
+
+    Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
+    `about` (states,): where a simulation of what came before ended; it is believed to a tenth of the motion.
+    """
+    record = problem.records[index]
+    pure = bare(network)
+    moved = [c for c in pure.outputs if c.quantity == "displacement"]
+    rates = tuple(Channel(f"_{c.name}", "velocity", "m/s", at=c.at, between=c.between) for c in moved)
+    asm = assemble(pure, rates)
+    n0 = asm.size[0]
+    if not n0:
+        return np.zeros(0)
+    rows, scale = state_scale(problem, network, index)
+    if about is not None:
+        scale = 0.05 * scale
+    centre = np.zeros(n0) if about is None else about
+    A, b = [rows / scale[:, None]], [rows @ centre / scale]
+    # over a fifth of the time in which the motion changes it is a line
+    count = min(max(5, int(0.2 * problem.time / record.rate)), len(record))
+    t = np.arange(count) * record.rate
+    x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
+    road = np.array([record.inputs[c.name][0] for c in pure.inputs if c.quantity == "displacement"])
+    for j, c in enumerate(pure.outputs):
+        if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
+            continue
+        y = record.measured[:count, j] / problem.factors[j]
+        slope, value = np.polyfit(t, y, 1)
+        sigma = float(np.std(record.measured[:, j])) / problem.factors[j] * 0.02 + 1e-12
+        A.append(asm.outputs[j : j + 1, x] / sigma)
+        b.append(np.array([(value - asm.outputs[j, r] @ road) / sigma]))
+        if c in moved:
+            k = len(pure.outputs) + moved.index(c)
+            if not asm.outputs_by_difference[k]:
+                wide = sigma / max(t[-1], 1e-9) * 2
+                A.append(asm.outputs[k : k + 1, x] / wide)
+                b.append(np.array([slope / wide]))
+    x0 = np.linalg.lstsq(np.vstack(A), np.concatenate(b), rcond=None)[0]
+    return x0 if np.isfinite(x0).all() else np.zeros(n0)
+
+
+def along(
+    problem: Problem, structure: Structure, x: Array, index: int, initial: Array, at: Sequence[int]
+) -> list[Array]:
+    """States (states,) that the simulation from `initial` has at the compared samples `at`.
+
+    They are read off the motion of the nodes, so that records can be cut and joined anywhere.
+    """
+    net = structure.at(x)
+    pure = bare(net)
+    nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
+    record, time = problem.records[index], problem.time
+    watched = replace(pure, outputs=tuple(Channel(f"_{n}", "displacement", "m", at=n) for n in nodes))
+    probe = Problem(watched, [replace(record, taps=None, thin=1)], ["fit"], problem.step)
+    network = replace(
+        net, outputs=watched.outputs, elements=tuple(e for e in net.elements if e.place != "channel")
+    )
+    y = probe.simulate([network], 0, initial[:, None], like=net)[:, :, 0]
+    v = np.gradient(y, record.step, axis=0)
+    asm = assemble(pure)
+    moved = [c.name for c in pure.inputs if c.quantity == "displacement"]
+    r = np.stack([record.inputs[c] for c in moved], axis=1) if moved else np.zeros((len(y), 0))
+    rate = np.gradient(r, record.step, axis=0) if moved else r
+    cols = {part: asm.columns(part) for part in ("x", "r", "v")}
+    position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
+    rows = np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]])
+    out = []
+    for k in at:
+        k = min(k * record.thin, len(y) - 1)
+        rest = [m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k] for m in (position, velocity)]
+        seen = np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])])
+        out.append(np.linalg.lstsq(rows, seen, rcond=None)[0])
+    return out
+
+
+def carried(
+    problem: Problem, network: Network, initial: dict[int, Array], structure: Structure
+) -> dict[int, Array]:
+    """Initial states of `network` in the coordinates of another structure: nodes move as they did.
+
+    A node that came in between moves like the terminal it was split from.
+    """
+    source, target = assemble(bare(network)), assemble(bare(structure.network))
+    before, net, time = source.network, target.network, problem.time
+    free = [n for n in net.nodes if n not in net.moved_nodes]
+    own = [n for n in before.nodes if n not in before.moved_nodes]
+    if not target.size[0]:
+        return {i: np.zeros(0) for i in initial}
+    rows, known = motion_rows_of(target, time), motion_rows_of(source, time)
+    inputs = {str(c.at): c.name for c in net.inputs if c.quantity == "displacement"}
+    out: dict[int, Array] = {}
+    for i, x0 in initial.items():
+        record = problem.records[i]
+        motion = known @ x0
+        want = np.zeros((2, len(free)))
+        for k, node in enumerate(free):
+            like = twin(node, before.nodes)
+            if like in own:
+                want[:, k] = motion[own.index(like)], motion[len(own) + own.index(like)]
+            elif like in inputs:
+                r = record.inputs[inputs[like]]
+                want[:, k] = r[0], time * (r[1] - r[0]) / record.step
+        out[i] = np.asarray(np.linalg.lstsq(rows, want.ravel(), rcond=None)[0], dtype=np.float64)
+    return out

@@ -1,0 +1,220 @@
+"""What held-out records say of a candidate: its error on them, what of it is noise, and how large its effects are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from .. import elements as el
+from ..errors import InputError
+from ..network import Channel, Network
+from ..simulate import effective_current
+from .candidate import BROKEN, Candidate, reckoned
+from .fit import Fit, Fitter, residuals
+from .motion import unmodelled, watching
+from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
+from .problem import Array, Problem
+from .structure import base_structure
+
+BLOCKS = 20  # in which a held-out stretch is weighed
+LEAST_NOISE = 0.01  # share of the signal: no model is better
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A candidate on the held-out records. `score`: mean whitened square of what it leaves of those to choose by.
+
+    `blocks` (blocks in time, channels) of it; `nrmse` (channels,) on those to choose by, `reported` on those to report by;
+    `start`: initial states that the records were followed from.
+    """
+
+    candidate: Candidate
+    score: float
+    blocks: Array
+    nrmse: Array
+    reported: Array
+    start: dict[int, Array]
+    held: Fit
+
+    def excess(self, floor: Array) -> Array:
+        """Error beyond noise (channels,), as a share of a channel's deviation."""
+        return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - floor**2, 0.0)), dtype=np.float64)
+
+
+class Judge:
+    """The held-out records of a problem, and everything that is measured on them."""
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.known: list[Floor] = floors_of(problem)
+        deviation = problem.measured().std(axis=0)
+        self.floors = np.maximum([f.deviation for f in self.known], LEAST_NOISE * deviation)
+        self.spread = np.maximum(problem.measured(problem.choosing).std(axis=0), 1e-300)
+        self.spread_reported = np.maximum(problem.measured(problem.reporting).std(axis=0), 1e-300)
+        self._worth: Array | None = None
+
+    @cached_property
+    def plain(self) -> Fitter:
+        return Fitter(self.problem, plain(self.floors))
+
+    def weights(self, candidate: Candidate) -> Whitener:
+        """Filters from what a candidate leaves of the records it was fitted to."""
+        p = self.problem
+        return whitener(residuals(p, candidate.fit), reckoned(p, candidate.fit, self.floors))
+
+    # -- errors -------------------------------------------------------------------------------------------
+    def error(self, fit: Fit, records: Sequence[int], spread: Array) -> Array:
+        r = np.concatenate([self.problem.records[i].measured - fit.outputs[i] for i in records])
+        return np.asarray(np.sqrt(np.mean(r**2, axis=0)) / spread, dtype=np.float64)
+
+    def owner(self) -> tuple[Array, Array]:
+        """NRMSE of the owner's model as it is, on the records to choose by and to report by."""
+        p, structure = self.problem, base_structure(self.problem.network)
+        f = self.plain.follow(structure, structure.start, p.held)
+        return self.error(f, p.choosing, self.spread), self.error(f, p.reporting, self.spread_reported)
+
+    def outcome(self, candidate: Candidate, W: Whitener, before: Outcome | None = None) -> Outcome:
+        """Parameters as found; initial states and offsets from each record's own samples.
+
+        `before`: an earlier outcome of the same candidate. Raises where it breaks down.
+        """
+        p, fit = self.problem, candidate.fit
+        f = Fitter(p, W).follow(
+            fit.structure, fit.x, p.held, before.start if before else None, candidate.about
+        )
+        blocks = []
+        for i in p.choosing:
+            e = W(p.records[i].measured - f.outputs[i]) ** 2
+            edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
+            blocks += [e[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a]
+        rows = np.array(blocks)
+        held = self.plain.follow(fit.structure, fit.x, p.held, f.initial)
+        return Outcome(
+            candidate,
+            float(rows.mean()),
+            rows,
+            self.error(held, p.choosing, self.spread),
+            self.error(held, p.reporting, self.spread_reported),
+            f.initial,
+            held,
+        )
+
+    # -- noise --------------------------------------------------------------------------------------------
+    def noise(self, outcome: Outcome) -> list[Noise]:
+        """Every channel's noise: as its owner or its own spectrum tells, and no more than is left above the motion.
+
+        It is never read off a misfit alone: what the measured signal has above its band bounds it.
+        """
+        p, out = self.problem, []
+        first = p.records[p.held[0]]
+        for j, known in enumerate(self.known):
+            series = [p.records[i].measured[:, j] - y[:, j] for i, y in outcome.held.outputs.items()]
+            left = noise_of(series, first.rate, time=p.time, white=first.taps is not None)
+            share = 1.0
+            if known.source == "owner" or left.deviation > known.deviation:
+                share = (known.deviation / max(left.deviation, 1e-300)) ** 2
+            out.append(Noise(left.white * share, left.drive * share, left.phi))
+        return out
+
+    def floor(self, outcome: Outcome) -> Array:
+        """That noise as a share of each channel's deviation, and no more than the error itself."""
+        deviation = np.array([n.deviation for n in self.noise(outcome)]) / self.spread
+        return np.asarray(np.minimum(deviation, outcome.nrmse), dtype=np.float64)
+
+    def quiet(self, outcome: Outcome, W: Whitener) -> float:
+        """The score of pure noise."""
+        return min(float(passed(W, self.noise(outcome)).mean()), 0.999 * outcome.score)
+
+    # -- sizes --------------------------------------------------------------------------------------------
+    def worth(self, base: Candidate, small: float, least: float) -> Array:
+        """Excess (channels,), as a share of a channel's deviation, that no small effect makes once the model is refitted.
+
+        `small`: its share of the typical force. Where a coordinate drifts, a small force may show up large.
+        """
+        if self._worth is None:
+            p = self.problem
+            change = unmodelled(p, base.fit, small)
+            self._worth = np.full(len(p.channels), least)
+            if next(iter(change.values())).shape[2]:
+                _, left = self.plain.refit(base.fit, change)
+                r = np.concatenate([*left.values()]) * self.floors[:, None]
+                shares = (
+                    np.sqrt(np.mean(r**2, axis=0)) / np.maximum(p.measured().std(axis=0), 1e-300)[:, None]
+                )
+                self._worth = np.maximum(least, np.quantile(shares, 0.95, axis=1))
+        return self._worth
+
+    def sizes(self, candidate: Candidate) -> list[float]:
+        """What each of its effects does, as a share of the force, current or signal at its place."""
+        return [share_at_place(self.problem, candidate.fit, name) for name in candidate.fit.structure.names]
+
+
+def share_at_place(problem: Problem, fit: Fit, name: str) -> float:
+    """RMS of what an effect does over RMS of what is there: force between its terminals, current, or signal."""
+    net = fit.network
+    e = net.element(name)
+    if e.place == "channel":
+        return _share_of_signal(problem, fit, e)
+    if e.place == "element":
+        return _share_of_current(problem, net, e)
+    if e.series:
+        return 1.0  # force and deflection are shared in series: what it changes in the outputs decides
+    i = problem.estimation[0]
+    pair = set(e.where)
+    here = [x for x in net.elements if x.place == "between" and set(x.where) == pair]
+    extra = tuple(Channel(f"_{x.name}", "force", "N", element=x.name) for x in here)
+    record = replace(problem.records[i], taps=None, thin=1)
+    probe = Problem(watching(net, extra), [record], ["fit"], problem.step)
+    try:
+        y = probe.simulate([probe.network], 0, fit.initial[i][:, None], like=net)[:, :, 0]
+    except InputError:
+        return 1.0
+    sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
+    own = y[:, [x.name for x in here].index(name)] * e.own_share(here)
+    return _rms(own) / max(_rms(y @ sign), _reaction(problem, net, e, i), 1e-300)
+
+
+def _reaction(problem: Problem, net: Network, e: el.Element, i: int) -> float:
+    """Where nothing else stands at its place: a typical force of what does stand elsewhere [N]."""
+    from .motion import force_scale
+
+    alone = sum(1 for x in net.elements if x.place == "between" and set(x.where) == set(e.where)) == 1
+    return force_scale(problem) if alone else 0.0
+
+
+def _share_of_signal(problem: Problem, fit: Fit, e: el.Element) -> float:
+    i, j = problem.estimation[0], problem.channels.index(e.where[0])
+    without = problem.simulate(
+        [fit.network.without_element(e.name)], i, fit.initial[i][:, None], like=fit.network
+    )[:, j, 0]
+    change = fit.outputs[i][:, j] - fit.offset[i][j] - without
+    return _rms(change) / max(float(np.std(problem.records[i].measured[:, j])), 1e-300)
+
+
+def _share_of_current(problem: Problem, net: Network, e: el.Element) -> float:
+    record = problem.records[problem.estimation[0]]
+    command = next(c.name for c in net.inputs if c.quantity == "current" and c.element == e.where[0])
+    current = record.inputs[command][:, None]
+    others = effective_current(net.without_element(e.name), e.where[0], current, record.step)
+    changed = effective_current(net, e.where[0], current, record.step)
+    return _rms(changed - others) / max(_rms(others), 1e-300)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def block_lead(rival: Outcome, best: Outcome) -> float:
+    """By how many of its own standard errors, over blocks, the rival's score is behind."""
+    d = (rival.blocks - best.blocks).mean(axis=1)
+    if len(d) < 2:
+        return 0.0
+    return float(d.mean() / max(d.std(ddof=1) / math.sqrt(len(d)), 1e-12))
+
+
+__all__ = ["BROKEN", "Judge", "Outcome", "block_lead", "share_at_place"]

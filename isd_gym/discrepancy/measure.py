@@ -1,0 +1,180 @@
+"""From a trial to its evidence: every number once, and the intervals of what was fitted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .. import elements as el
+from ..errors import InputError
+from .candidate import BROKEN, Candidate, level, reckoned
+from .evidence import EffectEvidence, Evidence
+from .fit import Fitter, gap, residuals
+from .judge import block_lead
+from .motion import force_scale, motions, unmodelled
+from .noise import whitener
+from .problem import Array
+from .result import Quantity
+from .search import Search, Trial
+from .structure import Hypothesis
+
+#: share of the typical force that each small effect, unmodelled, may have (one sigma)
+SMALL = 0.005
+#: a law's force over the data's motion, as a multiple of their typical force, beyond which its values mean something else
+LARGEST = 30.0
+#: a length or a rate of a law, as a multiple of the motion, beyond which the data do not show it
+FURTHEST = 20.0
+
+
+def intervals(search: Search, candidate: Candidate) -> dict[str, Quantity]:
+    """Every free parameter with its 95 % interval.
+
+    Noise counts by the curvature under the residual's own coloured noise; the small effects that every rig has and no
+    model holds count by how far each of them, `SMALL` of the force, would drag the parameter.
+    """
+    problem, fit = search.problem, candidate.fit
+    W = whitener(residuals(problem, fit), reckoned(problem, fit, search.floors))
+    f = Fitter(problem, W).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
+    out: dict[str, Quantity] = {}
+    if f.hessian is None or not len(f.x):
+        return out
+    sigma = np.array([q.sigma for q in f.structure.free])
+    variance = np.maximum(np.diag(np.linalg.inv(f.hessian + np.diag(1 / sigma**2))), 0.0)
+    try:
+        dragged, _ = Fitter(problem, W).refit(f, unmodelled(problem, f, SMALL))
+        variance = variance + np.sum(dragged**2, axis=1)
+    except BROKEN:
+        pass
+    variance = np.minimum(variance, sigma**2)  # no wider than what was known before
+    known = problem.network.parameters
+    for k, q in enumerate(f.structure.free):
+        s, x = math.sqrt(variance[k]), f.x[k]
+        ends = (
+            q.back(max(x - 1.96 * s, -700.0)),
+            q.back(min(x + 1.96 * s, 700.0)) if q.log else x + 1.96 * s,
+        )
+        out[q.path] = Quantity(q.back(x), *ends, fit.network.unit_of(q.path), known.get(q.path))
+    return out
+
+
+def beyond_limits(search: Search, candidate: Candidate) -> tuple[str, ...]:
+    """Parameters of the owner's model that end where the owner allows them to go."""
+    out = []
+    for q, x in zip(candidate.fit.structure.free, candidate.fit.x, strict=True):
+        if q.owner < 0 and (x <= q.low + 1e-6 * q.sigma or x >= q.high - 1e-6 * q.sigma):
+            out.append(q.path)
+    return tuple(out)
+
+
+def spread_of(element: el.Element, quantities: dict[str, Quantity]) -> float:
+    """Half of an effect's widest 95 % interval over its value.
+
+    Of several parameters of one unit the largest counts: a damper may well be soft in one direction.
+    """
+    by_unit: dict[str, tuple[float, float]] = {}
+    for f in el.parameter_fields(type(element)):
+        q = quantities.get(f"{element.name}.{f.name}")
+        if q is None or f.metadata["stride"]:  # of a phase only the turn counts
+            continue
+        neutral = f.default if isinstance(f.default, int | float) else 0.0
+        size, half = abs(q.value - neutral), 0.5 * abs(q.high - q.low)
+        old = by_unit.get(q.unit, (0.0, 0.0))
+        by_unit[q.unit] = max(old[0], size), max(old[1], half)
+    return max((half / max(size, 1e-300) for size, half in by_unit.values()), default=0.0)
+
+
+def complaint(search: Search, candidate: Candidate, element: el.Element) -> str:
+    """Why an effect's values cannot be what its name says on these data; empty where they can."""
+    if not element.well_formed():
+        return "its values are not what its name says"
+    if element.place != "between" or element.series:
+        return ""
+    motion = motions(search.problem, candidate.fit).get(element.between)
+    if motion is None:
+        return ""
+    scales = {"m": motion.reach, "m/s": float(np.abs(motion.v).max())}
+    for f in el.parameter_fields(type(element)):
+        scale = scales.get(f.metadata["unit"])
+        if scale and not f.metadata["fixed"] and getattr(element, f.name) > FURTHEST * scale:
+            return f"its {f.name.replace('_', ' ')} lies far beyond what the data reach"
+    if element.plane != "time":
+        axis = motion.v if element.plane == "rate" else motion.d
+        force = element.curve(axis[:: max(1, len(axis) // 500)])
+        if np.max(np.abs(force)) > LARGEST * max(force_scale(search.problem), 1e-300):
+            return "its force is many times what the data show"
+    return ""
+
+
+def blames_sensor(hypotheses: tuple[Hypothesis, ...]) -> bool:
+    return any(h.place == "channel" for h in hypotheses)
+
+
+def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity], list[Candidate]]:
+    """(the evidence of the foremost candidate, its parameters with intervals, rivals that are abreast of it)."""
+    problem, judge = search.problem, search.judge
+    base, best = trial.base, trial.foremost
+    refit, after, closest = trial.of(base), trial.of(best), trial.of(trial.richest)
+    before, _ = judge.owner()
+    worth = search.worth(base)
+    quantities = intervals(search, best)
+    row = lambda x: tuple(float(v) for v in x)  # noqa: E731
+    common = {
+        "channels": tuple(problem.channels),
+        "before": row(before),
+        "refit": row(refit.nrmse),
+        "floor": row(trial.floor),
+        "floor_known": tuple(f.known for f in judge.known),
+        "worth": row(worth),
+        "limits": beyond_limits(search, best),
+    }
+    if not best.hypotheses:
+        return Evidence(after=row(refit.nrmse), **common), quantities, []  # type: ignore[arg-type]
+    effects = tuple(
+        EffectEvidence(
+            label=h.label,
+            share=share,
+            spread=spread_of(e, quantities),
+            complaint=complaint(search, best, e),
+            sensor=h.place == "channel",
+            fault=e.fault(problem.time),
+        )
+        for h, e, share in zip(best.hypotheses, best.elements, judge.sizes(best), strict=True)
+    )
+    rivals = trial.rivals()
+    others = [r for r in rivals if not search.same(r, best)]
+    abreast = search.abreast(trial)
+    forces = [r for r in rivals if not blames_sensor(r.hypotheses)] + [base]
+    own = trial.beyond(best)
+    evidence = Evidence(
+        after=row(after.nrmse),
+        effects=effects,
+        gain=level(problem, base, best, search.floors) - level(problem, best, best, search.floors),
+        halved=gap(problem, best.fit) < 0.5 * gap(problem, base.fit),
+        again=block_lead(refit, after),
+        explained=trial.explained(best),
+        lead=min((trial.of(r).score - trial.quiet for r in others), default=math.inf) / own,
+        abreast=tuple(r.label for r in abreast),
+        force_lead=min(trial.of(r).score - trial.quiet for r in forces) / own,
+        closest=row(closest.nrmse),
+        closest_share=max(judge.sizes(trial.richest), default=1.0),
+        **common,  # type: ignore[arg-type]
+    )
+    return evidence, quantities, abreast
+
+
+def confidence(trial: Trial, others: list[Candidate], half: float, rng: np.random.Generator) -> float:
+    """Share of block resamplings of the held-out records in which the choice stays what it is, never quite 1."""
+    best, refit = trial.of(trial.foremost), trial.of(trial.base)
+    blocks: list[Array] = []
+    for r in others:
+        try:
+            blocks.append(trial.of(r).blocks)
+        except InputError:
+            continue
+    count, hits, rounds = len(best.blocks), 0, 500
+    for _ in range(rounds):
+        pick = rng.integers(0, count, count)
+        b, r0 = best.blocks[pick].mean(), refit.blocks[pick].mean()
+        hits += bool(r0 - b >= half * max(r0 - trial.quiet, 0.0) and all(o[pick].mean() > b for o in blocks))
+    return (hits + 0.5) / (rounds + 1.0)

@@ -1,0 +1,143 @@
+"""What moves in a fitted simulation, and what many variants of it would do: the ground under screening and small effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..elements import PROBE, Motion, Setting
+from ..errors import InputError
+from ..network import Channel, Network, assemble
+from .fit import Fit
+from .hypotheses import hypotheses, pairs
+from .problem import Array, Problem, bare, pace
+from .structure import Hypothesis, add
+
+LANES = 48  # variants that run in one call of the kernel
+
+
+def motions(problem: Problem, fit: Fit) -> dict[tuple[str, str], Motion]:
+    """Elongation and rate of every pair in the fitted simulation of the records that are fitted by."""
+    out: dict[tuple[str, str], list[Array]] = {}
+    net = fit.network
+    where = pairs(net)
+    extra = tuple(Channel(f"_{k}", "displacement", "m", between=p) for k, p in enumerate(where))
+    steps = []
+    for i in problem.estimation:
+        record = problem.records[i]
+        probe = Problem(watching(net, extra), [replace(record, taps=None, thin=1)], ["fit"], problem.step)
+        y = probe.simulate([probe.network], 0, fit.initial[i][:, None], like=net)[:, :, 0]
+        for k, p in enumerate(where):
+            out.setdefault(p, []).append(y[:, k])
+        steps.append(record.step)
+    motion = {}
+    for p, parts in out.items():
+        v = [np.gradient(d, h) for d, h in zip(parts, steps, strict=True)]
+        a = [np.gradient(x, h) for x, h in zip(v, steps, strict=True)]
+        motion[p] = Motion(np.concatenate(parts), np.concatenate(v), np.concatenate(a))
+    return motion
+
+
+def watching(net: Network, outputs: tuple[Channel, ...]) -> Network:
+    """The network with other outputs, and so without what its sensors do."""
+    kept = tuple(e for e in net.elements if e.place != "channel")
+    return replace(net, outputs=outputs, elements=kept)
+
+
+def force_scale(problem: Problem) -> float:
+    """A typical force of the data [N]: the largest of what is measured, what accelerates the masses, what bends the springs."""
+    net, time = problem.network, problem.time
+    y = problem.measured() / problem.factors
+    mass = max(net.masses.values(), default=0.0)
+    spring = max((e.linear()[0] for e in net.elements if e.place == "between"), default=0.0)
+    scale, moved = 0.0, 0.0
+    for j, c in enumerate(net.outputs):
+        s = float(np.std(y[:, j]))
+        if c.quantity == "force":
+            scale = max(scale, s if c.at is not None else 0.5 * s)
+        elif c.quantity == "acceleration":
+            scale = max(scale, s * mass)
+        else:  # of a displacement or a rate
+            d = s if c.quantity == "displacement" else s * time
+            moved = max(moved, min(d * spring, 10 * mass * d / time**2) or mass * d / time**2)
+    for c in net.inputs:  # what is known to push
+        if c.quantity in ("force", "current"):
+            pushed = np.concatenate([problem.records[i].inputs[c.name] for i in problem.estimation])
+            gain = 1.0
+            if c.quantity == "current":
+                motor = net.element(c.elements[0])
+                gain = float(np.prod(motor.law_parameters()))
+            scale = max(scale, gain * float(np.std(pushed)))
+    return scale or moved or 1.0
+
+
+def setting(
+    problem: Problem, network: Network, h: Hypothesis, motion: Motion | None, force: float
+) -> Setting:
+    """What the effect of a hypothesis may look at when it says from which values its fit begins."""
+    signal, time = 1.0, problem.time
+    if h.place == "element":
+        name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
+        current = np.concatenate([problem.records[i].inputs[name] for i in problem.estimation])
+        signal = max(float(np.std(current)), 1e-9)
+    elif h.place == "channel":
+        j = problem.channels.index(h.where[0])
+        y = problem.measured()[:, j]
+        signal = max(float(np.std(y)), 1e-12)
+        time = pace(
+            problem.records[problem.estimation[0]].measured[:, j], problem.records[problem.estimation[0]].rate
+        )
+    return Setting(network, h.where, motion, force, signal, time, dict(h.options))
+
+
+def together(
+    problem: Problem, fit: Fit, networks: Sequence[Network]
+) -> Iterator[tuple[list[int], int, Array]]:
+    """Outputs of many networks over every record to fit by: (which networks, record, outputs (n, channels, lanes)).
+
+    Lanes of one structure run together; what breaks down is left out.
+    """
+    groups: dict[tuple, list[int]] = {}
+    for k, net in enumerate(networks):
+        asm = assemble(bare(net))
+        outside = tuple(type(e).__name__ for e in net.elements if e.place != "between")
+        groups.setdefault((outside, asm.size, tuple(type(e).__name__ for e in asm.laws)), []).append(k)
+    for members in groups.values():
+        for begin in range(0, len(members), LANES):
+            chunk = members[begin : begin + LANES]
+            nets = [networks[k] for k in chunk]
+            for i in problem.estimation:
+                x0 = np.repeat(fit.initial[i][:, None], len(nets), axis=1)
+                try:
+                    yield chunk, i, problem.simulate(nets, i, x0, like=fit.network)
+                except (InputError, np.linalg.LinAlgError):
+                    continue
+
+
+def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
+    """What each force law of the library, too small to be named, would do: record -> (n, channels, laws).
+
+    Every law that acts beside what stands at its place gives `share` of the data's typical force.
+    """
+    motion, force = motions(problem, fit), force_scale(problem)
+    networks = []
+    for h in hypotheses(fit.network):
+        simpler = set(h.kind.contains) & {e.type for e in fit.network.elements} or h.kind.replaces
+        if h.place != "between" or h.kind.series or simpler:
+            continue
+        tried = h.kind.starts(setting(problem, fit.network, h, motion.get((h.where[0], h.where[1])), force))
+        for start in tried[:: max(1, len(tried) // 2)][:2]:
+            try:
+                built = add(replace(fit.structure, network=fit.network), h, start.ways[0]).network
+                assemble(bare(built))
+            except (InputError, np.linalg.LinAlgError):
+                continue
+            networks.append(built)
+    out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
+    point = {i: y for _, i, y in together(problem, fit, [fit.network])}
+    for chunk, i, y in together(problem, fit, networks):
+        change = (y - point[i]) * (share / PROBE)
+        out[i][:, :, chunk] = np.where(np.isfinite(change), change, 0.0)
+    return out

@@ -1,0 +1,358 @@
+"""The search: one effect added at a time, those that do not earn their place taken away, runners-up given their turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .candidate import (
+    BROKEN,
+    Candidate,
+    level,
+    reckoned,
+    relative,
+    settled,
+    simpler,
+    with_fit,
+)
+from .criteria import Criteria
+from .fit import gap
+from .initial import carried
+from .judge import Judge, Outcome, block_lead
+from .noise import Whitener
+from .problem import Array, Problem
+from .race import compete
+from .settings import SearchSettings
+from .structure import Structure, base_structure, in_line, twin
+
+Say = Callable[[str], None]
+
+
+@dataclass(eq=False)
+class Trial:
+    """Candidates weighed against one another on the same held-out records, all behind the same filters.
+
+    `chosen`: the one that earned its place, the model refitted where none did; `foremost`: the best that there was to
+    weigh; `richest`: with everything that was added; `stages`: who ran at each stage, best first.
+    """
+
+    judge: Judge
+    base: Candidate
+    richest: Candidate
+    stages: list[list[Candidate]]
+    filters: Whitener
+    chosen: Candidate = field(init=False)
+    foremost: Candidate = field(init=False)
+    notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.chosen = self.foremost = self.base
+        self._seen: dict[int, tuple[Candidate, Outcome]] = {}
+        self.floor = self.judge.floor(self.of(self.richest))
+        self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
+
+    def of(self, candidate: Candidate) -> Outcome:
+        """Its outcome. Raises where it breaks down on the held-out records."""
+        if id(candidate) not in self._seen:
+            self._seen[id(candidate)] = candidate, self.judge.outcome(candidate, self.filters)
+        return self._seen[id(candidate)][1]
+
+    def beyond(self, candidate: Candidate) -> float:
+        """Excess of its score over that of noise."""
+        return max(self.of(candidate).score - self.quiet, 0.01 * self.quiet)
+
+    def share(self, last: Outcome, now: Outcome) -> float:
+        """Share of the excess error of `last` that `now` removes: whitened, or plain where that is more."""
+        return max(
+            (last.score - now.score) / max(last.score - self.quiet, 1e-12), self.plain_share(last, now)
+        )
+
+    def plain_share(self, last: Outcome, now: Outcome) -> float:
+        f = np.maximum(self.floor, 1e-12)
+        top = float(np.sum((last.nrmse**2 - now.nrmse**2) / f**2))
+        return top / max(float(np.sum(np.maximum(last.nrmse**2 - self.floor**2, 0.0) / f**2)), 1e-12)
+
+    def explained(self, candidate: Candidate) -> float:
+        """Share of the refitted model's excess that it removes, and no more than in the channel where the gap is widest."""
+        refit, after = self.of(self.base), self.of(candidate)
+        before, left = refit.excess(self.floor) ** 2, after.excess(self.floor) ** 2
+        widest = int(np.argmax(before))
+        return min(self.share(refit, after), 1.0 - float(left[widest] / max(before[widest], 1e-12)))
+
+    def rivals(self, count: int = 6) -> list[Candidate]:
+        """Those that ran beside the foremost one and can be followed on the held-out records."""
+        depth = len(self.foremost.hypotheses)
+        out = []
+        for r in self.stages[depth - 1][:count] if 0 < depth <= len(self.stages) else []:
+            try:
+                self.of(r)
+            except BROKEN:
+                continue
+            out += [r] if r is not self.foremost else []
+        return out
+
+
+class Search:
+    """A problem, its judge, and the numbers that steer and decide."""
+
+    def __init__(self, judge: Judge, settings: SearchSettings, criteria: Criteria, say: Say):
+        self.judge, self.settings, self.criteria, self.say = judge, settings, criteria, say
+        self.problem: Problem = judge.problem
+        self.floors: Array = judge.floors
+
+    def refitted(self) -> Candidate:
+        """The owner's model with the parameters that it holds moved within their stated uncertainty."""
+        structure = base_structure(self.problem.network)
+        return settled(self.problem, structure, structure.start, self.floors)
+
+    def worth(self, base: Candidate) -> Array:
+        return self.judge.worth(base, self.criteria.small, self.criteria.material)
+
+    # -- forward ------------------------------------------------------------------------------------------
+    def walk(
+        self, path: Sequence[Candidate], stages: Sequence[list[Candidate]] = (), depth: int | None = None
+    ) -> tuple[list[Candidate], list[list[Candidate]]]:
+        """Forward addition, one effect at a time, from the last candidate of `path` on."""
+        c = self.criteria
+        path, stages = list(path), list(stages)
+        while len(path) <= (depth or self.settings.depth):
+            now = path[-1]
+            here = self.judge.outcome(now, self.judge.weights(now))
+            left = here.excess(self.judge.floor(here))
+            # a noise that is only bounded must not hide what is wide
+            sure = all(k.known or e < c.misses for k, e in zip(self.judge.known, here.nrmse, strict=True))
+            done = left.max() < c.material or (len(path) > 1 and bool(np.all(left < self.worth(path[0]))))
+            if done and sure:
+                break
+            what = "; ".join(h.label for h in now.hypotheses) or "refitted model"
+            self.say(f"looking for what is missing ({what}: excess up to {100 * left.max():.1f} %)")
+            best = self.stage(now, stages)
+            if best is None:
+                break
+            try:
+                then = self.judge.outcome(best, self.judge.weights(now))
+            except BROKEN:
+                break
+            path.append(best)
+            moved = float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max())
+            if moved < c.material or self.judge.sizes(best)[-1] < c.share:
+                break
+        return path, stages
+
+    def stage(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
+        """The best single addition to `now`; who ran is appended to `stages`. None where nothing is gained."""
+        p, c = self.problem, self.criteria
+        finish = compete(p, now.fit, self.floors, self.settings)
+        ranked = list(finish.ranked)
+        if not ranked:
+            return None
+        here = level(p, now, now, np.maximum(self.floors, 0.1 * finish.white))
+        # one that is too small to be named gives way to one that is not, where that gains half as much
+        if self.judge.sizes(ranked[0])[-1] < c.share:
+            reach = here - c.half * (here - ranked[0].likelihood)
+            able = [r for r in ranked if r.likelihood < reach and self.judge.sizes(r)[-1] >= c.share][:1]
+            # unless it closes much more of the gap: slight damping makes much of little
+            if able and gap(p, ranked[0].fit) > 0.25 * gap(p, able[0].fit):
+                ranked = able + [r for r in ranked if r not in able]
+        best = ranked[0]
+        gain = here - best.likelihood
+        self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
+        stages.append(ranked)
+        weak = gain < c.significant and c.half * gap(p, now.fit) < gap(p, best.fit)
+        return None if weak else best
+
+    # -- back ---------------------------------------------------------------------------------------------
+    def weigh(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> Trial:
+        """Of the effects added on the way, those that earn their place."""
+        richest = path[-1]
+        trial = Trial(self.judge, path[0], richest, stages, self.judge.weights(richest))
+        depth = len(path) - 1
+        while depth > 0 and not self.earns(trial, path[depth - 1], path[depth]):
+            depth -= 1
+        trial.foremost = path[max(depth, min(1, len(path) - 1))]
+        if not depth:
+            return trial
+        chosen = path[depth]
+        if not chosen.well_formed(last=True):
+            known = [r for r in stages[depth - 1] if r.well_formed()][:1]
+            plainer = [
+                self.anew(trial, s, chosen)
+                for _, s in simpler(self.problem, chosen)
+                if len(s.hypotheses) == depth
+            ]
+            known += [r for r in plainer if r is not None and r.well_formed()]
+            chosen = min(known, key=lambda r: level(self.problem, r, chosen, self.floors), default=chosen)
+        elif depth < len(path) - 1:
+            chosen = self.settle_again(chosen, richest)
+        trial.chosen = trial.foremost = self.prune(trial, chosen)
+        return trial
+
+    def earns(self, trial: Trial, last: Candidate, now: Candidate) -> bool:
+        """Whether the last effect of `now` removes half of what is left without it, and is there to be seen."""
+        c = self.criteria
+        a, b = trial.of(last), trial.of(now)
+        share = trial.share(a, b)
+        moved = float(np.sqrt(np.maximum(a.nrmse**2 - b.nrmse**2, 0.0)).max())
+        size = self.judge.sizes(now)[-1]
+        wide = float(np.mean(a.excess(trial.floor))) > c.wide and share >= c.alone
+        trial.notes.append(
+            f"{now.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "
+            f"error (needed {c.half:.0%}), moves a channel by {moved:.1%} of its deviation (needed {c.material:.0%}), "
+            f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
+        )
+        return share >= c.half and b.score < a.score and moved >= c.material and (size >= c.share or wide)
+
+    def settle_again(self, chosen: Candidate, richer: Candidate) -> Candidate:
+        """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""
+        p, structure = self.problem, chosen.fit.structure
+        there = dict(zip((f.path for f in richer.fit.structure.free), richer.fit.x, strict=True))
+        x = np.array([there.get(f.path, v) for f, v in zip(structure.free, chosen.fit.x, strict=True)])
+        least = reckoned(p, chosen.fit, self.floors)
+        try:
+            again = settled(p, structure, x, self.floors, rounds=2, least=least)
+        except BROKEN:
+            return chosen
+        gain = level(p, chosen, chosen, self.floors) - level(p, again, chosen, self.floors)
+        return with_fit(chosen, again.fit, chosen.likelihood - gain) if gain > 0 else chosen
+
+    def anew(self, trial: Trial, structure: Structure, like: Candidate) -> Candidate | None:
+        """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down."""
+        p = self.problem
+        try:
+            least = reckoned(p, like.fit, self.floors)
+            found = settled(p, structure, structure.start, self.floors, rounds=2, least=least)
+            # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
+            about = carried(p, like.fit.network, trial.of(like).start, structure)
+        except BROKEN:
+            return None
+        return replace(found, about=about)
+
+    def prune(self, trial: Trial, chosen: Candidate) -> Candidate:
+        """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
+        known = [r for stage in trial.stages for r in stage]
+        while True:
+            for gone, structure in simpler(self.problem, chosen):
+                r = self.replacement(trial, structure, chosen, known)
+                if r is None:
+                    continue
+                swapped = len(structure.hypotheses) == len(chosen.hypotheses)
+                k = chosen.hypotheses.index(gone)
+                try:
+                    needed = self.needed(trial, chosen, r, None if swapped else k)
+                except BROKEN:
+                    continue
+                if not needed:
+                    loss = level(self.problem, chosen, chosen, self.floors) - level(
+                        self.problem, r, chosen, self.floors
+                    )
+                    trial.notes.append(
+                        f"{gone.label}: not needed (without it, twice the log likelihood: {loss:+.0f})"
+                    )
+                    chosen = r
+                    break
+            else:
+                return chosen
+
+    def replacement(
+        self, trial: Trial, structure: Structure, chosen: Candidate, known: Sequence[Candidate]
+    ) -> Candidate | None:
+        """The best fit of a simpler structure: one that ran before, or a new one from the values found."""
+        p = self.problem
+        rank = lambda q: level(p, q, chosen, self.floors)  # noqa: E731
+        swapped = len(structure.hypotheses) == len(chosen.hypotheses)
+        r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
+        if r is None or (swapped and rank(r) > rank(chosen) + self.settings.chance):
+            tried = [q for q in (r, self.anew(trial, structure, chosen)) if q is not None]
+            r = min(tried, key=rank, default=None)
+        return r
+
+    def needed(self, trial: Trial, chosen: Candidate, without: Candidate, effect: int | None) -> bool:
+        """Whether what `without` lacks (an effect, or parameters of one) earns more than small effects make."""
+        p, c = self.problem, self.criteria
+        now, then = trial.of(chosen), trial.of(without)
+        loss = level(p, without, chosen, self.floors) - level(p, chosen, chosen, self.floors)
+        change = np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0))
+        wider = gap(p, without.fit) / gap(p, chosen.fit)
+        if effect is None:
+            earned = loss > self.settings.chance or wider > 1.5
+            return (
+                self.beaten(trial, without, chosen)
+                and bool(np.any(change > self.worth(trial.base)))
+                and earned
+            )
+        share = trial.share(then, now)
+        large = self.judge.sizes(chosen)[effect] >= c.share
+        return (
+            share >= c.half and change.max() >= c.material and large and (loss > c.significant or wider > 2.0)
+        )
+
+    # -- rivals -------------------------------------------------------------------------------------------
+    def beaten(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:
+        """Whether the rival's held-out excess is larger by a tenth, and not by chance."""
+        if trial.of(rival).score - trial.quiet < self.criteria.ahead * trial.beyond(best):
+            return False
+        return block_lead(trial.of(rival), trial.of(best)) > 2.0 or rival.likelihood - best.likelihood > 50.0
+
+    def same(self, rival: Candidate, best: Candidate) -> bool:
+        """Whether the rival is no alternative.
+
+        It has more parameters without gain, the best as a special case, or is in series somewhere else along the same force.
+        """
+        a, b = rival.hypotheses[-1], best.hypotheses[-1]
+        # more parameters, a worse fit, and nothing gained on the held-out records: a mimic
+        wordy = (
+            len(rival.fit.x) > len(best.fit.x) and rival.likelihood - best.likelihood > self.settings.chance
+        )
+        if a.effect == b.effect:
+            known = self.problem.network.nodes
+            links = (tuple(twin(n, known) for n in h.where) for h in (a, b))
+            return a.where == b.where or (a.kind.series and in_line(self.problem.network, *links))
+        return relative(a, b) or wordy
+
+    def abreast(self, trial: Trial) -> list[Candidate]:
+        """Rivals of another kind that explain as much."""
+        best = trial.foremost
+        return [
+            r
+            for r in trial.rivals()
+            if r.well_formed() and not self.beaten(trial, r, best) and not self.same(r, best)
+        ]
+
+    def better(self, other: Trial, best: Trial) -> bool:
+        """Whether the excess that `other` leaves is smaller by a tenth, or as small with fewer effects."""
+        try:
+            mine, theirs = other.beyond(other.chosen), other.beyond(best.chosen)
+        except BROKEN:
+            return True
+        fewer = len(other.chosen.hypotheses) < len(best.chosen.hypotheses)
+        ahead = self.criteria.ahead
+        return mine < ahead * theirs if fewer else ahead * mine < theirs
+
+    def runners_up(self, trial: Trial, enough: Callable[[Trial], bool]) -> Trial:
+        """What comes first may lead astray where it is not enough: those that do best on held-out records get their turn."""
+        if enough(trial) or not trial.stages:
+            return trial
+        first = trial.stages[0]
+        scored = []
+        for r in first:
+            try:
+                scored.append((trial.of(r).score, r))
+            except BROKEN:
+                continue
+        turns = [r for _, r in sorted(scored, key=lambda t: t[0])]
+        begun = first[0]
+        for runner in [r for r in turns if r is not begun][: self.settings.turns]:
+            self.say(f"starting over with {runner.hypotheses[-1].label}")
+            try:
+                other = self.weigh(*self.walk([trial.base, runner], trial.stages[:1]))
+                trial = other if self.better(other, trial) else trial
+            except BROKEN:
+                continue
+        return trial
+
+    def run(self, enough: Callable[[Trial], bool]) -> Trial:
+        """From the owner's model to the set of effects that earns its place."""
+        base = self.refitted()
+        return self.runners_up(self.weigh(*self.walk([base])), enough)

@@ -1,0 +1,30 @@
+"""Numbers that steer the search. What decides is in `criteria`; both are arguments of `diagnose` and come back with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How far the search goes: it may miss what it does not try, but decides nothing.
+
+    heats, finals: how many hypotheses are fitted to the stretch of a record where the gap is widest, and how many of
+    them to all of it. depth: effects at once. turns: runners-up from which the search starts over where one effect is not
+    enough. window: share of a record that a heat sees, and the least samples of it. chance, sure (2 log L): what a richer
+    relative may gain for nothing, and what a step must gain. lost: gap (power over the signal's) from which on a simulation
+    that no input ties to the record has lost its phase. brief: length of the stretches over which detents are looked for,
+    in the rig's own time scale.
+    """
+
+    heats: int = 8
+    finals: int = 4
+    depth: int = 3
+    turns: int = 2
+    window: float = 0.4
+    least_window: int = 2000
+    chance: float = 30.0
+    sure: float = 60.0
+    lost: float = 0.5
+    shortest: int = 64
+    brief: float = 16.0

@@ -1,0 +1,77 @@
+"""The verdict in a sentence that a person can repeat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..elements import TYPES
+from .candidate import Candidate
+from .evidence import Evidence
+from .result import Effect, Place
+
+
+def plain_number(value: float) -> str:
+    """Four significant digits, without an exponent where one can do without."""
+    text = f"{value:.4g}"
+    return np.format_float_positional(float(text), trim="-") if 1e4 <= abs(value) < 1e7 else text
+
+
+def described(e: Effect) -> str:
+    """An effect with its place and values."""
+    spot = f"in channel {e.channel}" if e.channel else f"between {' and '.join(e.between or ())}"
+    what = e.effect.replace("_", " ")
+    if TYPES[e.effect].series:
+        what, spot = f"{what},", f"in series with what stands {spot}"
+    figures = ", ".join(
+        f"{k.replace('_', ' ')} {plain_number(q.value)} {q.unit}" for k, q in e.parameters.items()
+    )
+    return f"{what} {spot} ({figures})"
+
+
+def sentence(
+    verdict: str,
+    effects: Sequence[Effect],
+    small: Sequence[Effect],
+    contenders: Sequence[Candidate],
+    where: Sequence[Place],
+    gap: dict[str, dict[str, float]],
+    evidence: Evidence,
+    material: float,
+) -> str:
+    """What was found, with the figures of the channel that tells most."""
+    # the channel that gains most, or, where nothing is named, the one that is off most
+    worst = max(gap["refit"], key=lambda c: gap["refit"][c] ** 2 - (gap["after"][c] ** 2 if effects else 0.0))
+
+    def percent(row: str) -> str:
+        return f"{100 * gap[row][worst]:.1f} %"
+
+    text = _core(verdict, effects, contenders, where, worst, percent, gap, material)
+    if small:
+        shares = " and ".join(f"{x.share:.1%} of the force" for x in evidence.effects)
+        text += f" A small effect would explain it: {' and '.join(described(e) for e in small)}, {shares}."
+    unknown = [c for c, k in zip(evidence.channels, evidence.floor_known, strict=True) if not k]
+    if unknown and verdict in ("no_discrepancy", "parameters_only", "unknown_effect"):
+        text += f" How much of {', '.join(unknown)} is noise cannot be told from these data."
+    if evidence.limits:
+        text += f" The data ask for {', '.join(evidence.limits)} outside of what the model allows."
+    return text
+
+
+def _core(verdict, effects, contenders, where, worst, percent, gap, material) -> str:
+    wide = any(gap["refit"][c] ** 2 - gap["noise_floor"][c] ** 2 > material**2 for c in gap["refit"])
+    if verdict in ("no_discrepancy", "parameters_only") and wide:
+        return f"Nothing worth a name is missing: what is left in {worst} ({percent('before')} before, {percent('refit')} refitted, noise {percent('noise_floor')}) is what effects of a few per cent of the force make, as every rig has them."
+    if verdict == "no_discrepancy":
+        return "The model agrees with the measurement within noise; nothing is missing."
+    if verdict == "parameters_only":
+        return f"Parameters within their stated uncertainty explain the difference ({worst}: {percent('before')} before, {percent('refit')} refitted); nothing is missing."
+    if verdict == "missing_effect":
+        found = " and ".join(described(e) for e in effects)
+        return f"The model lacks {found}; with it the error in {worst} on held-out data falls from {percent('refit')} to {percent('after')} (noise {percent('noise_floor')})."
+    if verdict == "ambiguous":
+        names = " or ".join(r.label.replace("_", " ") for r in contenders)
+        return f"Something is missing, and these data cannot tell which: {names}."
+    spot = f"; it lives mostly in {where[0].channel}, {where[0].when}" if where else ""
+    return f"Something is missing that no known effect explains{spot}."
