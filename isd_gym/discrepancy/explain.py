@@ -121,7 +121,7 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
     e = fit.network.element(name)
     if e.place != "between" or e.plane == "time":
         return None
-    motion = motions(problem, fit).get(e.between)
+    motion = motions(problem, fit, (e.between,)).get(e.between)
     if motion is None:
         return None
     rate = e.plane == "rate"

@@ -18,11 +18,13 @@ from .structure import Hypothesis, add
 LANES = 48  # variants that run in one call of the kernel
 
 
-def motions(problem: Problem, fit: Fit) -> dict[tuple[str, str], Motion]:
-    """Elongation and rate of every pair in the fitted simulation of the records that are fitted by."""
+def motions(
+    problem: Problem, fit: Fit, also: tuple[tuple[str, str], ...] = ()
+) -> dict[tuple[str, str], Motion]:
+    """Elongation and rate of every pair (`also` of others) in the fitted simulation of the records that are fitted by."""
     out: dict[tuple[str, str], list[Array]] = {}
     net = fit.network
-    where = pairs(net)
+    where = [*pairs(net), *(p for p in also if p not in pairs(net))]
     extra = tuple(Channel(f"_{k}", "displacement", "m", between=p) for k, p in enumerate(where))
     steps = []
     for i in problem.estimation:

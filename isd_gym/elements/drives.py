@@ -39,7 +39,10 @@ class ThrustSaturation(_Drive):
     equation = "I_eff = I_s tanh(I / I_s)"
     source = "iron saturation of a linear motor"
     signature = "thrust falls short at high current only"
-    test = "current steps of several heights"
+    test = (
+        "Hold the device and raise the current in steps: the thrust must fall short of proportion as "
+        "{current} is approached, and be in proportion below a fifth of it."
+    )
     shaped_by = "current"
     current: float = parameter("A", 1.0, 50.0, open_end=True)
 
@@ -57,7 +60,10 @@ class ActuatorLag(_Drive):
     equation = "tau dI/dt + I = I_command"
     source = "L/R of Table 1 (26 mH / 3.8 Ohm = 6.8 ms) or a drive's bandwidth"
     signature = "thrust late and rounded after a step in current"
-    test = "current steps against the device held fast"
+    test = (
+        "Command a step of current on the held device: the thrust must reach 63 % after {time_constant}, "
+        "without a dead time."
+    )
     time_constant: float = parameter("s", 1e-3, 0.1)
 
     def apply(self, signal: Array, step: float) -> Array:
@@ -83,7 +89,10 @@ class ActuatorDelay(_Drive):
     equation = "I(t) = I_command(t - T)"
     source = "bus and drive latency"
     signature = "thrust late but not rounded"
-    test = "current steps against the device held fast"
+    test = (
+        "Command a step of current on the held device: the thrust must be nothing for {delay}, and then "
+        "all there."
+    )
     delay: float = parameter("s", 1e-3, 0.1)
 
     def apply(self, signal: Array, step: float) -> Array:

@@ -26,7 +26,10 @@ class CoulombFriction(Element):
     equation = "F in f Sgn(v)"
     source = "f = 0.5 kN, section 3.2, Figure 6"
     signature = "a step in force where the velocity changes sign; sticking"
-    test = "a slow triangle: the force jumps where it turns, whatever the rate"
+    test = (
+        "Move the terminals with a slow triangle (0.1 Hz): the force must jump by twice {level} at each "
+        "reversal, and the jump must be the same at half the amplitude."
+    )
     plane = "rate"
     bound = staticmethod(_constant)
     level: float = parameter("N", 5.0, 2000.0)
@@ -46,7 +49,10 @@ class StribeckFriction(Element):
     equation = "F in [f + (f_s - f) exp(-(v/v_s)^2)] Sgn(v)"
     source = "Stribeck; Armstrong-Helouvry et al., Automatica 30 (1994)"
     signature = "Coulomb friction with a higher level near zero velocity"
-    test = "slow triangles at several rates"
+    test = (
+        "Move the terminals slowly and ever slower: the force must rise from {level} towards "
+        "{static_level} below {stribeck_velocity}, and jump at each reversal."
+    )
     plane = "rate"
     contains = ("coulomb_friction",)
     replaces = ("coulomb_friction",)  # its curve holds the constant level already

@@ -105,7 +105,10 @@ class QuadraticDamping(Element):
     equation = "F = c2 v |v|"
     source = "orifice flow; Wang and Su, Vehicle System Dynamics 46 (2008), hydraulic inerters"
     signature = "damping that grows with amplitude"
-    test = "sines of one frequency at three amplitudes"
+    test = (
+        "Double the speed: the extra force must grow fourfold ({damping}), and vanish among the noise at "
+        "a tenth."
+    )
     plane = "rate"
     law = staticmethod(_quadratic)
     damping: float = parameter("N s^2/m^2", 10.0, 1e5)
@@ -121,7 +124,10 @@ class AsymmetricDamping(Element):
     equation = "F = c_e v for v > 0 (extension), c_c v for v < 0 (compression), beside what stands there"
     source = "Dixon, The Shock Absorber Handbook: rebound and bump damping differ"
     signature = "an even part in the force-velocity plane; a mean offset under vibration"
-    test = "a sine: the force in extension against that in compression"
+    test = (
+        "Vibrate the terminals without a mean load: they must creep to one side, the more the faster the "
+        "motion."
+    )
     plane = "rate"
     contains = ("linear_damping",)
     law = staticmethod(_asymmetric)
@@ -158,7 +164,10 @@ class CubicStiffness(Element):
     equation = "F = k3 d^3"
     source = "Duffing; progressive springs"
     signature = "stiffness that grows with amplitude, smoothly and without dissipation"
-    test = "slow triangles at three amplitudes"
+    test = (
+        "Load the terminals slowly to half and to full travel: the extra force must grow eightfold "
+        "({stiffness}), and the same on the way back."
+    )
     law = staticmethod(_cubic)
     stiffness: float = parameter("N/m^3", 1e4, 1e9, minimum=-math.inf)
 
@@ -173,7 +182,10 @@ class GasSpring(Element):
     equation = "F = F0 [1 - (1 + d/L)^(-n)]"
     source = "polytropic gas column about its static state"
     signature = "stiffer in compression than in extension, smoothly"
-    test = "a slow triangle over the whole stroke"
+    test = (
+        "Load the terminals slowly: compression must be stiffer than extension, with no loss over a full "
+        "loop."
+    )
     contains = ("linear_stiffness",)  # long
     shaped_by = "length"
     law = staticmethod(_gas)
@@ -200,7 +212,7 @@ class BumpStop(Element):
     equation = "F = k (|d| - clearance) sgn d + c v in contact, never pulling; 0 else"
     source = "deputy cylinder stroke of Table 1: +-100 mm / 4.056 = +-24.65 mm at the device"
     signature = "nothing below a travel, a stiff spring beyond it"
-    test = "a slow triangle over the whole stroke"
+    test = "Load the terminals slowly: nothing extra below {clearance}, a slope of {stiffness} beyond it."
     contains = ("linear_stiffness",)  # without clearance
     shaped_by = "clearance"
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"side": ("both", "extension", "compression")}
@@ -239,7 +251,10 @@ class Backlash(Element):
     equation = "F = k (|d| - gap/2) sgn d beyond half the gap, 0 within; in series with what stands there"
     source = "play in a joint"
     signature = "lost motion: the same at every amplitude, most visible at small ones"
-    test = "a slow triangle: the force stands still where it turns"
+    test = (
+        "Move one terminal slowly to and fro by little: the other must stand still over {gap} at each "
+        "reversal."
+    )
     series = True
     contains = ("series_compliance",)
     shaped_by = "gap"
@@ -267,7 +282,10 @@ class Hysteresis(Element):
     equation = "F = z, dz/dt = k [v - (s |v| z + (1-s) v |z|) |z|^(n-1) / F_y^n]"
     source = "Bouc (1967), Wen (1976), with beta = gamma (s = 1/2); s = 1, n = 1 is Dahl's law"
     signature = "loops in the force-travel plane whose corners are round, whatever the rate"
-    test = "slow triangles at three amplitudes, at two rates"
+    test = (
+        "Run a loop of travel slowly and at twice the rate: both loops must be the same, with round "
+        "corners and a height of twice {level}."
+    )
     contains = ("coulomb_friction", "linear_stiffness")
     shaped_by = "stiffness"
     law = staticmethod(_bouc_wen)
@@ -300,7 +318,10 @@ class CoggingForce(Element):
     equation = "F = A sin(2 pi d / pitch + phase)"
     source = "detent force of a permanent-magnet linear motor"
     signature = "periodic in travel, whatever the time"
-    test = "a slow triangle over many pitches"
+    test = (
+        "Pull the device slowly through its whole travel: the force must repeat every {pitch} with "
+        "{amplitude}, at the same places each time."
+    )
     contains = ("linear_stiffness",)  # of a pitch longer than the travel
     periodic = ("pitch", "phase")
     law = staticmethod(_cogging)
@@ -343,7 +364,7 @@ class TyreLiftOff(Element):
     equation = "F = -max(k d - W, 0): a tyre cannot pull on the road beyond its static load W"
     source = "unilateral contact of the tyre"
     signature = "dynamic tyre force cut off at the static load"
-    test = "a bump that lifts the wheel"
+    test = "Raise the excitation: the dynamic tyre force must stop at {load} of unloading."
     law = staticmethod(_lift_off)
     stiffness: float = parameter("N/m", 5e4, 5e5)
     load: float = parameter("N", 500.0, 1e4)

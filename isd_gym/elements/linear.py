@@ -16,7 +16,10 @@ class LinearStiffness(Element):
     equation = "F = k d"
     source = "Table 6 (main spring, tyre), Table 4 (oil)"
     signature = "force in phase with travel, the same at every amplitude"
-    test = "a slow triangle at two amplitudes"
+    test = (
+        "Load the terminals slowly: the force must follow travel with an extra {stiffness} at every "
+        "amplitude."
+    )
     stiffness: float = parameter("N/m", 1e2, 1e6)
 
     def linear(self) -> tuple[float, float, float]:
@@ -37,7 +40,10 @@ class SeriesCompliance(LinearStiffness):
     equation = "F = k d, in series with what stands at the terminal"
     source = "oil elasticity of section 3, in series as the 0.1 Hz test demands"
     signature = "nothing at low frequency, growing with the force that passes through"
-    test = "sines of rising frequency at constant amplitude"
+    test = (
+        "Block the device and load it: it must give way elastically with {stiffness}; at low force "
+        "nothing changes."
+    )
     series = True
     stiffness: float = parameter("N/m", 1e4, 1e7, open_end=True)
 
@@ -57,7 +63,9 @@ class LinearDamping(Element):
     equation = "F = c v"
     source = "Table 6 (damper), Table 4 (leak)"
     signature = "force in phase with velocity, the same at every amplitude"
-    test = "sines of two amplitudes at one frequency"
+    test = (
+        "Double the speed at the same amplitude: the extra force ({damping}) must double, at every amplitude."
+    )
     plane = "rate"
     damping: float = parameter("N s/m", 10.0, 1e4)
 
@@ -75,7 +83,7 @@ class Inertance(Element):
     equation = "F = b dv/dt"
     source = "equation (5), Table 6"
     signature = "force in phase with relative acceleration"
-    test = "sines of rising frequency at constant amplitude"
+    test = "Double the frequency at the same amplitude: the extra force ({inertance}) must grow fourfold."
     plane = "time"
     inertance: float = parameter("kg", 1.0, 500.0)
 
@@ -98,7 +106,10 @@ class TerminalInertia(Element):
     equation = "F = m a_terminal (absolute acceleration of one terminal)"
     source = "the m n dv1/dt term that equation (3) has and equation (4) drops"
     signature = "force in phase with absolute, not relative, acceleration"
-    test = "both terminals moved together"
+    test = (
+        "Shake both terminals together, so that the device does not extend: a force of {mass} times the "
+        "acceleration must remain."
+    )
     plane = "time"
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"terminal": ("first", "second")}
     mass: float = parameter("kg", 0.5, 60.0)

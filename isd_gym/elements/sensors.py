@@ -23,7 +23,7 @@ class SensorGain(_Sensor):
     equation = "y = g y_true"
     source = "calibration error"
     signature = "one channel off in proportion, all others right"
-    test = "the sensor against a second one"
+    test = "Put the sensor on a known input (a shaker, a gauge block): it must read {gain} times the truth."
     gain: float = parameter("-", 0.3, 3.0, default=1.0, minimum=-math.inf, spread=0.1)
 
     def apply(self, signal: Array, step: float) -> Array:
@@ -47,7 +47,7 @@ class SensorBias(_Sensor):
     equation = "y = y_true + bias"
     source = "offset error"
     signature = "one channel off by a constant, all others right"
-    test = "the sensor at rest"
+    test = "Read the sensor with the rig at rest: it must show {bias}."
     bias: float = parameter("unit of the channel", -math.inf, math.inf, minimum=-math.inf)
 
     def apply(self, signal: Array, step: float) -> Array:
@@ -69,7 +69,7 @@ class SensorDelay(_Sensor):
     equation = "y(t) = y_true(t - T)"
     source = "filter or bus latency"
     signature = "one channel late, all others right"
-    test = "a knock that two sensors see at once"
+    test = "Tap the rig with two sensors at one place: this one must answer {delay} later."
     delay: float = parameter("s", 1e-3, 0.1)
 
     def apply(self, signal: Array, step: float) -> Array:

@@ -59,40 +59,6 @@ STAGES = {
     "after": ("with the effect", "with what was found built in, and refitted"),
     "noise_floor": ("noise", "what no model can pass: the measurement noise"),
 }
-SERIES = ("series_compliance", "backlash")
-
-#: what a test must show if the claim is true; the parameters of the effect are at hand by name
-TESTS = {
-    "linear_stiffness": "Load the terminals slowly: the force must follow travel with an extra {stiffness} at every amplitude.",
-    "linear_damping": "Double the speed at the same amplitude: the extra force ({damping}) must double, at every amplitude.",
-    "inertance": "Double the frequency at the same amplitude: the extra force ({inertance}) must grow fourfold.",
-    "coulomb_friction": "Move the terminals with a slow triangle (0.1 Hz): the force must jump by twice {level} at each reversal, "
-    "and the jump must be the same at half the amplitude.",
-    "stribeck_friction": "Move the terminals slowly and ever slower: the force must rise from {level} towards {static_level} below "
-    "{stribeck_velocity}, and jump at each reversal.",
-    "quadratic_damping": "Double the speed: the extra force must grow fourfold ({damping}), and vanish among the noise at a tenth.",
-    "asymmetric_damping": "Vibrate the terminals without a mean load: they must creep to one side, the more the faster the motion.",
-    "cubic_stiffness": "Load the terminals slowly to half and to full travel: the extra force must grow eightfold ({stiffness}), and "
-    "the same on the way back.",
-    "gas_spring": "Load the terminals slowly: compression must be stiffer than extension, with no loss over a full loop.",
-    "bump_stop": "Load the terminals slowly: nothing extra below {clearance}, a slope of {stiffness} beyond it.",
-    "backlash": "Move one terminal slowly to and fro by little: the other must stand still over {gap} at each reversal.",
-    "hysteresis": "Run a loop of travel slowly and at twice the rate: both loops must be the same, with round corners and a height "
-    "of twice {level}.",
-    "cogging_force": "Pull the device slowly through its whole travel: the force must repeat every {pitch} with {amplitude}, "
-    "at the same places each time.",
-    "terminal_inertia": "Shake both terminals together, so that the device does not extend: a force of {mass} times the "
-    "acceleration must remain.",
-    "series_compliance": "Block the device and load it: it must give way elastically with {stiffness}; at low force nothing changes.",
-    "tyre_lift_off": "Raise the excitation: the dynamic tyre force must stop at {load} of unloading.",
-    "thrust_saturation": "Hold the device and raise the current in steps: the thrust must fall short of proportion as {current} is "
-    "approached, and be in proportion below a fifth of it.",
-    "actuator_lag": "Command a step of current on the held device: the thrust must reach 63 % after {time_constant}, without a dead time.",
-    "actuator_delay": "Command a step of current on the held device: the thrust must be nothing for {delay}, and then all there.",
-    "sensor_gain": "Put the sensor on a known input (a shaker, a gauge block): it must read {gain} times the truth.",
-    "sensor_bias": "Read the sensor with the rig at rest: it must show {bias}.",
-    "sensor_delay": "Tap the rig with two sensors at one place: this one must answer {delay} later.",
-}  # fmt: skip
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str, str] | None = None) -> Path:
@@ -161,9 +127,7 @@ class View:
         self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
         self.stages = [s for s in STAGES if s in d.gap and (s != "after" or self.named)]
         self.clouds = clouds(self) if self.trace is not None else []
-        drawn = {law.element for law in d.laws}
-        own = [series_law(self, e) for e in d.effects if e.effect in SERIES and e.element not in drawn]
-        self.laws = [*d.laws, *(law for law in own if law is not None)]
+        self.laws = list(d.laws)
 
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
@@ -206,7 +170,7 @@ class View:
             return f"{channel_text(e.effect)} in {channel_text(e.channel)}"
         if not e.between:
             return channel_text(e.effect)
-        how = ", in series with what stands" if e.effect in SERIES else ""
+        how = ", in series with what stands" if el.TYPES[e.effect].series else ""
         return f"{channel_text(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
 
     def contender_text(self, c: Any) -> str:
@@ -248,7 +212,7 @@ class View:
         """What would have to be seen on a rig if the claim is true, with its figures."""
         words = {k: self.quantity(q) for k, q in e.parameters.items()}
         try:
-            return TESTS[e.effect].format_map(words)
+            return el.TYPES[e.effect].test.format_map(words)
         except KeyError:
             return ""
 
@@ -336,7 +300,9 @@ def _cloud(
     step = float(trace.time[1] - trace.time[0])
     names = [c.name for c in d.refitted.outputs if c.name in trace.refit]
     noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
-    response = Probe.of(d.refitted, pair, names, step, len(trace.time))
+    from ..discrepancy.missing_force import Deconvolution, motion
+
+    response = Deconvolution.of(d.refitted, pair, names, step, len(trace.time))
     before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
     after = None
     if d.effects:
@@ -355,154 +321,6 @@ def _cloud(
         before[keep],
         None if after is None else after[keep],
     )
-
-
-@dataclass(frozen=True)
-class Probe:
-    """How the outputs of a model answer to a force between two of its nodes, and back."""
-
-    names: list[str]
-    frequency: Array  # [Hz] of the band that is used
-    first: int  # index of the first of them in a Fourier transform
-    gain: NDArray[np.complex128]  # (frequencies, outputs), SI per N
-    moved: NDArray[np.complex128]  # (frequencies, 2): travel and rate of the pair, per N
-    factors: Array  # channel's unit -> SI
-    samples: int
-
-    @classmethod
-    def of(
-        cls, network: Network, pair: tuple[str, str], names: list[str], step: float, samples: int
-    ) -> Probe:
-        """The linear response about rest. Raises `InputError` where there is none."""
-        name = network.free_name("missing_force")
-        outputs = []
-        for c in network.outputs:
-            if c.name in names:
-                beside = c.element is not None and any(network.element(e).where == pair for e in c.elements)
-                outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
-        outputs += [
-            Channel("_d", "displacement", "m", between=pair),
-            Channel("_v", "velocity", "m/s", between=pair),
-        ]
-        kept = tuple(e for e in network.elements if e.place == "between")
-        probe = Network(
-            network.name,
-            network.masses,
-            (*kept, el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)),  # type: ignore[call-arg]
-            (
-                *(c for c in network.inputs if c.quantity != "current"),
-                Channel(name, "current", "A", element=name),
-            ),
-            tuple(outputs),
-        )
-        space = linearise(probe)
-        frequency = np.asarray(np.fft.rfftfreq(samples, step), np.float64)
-        low, high = 0.5 / (samples * step), min(60.0, 0.4 / step)
-        band = np.flatnonzero((frequency >= low) & (frequency <= high))
-        if len(band) < 10:
-            raise InputError("the record is too short to look for a force in it")
-        answer = space.response(frequency[band])[:, :, space.inputs.index(name)]
-        order = [space.outputs.index(n) for n in names]
-        factors = np.array([convert(1.0, c.unit, UNITS[c.quantity]) for c in outputs[: len(names)]])
-        factors = factors[[[c.name for c in outputs].index(n) for n in names]]
-        two = answer[:, [space.outputs.index("_d"), space.outputs.index("_v")]]
-        return cls(names, frequency[band], int(band[0]), answer[:, order], two, factors, samples)
-
-    def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
-        """Force [N] (n,) that explains `residual` best under white noise of deviations `noise`, and the motion it makes (n, 2).
-
-        Wiener's filter: its prior, the force's own spectrum, comes from the data (expectation maximisation), so that what
-        the sensors do not resolve is left out and not made up.
-        """
-        from scipy.ndimage import uniform_filter1d
-        from scipy.signal.windows import tukey
-
-        taper = tukey(self.samples, 0.1)
-        band = slice(self.first, self.first + len(self.frequency))
-        R = (
-            np.stack(
-                [np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names], axis=1
-            )
-            * self.factors
-        )
-        S = (np.maximum([noise[n] for n in self.names], 1e-12) * self.factors) ** 2 * float(np.sum(taper**2))
-        seen = np.sum(np.abs(self.gain) ** 2 / S, axis=1)
-        sought = np.sum(self.gain.conj() * R / S, axis=1)
-        prior = np.abs(sought / np.maximum(seen, 1e-300)) ** 2
-        width = max(3, len(prior) // 40)
-        for _ in range(12):
-            prior = np.maximum(uniform_filter1d(prior, width, mode="nearest"), 1e-30)
-            w = sought / (seen + 1.0 / prior)
-            prior = np.abs(w) ** 2 + 1.0 / (seen + 1.0 / prior)
-        whole = np.zeros((self.samples // 2 + 1, 3), complex)
-        whole[band, 0] = w
-        whole[band, 1:] = w[:, None] * self.moved
-        out = np.fft.irfft(whole, self.samples, axis=0)
-        return out[:, 0], out[:, 1:]
-
-
-def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array, Array]:
-    """Travel [m] and rate [m/s] between two nodes in a model that is started as the record begins."""
-    from ..discrepancy.choose import motions, plain
-    from ..discrepancy.fit import Fitter
-    from ..discrepancy.hypotheses import base_structure
-    from ..discrepancy.problem import Problem, Record
-
-    network = replace(network, uncertainty={})
-    step = float(trace.time[1] - trace.time[0])
-    measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
-    problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)], [False])
-    fit = Fitter(problem, plain(problem, measured.std(axis=0))).fit(
-        base_structure(network), frozen=True, iterations=3
-    )
-    found = motions(problem, fit)
-    if pair in found:
-        m, sign = found[pair], 1.0
-    elif pair[::-1] in found:
-        m, sign = found[pair[::-1]], -1.0
-    else:
-        raise InputError(f"no motion between {pair[0]} and {pair[1]}")
-    return sign * m.d, sign * m.v
-
-
-def series_law(view: View, effect: Effect) -> Law | None:
-    """The law of an effect that stands in series, over its own elongation in the new model; None where that fails.
-
-    Its terminals are no pair of the old model, so that the diagnosis itself has no motion there.
-    """
-    from ..discrepancy.result import Law
-
-    model = view.d.model
-    own: Any = model.element(effect.element)
-    if view.trace is None:
-        return None
-    try:
-        between = Channel("_d", "displacement", "m", between=own.between)
-        d = simulate(model, view.trace.time, view.trace.inputs, extra=[between])["_d"]
-    except (InputError, FloatingPointError):
-        return None
-    d = d[len(d) // 20 :]  # begun at rest
-    reach = float(np.quantile(np.abs(d), 0.999))
-    if not reach > 0:
-        return None
-    axis = np.linspace(-reach, reach, 401)
-
-    def force(element: Any) -> Array:
-        if element.law is None:
-            return np.asarray(element.linear()[0] * axis)
-        p = np.array(element.law_parameters())
-        return np.array([element.law(p, x, 0.0, x, 0.0, 1e-3)[0] for x in axis])
-
-    middle, spread = force(own), np.zeros(len(axis))
-    for key, q in effect.parameters.items():
-        for value in (q.low, q.high):
-            try:
-                other = model.with_parameters({f"{own.name}.{key}": value}).element(own.name)
-            except InputError:
-                continue
-            spread = np.maximum(spread, np.abs(force(other) - middle))
-    low, high = middle - spread, middle + spread
-    return Law(own.name, "travel", axis, middle, low, high, d[:: max(1, len(d) // 2000)], np.zeros(0))
 
 
 # ------------------------------------------------------------------------------------------------- the figures
@@ -884,7 +702,7 @@ def draw_law(view: View) -> Chart | None:
         index = np.clip(np.digitize(x, edges) - 1, 0, len(count) - 1)
         size = low + 0.22 * (high - low) * count[index] / max(count.max(), 1)
         text = axis.label
-        if e.effect in SERIES:
+        if el.TYPES[e.effect].series:
             text = f"its own {text}"
         elif e.between:
             text = f"{text} of {e.between[0]}–{e.between[1]}"
