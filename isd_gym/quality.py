@@ -155,10 +155,12 @@ def _check_magnitude(name: str, quantity: str, x: np.ndarray, step: float) -> li
     text = f"{quantity} reaches {spread:.4g} {unit}"
     lag = min(max(1, round(0.02 / step)), len(x) - 1)
     speed = float(np.std(x[lag:] - x[:-lag])) / (lag * step) if quantity == "displacement" else 0.0
-    if spread > impossible or speed > _MAX_SPEED:
+    if spread > 1e3 * impossible or speed > 1e3 * _MAX_SPEED:
         text += f" at {speed:.3g} m/s" if speed > _MAX_SPEED else ""
         return [Finding("error", name, f"{text}, which cannot be: a wrong unit, or columns swapped?")]
-    if spread > doubtful:
+    if speed > _MAX_SPEED:
+        text += f" at {speed:.3g} m/s"
+    if spread > doubtful or speed > _MAX_SPEED:
         return [Finding("warning", name, f"{text}: a wrong unit, or columns swapped?")]
     if np.ptp(x) < 2 * least:
         return [Finding("warning", name, f"{quantity} stays within {np.ptp(x):.2g} {unit}: a wrong unit?")]

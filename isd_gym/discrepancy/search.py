@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -293,7 +294,11 @@ class Search:
         """Whether the rival's held-out excess is larger by a tenth, and not by chance."""
         if trial.of(rival).score - trial.quiet < self.criteria.ahead * trial.beyond(best):
             return False
-        return block_lead(trial.of(rival), trial.of(best)) > 2.0 or rival.likelihood - best.likelihood > 50.0
+        behind = rival.likelihood - best.likelihood
+        # Schwarz's criterion: parameters that gain nothing count against it
+        more = max(len(rival.fit.x) - len(best.fit.x), 0) * math.log(sum(map(len, best.fit.outputs.values())))
+        sure = behind > 50.0 or (more > 0 and behind + more > self.criteria.decisive)
+        return sure or block_lead(trial.of(rival), trial.of(best)) > self.criteria.replicated
 
     def same(self, rival: Candidate, best: Candidate) -> bool:
         """Whether the rival is no alternative.
@@ -352,7 +357,6 @@ class Search:
                 continue
         return trial
 
-    def run(self, enough: Callable[[Trial], bool]) -> Trial:
-        """From the owner's model to the set of effects that earns its place."""
-        base = self.refitted()
+    def run(self, base: Candidate, enough: Callable[[Trial], bool]) -> Trial:
+        """From the owner's model refitted to the set of effects that earns its place."""
         return self.runners_up(self.weigh(*self.walk([base])), enough)

@@ -13,8 +13,9 @@ class SearchSettings:
     them to all of it. depth: effects at once. turns: runners-up from which the search starts over where one effect is not
     enough. window: share of a record that a heat sees, and the least samples of it. chance, sure (2 log L): what a richer
     relative may gain for nothing, and what a step must gain. lost: gap (power over the signal's) from which on a simulation
-    that no input ties to the record has lost its phase. brief: length of the stretches over which detents are looked for,
-    in the rig's own time scale.
+    that no input ties to the record has lost its phase. astray: error of the refitted model (share of a channel's
+    deviation) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale;
+    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one.
     """
 
     heats: int = 8
@@ -26,5 +27,7 @@ class SearchSettings:
     chance: float = 30.0
     sure: float = 60.0
     lost: float = 0.5
-    shortest: int = 64
+    shortest: int = 80
+    astray: float = 0.5
     brief: float = 16.0
+    pieces: int = 30

@@ -24,7 +24,7 @@ from .hypotheses import hypotheses
 from .judge import Judge
 from .measure import confidence, intervals, measure
 from .noise import plain, whitener
-from .problem import Problem, Role, bare
+from .problem import Problem, Record, Role, bare
 from .records import dealt, derivatives, read, stretches
 from .result import Contender, Diagnosis, Effect, Quantity, Trace
 from .screen import screen
@@ -100,22 +100,26 @@ class Workflow:
         self.say(
             f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
         )
-        trial = self.search.run(
-            lambda t: self.verdict(t) in ("missing_effect", "no_discrepancy", "parameters_only")
-        )
+        base = self.search.refitted()
+        early = self.lost(base)
+        found = self.briefly(notes, begun, named_only=False) if early else None
+        if found is not None:
+            return found
+        trial = self.search.run(base, self.enough)
         evidence, quantities, abreast = measure(self.search, trial)
         decision = decide(evidence, self.criteria)
-        if decision.verdict == "unknown_effect":
-            found = self.detents(notes, begun)
+        if decision.verdict == "unknown_effect" and not early:
+            found = self.briefly(notes, begun, named_only=True)
             if found is not None:
                 return found
         return self.report(
             trial, evidence, decision, quantities, abreast, [*notes, *self.tried(trial)], begun
         )
 
-    def verdict(self, trial: Trial) -> str:
-        evidence, _, _ = measure(self.search, trial)
-        return decide(evidence, self.criteria).verdict
+    def enough(self, trial: Trial) -> bool:
+        """Whether a trial needs no runners-up."""
+        verdict = decide(measure(self.search, trial)[0], self.criteria).verdict
+        return verdict in ("missing_effect", "no_discrepancy", "parameters_only")
 
     def tried(self, trial: Trial) -> list[str]:
         every = list(hypotheses(self.network))
@@ -125,38 +129,72 @@ class Workflow:
             *(f"tried {line}" for line in trial.notes),
         ]
 
-    def detents(self, notes: list[str], begun: float) -> Diagnosis | None:
-        """What has many rests cannot be followed for long, so it is looked for over brief stretches, each from its own state."""
-        p = self.problem
-        if not self.network.inputs or not assemble(bare(self.network)).size[0]:
+    # -- brief stretches ----------------------------------------------------------------------------------
+    def movable(self) -> bool:
+        """Whether an input ties the motion to the record, and there is a motion to begin anew."""
+        return bool(self.network.inputs) and assemble(bare(self.network)).size[0] > 0
+
+    def lost(self, base: Candidate) -> bool:
+        """Whether the model's simulation does not stay with the records: slight damping, stops, nothing that holds it."""
+        left = np.concatenate(residuals(self.problem, base.fit)).std(axis=0)
+        share = left / np.maximum(self.problem.measured().std(axis=0), 1e-300)
+        return self.movable() and bool(np.any(share > self.settings.astray))
+
+    def brief(self) -> tuple[Problem, float]:
+        """The same records in brief stretches (and how long they are [s]), each from a state of its own."""
+        p, seconds = self.problem, self.settings.brief * self.problem.time
+        pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
+        for r, role in zip(p.records, p.roles, strict=True):
+            pieces[role] += stretches(r, seconds, self.settings.shortest)
+        records: list[Record] = []
+        roles: list[Role] = []
+        for role, own in pieces.items():
+            kept = own[:: max(1, math.ceil(len(own) / self.settings.pieces))]
+            records += kept
+            roles += [role] * len(kept)
+        return Problem(self.network, records, roles, p.step), seconds
+
+    def briefly(self, notes: list[str], begun: float, *, named_only: bool) -> Diagnosis | None:
+        """The search over brief stretches; None where it comes to nothing.
+
+        What has many rests, what hits stops while it resonates, what drifts: no simulation stays with it for long.
+        `named_only`: only what repeats over travel is looked for, and only a name counts.
+        """
+        if not self.movable():
             return None
-        seconds = self.settings.brief * p.time
-        pieces = [
-            (q, role) for r, role in zip(p.records, p.roles, strict=True) for q in stretches(r, seconds, 200)
-        ]
-        brief = Problem(self.network, [q for q, _ in pieces], [role for _, role in pieces], p.step)
-        self.say(f"looking for detents over stretches of {seconds:.2g} s")
-        flow = replace(self, problem=brief)
+        problem, seconds = self.brief()
+        self.say(f"comparing over stretches of {seconds:.2g} s, each from its own state")
+        flow = replace(self, problem=problem)
         search = flow.search
         try:
             base = search.refitted()
-            W = whitener(residuals(brief, base.fit), reckoned(brief, base.fit, search.floors))
-            screened = screen(brief, Fitter(brief, W), base.fit, list(hypotheses(self.network)))
-            foremost = list(dict.fromkeys(s.hypothesis for s in screened))[:3]
-            if not any(h.kind.periodic for h in foremost):
+            if named_only and not flow.repeats(base):
                 return None
-            trial = search.weigh(*search.walk([base], depth=1))
+            trial = (
+                search.weigh(*search.walk([base], depth=1)) if named_only else search.run(base, flow.enough)
+            )
             evidence, quantities, abreast = measure(search, trial)
         except BROKEN:  # it breaks down on the held-out records
             return None
         decision = decide(evidence, self.criteria)
-        if decision.verdict != "missing_effect" or not trial.foremost.hypotheses[0].kind.periodic:
+        named = decision.verdict == "missing_effect"
+        if not named and (named_only or decision.verdict == "unknown_effect"):
+            return None
+        if named_only and not trial.foremost.hypotheses[0].kind.periodic:
             return None
         said = flow.report(
-            trial, evidence, decision, quantities, abreast, [*notes, *self.tried(trial)], begun
+            trial, evidence, decision, quantities, abreast, [*notes, *flow.tried(trial)], begun
         )
-        why = f"Compared over stretches of {seconds:.2g} s: between detents no simulation stays with a record for long."
+        why = f"Compared over stretches of {seconds:.2g} s: no simulation stays with these records for long."
         return replace(said, summary=f"{said.summary} {why}")
+
+    def repeats(self, base: Candidate) -> bool:
+        """Whether what repeats over travel is among the foremost in the score test."""
+        p, floors = self.problem, self.search.floors
+        W = whitener(residuals(p, base.fit), reckoned(p, base.fit, floors))
+        screened = screen(p, Fitter(p, W), base.fit, list(hypotheses(self.network)))
+        foremost = list(dict.fromkeys(s.hypothesis for s in screened))[:3]
+        return any(h.kind.periodic for h in foremost)
 
     # -- what is said -------------------------------------------------------------------------------------
     def traces(self, base: Candidate, final: Candidate) -> tuple[Trace, ...]:
