@@ -180,7 +180,9 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     if noise is not None and (
         isinstance(noise, bool) or not isinstance(noise, int | float) or not 0 < noise < math.inf
     ):
-        raise InputError(f'{where}: "noise" must be a positive RMS in the channel\'s unit, not {shown(noise)}')
+        raise InputError(
+            f'{where}: "noise" must be a positive RMS in the channel\'s unit, not {shown(noise)}'
+        )
     if data.get("offset", "none") not in ("free", "none"):
         raise InputError(f'{where}: "offset" must be "free" or "none", not {shown(data["offset"])}')
     if "at" in data and not isinstance(data["at"], str):

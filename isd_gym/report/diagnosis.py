@@ -17,9 +17,7 @@ from .. import elements as el
 from ..discrepancy.result import FOLDER
 from ..errors import InputError
 from ..files import check_folder, whole_folder, write_text
-from ..network import Channel, Network, linearise
-from ..simulate import simulate
-from ..units import UNITS, convert
+from ..network import Network
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
 from .plots import (
     BLUE,
