@@ -11,7 +11,7 @@ from hidden import make_case
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import Diagnosis, diagnose
-from isd_gym.discrepancy.problem import Noise, autoregression, noise_of, passed, whitener
+from isd_gym.discrepancy.noise import Noise, autoregression, noise_of, passed, whitener
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 
@@ -100,7 +100,7 @@ def test_noise_is_told_from_motion_by_its_spectrum() -> None:
     n, step = 20000, 2e-3
     noise = 0.05 * rng.standard_normal(n)
     motion = np.sin(2 * np.pi * 1.3 * step * np.arange(n)) + 0.5 * np.sin(2 * np.pi * 9 * step * np.arange(n))
-    assert noise_of([motion + noise], step).deviation == pytest.approx(0.05, rel=0.1)
+    assert noise_of([motion + noise], step, time=0.05).deviation == pytest.approx(0.05, rel=0.1)
 
 
 def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
@@ -112,8 +112,10 @@ def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
 
 def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
     from isd_gym.discrepancy.fit import Fitter
-    from isd_gym.discrepancy.hypotheses import base_structure
-    from isd_gym.discrepancy.problem import Problem, Record, Whitener
+    from isd_gym.discrepancy.initial import along
+    from isd_gym.discrepancy.noise import Whitener
+    from isd_gym.discrepancy.problem import Problem, Record
+    from isd_gym.discrepancy.structure import base_structure
 
     net = Network.load("quarter-car-isd")
     rng = np.random.default_rng(5)
@@ -124,13 +126,13 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
         "drive", 2e-3, {"road": road, "current": current}, np.zeros((len(time), len(net.outputs)))
     )
     structure = base_structure(net)
-    problem = Problem(net, [record, record.part(1000, 2000, "drive")], [False, False])
+    problem = Problem(net, [record, record.part(1000, 2000, "drive")], ["fit", "fit"])
     assert problem.records[1].follows(record.part(0, 1000, "drive"))
     assert not problem.records[1].follows(record.part(0, 900, "drive"))
     fitter = Fitter(problem, Whitener(tuple(np.ones(1) for _ in net.outputs)))
     rest = np.zeros(7)
     whole = fitter.simulate_point(structure, structure.start, 0, rest)
-    (state,) = fitter.along(structure, structure.start, 0, rest, [1000])
+    (state,) = along(problem, structure, structure.start, 0, rest, [1000])
     piece = fitter.simulate_point(structure, structure.start, 1, state)
     error = np.sqrt(np.mean((piece - whole[1000:2000]) ** 2, axis=0)) / whole.std(axis=0)
     assert error.max() < 0.01
@@ -149,7 +151,7 @@ def test_what_a_filter_had_to_guess_is_not_compared() -> None:
     force = 95.0 * a + 1293.0 * v + 709e3 * x
     seen = low_pass(force[:, None], taps)[100:-100:5]
     record = Record("rig", step, {name: x}, seen, {name: (v, a)}, taps=taps, thin=5, margin=20)
-    problem = Problem(net, [record, record.part(50, 200, "rig")], [False, False])
+    problem = Problem(net, [record, record.part(50, 200, "rig")], ["fit", "fit"])
     values = {e.name: e for e in net.elements}
     assert set(values) >= {"inerter"}
     y = problem.simulate([net], 0, None)[:, 0, 0]
@@ -160,8 +162,7 @@ def test_what_a_filter_had_to_guess_is_not_compared() -> None:
 
 
 def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
-    from isd_gym.discrepancy.choose import rebuilt
-    from isd_gym.discrepancy.hypotheses import Hypothesis
+    from isd_gym.discrepancy.structure import Hypothesis, rebuilt
 
     rig = Network.load("force-rig-eq6").without_element("seal")
     top = rig.moved_nodes[0]
@@ -182,7 +183,7 @@ def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
 
 def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before() -> None:
     """It holds the constant level already; what is gone is not asked for its values."""
-    from isd_gym.discrepancy.hypotheses import Hypothesis, add, base_structure
+    from isd_gym.discrepancy.structure import Hypothesis, add, base_structure
 
     rig = Network.load("force-rig-eq6").without_element("seal")
     where = (rig.moved_nodes[0], "ground")
@@ -202,7 +203,7 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
 
 
 def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
-    from isd_gym.discrepancy.hypotheses import in_line
+    from isd_gym.discrepancy.structure import in_line
 
     car = Network.load("quarter-car-isd")
     assert in_line(car, ("body", "piston"), ("joint", "wheel"))

@@ -91,10 +91,10 @@ class Criteria:
         "sensors are checked, and can be checked again; laws of friction are not",
     )
     determined: float = limit(
-        1.0,
-        "half the 95 % interval over the value",
+        math.log(10.0),
+        "logarithm of a factor",
         "a name needs a number",
-        "an interval that leaves out zero",
+        "the 95 % interval leaves out zero and what is ten times less: three laws at a pair, a curve fit, span decades",
     )
     doubtful: float = limit(
         0.25,
@@ -182,7 +182,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             worst < c.determined and not odd,
             worst,
             c.determined,
-            "half of the widest 95 % interval over its value"
+            "logarithm of the factor by which the least certain value may be off (95 %)"
             + (f"; {odd[0].label}: {odd[0].complaint}" if odd else ""),
         ),
         Gate(
@@ -216,7 +216,9 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
         return Decision("missing_effect", gates)
     # small effects would make the gap, or do close it
     closes = bool(gates) and e.closed_by_small(c.share)
-    if (all(x < w for x, w in zip(e.excess_refit, e.worth, strict=True)) or closes) and e.believed(c.misses):
+    little = all(x < w for x, w in zip(e.excess_refit, e.worth, strict=True))
+    # what small effects make of a wide gap is no agreement
+    if (little or closes) and e.width < c.wide and e.believed(c.misses):
         return Decision(agreed, gates, small=bool(gates) and not failed & {"significant", "replicated"})
     if gates and failed <= {"ahead", "forces first"}:
         return Decision("ambiguous", gates)

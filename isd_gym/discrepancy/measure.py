@@ -68,7 +68,7 @@ def beyond_limits(search: Search, candidate: Candidate) -> tuple[str, ...]:
 
 
 def spread_of(element: el.Element, quantities: dict[str, Quantity]) -> float:
-    """Half of an effect's widest 95 % interval over its value.
+    """Half of an effect's widest 95 % interval, as the logarithm of a factor; infinite where it holds zero.
 
     Of several parameters of one unit the largest counts: a damper may well be soft in one direction.
     """
@@ -78,10 +78,16 @@ def spread_of(element: el.Element, quantities: dict[str, Quantity]) -> float:
         if q is None or f.metadata["stride"]:  # of a phase only the turn counts
             continue
         neutral = f.default if isinstance(f.default, int | float) else 0.0
-        size, half = abs(q.value - neutral), 0.5 * abs(q.high - q.low)
+        size = abs(q.value - neutral)
+        half = q.value - q.low if f.metadata["minimum"] >= 0 else 0.5 * abs(q.high - q.low)
         old = by_unit.get(q.unit, (0.0, 0.0))
         by_unit[q.unit] = max(old[0], size), max(old[1], half)
-    return max((half / max(size, 1e-300) for size, half in by_unit.values()), default=0.0)
+    return max((_factor(size, half) for size, half in by_unit.values()), default=0.0)
+
+
+def _factor(size: float, half: float) -> float:
+    """Logarithm of the factor by which a value of that size, known to +- half, may be too large."""
+    return math.inf if half >= size else -math.log1p(-half / size)
 
 
 def complaint(search: Search, candidate: Candidate, element: el.Element) -> str:

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.signal import oaconvolve, welch
 
 from ..network import Assembly, Network, assemble
@@ -116,6 +117,17 @@ def bare(network: Network) -> Network:
     return network if len(kept) == len(network.elements) else replace(network, elements=kept)
 
 
+FINEST = 20  # physics steps a sample at most
+
+
+def _through(values: Array, every: int) -> Array:
+    """A record at `every` times its rate, by a cubic spline through its samples."""
+    n = len(values)
+    return np.asarray(
+        CubicSpline(np.arange(n), values)(np.arange(every * (n - 1) + 1) / every), dtype=np.float64
+    )
+
+
 class Problem:
     """A base model and records to judge it by.
 
@@ -192,7 +204,11 @@ class Problem:
         coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
         """
         record = self.records[index]
-        every = substeps or max(1, math.ceil(record.step / self.step - 1e-9))
+        # a tenth of the time in which the motion changes, and not more than the problem's own
+        every = substeps or min(
+            max(1, math.ceil(record.step / min(self.step, 0.1 * self.time) - 1e-9)), FINEST
+        )
+        sparse = every > 1 and record.step > 0.15 * self.time
         first = networks[0]
         motored = any(e.place == "element" for e in first.elements)
         pure = {id(n): bare(n) for n in networks}  # lanes that differ in their initial state share a network
@@ -201,6 +217,10 @@ class Problem:
         inputs: dict[str, Array] = {}
         for c in first.inputs:
             fine = upsample(record.inputs[c.name], every, hold=c.quantity == "current")
+            if (
+                sparse and c.quantity != "current"
+            ):  # lines between so few samples would lack a part of the amplitude
+                fine = _through(record.inputs[c.name], every)
             if motored and c.quantity == "current":
                 columns = []
                 for n in networks:

@@ -124,11 +124,13 @@ class Search:
             left = here.excess(self.judge.floor(here))
             # a noise that is only bounded must not hide what is wide
             sure = all(k.known or e < c.misses for k, e in zip(self.judge.known, here.nrmse, strict=True))
-            done = left.max() < c.material or (len(path) > 1 and bool(np.all(left < self.worth(path[0]))))
-            if done and sure:
+            quiet = sure and left.max() < c.material
+            if len(path) > 1 and sure and (quiet or bool(np.all(left < self.worth(path[0])))):
                 break
             what = "; ".join(h.label for h in now.hypotheses) or "refitted model"
             self.say(f"looking for what is missing ({what}: excess up to {100 * left.max():.1f} %)")
+            if quiet and not self.hints(now, here):
+                break  # what is left is noise, or too little to be named
             best = self.stage(now, stages)
             if best is None:
                 break
@@ -141,6 +143,22 @@ class Search:
             if moved < c.material or self.judge.sizes(best)[-1] < c.share:
                 break
         return path, stages
+
+    def hints(self, now: Candidate, here: Outcome) -> bool:
+        """Whether what looks like noise can be explained after all: a signal as broad as noise hides its own misfit.
+
+        A few hypotheses are tried; what they explain was no noise.
+        """
+        few = replace(self.settings, heats=3, finals=2)
+        ranked = compete(self.problem, now.fit, self.floors, few).ranked
+        if not ranked:
+            return False
+        try:
+            then = self.judge.outcome(ranked[0], self.judge.weights(now))
+        except BROKEN:
+            return False
+        moved = float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max())
+        return moved >= self.criteria.material
 
     def stage(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """The best single addition to `now`; who ran is appended to `stages`. None where nothing is gained."""
@@ -187,8 +205,30 @@ class Search:
             chosen = min(known, key=lambda r: level(self.problem, r, chosen, self.floors), default=chosen)
         elif depth < len(path) - 1:
             chosen = self.settle_again(chosen, richest)
-        trial.chosen = trial.foremost = self.prune(trial, chosen)
+        trial.chosen = trial.foremost = self.refined(trial, self.prune(trial, chosen))
         return trial
+
+    def refined(self, trial: Trial, chosen: Candidate) -> Candidate:
+        """The fit begun again with other shapes where more is left than noise: from one start it may end in a place of its own."""
+        p, found = self.problem, chosen
+        if np.all(trial.of(chosen).nrmse < 1.5 * trial.floor):
+            return chosen
+        least = reckoned(p, chosen.fit, self.floors)
+        for path in [f"{e.name}.{e.shaped_by}" for e in chosen.elements if e.shaped_by]:
+            for factor in self.settings.shapes:
+                x = chosen.fit.x.copy()
+                x[[f.path for f in chosen.fit.structure.free].index(path)] += math.log(factor)
+                try:
+                    f = self.judge.plain.fit(
+                        chosen.fit.structure, x, chosen.fit.initial, chosen.fit.offset, iterations=6
+                    )
+                    again = settled(p, f.structure, f.x, self.floors, f, iterations=4, least=least)
+                    trial.of(again)
+                except BROKEN:
+                    continue
+                if again.likelihood < level(p, found, chosen, self.floors) - 2.0:
+                    found = again
+        return found
 
     def earns(self, trial: Trial, last: Candidate, now: Candidate) -> bool:
         """Whether the last effect of `now` removes half of what is left without it, and is there to be seen."""

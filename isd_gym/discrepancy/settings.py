@@ -15,7 +15,7 @@ class SearchSettings:
     relative may gain for nothing, and what a step must gain. lost: gap (power over the signal's) from which on a simulation
     that no input ties to the record has lost its phase. astray: error of the refitted model (share of a channel's
     deviation) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale;
-    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one.
+    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. shapes: multiples of a law's shape from which its fit begins again.
     """
 
     heats: int = 8
@@ -28,6 +28,7 @@ class SearchSettings:
     sure: float = 60.0
     lost: float = 0.5
     shortest: int = 80
+    shapes: tuple[float, ...] = (0.6, 0.85, 1.2, 1.7)
     astray: float = 0.5
     brief: float = 16.0
     pieces: int = 30

@@ -1,0 +1,87 @@
+"""The table of criteria: evidence made by hand, every verdict, and every gate that can fail."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from isd_gym.discrepancy.criteria import CRITERIA, Criteria, decide, gates_of, table
+from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
+
+FRICTION = EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=0.05)
+GAIN = EffectEvidence("sensor_gain at position", share=0.2, spread=0.05, sensor=True, fault=0.1)
+
+#: friction that explains a gap of 30 % down to noise of 2 %, with no rival in sight
+GOOD = Evidence(
+    channels=("position",),
+    before=(0.4,),
+    refit=(0.3,),
+    after=(0.021,),
+    floor=(0.02,),
+    floor_known=(True,),
+    worth=(0.03,),
+    effects=(FRICTION,),
+    gain=2000.0,
+    halved=True,
+    again=9.0,
+    explained=0.995,
+    lead=50.0,
+    force_lead=50.0,
+    closest=(0.021,),
+    closest_share=0.4,
+)
+
+
+def test_a_name_passes_every_gate() -> None:
+    d = decide(GOOD)
+    assert d.verdict == "missing_effect"
+    assert d.gates and all(g.passed for g in d.gates)
+
+
+@pytest.mark.parametrize(
+    ("gate", "change", "verdict"),
+    [
+        ("significant", {"gain": 20.0, "halved": False}, "unknown_effect"),
+        ("replicated", {"again": 0.5}, "unknown_effect"),
+        ("material", {"effects": (replace(FRICTION, share=0.02),), "explained": 0.7}, "unknown_effect"),
+        ("adequate", {"explained": 0.6, "after": (0.2,), "closest": (0.2,)}, "unknown_effect"),
+        ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
+        ("determined", {"effects": (replace(FRICTION, complaint="beyond its reach"),)}, "unknown_effect"),
+        ("ahead", {"abreast": ("hysteresis at mass-ground",), "lead": 1.0}, "ambiguous"),
+        ("forces first", {"effects": (GAIN,), "force_lead": 1.2}, "ambiguous"),
+        ("forces first", {"effects": (replace(GAIN, fault=0.4),)}, "ambiguous"),
+    ],
+)
+def test_each_gate_can_fail_and_the_verdict_follows(gate: str, change: dict, verdict: str) -> None:
+    d = decide(replace(GOOD, **change))
+    assert [g.name for g in d.gates if not g.passed] == [gate]
+    assert d.verdict == verdict
+
+
+def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told() -> None:
+    small = (replace(FRICTION, share=0.02),)
+    assert decide(replace(GOOD, effects=small)).verdict == "missing_effect"
+    narrow = replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02)
+    d = decide(narrow)
+    assert d.verdict == "parameters_only"
+    assert d.small
+    assert [g.name for g in d.gates if not g.passed] == ["material"]
+
+
+def test_agreement_needs_a_noise_that_is_known_or_a_small_error() -> None:
+    quiet = replace(GOOD, before=(0.021,), refit=(0.02,), after=(0.02,), effects=(), closest=())
+    assert decide(quiet).verdict == "no_discrepancy"
+    assert decide(replace(quiet, before=(0.2,))).verdict == "parameters_only"
+    # 99.7 % of the signal left and called noise, of which nothing is known beforehand
+    broad = replace(quiet, refit=(0.997,), floor=(0.997,), floor_known=(False,))
+    assert decide(broad).verdict == "unknown_effect"
+
+
+def test_criteria_are_arguments_and_say_why_they_are() -> None:
+    strict = Criteria(share=0.5)
+    assert decide(replace(GOOD, explained=0.89, closest_share=0.9), strict).verdict == "unknown_effect"
+    rows = table()
+    assert {r["id"] for r in rows} == set(Criteria.__dataclass_fields__)
+    assert all(r["unit"] and r["why"] and r["source"] for r in rows)
+    assert {g.name for g in gates_of(GOOD, CRITERIA)} >= {"material", "ahead", "forces first"}

@@ -1,0 +1,104 @@
+"""An element that a user registers is a hypothesis like any other: tried, fitted, named, drawn."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from isd_gym import elements as el
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.hypotheses import hypotheses
+from isd_gym.network import Network
+
+RIG = {
+    "schema": "isd-model/1",
+    "name": "shaken",
+    "masses": {"mass": 2.0},
+    "elements": [
+        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 800.0},
+        {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 8.0},
+    ],
+    "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
+    "outputs": [{"name": "position", "quantity": "displacement", "at": "mass", "unit": "m"}],
+    "uncertainty": {"spring.stiffness": 0.05, "damper.damping": 0.1},
+}
+
+
+def _softening(p, d, v, d_last, z, h):
+    return p[0] * math.tanh(d / p[1]), z
+
+
+@pytest.fixture
+def registered():
+    class Softening(el.Element):
+        type = "softening_clip"
+        equation = "F = f tanh(d / l)"
+        source = "a user's own clip"
+        law = staticmethod(_softening)
+        force: float = el.parameter("N", 1.0, 100.0)
+        length: float = el.parameter("m", 1e-4, 1e-2, open_end=True)
+
+    el.register(Softening)
+    yield Softening
+    del el.TYPES["softening_clip"]
+
+
+def record(seed: int, force: float, length: float, seconds: float = 12.0) -> Table:
+    """The true rig, by a Runge-Kutta of its own at a tenth of the step."""
+    rng = np.random.default_rng(seed)
+    step, parts = 4e-3, 10
+    n = int(seconds / step)
+    t = np.arange(n * parts) * step / parts
+    w = 2 * np.pi * rng.uniform(0.5, 6.0, 12)
+    phase = rng.uniform(0, 2 * np.pi, 12)
+    base = 0.003 * np.sum([np.sin(a * t + b) for a, b in zip(w, phase, strict=True)], axis=0)
+    rate = 0.003 * np.sum([a * np.cos(a * t + b) for a, b in zip(w, phase, strict=True)], axis=0)
+    m, k, c = 2.0, 812.0, 7.8
+    x = v = 0.0
+    out, h = np.empty(n), step / parts
+
+    def slope(x, v, b, r):
+        d = x - b
+        return v, -(k * d + c * (v - r) + force * math.tanh(d / length)) / m
+
+    for i in range(n * parts - 1):
+        if i % parts == 0:
+            out[i // parts] = x
+        b2, r2 = 0.5 * (base[i] + base[i + 1]), 0.5 * (rate[i] + rate[i + 1])
+        k1 = slope(x, v, base[i], rate[i])
+        k2 = slope(x + 0.5 * h * k1[0], v + 0.5 * h * k1[1], b2, r2)
+        k3 = slope(x + 0.5 * h * k2[0], v + 0.5 * h * k2[1], b2, r2)
+        k4 = slope(x + h * k3[0], v + h * k3[1], base[i + 1], rate[i + 1])
+        x += h / 6 * (k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0])
+        v += h / 6 * (k1[1] + 2 * k2[1] + 2 * k3[1] + k4[1])
+    out += 2e-5 * rng.standard_normal(n)
+    return Table(t[::parts], {"base": base[::parts], "position": out}, f"drive {seed}")
+
+
+def test_it_is_tried_at_every_place(registered) -> None:
+    tried = {(h.effect, h.where) for h in hypotheses(Network.load(RIG))}
+    assert ("softening_clip", ("mass", "base")) in tried
+    assert ("softening_clip", ("mass", "ground")) in tried
+
+
+def test_its_starts_are_sized_by_the_motion_though_it_says_nothing_of_them(registered) -> None:
+    d = 0.02 * np.sin(np.linspace(0, 20, 2000))
+    motion = el.Motion(d, np.gradient(d, 0.01), d)
+    at = el.Setting(Network.load(RIG), ("mass", "base"), motion, force=16.0)
+    starts = registered.starts(at)
+    assert len(starts) == 3 and all(s.grows == ("force",) for s in starts)
+    for s in starts:
+        law = s.values["force"] * np.tanh(d / s.values["length"])
+        assert el.rms(law) == pytest.approx(el.PROBE * 16.0, rel=0.05)
+
+
+def test_it_is_named_where_it_is_hidden(registered) -> None:
+    found = diagnose([record(1, 6.0, 0.004)], RIG, validate=[record(2, 6.0, 0.004)])
+    assert found.verdict == "missing_effect"
+    (effect,) = found.effects
+    assert (effect.effect, set(effect.between or ())) == ("softening_clip", {"mass", "base"})
+    assert effect.parameters["force"].value == pytest.approx(6.0, rel=0.1)
+    assert found.laws and found.model.element(effect.element).type == "softening_clip"
