@@ -208,10 +208,11 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
 def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     """The verdict that the evidence allows."""
     agreed: Verdict = "no_discrepancy" if e.agrees_before else "parameters_only"
-    if all(x < c.material for x in e.excess_refit) and e.believed(c.misses):
-        return Decision(agreed, ())
     gates = gates_of(e, c) if e.effects else ()
     failed = {g.name for g in gates if not g.passed}
+    there = bool(gates) and not failed & {"significant", "replicated", "determined"}
+    if all(x < c.material for x in e.excess_refit) and e.believed(c.misses):
+        return Decision(agreed, gates, small=there)
     if gates and not failed:
         return Decision("missing_effect", gates)
     # small effects would make the gap, or do close it
@@ -219,7 +220,7 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     little = all(x < w for x, w in zip(e.excess_refit, e.worth, strict=True))
     # what small effects make of a wide gap is no agreement
     if (little or closes) and e.width < c.wide and e.believed(c.misses):
-        return Decision(agreed, gates, small=bool(gates) and not failed & {"significant", "replicated"})
+        return Decision(agreed, gates, small=there)
     if gates and failed <= {"ahead", "forces first"}:
         return Decision("ambiguous", gates)
     return Decision("unknown_effect", gates)

@@ -47,6 +47,12 @@ class Finish:
     white: Array
 
 
+def shape_of(r: Candidate) -> int | None:
+    """Which free number shapes its last effect."""
+    path = f"{r.fit.structure.names[-1]}.{r.hypotheses[-1].kind.shaped_by}"
+    return next((k for k, f in enumerate(r.fit.structure.free) if f.path == path), None)
+
+
 def widest(record: Record, residual: Array, settings: SearchSettings) -> Window:
     """The stretch of a record in which the whitened residual (n, channels) is largest: elsewhere an effect may be silent."""
     size = min(max(int(settings.window * len(record)), settings.least_window), len(record))
@@ -176,8 +182,7 @@ class Race:
     def elsewhere(self, r: Candidate, factor: float, cold: Array) -> Candidate:
         """The fit begun again with another shape, where that is better: from one start it may end in a place of its own."""
         x = r.fit.x.copy()
-        path = f"{r.fit.structure.names[-1]}.{r.hypotheses[-1].kind.shaped_by}"
-        x[[f.path for f in r.fit.structure.free].index(path)] += math.log(factor)
+        x[shape_of(r)] += math.log(factor)
         try:
             begun = Fitter(self.problem, plain(cold)).fit(
                 r.fit.structure, x, r.fit.initial, r.fit.offset, iterations=5
@@ -203,7 +208,7 @@ class Race:
             # what the best of them leaves is what is trusted now
             cold = np.min([reckoned(self.problem, r.fit, self.floors) for r in ranked], axis=0)
             ranked = _came_in(pool.map(lambda r: self.polish(r, cold), ranked))
-            again = [(r, k) for r in ranked[:2] if r.hypotheses[-1].kind.shaped_by for k in (0.5, 2.0)]
+            again = [(r, k) for r in ranked[:2] if shape_of(r) is not None for k in (0.5, 2.0)]
             for r, other in zip(
                 [r for r, _ in again],
                 pool.map(lambda t: self.elsewhere(t[0], t[1], cold), again),

@@ -129,8 +129,14 @@ class Search:
                 break
             what = "; ".join(h.label for h in now.hypotheses) or "refitted model"
             self.say(f"looking for what is missing ({what}: excess up to {100 * left.max():.1f} %)")
-            if quiet and not self.hints(now, here):
-                break  # what is left is noise, or too little to be named
+            if quiet:
+                hint = self.hint(now)
+                if hint is None:
+                    break
+                if not self.moves(hint, now, here):  # too little to be named, but it may be told
+                    path.append(hint)
+                    stages.append([hint])
+                    break
             best = self.stage(now, stages)
             if best is None:
                 break
@@ -144,21 +150,21 @@ class Search:
                 break
         return path, stages
 
-    def hints(self, now: Candidate, here: Outcome) -> bool:
-        """Whether what looks like noise can be explained after all: a signal as broad as noise hides its own misfit.
-
-        A few hypotheses are tried; what they explain was no noise.
-        """
+    def hint(self, now: Candidate) -> Candidate | None:
+        """What explains best what looks like noise: a signal as broad as noise hides its own misfit. A few are tried."""
         few = replace(self.settings, heats=3, finals=2)
-        ranked = compete(self.problem, now.fit, self.floors, few).ranked
-        if not ranked:
-            return False
+        finish = compete(self.problem, now.fit, self.floors, few)
+        here = level(self.problem, now, now, np.maximum(self.floors, 0.1 * finish.white))
+        best = next(iter(finish.ranked), None)
+        return best if best is not None and here - best.likelihood > self.criteria.significant else None
+
+    def moves(self, candidate: Candidate, now: Candidate, here: Outcome) -> bool:
+        """Whether a candidate moves a channel of the held-out records enough to be named."""
         try:
-            then = self.judge.outcome(ranked[0], self.judge.weights(now))
+            then = self.judge.outcome(candidate, self.judge.weights(now))
         except BROKEN:
             return False
-        moved = float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max())
-        return moved >= self.criteria.material
+        return float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max()) >= self.criteria.material
 
     def stage(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """The best single addition to `now`; who ran is appended to `stages`. None where nothing is gained."""
@@ -214,10 +220,12 @@ class Search:
         if np.all(trial.of(chosen).nrmse < 1.5 * trial.floor):
             return chosen
         least = reckoned(p, chosen.fit, self.floors)
-        for path in [f"{e.name}.{e.shaped_by}" for e in chosen.elements if e.shaped_by]:
+        free = [f.path for f in chosen.fit.structure.free]
+        shapes = [f"{e.name}.{e.shaped_by}" for e in chosen.elements if e.shaped_by]
+        for k in [free.index(path) for path in shapes if path in free]:
             for factor in self.settings.shapes:
                 x = chosen.fit.x.copy()
-                x[[f.path for f in chosen.fit.structure.free].index(path)] += math.log(factor)
+                x[k] += math.log(factor)
                 try:
                     f = self.judge.plain.fit(
                         chosen.fit.structure, x, chosen.fit.initial, chosen.fit.offset, iterations=6

@@ -50,7 +50,7 @@ def sentence(
     text = _core(verdict, effects, contenders, where, worst, percent, gap, material)
     if small:
         shares = " and ".join(f"{x.share:.1%} of the force" for x in evidence.effects)
-        text += f" A small effect would explain it: {' and '.join(described(e) for e in small)}, {shares}."
+        text += f" Too small to be named: {' and '.join(described(e) for e in small)}, {shares}."
     unknown = [c for c, k in zip(evidence.channels, evidence.floor_known, strict=True) if not k]
     if unknown and verdict in ("no_discrepancy", "parameters_only", "unknown_effect"):
         text += f" How much of {', '.join(unknown)} is noise cannot be told from these data."
