@@ -27,7 +27,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from grading import grade, graded, named, pair
 
 from isd_gym.data import Table, read_table
-from isd_gym.discrepancy.hypotheses import add, base_structure, hypotheses, standing
+from isd_gym.discrepancy.hypotheses import hypotheses
+from isd_gym.discrepancy.structure import add, base_structure
+from isd_gym.elements import beside as standing
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.simulate import simulate

@@ -412,6 +412,17 @@ def diagnose(
         list[str] | None,
         typer.Option(help="The unit a channel has in the files.", metavar="CHANNEL=UNIT"),
     ] = None,
+    accept: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A check of the data that only warns: held, jumps, magnitude, length, constant, silent, copies, all.",
+            metavar="CHECK",
+        ),
+    ] = None,
+    elements: Annotated[
+        list[Path] | None,
+        typer.Option(help="A Python file of yours that registers elements: it is run.", metavar="FILE.py"),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of the resampling that gives the confidence.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -422,6 +433,7 @@ def diagnose(
 
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found --validate test3.csv
     """
+    from . import elements as el
     from .data import read_table
     from .discrepancy import diagnose as run
     from .network import Network
@@ -429,6 +441,8 @@ def diagnose(
 
     check_target(out)
     check_file(json_file)
+    for file in elements or ():
+        el.register_file(file)
     network = Network.load(model)
     options: dict[str, Any] = {
         "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
@@ -441,7 +455,7 @@ def diagnose(
     _check_records(data, validate or [])
     with lines() as say:
         fitted, held = ([read_table(f, **options) for f in files] for files in (data, validate or []))
-        result = run(fitted, network, validate=held, progress=say, seed=seed)
+        result = run(fitted, network, validate=held, accept=accept or (), progress=say, seed=seed)
         say("writing the report")
         about = {
             "Model": model,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -28,13 +28,14 @@ class Finding:
 
     `level`: error (the record cannot be used as it is), warning (a result that rests on it is in doubt) or note;
     `channel`: '' where it is the whole record; `message`: one line; `where`: the spans of time [s] concerned, the
-    first 20 of them, empty where it is all of the record.
+    first 20 of them, empty where it is all of the record; `check`: the name of the check (one of `CHECKS`).
     """
 
     level: Level
     channel: str
     message: str
     where: tuple[Span, ...] = ()
+    check: str = ""
 
     def __str__(self) -> str:
         return f"{self.level}: {self.channel + ': ' if self.channel else ''}{self.message}"
@@ -50,6 +51,8 @@ QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "current": ("A", 200.0, 1000.0, 1e-4),
 }
 MIN_SAMPLES = 200
+#: the checks by name; one that refuses a record may be accepted by its name
+CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies")
 _MAX_SPEED = 15.0  # [m/s] RMS that a displacement may imply; wheels and rods stay below 5
 
 
@@ -68,9 +71,10 @@ def check(table: Table, *, inputs: Mapping[str, str], outputs: Mapping[str, str]
             raise InputError(f"'{name}': unknown quantity '{quantity}' (known: {', '.join(QUANTITIES)})")
         unit = QUANTITIES[quantity][0]
         values[name] = convert(table[name], table.units.get(name) or unit, unit)
-    found = _check_time(table.time)
+    found = _named("time", _check_time(table.time))
     if len(table) < MIN_SAMPLES:
-        found.append(Finding("error", "", f"too short: {len(table)} samples of at least {MIN_SAMPLES}"))
+        text = f"too short: {len(table)} samples of at least {MIN_SAMPLES}"
+        found.append(Finding("error", "", text, check="length"))
     if any(f.level == "error" for f in found):
         return found  # without a time base nothing else can be judged
     time = table.uniform().time
@@ -82,30 +86,37 @@ def check(table: Table, *, inputs: Mapping[str, str], outputs: Mapping[str, str]
         if bad.any():
             where = _spans(bad, time)
             text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s"
-            found.append(Finding("error", name, text, where))
+            found.append(Finding("error", name, text, where, "finite"))
             continue
         if np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
             text = f"is constant ({x[0]:.6g})"
-            dead = Finding("error", name, f"{text}: a dead sensor, or an empty column?")
-            found.append(Finding("note", name, text) if name in inputs else dead)
+            dead = Finding("error", name, f"{text}: a dead sensor, or an empty column?", check="constant")
+            found.append(Finding("note", name, text, check="constant") if name in inputs else dead)
             continue
-        found += _check_magnitude(name, quantity, x, table.step)
+        found += _named("magnitude", _check_magnitude(name, quantity, x, table.step))
         noise, resolution = _grain(x)
         if noise > resolution:
             chance[name] = min(1.0, resolution / (2.5 * noise))  # that two samples of it are equal, at rest
         if name in outputs or quantity not in ("current", "force"):  # drives saturate and hold by design
-            held = _check_held(name, quantity, x, time, noise, resolution, name in inputs)
+            held = _named("held", _check_held(name, quantity, x, time, noise, resolution, name in inputs))
             found += held
             if all(f.level == "note" for f in held):  # what follows a frozen stretch looks like a jump
                 grain = max(3 * noise, resolution)
-                found += _check_spikes(name, quantity, x, time, grain, name in inputs and noise <= resolution)
+                command = name in inputs and noise <= resolution
+                found += _named("jumps", _check_spikes(name, quantity, x, time, grain, command))
         if name in outputs:
             moving[name] = _moves(x, [values[n] for n in inputs])
     for name in (n for n, moves in moving.items() if not moves):
         level: Level = "warning" if any(moving.values()) else "error"
-        found.append(Finding(level, name, "holds nothing but noise: no excitation, or not connected?"))
-    found += _check_copies({n: x for n, x in values.items() if np.all(np.isfinite(x))}, chance, time)
+        text = "holds nothing but noise: no excitation, or not connected?"
+        found.append(Finding(level, name, text, check="silent"))
+    finite = {n: x for n, x in values.items() if np.all(np.isfinite(x))}
+    found += _named("copies", _check_copies(finite, chance, time))
     return sorted(found, key=lambda f: ("error", "warning", "note").index(f.level))
+
+
+def _named(check: str, findings: Iterable[Finding]) -> list[Finding]:
+    return [replace(f, check=check) for f in findings]
 
 
 def _spans(flags: np.ndarray, time: np.ndarray) -> tuple[Span, ...]:
@@ -231,8 +242,10 @@ def _check_held(
     if noise > resolution:
         equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, resolution / (2.5 * noise)), 1.0 / n)
         least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
+        # what sticks rests at many levels, and so at its extremes, too
+        sticks = len(np.unique(x[starts[lengths >= least]])) >= 5
         for value, what in ends:
-            count = np.sum(x == value)
+            count = 0 if sticks else np.sum(x == value)
             beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise  # at a value next to it
             if count >= max(least, 5 + 10 * beside):
                 text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
@@ -240,8 +253,8 @@ def _check_held(
                 clipped.append(value)
         held = (lengths >= least) & ~np.isin(x[starts], clipped)
         severe = lengths[held].sum() > 0.01 * n or (held.any() and lengths[held].max() * step > 0.1)
-        rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1
-        level = "error" if severe and not rests else "warning"  # rests: stick and slip, simulated
+        rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # stick and slip, simulated
+        level = "error" if severe and not rests and not sticks else "warning"
     else:
         into = np.abs(np.diff(x, prepend=x[0]))[starts]  # the last step, against the curvature just before it
         second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))

@@ -11,6 +11,7 @@ from isd_gym import elements as el
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
 from isd_gym.discrepancy.hypotheses import hypotheses
+from isd_gym.errors import InputError
 from isd_gym.network import Network
 
 RIG = {
@@ -102,3 +103,55 @@ def test_it_is_named_where_it_is_hidden(registered) -> None:
     assert (effect.effect, set(effect.between or ())) == ("softening_clip", {"mass", "base"})
     assert effect.parameters["force"].value == pytest.approx(6.0, rel=0.1)
     assert found.laws and found.model.element(effect.element).type == "softening_clip"
+
+
+LAW = """
+import math
+from isd_gym import elements as el
+
+def law(p, d, v, d_last, z, h):
+    return p[0] * math.tanh(d / p[1]), z
+
+class Clip(el.Element):
+    type = "filed_clip"
+    law = staticmethod(law)
+    force: float = el.parameter("N", 1.0, 100.0)
+    length: float = el.parameter("m", 1e-4, 1e-2, open_end=True)
+
+el.register(Clip)
+"""
+
+
+def test_a_file_of_the_users_own_registers_elements(tmp_path) -> None:
+    file = tmp_path / "law.py"
+    file.write_text(LAW)
+    try:
+        el.register_file(file)
+        assert any(h.effect == "filed_clip" for h in hypotheses(Network.load(RIG)))
+    finally:
+        el.TYPES.pop("filed_clip", None)
+    (tmp_path / "none.py").write_text("x = 1")
+    with pytest.raises(InputError, match="registers no element"):
+        el.register_file(tmp_path / "none.py")
+    (tmp_path / "broken.py").write_text("1 / 0")
+    with pytest.raises(InputError, match="ZeroDivisionError"):
+        el.register_file(tmp_path / "broken.py")
+
+
+def test_a_package_offers_elements_through_its_entry_point(monkeypatch) -> None:
+    class Entry:
+        def load(self):
+            def offer() -> None:
+                el.register(
+                    type("Offered", (el.LinearDamping,), {"type": "offered_damper", "__module__": __name__})
+                )
+
+            return offer
+
+    monkeypatch.setattr("isd_gym.elements.base.entry_points", lambda group: [Entry()])
+    el.discover.cache_clear()
+    try:
+        assert any(h.effect == "offered_damper" for h in hypotheses(Network.load(RIG)))
+    finally:
+        el.TYPES.pop("offered_damper", None)
+        el.discover.cache_clear()

@@ -204,11 +204,11 @@ class Problem:
         coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
         """
         record = self.records[index]
-        # a tenth of the time in which the motion changes, and not more than the problem's own
+        # a third of the time in which the motion changes (the linear part is exact), and not more than the problem's own
         every = substeps or min(
-            max(1, math.ceil(record.step / min(self.step, 0.1 * self.time) - 1e-9)), FINEST
+            max(1, math.ceil(record.step / min(self.step, 0.3 * self.time) - 1e-9)), FINEST
         )
-        sparse = every > 1 and record.step > 0.15 * self.time
+        sparse = every > 1 and record.step > 0.3 * self.time
         first = networks[0]
         motored = any(e.place == "element" for e in first.elements)
         pure = {id(n): bare(n) for n in networks}  # lanes that differ in their initial state share a network

@@ -11,13 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from ..data import Table, check, read_table
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..network import Channel, Network
+from ..quality import CHECKS
 from ..units import UNITS, convert
 from .problem import Array, Record, Role, low_pass
 
 #: length of the stretches in which held-out records are judged, in the rig's own time scale: some thirty periods
 STRETCH = 200.0
+
+
+#: checks without which there is nothing to compare
+UNACCEPTABLE = ("time", "finite")
 
 
 def read(
@@ -27,6 +32,10 @@ def read(
 
     accept: names of checks (or 'all') whose errors are only warnings here.
     """
+    for name in accept:
+        if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
+            known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
+            raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
     expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
     table = source if isinstance(source, Table) else read_table(source, expected=expected)
     for name in expected:
@@ -37,8 +46,11 @@ def read(
         outputs={c.name: c.quantity for c in network.outputs},
     )
     for f in findings:
-        if f.level == "error":
-            raise InputError(f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}")
+        message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
+        if f.level == "error" and f.check in UNACCEPTABLE:
+            raise InputError(message)
+        if f.level == "error" and not {f.check, "all"} & set(accept):
+            raise InputError(f"{message} (--accept {f.check} goes on)")
         notes.append(f"{Path(table.source).name}: {f}")
     table = table.uniform()
 

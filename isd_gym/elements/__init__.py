@@ -34,6 +34,7 @@ from .base import (
     parameter,
     parameter_fields,
     register,
+    register_file,
     rms,
 )
 from .drives import DRIVE_ORDER, ActuatorDelay, ActuatorLag, ThrustSaturation, delayed
@@ -90,5 +91,6 @@ __all__ = [
     "parameter",
     "parameter_fields",
     "register",
+    "register_file",
     "rms",
 ]

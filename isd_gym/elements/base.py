@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import functools
 import math
+import runpy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -339,6 +341,20 @@ def discover() -> None:
         found = entry.load()
         if callable(found) and not isinstance(found, type):
             found()
+
+
+def register_file(path: str | Path) -> None:
+    """Run a Python file of the user's own that registers elements. Raises `InputError` where it cannot be run."""
+    path = Path(path)
+    if path.suffix != ".py" or not path.is_file():
+        raise InputError(f"no Python file {shown(str(path))} with elements")
+    before = dict(TYPES)
+    try:
+        runpy.run_path(str(path), run_name=path.stem)
+    except Exception as error:
+        raise InputError(f"{shown(str(path))} does not run: {type(error).__name__}: {error}") from None
+    if before == TYPES:
+        raise InputError(f"{shown(str(path))} registers no element (isd_gym.elements.register)")
 
 
 # ------------------------------------------------------------------------------- starts of a stranger's law
