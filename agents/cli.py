@@ -35,6 +35,9 @@ def train(
     randomize: Annotated[
         bool, typer.Option("--randomize", help="Vary mass, friction, thrust constant, road and speed.")
     ] = False,
+    preview: Annotated[
+        float, typer.Option(help="Road ahead that the policy sees [s], e.g. 0.1; none unless given.", min=0.0)
+    ] = 0.0,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
@@ -62,6 +65,7 @@ def train(
             road=road,
             speed=speed,
             randomize=randomize,
+            preview=preview,
             say=say,
             progress=progress,
         )

@@ -31,6 +31,11 @@ def open_policy(
         return None
     if abs(control_step - first.memory.step) > 1e-9:
         raise InputError(f"policy '{name}' acts every {first.memory.step:g} s, not every {control_step:g} s")
+    asked = options.get("preview")
+    if asked is not None and first.preview and abs(asked - first.preview) > 1e-9:
+        raise InputError(
+            f"policy '{name}' was trained with {first.preview:g} s of road ahead, not {asked:g} s"
+        )
     first.check(model)
     return Entry(first.name, first.copy)
 

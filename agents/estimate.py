@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.lqg import Lqg
+from baselines.lqg import Lqg, LqgSettings
 from baselines.model import N_SENSORS
 from isd_gym.batch import SLEW_LIMIT
 from isd_gym.env import ISDSuspensionVectorEnv
@@ -19,12 +19,14 @@ CARS, STEPS, FORGET = 32, 1500, 300  # of the drive that gives the spread of the
 SEED = 800_000  # roads that nothing else uses
 
 
-def lqg_filter(network: Network, control_step: float = 5e-3) -> Filter:
+def lqg_filter(network: Network, control_step: float = 5e-3, preview: float = 0.0) -> Filter:
     """The filter and law of `baselines.lqg` for `network`, in coordinates of unit spread as the LQG drives it.
+
+    `preview` [s]: of road ahead that both know.
 
     Raises `InputError` for a network that has none: no car, no motor.
     """
-    controller = Lqg(network, control_step=control_step)
+    controller = Lqg(network, control_step=control_step, settings=LqgSettings(preview=preview))
     m = controller.prediction
     if m.thrust == 0.0:
         raise InputError(f"network '{network.name}' has no motor")
@@ -45,13 +47,26 @@ def lqg_filter(network: Network, control_step: float = 5e-3) -> Filter:
         law=controller._law @ back,
         rate=controller._rate @ back / controller.settings.width,
     )
+    if preview > 0:
+        matrices |= dict(
+            road=T @ m.P,
+            law_ahead=controller._law_ahead,
+            rate_ahead=controller._rate_ahead / controller.settings.width,
+        )
     plain: dict[str, Any] = {k: tuples(np.asarray(v).tolist()) for k, v in matrices.items()}
     return Filter(**plain, force=float(controller._force), slew=SLEW_LIMIT)
 
 
 def _spread(controller: Lqg, network: Network, control_step: float) -> np.ndarray:
     """Second moments (n, n) of the estimate while `controller` drives `network`."""
-    env = ISDSuspensionVectorEnv(CARS, network=network, control_step=control_step, autoreset_mode="disabled")
+    env = ISDSuspensionVectorEnv(
+        CARS,
+        network=network,
+        control_step=control_step,
+        observation=controller.observation,
+        preview=controller.preview or control_step,
+        autoreset_mode="disabled",
+    )
     obs, _ = env.reset(seed=SEED)
     controller.reset_batch(CARS)
     seen = []

@@ -31,6 +31,9 @@ class Filter:
     ``z+ = x + L (y - C x - D I - F f)`` with ``x = free + G f``; y: the first signals, I: `current` among them [A].
     Then the law ``I* = law z - force tanh(rate z)`` [A], of which ``(I* - I) / slew`` within ±`reach` is told, and
     the `offset` [A] that the policy's head keeps from it, if it does.
+
+    Where the road ahead is seen: `road` (n,), what a known rise of 1 m over the last step does to z; `law_ahead` and
+    `rate_ahead` (points,), what the rises of the next steps add to the law and to its rate [1/m].
     """
 
     A: tuple[tuple[float, ...], ...]
@@ -48,18 +51,25 @@ class Filter:
     slew: float = 0.5
     reach: float = 2.0
     current: int = 5
+    road: tuple[float, ...] = ()
+    law_ahead: tuple[float, ...] = ()
+    rate_ahead: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         try:
             n, nf, ny = len(self.B), len(self.K), len(self.D)
+            ahead, known = len(self.law_ahead), len(self.road)
         except TypeError:
-            raise InputError("memory: filter's B, K and D must be lists of numbers") from None
-        if not (0 < n <= STATES and nf <= STATES and ny <= SIGNALS):
+            raise InputError("memory: filter's B, K, D, road and law_ahead must be lists of numbers") from None
+        if not (0 < n <= STATES and nf <= STATES and ny <= SIGNALS and ahead <= SIGNALS):
             raise InputError(f"memory: filter has more than {STATES} states or {SIGNALS} signals")
+        if known not in (0, n):
+            raise InputError(f"memory: filter's road must have {n} numbers or none, not {known}")
         shapes = dict(
             A=(n, n), B=(n,), G=(n, nf), S=(nf, n), K=(nf, nf), C=(ny, n), D=(ny,), F=(ny, nf), L=(n, ny)
         )
-        for name, shape in (shapes | dict(law=(n,), rate=(n,))).items():
+        views = dict(road=(known,), law_ahead=(ahead,), rate_ahead=(ahead,))
+        for name, shape in (shapes | dict(law=(n,), rate=(n,)) | views).items():
             try:
                 value = np.array(getattr(self, name), float)
             except (TypeError, ValueError, OverflowError):
@@ -103,7 +113,8 @@ class Memory:
 
     scale: of each signal [its SI unit]. change: of its change over one control step; changes of order 1 to `order` are
     fed, each over it. leak: signal index -> (time constant [s], scale) of leaky integrals.
-    filter: an estimate fed besides. step: control step [s]. No scale means that the signals pass unchanged.
+    ahead: points of the road ahead that follow the signals in an observation, one a control step; their rises are fed over
+    `rise` [m]. filter: an estimate fed besides. step: control step [s]. No scale means that the signals pass unchanged.
     """
 
     scale: tuple[float, ...] = ()
@@ -112,12 +123,18 @@ class Memory:
     leak: tuple[tuple[int, float, float], ...] = ()
     step: float = 5e-3
     filter: Filter | None = None
+    ahead: int = 0
+    rise: float = 1.4e-3  # RMS of the paper's road over a control step
 
     def __post_init__(self) -> None:
         if not 0 <= self.order <= ORDERS:
             raise InputError(f"memory: order must be 0 to {ORDERS}, not {shown(self.order)}")
         if max(len(self.scale), len(self.change), len(self.leak)) > SIGNALS:
             raise InputError(f"memory: more than {SIGNALS} signals or leaks")
+        if not 0 <= self.ahead <= SIGNALS or not 1 / LARGEST < self.rise < LARGEST:
+            raise InputError(f"memory: ahead must be 0 to {SIGNALS} points and rise > 0")
+        if self.filter and len(self.filter.law_ahead) > self.ahead:
+            raise InputError("memory: its filter looks farther ahead than the observation")
         if self.order > 0 and len(self.change) != len(self.scale):
             raise InputError("memory: change needs one scale for each signal")
         if any(not 1 / LARGEST < s < LARGEST for s in (*self.scale, *self.change)):
@@ -133,7 +150,7 @@ class Memory:
                 )
 
     def width(self, signals: int) -> int:
-        """Number of features of `signals` measured signals."""
+        """Number of features of `signals` measured signals (the road ahead not among them)."""
         if self.scale and signals != len(self.scale):
             raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
         return signals * (1 + self.order) + self.extra
@@ -141,7 +158,7 @@ class Memory:
     @property
     def extra(self) -> int:
         """Number of features besides the signals and their changes."""
-        return len(self.leak) + (self.filter.width if self.filter else 0)
+        return len(self.leak) + self.ahead + (self.filter.width if self.filter else 0)
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -156,6 +173,8 @@ class Memory:
                 leak=tuple((int(i), float(t), float(s)) for i, t, s in data.get("leak", ())),
                 step=float(data.get("step", 5e-3)),
                 filter=Filter.from_dict(data["filter"]) if data.get("filter") else None,
+                ahead=int(data.get("ahead", 0)),
+                rise=float(data.get("rise", 1.4e-3)),
             )
         except InputError:
             raise
@@ -163,7 +182,7 @@ class Memory:
             raise InputError(f"memory: {error}") from None
 
     def start(self, observations: np.ndarray) -> Recall:
-        """Memory of cars that begin now, at `observations` (count, signals)."""
+        """Memory of cars that begin now, at `observations` (count, signals, then the road ahead)."""
         return Recall(self, observations)
 
 
@@ -172,7 +191,8 @@ class Recall:
 
     def __init__(self, memory: Memory, observations: np.ndarray) -> None:
         self.memory = memory
-        count, signals = observations.shape
+        count, columns = observations.shape
+        signals = columns - memory.ahead
         self.features = np.empty((count, memory.width(signals)), np.float32)
         self._signals = signals
         self.scale = np.array(memory.scale or [1.0] * signals, np.float32)
@@ -183,6 +203,9 @@ class Recall:
             (i, np.float32(1 - memory.step / tau), np.float32(memory.step / scale))
             for i, tau, scale in memory.leak
         ]
+        first = memory.width(signals) - memory.extra + len(memory.leak)
+        self._road = slice(first, first + memory.ahead)  # columns of the rises
+        self._rise = np.float32(memory.rise)
         self.filter = _Filter(memory.filter, count) if memory.filter else None
         self.begin(np.ones(count, bool), observations)
 
@@ -190,14 +213,23 @@ class Recall:
         """Forget the cars `which` (mask): they start anew at `observations` (count, signals)."""
         f, n = self.features, self._signals
         f[which] = 0.0
-        f[which, :n] = observations[which] / self.scale
+        f[which, :n] = observations[which, :n] / self.scale
+        if self.memory.ahead:
+            f[which, self._road] = self._rises(observations[which])
         if self.filter:
             self.filter.wanted[which] = 0.0
+
+    def _rises(self, observations: np.ndarray) -> np.ndarray:
+        """By how much the road rises in the next control steps, over its scale (count, ahead)."""
+        heights = observations[:, self._signals :]
+        out = heights / self._rise
+        out[:, 1:] -= heights[:, :-1] / self._rise
+        return out
 
     def see(self, observations: np.ndarray) -> np.ndarray:
         """Take in the next observations (count, signals); returns `features`, valid until the next call."""
         f, n = self.features, self._signals
-        new: np.ndarray = observations / self.scale
+        new: np.ndarray = observations[:, :n] / self.scale
         for k, ratio in enumerate(self.ratios):
             old = f[:, n * k : n * (k + 1)].copy()
             f[:, n * k : n * (k + 1)] = new
@@ -205,8 +237,13 @@ class Recall:
         f[:, n * self.memory.order : n * (self.memory.order + 1)] = new
         for j, (i, keep, gain) in enumerate(self.leaks, n * (self.memory.order + 1)):
             f[:, j] = f[:, j] * keep + observations[:, i] * gain
+        risen = ahead = None
+        if self.memory.ahead:
+            risen = f[:, self._road.start].copy() * self._rise
+            f[:, self._road] = self._rises(observations)
+            ahead = f[:, self._road]
         if self.filter:
-            self.filter.see(f[:, -self.filter.width :], observations)
+            self.filter.see(f[:, -self.filter.width :], observations, risen, ahead, self._rise)
         return f
 
 
@@ -235,20 +272,39 @@ class _Filter:
         self.force = (array("G", n, nf).T @ correct.T - (L @ array("F", ny, nf)).T).astype(np.float32)
         self.gain = L.T.astype(np.float32)
         self.rows = np.stack([array("law", n), array("rate", n)], axis=1).astype(np.float32)
+        # the road: how a rise moves the rate at which a friction would slide, and the estimate; and the law ahead
+        road = array("road", n) if given.road else np.zeros(n)
+        self.road_stick = (S @ road / np.diag(K)).astype(np.float32)
+        self.road = (correct @ road).astype(np.float32)
+        self.ahead = np.stack([given.law_ahead, given.rate_ahead], axis=1).astype(np.float32)
 
-    def see(self, features: np.ndarray, observations: np.ndarray) -> None:
+    def see(
+        self,
+        features: np.ndarray,
+        observations: np.ndarray,
+        risen: np.ndarray | None = None,
+        ahead: np.ndarray | None = None,
+        rise: np.float32 | float = 1.0,
+    ) -> None:
+        """Take in observations; `risen` (count,) [m]: of the road over the last step, `ahead` (count, points): over `rise`."""
         n, given = self.n, self.given
         current = observations[:, given.current : given.current + 1]
         now = np.concatenate([features[:, :n], current], axis=1)
         rest = now @ self.stick
+        if risen is not None and given.road:
+            rest += risen[:, None] * self.road_stick
         friction = np.clip(rest, -1.0, 1.0)
         for _ in range(2 if self.nf > 1 else 0):
             for j in range(self.nf):
                 friction[:, j] = np.clip(rest[:, j] - friction @ self.others[:, j], -1.0, 1.0)
         z = now @ self.free + friction @ self.force + observations[:, : self.ny] @ self.gain
+        if risen is not None and given.road:
+            z += risen[:, None] * self.road
         features[:, :n] = z
         features[:, n:-2] = friction
         rows = z @ self.rows
+        if ahead is not None and len(self.ahead):
+            rows += ahead[:, : len(self.ahead)] @ self.ahead * np.float32(rise)
         self.wanted = rows[:, :1] - np.float32(given.force) * np.tanh(rows[:, 1:])
         share = (self.wanted - current) / np.float32(given.slew)
         features[:, -2:-1] = np.clip(share, -given.reach, given.reach)

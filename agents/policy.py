@@ -166,6 +166,8 @@ class Policy:
     info: the rest of policy.json (origin, training, score).
     """
 
+    observation = "measured"
+    preview = 0.0
     #: times the policy could not answer and something else stood in: never
     fallbacks = 0
 
@@ -236,6 +238,9 @@ class Policy:
             needed += [self.memory.filter.current, len(self.memory.filter.D) - 1]
         if not max(needed, default=0) < self.signals:
             raise InputError(f"the policy reads signal {max(needed)}, the observation has {self.signals}")
+        if self.memory.ahead:
+            #: what it wants to see: this many seconds of the road ahead
+            self.observation, self.preview = "preview", self.memory.ahead * self.memory.step
         self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
         self._act = ACTIVATIONS[activation]
         self._recall: Recall | None = None
@@ -261,9 +266,10 @@ class Policy:
             obs = np.where(np.isfinite(obs), obs, np.float32(0.0))
         recall = self._recall
         if recall is None or len(recall.features) != len(obs):
-            if obs.ndim != 2 or obs.shape[1] != self.signals:
+            if obs.ndim != 2 or obs.shape[1] != self.signals + self.memory.ahead:
+                road = f" and {self.memory.ahead} points of the road ahead" if self.memory.ahead else ""
                 raise InputError(
-                    f"policy '{self.name}' wants observations of {self.signals} signals, not shape {obs.shape[1:]}"
+                    f"policy '{self.name}' wants observations of {self.signals} signals{road}, not shape {obs.shape[1:]}"
                 )
             recall = self._recall = self.memory.start(obs)
             features = recall.features

@@ -40,6 +40,7 @@ class Settings:
     cars: int
     memory: Memory = MEMORY
     filter: bool = True  # the LQG's estimate and law among the features
+    ahead: float = 0.0  # s of road ahead that the policy sees
     # increments of the current: exploration noise adds up to a smooth current instead of drowning in the drive's slew
     # (PPO from nothing for 3 minutes, passive J 0.874: increments 0.700, targets 0.892); a residual on the LQG's law
     # explores more, and was led astray by its critic (0.657 to 0.663 in 4 million steps)

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.controller import steps_ahead
 from isd_gym.errors import InputError
 from isd_gym.files import claim_folder, write_text
 from isd_gym.inputs import read_json
@@ -62,6 +63,7 @@ def train(
     road: str = "paper",
     speed: float = 20.0,
     randomize: bool | Mapping[str, Any] = False,
+    preview: float = 0.0,
     settings: PPOSettings | SACSettings | None = None,
     say: Callable[[str], None] = print,
     progress: Callable[[str, float], None] = lambda task, share: None,
@@ -70,7 +72,7 @@ def train(
 
     `say` is given lines of progress, `progress` (task, share of it done); Ctrl-C saves where it is before it leaves.
 
-    `randomize`: True for `settings.RANDOMIZE`, or ranges as the environment takes them. The policy kept is the one of
+    `preview` [s]: how much of the road ahead the policy sees. `randomize`: True for `settings.RANDOMIZE`, or ranges as the environment takes them. The policy kept is the one of
     least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
     """
     if not (find_spec("stable_baselines3") and find_spec("torch")):
@@ -78,6 +80,9 @@ def train(
     if algorithm not in SETTINGS:
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
     settings = settings or SETTINGS[algorithm]()
+    if preview:
+        steps_ahead(preview, settings.memory.step)
+        settings = replace(settings, ahead=preview)
     if steps is not None:
         if steps < 1:
             raise InputError(f"steps must be at least 1, not {steps}")
@@ -124,18 +129,25 @@ class Run:
         #: what a checkpoint carries besides the learner
         self.state: dict[str, Any] = {"seconds": 0.0, "environment_seconds": 0.0, "curve": []}
 
+    @property
+    def name(self) -> str:
+        """What the policy is called."""
+        ahead = self.settings.ahead
+        return f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
+
     def _memory(self) -> Memory:
         """What the policy sees: the settings' memory, with the filter of this network if it is asked for and exists."""
         s = self.settings
+        memory = replace(s.memory, ahead=steps_ahead(s.ahead, s.memory.step))
         if not s.filter:
-            return s.memory
+            return memory
         try:
             from .estimate import lqg_filter
 
-            return replace(s.memory, filter=lqg_filter(self.plant))
+            return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead))
         except (InputError, ImportError) as error:
             self.say(f"no filter for this network, the policy sees signals and changes alone: {error}")
-            return s.memory
+            return memory
 
     # ------------------------------------------------------------------------------------- the folder
 
@@ -195,7 +207,8 @@ class Run:
         from .vec import Remember
 
         s = self.settings
-        preview = s.preview if isinstance(s, SACSettings) else 0.0
+        critic = s.preview if isinstance(s, SACSettings) else 0.0
+        preview = max(s.ahead, critic)
         inner = make_vec_env(
             cars,
             rescale=False,
@@ -205,10 +218,11 @@ class Run:
             speed=self.speed,
             randomize=self.spread,
             observation="preview" if preview else "measured",
-            preview=preview,
+            preview=preview or 0.25,
         )
         group = s.group if cars == s.cars else 1
-        return Remember(inner, self.memory, s.head, s.reward_scale, s.reward_offset, group)
+        points = round(critic / self.memory.step)
+        return Remember(inner, self.memory, s.head, s.reward_scale, s.reward_offset, group, points)
 
     def go(self) -> dict[str, Any]:
         import torch
@@ -270,13 +284,19 @@ class Run:
         env.close()
         return self._finish()
 
+    def _rival(self, name: str) -> Entry:
+        """The baseline of that name, with the same road ahead."""
+        if self.settings.ahead > 0:
+            return find(f"{name}-preview", self.plant, preview=self.settings.ahead)
+        return find(name, self.plant)
+
     def _imitate(self, model: Any) -> None:
         """Start from the teacher, if there is one for this network."""
         from .warm import warm_start
 
         begin = time.perf_counter()
         try:
-            entry = find(str(self.settings.teacher), self.plant)
+            entry = self._rival(str(self.settings.teacher))
         except (InputError, ImportError) as error:
             self.say(f"no teacher, training starts from nothing: {error}")
             return
@@ -317,7 +337,7 @@ class Run:
             activation="tanh" if self.algorithm == "ppo" else "relu",
             memory=self.memory,
             head=self.settings.head,
-            name=self.algorithm,
+            name=self.name,
             network=self.plant,
         )
 
@@ -338,8 +358,8 @@ class Run:
 
     def _references(self) -> dict[str, float]:
         """Cost of the passive car and of the baselines there are, on the validation roads, once in a process."""
-        same = ("network", "road", "speed", "randomize")
-        key = json.dumps([[self.asked[k] for k in same], VALIDATION_EPISODES, BASELINES], sort_keys=True)
+        same = [self.asked[k] for k in ("network", "road", "speed", "randomize")]
+        key = json.dumps([same, self.settings.ahead, VALIDATION_EPISODES, BASELINES], sort_keys=True)
         if key in _REFERENCES:
             return dict(_REFERENCES[key])
         # on a spread of cars the same cars without current: the conventional car has no such parameters to spread
@@ -347,7 +367,8 @@ class Run:
         out = {idle.name: self.cost(idle)}
         for name in BASELINES:
             try:
-                out[name] = self.cost(find(name, self.plant))
+                rival = self._rival(name)
+                out[rival.name] = self.cost(rival)
             except (InputError, ImportError):
                 continue  # a network that the baseline has no model of, or an install without it
         _REFERENCES[key] = dict(out)
@@ -383,7 +404,7 @@ class Run:
     def command(self, out: Path | str = "DIR") -> str:
         """What to type for this run, or how it differs from what can be typed."""
         s, usual = self.settings, SETTINGS[self.algorithm]()
-        if describe(replace(s, steps=usual.steps)) != describe(usual):
+        if describe(replace(s, steps=usual.steps, ahead=usual.ahead)) != describe(usual):
             return "agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
         if s.steps != usual.steps:
@@ -396,6 +417,8 @@ class Run:
             words.append(f"--speed {self.speed:g}")
         if self.spread:
             words.append("--randomize")
+        if self.settings.ahead:
+            words.append(f"--preview {self.settings.ahead:g}")
         return " ".join(words)
 
     def _describe(self, policy: Policy, scored: dict[str, Any] | None = None) -> Policy:
@@ -406,6 +429,7 @@ class Run:
                 "road": self.road,
                 "speed": {"value": self.speed, "unit": "m/s"},
                 "randomize": self.asked["randomize"],
+                "preview": {"value": self.settings.ahead, "unit": "s"},
             },
             "training": {
                 "command": self.command(),

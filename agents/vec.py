@@ -23,7 +23,7 @@ ROAD_RISE = 2e-3  # m, RMS of the paper's road over them
 class Remember(VecEnvWrapper):
     """Observations become features of `memory`; actions in [-1, 1] become currents by `head`.
 
-    With ``observation="preview"`` the rises of the road ahead follow, for a critic; `seen` columns are the policy's.
+    The rises of `critic` points of the road ahead follow, for a critic; `seen` columns are the policy's.
 
     Cars in groups of `group` drive on the same road, see `ppo` and `sac`.
 
@@ -39,14 +39,15 @@ class Remember(VecEnvWrapper):
         reward_scale: float = 1.0,
         reward_offset: float = 0.0,
         group: int = 1,
+        critic: int = 0,
     ) -> None:
-        points = venv.observation_space.shape[0] - N_MEASURED  # type: ignore[index]
+        self._width = N_MEASURED + memory.ahead  # columns of an observation that the policy sees
         self.seen = memory.width(N_MEASURED)
         # the columns that are a state: the estimate and the current
         kept = memory.filter.width if memory.filter else 0
         self.core = [CURRENT_SIGNAL, *range(self.seen - kept, self.seen)] if kept else []
-        self._points = points // ROAD_STRIDE
-        self._road = slice(N_MEASURED + ROAD_STRIDE - 1, None, ROAD_STRIDE)
+        self._points = critic // ROAD_STRIDE
+        self._road = slice(N_MEASURED + ROAD_STRIDE - 1, N_MEASURED + critic, ROAD_STRIDE)
         box = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (self.seen + self._points,), np.float32)
         super().__init__(venv, observation_space=box, action_space=spaces.Box(-1.0, 1.0, (1,), np.float32))
         self.memory, self.head, self.group = memory, head, group
@@ -68,7 +69,7 @@ class Remember(VecEnvWrapper):
             leaders = np.arange(self.num_envs) // self.group * self.group
             inner.env.steps[:] = inner.env.steps[leaders]
         assert isinstance(obs, np.ndarray)
-        self._recall = self.memory.start(obs[:, :N_MEASURED])
+        self._recall = self.memory.start(obs[:, : self._width])
         self._obs = obs
         return self._features(obs)
 
@@ -84,8 +85,8 @@ class Remember(VecEnvWrapper):
 
     @property
     def observations(self) -> np.ndarray:
-        """Present measured signals (cars, signals), in SI units."""
-        return self._obs[:, :N_MEASURED]
+        """What the policy sees now (cars, signals, then the road ahead), in SI units."""
+        return self._obs[:, : self._width]
 
     def step_async(self, actions: np.ndarray) -> None:
         self.venv.step_async(self.head.current(actions, self._obs, self._recall))
@@ -100,13 +101,13 @@ class Remember(VecEnvWrapper):
             last = obs.copy()
             for i in which:
                 last[i] = infos[i]["terminal_observation"]
-            self._recall.see(last[:, :N_MEASURED])
+            self._recall.see(last[:, : self._width])
             final = self._features(last)
             for i in which:
                 infos[i]["terminal_observation"] = final[i]
-            self._recall.begin(done, obs[:, :N_MEASURED])
+            self._recall.begin(done, obs[:, : self._width])
         else:
-            self._recall.see(obs[:, :N_MEASURED])
+            self._recall.see(obs[:, : self._width])
         self._obs = obs
         features = self._features(obs)
         rewards = self.reward_scale * (rewards + np.float32(self.reward_offset))

@@ -19,6 +19,7 @@ from isd_gym.network import Network
 from .controller import Controller
 
 Factory = Callable[..., Controller | Idle]
+PREVIEW = 0.25  # s of road ahead that the controllers with preview see unless told otherwise
 
 
 def _idle(name: str) -> Factory:
@@ -37,10 +38,14 @@ def _add(model: Network, cost: StageCost, control_step: float, **options: Any) -
     return AccelerationDriven(model, cost, control_step, name="add", **options)
 
 
-def _lqg(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
-    from .lqg import Lqg
+def _lqg(
+    model: Network, cost: StageCost, control_step: float, *, ahead: bool = False, **options: Any
+) -> Controller:
+    from .lqg import Lqg, LqgSettings
 
-    return Lqg(model, cost, control_step, **_settings("lqg", "LqgSettings", options))
+    base = LqgSettings(preview=PREVIEW) if ahead else LqgSettings()
+    name = "lqg-preview" if ahead else "lqg"
+    return Lqg(model, cost, control_step, **_settings("lqg", base, options), name=name)
 
 
 def _lqr_full(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
@@ -59,12 +64,14 @@ def _mpc(
 
 
 def _friction(
-    model: Network, cost: StageCost, control_step: float, *, preview: bool = False, **options: Any
+    model: Network, cost: StageCost, control_step: float, *, ahead: bool = False, **options: Any
 ) -> Controller:
-    from .friction import PREVIEW, FrictionMpc, FrictionMpcSettings
+    from .friction import FrictionMpc, FrictionMpcSettings, with_preview
 
-    base = PREVIEW if preview else FrictionMpcSettings()
-    name = "mpc-friction-preview" if preview else "mpc-friction"
+    base = FrictionMpcSettings()
+    if ahead:
+        base = with_preview(base, float(options.pop("preview", PREVIEW)), control_step)
+    name = "mpc-friction-preview" if ahead else "mpc-friction"
     return FrictionMpc(model, cost, control_step, **_settings("friction", base, options), name=name)
 
 
@@ -90,11 +97,12 @@ CONTROLLERS: dict[str, Factory] = {
     "skyhook": _skyhook,
     "add": _add,
     "lqg": _lqg,
+    "lqg-preview": partial(_lqg, ahead=True),
     "lqr-full": _lqr_full,
     "mpc-paper": partial(_mpc, start="mpc-paper"),
     "mpc": _mpc,
     "mpc-friction": _friction,
-    "mpc-friction-preview": partial(_friction, preview=True),
+    "mpc-friction-preview": partial(_friction, ahead=True),
 }
 #: what they are, in a line each
 ABOUT = {

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 
 import numpy as np
 
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.env import MEASURED
+from isd_gym.errors import InputError
 from isd_gym.network import Network
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
@@ -23,6 +25,7 @@ class Controller(ABC):
     """
 
     observation: str = "measured"  # what it wants to see of the environment
+    preview: float = 0.0  # s of road ahead, where it wants that
 
     def __init__(self, name: str, model: Network) -> None:
         self.name, self.model = name, model
@@ -66,6 +69,25 @@ class BatchController(Controller):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
+
+
+def steps_ahead(preview: float, control_step: float) -> int:
+    """Control steps of road in `preview` [s]; `InputError` unless it is a whole number of them, or 0."""
+    if not (math.isfinite(preview) and preview >= 0):
+        raise InputError(f"the preview must be 0 s or more, not {preview:g} s")
+    points = round(preview / control_step)
+    if abs(points * control_step - preview) > 1e-6 * control_step:
+        raise InputError(
+            f"a preview of {preview:g} s is no whole number of control steps of {control_step:g} s"
+        )
+    return points
+
+
+def rises(obs: np.ndarray, points: int) -> np.ndarray:
+    """By how much the road rises in each of the next control steps (points, cars) [m], of observations (6 + .., cars)."""
+    if len(obs) < len(_BOUNDS) + points:
+        raise InputError(f"the observation shows {len(obs) - len(_BOUNDS)} points of road, not {points}")
+    return np.diff(obs[len(_BOUNDS) : len(_BOUNDS) + points], axis=0, prepend=0.0)
 
 
 def clean(observations: np.ndarray, last: np.ndarray) -> np.ndarray:

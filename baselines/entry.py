@@ -12,11 +12,13 @@ from isd_gym.network import Network
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """The baseline called `name`, or None."""
+    """The baseline called `name`, or None. The option `preview` [s] is for those that look at the road ahead."""
     from . import CONTROLLERS, make
 
     if name not in CONTROLLERS:
         return None
+    if not name.endswith("-preview"):
+        options = {k: v for k, v in options.items() if k != "preview"}
     return Entry(name, lambda: make(name, model=model, cost=cost, control_step=control_step, **options))
 
 

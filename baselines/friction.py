@@ -27,7 +27,7 @@ from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 
-from .controller import CURRENT, BatchController
+from .controller import CURRENT, BatchController, rises, steps_ahead
 from .estimator import Estimator
 from .model import (
     ROAD_INTENSITY,
@@ -309,11 +309,15 @@ def _plan(x, current, moves, road, m, iterations):
     return broken
 
 
+BEYOND = 20  # steps that are planned behind the road that is seen
+
+
 @dataclass(frozen=True)
 class FrictionMpcSettings:
     """horizon [steps]; iterations: sweeps per step at most. move, effort [1/A^2], tyre_load, centring [-]: weights beside
     the stage cost. spread [-] scales the road's share in the friction's rate, floor [m/s] is its least. terminal_rate
-    [m/s]: rate at which friction is linearised for the cost-to-go. preview: road ahead known."""
+    [m/s]: rate at which friction is linearised for the cost-to-go. preview [s]: road ahead that is known; it
+    is no source of spread, the road after it is."""
 
     horizon: int = 20
     iterations: int = 2
@@ -325,7 +329,7 @@ class FrictionMpcSettings:
     floor: float = 0.005
     terminal_rate: float = 0.2
     friction_noise: float = 300.0
-    preview: bool = False
+    preview: float = 0.0
     sensors: Sensors = field(default_factory=Sensors)
     road_intensity: float = ROAD_INTENSITY
 
@@ -334,8 +338,9 @@ class FrictionMpcSettings:
             raise InputError("horizon and iterations must be at least 1")
 
 
-#: a road seen 0.25 s ahead is no longer a source of spread; what is left is the floor
-PREVIEW = FrictionMpcSettings(horizon=50, preview=True, spread=0.3)
+def with_preview(settings: FrictionMpcSettings, preview: float, control_step: float) -> FrictionMpcSettings:
+    """The settings for `preview` [s] of road ahead: a horizon that reaches `BEYOND` steps farther."""
+    return replace(settings, preview=preview, horizon=steps_ahead(preview, control_step) + BEYOND)
 
 
 class FrictionMpc(BatchController):
@@ -351,7 +356,9 @@ class FrictionMpc(BatchController):
     ) -> None:
         super().__init__(name, model)
         self.settings = s = settings or FrictionMpcSettings()
-        if s.preview:
+        self.preview = s.preview
+        self._points = steps_ahead(s.preview, control_step)
+        if self._points:
             self.observation = "preview"
         cost = cost or StageCost()
         self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)
@@ -387,7 +394,8 @@ class FrictionMpc(BatchController):
         spread = np.empty((s.horizon, nl))
         W = np.zeros((m.n, m.n))
         for k in range(s.horizon):
-            W = A_linear @ W @ A_linear.T + m.W
+            if k >= self._points:
+                W = A_linear @ W @ A_linear.T + m.W
             spread[k] = np.hypot(s.spread * np.sqrt(np.einsum("ji,ik,jk->j", S, W, S)), s.floor)
         q = self.weights.signals
         rows = np.flatnonzero(q)
@@ -408,13 +416,11 @@ class FrictionMpc(BatchController):
         self._road = np.zeros_like(self.moves)
 
     def _command(self, obs: np.ndarray) -> np.ndarray:
-        if self.settings.preview and len(obs) > 6:
-            ahead = np.diff(obs[6:], axis=0, prepend=0.0).T
-            width = min(ahead.shape[1], self.settings.horizon)
-            known = self._road[:, 0].copy()
-            self._road[:] = 0.0
-            self._road[:, :width] = ahead[:, :width]
-            x = self.estimator.update(obs, known)
+        if self._points:
+            width = min(self._points, self.settings.horizon)
+            last = self._road[:, 0].copy()
+            self._road[:, :width] = rises(obs, width).T
+            x = self.estimator.update(obs, last)
         else:
             x = self.estimator.update(obs)
         if self._idle:

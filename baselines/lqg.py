@@ -11,7 +11,7 @@ from isd_gym.batch import state_channels
 from isd_gym.cost import StageCost
 from isd_gym.network import Network
 
-from .controller import BatchController
+from .controller import BatchController, rises, steps_ahead
 from .estimator import Estimator
 from .model import (
     ROAD_INTENSITY,
@@ -19,7 +19,7 @@ from .model import (
     Weights,
     device_reach,
     prediction_model,
-    regulator,
+    preview_regulator,
 )
 
 
@@ -37,6 +37,7 @@ class LqgSettings:
     foresight: float = 0.025
     width: float = 0.02
     friction_noise: float = 300.0  # N, per step: how little the estimate trusts its friction
+    preview: float = 0.0  # s of road ahead that is seen and planned with
     sensors: Sensors = field(default_factory=Sensors)
     road_intensity: float = ROAD_INTENSITY
 
@@ -63,28 +64,56 @@ class Lqg(BatchController):
             reach=device_reach(model),
         )
         self.estimator = Estimator(m, s.sensors, s.friction_noise)
+        self.preview = s.preview
+        self._points = steps_ahead(s.preview, control_step)
+        if self._points:
+            self.observation = "preview"
         if m.thrust == 0.0:
             self._law = self._rate = np.zeros(m.n)
+            self._law_ahead = self._rate_ahead = np.zeros(self._points)
             self._force = 0.0
         else:
-            K, _ = regulator(m, self.weights)
-            loop = m.A - np.outer(m.B, K)
-            ahead = lambda t: _power(loop, t / control_step)  # noqa: E731
-            self._law = -K @ ahead(s.lead)
-            self._rate = m.motor_rate @ ahead(s.foresight)
+            K, G = preview_regulator(m, self.weights, self._points)
+            at, by = self._ahead(K, G, s.lead / control_step)
+            self._law, self._law_ahead = -K @ at, -K @ by - _later(G, s.lead / control_step)
+            at, by = self._ahead(K, G, s.foresight / control_step)
+            self._rate, self._rate_ahead = m.motor_rate @ at, m.motor_rate @ by
             self._force = s.compensation * sum(m.levels()) / m.thrust
         self.reset()
 
+    def _ahead(self, K: np.ndarray, G: np.ndarray, steps: float) -> tuple[np.ndarray, np.ndarray]:
+        """The state `steps` later in the closed loop, of the state (n, n) and the rises of the road (n, points) now."""
+        m, points = self.prediction, self._points
+        low, part = int(steps), steps - int(steps)
+        at, by = np.eye(m.n), np.zeros((m.n, points))
+        out = []
+        for k in range(low + 2):
+            out.append((at, by))
+            rise = np.zeros(points)
+            rise[k : k + 1] = 1.0
+            current = -K @ by - _later(G, k)
+            by = m.A @ by + np.outer(m.B, current) + np.outer(m.P, rise)
+            at = (m.A - np.outer(m.B, K)) @ at
+        (at, by), (at1, by1) = out[low], out[low + 1]
+        return (1 - part) * at + part * at1, (1 - part) * by + part * by1
+
     def _start(self, count: int) -> None:
         self.estimator.reset(count)
+        self._rises = np.zeros((self._points, count))
 
     def _command(self, obs: np.ndarray) -> np.ndarray:
-        x = self.estimator.update(obs)
-        return self.law(x)
+        if not self._points:
+            return self.law(self.estimator.update(obs))
+        last = self._rises[0]
+        self._rises = rises(obs, self._points)
+        return self.law(self.estimator.update(obs, last), self._rises)
 
-    def law(self, x: np.ndarray) -> np.ndarray:
-        """Wanted current (cars,) for states (n, cars)."""
-        return self._law @ x - self._force * np.tanh(self._rate @ x / self.settings.width)
+    def law(self, x: np.ndarray, ahead: np.ndarray | None = None) -> np.ndarray:
+        """Wanted current (cars,) for states (n, cars) and rises of the road ahead (points, cars) [m]."""
+        wanted, rate = self._law @ x, self._rate @ x
+        if ahead is not None:
+            wanted, rate = wanted + self._law_ahead @ ahead, rate + self._rate_ahead @ ahead
+        return wanted - self._force * np.tanh(rate / self.settings.width)
 
 
 class FullStateLqr(Lqg):
@@ -110,9 +139,11 @@ class FullStateLqr(Lqg):
         return self.law(self._state @ obs[self._places])
 
 
-def _power(A: np.ndarray, exponent: float) -> np.ndarray:
-    """A to a power that need not be whole, by interpolation between the whole ones."""
-    low = int(exponent)
-    part = exponent - low
-    base = np.linalg.matrix_power(A, low)
-    return base if part == 0.0 else (1 - part) * base + part * A @ base
+def _later(G: np.ndarray, steps: float) -> np.ndarray:
+    """Weights of the rises as they will be `steps` later, as weights of those that are ahead now."""
+    low, part = int(steps), steps - int(steps)
+
+    def shifted(by: int) -> np.ndarray:
+        return np.concatenate([np.zeros(min(by, len(G))), G[: max(len(G) - by, 0)]])
+
+    return (1 - part) * shifted(low) + part * shifted(low + 1)

@@ -86,6 +86,7 @@ class Model:
     road_intensity: float  # m^2/s
     # rows of displacement and velocity of every node, as the full observation has them
     nodes: np.ndarray
+    lift: np.ndarray  # state of the assembly when car and road are lifted by 1 m: x = x_assembly - lift r
 
     @property
     def heave(self) -> np.ndarray:
@@ -216,6 +217,7 @@ def prediction_model(
         motor_rate=out[4, x],
         road_intensity=road_intensity,
         nodes=out[6:, x],
+        lift=T[:, 0],
     )
 
 
@@ -280,6 +282,32 @@ def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     V = _riccati(model, model.A, model.B[:, None], Q, R, N)
     K = np.linalg.solve(R + model.B[None] @ V @ model.B[:, None], model.B[None] @ V @ model.A + N.T)[0]
     return K, V
+
+
+def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """LQR that knows the road `points` steps ahead: (K (n,), G (points,)) of ``I = -K x - G . rises`` [1/m].
+
+    The value of a state x with known rises is ``x' V x + 2 x' s``, and s follows from the rises backwards through the closed
+    loop (Tomizuka, ASME Journal of Dynamic Systems 97, 1975). K is `regulator`'s.
+    """
+    K, V = regulator(model, weights)
+    q = weights.signals[:, None]
+    Mxx = V + model.C.T @ (q * model.C)
+    across = model.B @ Mxx + model.D @ (
+        q * model.C
+    )  # what a change of the next state adds to the slope by the current
+    size = across @ model.B + model.B @ (model.C.T @ (q[:, 0] * model.D))
+    size += model.D @ (q[:, 0] * model.D) + weights.current
+    loop = model.A - np.outer(model.B, K)
+    s = model.A.T @ (Mxx @ model.P) - K * (across @ model.P)
+    G = np.empty(points)
+    for i in range(points):
+        if i == 0:
+            G[i] = across @ model.P / size
+            continue
+        G[i] = model.B @ s / size
+        s = loop.T @ s
+    return K, G
 
 
 def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:

@@ -31,6 +31,8 @@ def table(score: dict) -> str:
         "ms per step",
     ]
     heads += ["of the gain reachable"] if shares else []
+    causal = any(row.get("share_of_causal_gain") is not None for row in score["policies"])
+    heads += ["of the causal gain"] if causal else []
     lines = ["| " + " | ".join(heads) + " |", "|---" + "|---:" * (len(heads) - 1) + "|"]
     for row in sorted(score["policies"], key=lambda r: -r["cost"]["value"]):
         cells = [
@@ -44,6 +46,8 @@ def table(score: dict) -> str:
         ]
         share = row["share_of_reachable_gain"]
         cells += ["" if share is None else f"{100 * share:.0f} %"] if shares else []
+        share = row.get("share_of_causal_gain")
+        cells += ["" if share is None else f"{100 * share:.0f} %"] if causal else []
         lines.append("| " + " | ".join(cells) + " |")
     speed, duration = score["speed"]["value"], score["duration"]["value"]
     what = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -166,6 +167,10 @@ def score(
     episodes: Annotated[int, typer.Option(help="Roads to drive, the same for all.", min=1)] = 32,
     seed: Annotated[int, typer.Option(help="Episode i has the road of seed + i.", min=0)] = 0,
     duration: Annotated[float, typer.Option(help="Length of an episode [s].")] = 20.0,
+    preview: Annotated[
+        float | None,
+        typer.Option(help="Road ahead [s] for those that look at it (mpc-friction-preview, ...).", min=0.0),
+    ] = None,
     network: Annotated[
         str,
         typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
@@ -199,7 +204,9 @@ def score(
     plant = Network.load(network)
     ground = find_road(road)
     belief = Network.load(model) if model else None
-    entries = [find(name, plant, model=belief, trust_zip=trust_zip) for name in policies]
+    ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    entries = [find(name, plant, model=belief, trust_zip=trust_zip, **ahead) for name in policies]
+    ceilings = _ceilings(plant, ground, speed, duration)
     known, signals = _reachable(plant, ground, speed, episodes, seed, duration)
     with progress() as update:
         warm_up(update)
@@ -213,9 +220,12 @@ def score(
             seed=seed,
             duration=duration,
             clairvoyant=known,
+            ceiling=ceilings,
             progress=update,
         )
     result.references |= _references(result, plant, ground, known)
+    previews = sorted({row["preview"]["value"] for row in result.policies})
+    result.references |= {f"ceiling_{s:g}": line for s in previews if (line := _ceiling_line(s, ceilings(s)))}
     if signals:
         result.references["clairvoyant_point"] = _point(result, signals)
     write_json(json_file, result.to_dict())
@@ -235,6 +245,30 @@ def _reachable(
     for point in plugins(REFERENCES, "clairvoyant"):
         return point.load()(plant, road, speed, episodes, seed, duration, signals=signals), signals
     return None, signals
+
+
+def _ceilings(
+    plant: Any, road: Any, speed: float, duration: float
+) -> Callable[[float], dict[str, Any] | None]:
+    """What bounds controllers with a preview of so many seconds, where it is known."""
+    points = list(plugins(REFERENCES, "ceiling"))
+
+    def find(preview: float) -> dict[str, Any] | None:
+        for point in points:
+            return point.load()(plant, road, speed, duration, preview=preview)
+        return None
+
+    return functools.cache(find)
+
+
+def _ceiling_line(preview: float, bound: dict[str, Any] | None) -> str | None:
+    if bound is None:
+        return None
+    who = f"that sees {preview:g} s of road" if preview else "that does not see the road"
+    return (
+        f"Ceiling of any controller {who}: cost J {bound['cost']:.3f} ({100 * bound['change']:+.1f} "
+        f"+- {100 * bound['change_standard_error']:.1f} %)"
+    )
 
 
 def _point(result: Any, signals: dict[str, Any]) -> dict[str, float]:
@@ -313,6 +347,10 @@ def _print_score(result: Any) -> None:
     share: dict[str, Callable[[Any], str]] = {}
     if any(row["share_of_reachable_gain"] is not None for row in result.policies):
         share["of the gain\nreachable"] = lambda r: f"{100 * r['share_of_reachable_gain']:.0f} %"
+    if any(row["share_of_causal_gain"] is not None for row in result.policies):
+        share["of the causal\ngain"] = lambda r: (
+            "" if r["share_of_causal_gain"] is None else f"{100 * r['share_of_causal_gain']:.0f} %"
+        )
     motion: dict[str, Callable[[Any], str]] = {
         "W_k\nm/s²": lambda r: f"{r['weighted_acceleration_rms']['value']:.3f}",
         "peak acc.\nm/s²": lambda r: f"{r['peak_body_acceleration']['value']:.2f}",

@@ -22,7 +22,7 @@ class Controller(Protocol):
     """What can drive. `act` gives the commanded current [A] for an observation (6,), see the environment.
 
     Optional: `reset_batch(n)` and `act_batch(observations (n, 6)) -> (n,)` for many cars at once, `fallbacks` (a count),
-    `observation` ("measured", "full" or "preview": what it wants to see).
+    `observation` ("measured", "full" or "preview": what it wants to see), `preview` [s]: how much of the road ahead.
     """
 
     name: str
@@ -71,13 +71,14 @@ class Idle:
 class Crew:
     """One policy at the wheel of `cars` cars: a controller that commands all of them at once, or one in each.
 
-    `observation`: what it wants to see; `times`: processor times of single decisions [s], where there is one controller a car.
+    `observation`: what it wants to see; `preview` [s]: of the road ahead; `times`: processor times of single decisions [s], where there is one controller a car.
     """
 
     def __init__(self, entry: Entry, cars: int) -> None:
         first: Any = entry.make()
         self.name, self.cars = entry.name, cars
         self.observation: str = getattr(first, "observation", "measured")
+        self.preview = float(getattr(first, "preview", 0.25)) if self.observation == "preview" else 0.0
         self.batched = hasattr(first, "act_batch")
         self.controllers = [first] if self.batched else [first, *(entry.make() for _ in range(cars - 1))]
         self.times: list[float] = []

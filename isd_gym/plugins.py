@@ -17,10 +17,12 @@ OWN = {
         "train": "agents.cli:train",
         "convert": "agents.cli:convert",
         "reproduce": "baselines.reproduce:command",
+        "ceiling": "baselines.ceiling:command",
     },
     REFERENCES: {
         "clairvoyant": "baselines.clairvoyant:reachable",
         "lq_front": "baselines.bounds:lq_front",
+        "ceiling": "baselines.ceiling:known",
     },
 }
 

@@ -69,6 +69,7 @@ def write_dataset(
         "speed": speed,
         "observation": crew.observation,
         "duration": duration,
+        **({"preview": crew.preview} if crew.preview else {}),
     }
     env = ISDSuspensionVectorEnv(episodes, **kwargs, max_episode_steps=steps, autoreset_mode="disabled")
     width = env.single_observation_space.shape[0]  # type: ignore[index]

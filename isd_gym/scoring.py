@@ -61,6 +61,7 @@ class Run:
     control_step: float
     times: np.ndarray
     fallbacks: int
+    preview: float = 0.0  # s of road ahead that the policy saw
 
     def cost(self, cost: StageCost) -> np.ndarray:
         """Mean stage cost of each episode (episodes,)."""
@@ -119,6 +120,7 @@ def drive(
         road=road,
         speed=speed,
         observation=crew.observation,
+        preview=crew.preview or CONTROL_STEP,
         cost=cost,
         randomize=randomize,
         duration=duration,
@@ -152,6 +154,7 @@ def drive(
         control_step=CONTROL_STEP,
         times=np.array(times),
         fallbacks=crew.fallbacks,
+        preview=crew.preview,
     )
 
 
@@ -220,13 +223,15 @@ def score(
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
     clairvoyant: np.ndarray | None = None,
+    ceiling: Callable[[float], dict[str, Any] | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Score:
     """Score policies, by name or as entries, against `reference` (the conventional passive car) on the same roads.
 
     Changes are paired: episodes are drawn with replacement, the same ones for both, and the 95 % interval is that of
     the ratio of the pooled values. `clairvoyant`: the least cost known for each episode (episodes,), for the share of the
-    reachable gain.
+    reachable gain. `ceiling(preview)`: the bound for controllers that know so many seconds of road (its `change`), for the
+    share of the causal gain.
     """
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")
@@ -286,6 +291,9 @@ def score(
         if clairvoyant is not None:
             before, own = runs[reference.name].cost(cost).mean(), run.cost(cost).mean()
             row["share_of_reachable_gain"] = float((before - own) / (before - np.mean(clairvoyant)))
+        row["preview"] = {"value": run.preview, "unit": "s"}
+        bound = ceiling(run.preview) if ceiling is not None else None
+        row["share_of_causal_gain"] = row["cost"]["change"] / bound["change"] if bound else None
         rows.append(row)
     kept = [r for r in rows if r["policy"] in names] if reference.name in names else rows
     return Score(

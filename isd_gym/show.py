@@ -49,6 +49,7 @@ def snapshots(
             speed=speed,
             duration=seconds,
             observation=getattr(controller, "observation", "measured"),
+            preview=getattr(controller, "preview", 0.0) or CONTROL_STEP,
             render_mode="rgb_array",
         )
         controller.reset()

@@ -1,0 +1,500 @@
+"""The causal ceiling: what no controller can pass that does not know the road beyond a given preview.
+
+**Information relaxation** (Brown, Smith and Sun, Operations Research 58, 2010). Let pi be a penalty whose mean is zero
+for every policy that acts on what it can know. For each of them ``E[cost] = E[cost - pi] >= E[min (cost - pi)]``, the
+minimum over the currents of one road known whole. Whatever penalty has zero mean gives a lower bound; the one that makes the
+bound tight is the sum of what each step's news is worth, ``V(x_k+1) - E[V(x_k+1) | known at k]``, with the value function V
+of the true problem.
+
+**The penalty here** is that of the linear-quadratic car: friction as the dampers of a statistical linearisation, no limits,
+a weight on the change of current in their place. With the finite-horizon Riccati solution M_k (stage cost and cost to go
+after step k) and the news d of the road in one step, it is linear in state and current,
+
+    pi_k = 2 d_k' [M (A x_k + B I_k) + m I_k] + d_k' M d_k - tr(M W)                                    (no preview)
+    pi_k = 2 sigma_k' (x_k+1, I_k) + what only the roads decide                                 (n steps of preview)
+
+sigma_k: the news d_k+n, n steps ahead, brought back through the closed loop. d is made of the road's innovations, which are
+independent of all that came before, whatever the policy or the car did: so the mean is zero exactly, on the real car too, and
+the linear car only decides how tight the bound is. On a linear car without limits it is tight on every single road: the
+penalised optimum is the Riccati value (a test). On the real car it varies little from road to road: the constant terms are
+control variates.
+
+**What is computed** is the clairvoyant's descent on the penalised cost, through the real kernel with friction, stop and
+limits. It ends in a local optimum of a problem that friction makes non-convex, so `Ceiling.value` is the bound as nearly as it
+is found; what other starts find is in docs/ceiling.md. `Ceiling.proven` is the relaxation of `relaxed` with the same penalty:
+a proven bound of the car without end stops, and a loose one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from scipy.linalg import expm
+
+from isd_gym import elements as el
+from isd_gym.cost import StageCost
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import conventional
+from isd_gym.road import Road
+from isd_gym.road import road as find_road
+from isd_gym.simulate import PHYSICS_STEP
+
+from .bounds import linear_car
+from .clairvoyant import CONTROL_STEP, SCHEDULES, Episode, Penalty, Schedule, episode_key, keep, read
+from .controller import steps_ahead
+from .model import Model, Weights, prediction_model, statistical_linearisation
+
+
+@dataclass(frozen=True)
+class CeilingSettings:
+    """What shapes the penalty's value function; any choice gives a valid bound.
+
+    move, effort [1/A^2]: weights on the change of current and on the current, in place of the limits. centring [-]: on the
+    device's travel over its stop, in place of the stop.
+    """
+
+    move: float = 0.1
+    effort: float = 0.0
+    centring: float = 0.04
+
+    def __post_init__(self) -> None:
+        if not (self.move >= 0 and self.effort >= 0 and self.centring >= 0):
+            raise InputError("weights of the penalty must be >= 0")
+
+
+#: for the proven bound, of a car that has no stops
+PROVEN = CeilingSettings(move=0.02, centring=0.0)
+
+
+class NewsValue:
+    """The linear-quadratic car over one episode of `steps` control steps, and what news of the road is worth to it.
+
+    X (n + 1,): state above the road and the current before. M[k]: weights of (x after step k, I of step k), stage cost of
+    step k included; V[k]: of X_k. loop[k]: X_k -> (x_k+1, I_k) under the optimal law; worth[k]: curvature by the current.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        road: Road,
+        speed: float,
+        steps: int,
+        cost: StageCost,
+        control_step: float = CONTROL_STEP,
+        settings: CeilingSettings | None = None,
+    ) -> None:
+        s = settings or CeilingSettings()
+        weights = Weights(cost, move=s.move, effort=s.effort, centring=s.centring)
+        self.noise, self.pole = road.noise(speed, PHYSICS_STEP)
+        if not self.noise > 0 or road.profile is not None:
+            raise InputError(f"road '{road.name}' is no rough road alone: nothing about it is news")
+        self.sub = round(control_step / PHYSICS_STEP)
+        intensity = self.noise**2 / PHYSICS_STEP
+        linear = statistical_linearisation(
+            network, control_step, replace(weights, move=max(s.move, 1e-3)), road_intensity=intensity
+        )
+        self.model: Model = linear.model
+        if self.model.thrust == 0.0:
+            raise InputError(f"network '{network.name}' has no motor")
+        dampers = {e.name: 0.0 for e in network.elements if isinstance(e, el.BumpStop)} | linear.damping
+        fine = prediction_model(network, PHYSICS_STEP, damping=dampers, road_intensity=intensity)
+        # response of the state after a control step to a rise of the road in each of its physics steps
+        powers = [np.linalg.matrix_power(fine.A, self.sub - 1 - i) @ fine.P for i in range(self.sub)]
+        self.response = np.array(powers).T  # (n, sub)
+        self.W = self.noise**2 * self.response @ self.response.T
+        self._riccati(weights, steps)
+
+    def _riccati(self, weights: Weights, steps: int) -> None:
+        m, n = self.model, self.model.n
+        F = np.zeros((n + 1, n + 1))
+        F[:n, :n], F[:n, n], F[n, n] = m.A, m.B, 1.0
+        b = np.append(m.B, 1.0)
+        Y = np.column_stack([m.C, m.D])  # signals at the end of a step, of (x, I)
+        stage = Y.T @ (weights.signals[:, None] * Y)
+        stage[n, n] += weights.current
+        V = np.zeros((n + 1, n + 1))
+        self.M, self.loop = np.zeros((steps, n + 1, n + 1)), np.zeros((steps, n + 1, n + 1))
+        self.worth, self.V = np.zeros(steps), np.zeros((steps, n + 1, n + 1))
+        for k in range(steps - 1, -1, -1):
+            M = V + stage
+            g = M @ b
+            r = b @ g + weights.move
+            self.M[k], self.worth[k] = M, r
+            self.loop[k] = F - np.outer(b, g @ F) / r
+            V = F.T @ M @ F - np.outer(F.T @ g, g @ F) / r
+            self.V[k] = V = 0.5 * (V + V.T)
+        self.b = b
+
+    def value(self, preview: int = 0) -> float:
+        """Mean cost per step of the linear car from rest, its road known `preview` control steps ahead: the Riccati answer."""
+        n = self.model.n
+        if preview == 0:
+            return float(np.einsum("kij,ji->", self.M[:, :n, :n], self.W) / len(self.M))
+        return -self._ahead(np.zeros((len(self.M), n)), preview)[2] / len(self.M)
+
+    def news(self, heights: np.ndarray) -> np.ndarray:
+        """What is new of the road in each control step, as it moves the state (steps, n)."""
+        rises = heights[1:] - self.pole * heights[:-1]
+        return rises.reshape(-1, self.sub) @ self.response.T
+
+    def penalty(self, heights: np.ndarray, preview: int = 0) -> tuple[Penalty, np.ndarray]:
+        """The penalty of a road (heights [m] every physics step) for policies that know `preview` control steps of it.
+
+        And the slope (steps, n + 1) of the value of X_k by what is known of the road then: ``X' V X + 2 slope . X``.
+        """
+        if preview < 0:
+            raise InputError(f"a preview of {preview} steps is none")
+        d, n = self.news(heights), self.model.n
+        steps = len(d)
+        if preview == 0:
+            seen = np.einsum("ki,kij->kj", d, self.M[:, :n])  # d' M, on (x, I)
+            by_state = 2 * seen[:, :n] @ self.model.A
+            by_current = 2 * (seen[:, :n] @ self.model.B + seen[:, n])
+            constant = float(np.sum(seen[:, :n] * d)) - steps * self.value()
+            slope = np.zeros((steps, n + 1))
+        else:
+            by_state, by_current, constant, slope = self._ahead(d, preview)
+        # in the assembly's coordinates positions are not above the road
+        lifted = float(heights[:: self.sub][:-1] @ (by_state @ self.model.lift))
+        return Penalty(by_state, by_current, constant - lifted), slope
+
+    def _ahead(self, d: np.ndarray, preview: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+        """Slopes of the penalty by state and current, its constant, and what is known, with at least one step of preview.
+
+        The news of step m is known from m - preview + 1 on, before that step's current is chosen. What it does to the value is
+        followed back step by step: `slope[m]` is the slope of the value of (x, I) after step m - lag by the news of step m.
+        """
+        n, steps = self.model.n, len(d)
+        M, r, b = self.M, self.worth, self.b
+        slope = M[:, :, :n].copy()
+        own = np.einsum("kij,kj->ki", slope, d)  # (steps, n + 1)
+        # of the news alone: d' (M - g g' / r) d, less its mean
+        across = np.einsum("kij,i->kj", slope, b)
+        left = M[:, :n, :n] - np.einsum("ki,kj->kij", across, across) / r[:, None, None]
+        constant = float(np.einsum("ki,kij,kj->", d, left, d) - np.einsum("kij,ji->", left, self.W))
+        # slope of the value of (x, I) after step j by what is known of the steps after it
+        known = np.zeros((steps, n + 1))
+        for lag in range(1, min(preview, steps)):
+            back = np.zeros_like(slope)
+            back[lag:] = np.einsum("kij,kil->kjl", self.loop[1 : steps - lag + 1], slope[lag:])
+            slope = back
+            j = slice(0, steps - lag)  # the steps whose law the news of step j + lag alters
+            new = np.einsum("kij,kj->ki", slope[lag:], d[lag:])
+            old = own[j] + known[j]
+            spread = np.einsum("kij,i->kj", slope[lag:], b)
+            mean = np.einsum("ki,ij,kj->k", spread, self.W, spread)
+            terms = 2 * np.einsum("ki,ki->k", d[j], new[:, :n])
+            terms -= (2 * (old @ b) * (new @ b) + (new @ b) ** 2 - mean) / r[j]
+            constant += float(terms.sum())
+            known[j] += new
+        # on (x, I) after step k, by the news of step k + preview
+        on = np.zeros((steps, n + 1))
+        if preview < steps:
+            last = np.einsum("kij,kil->kjl", self.loop[1 : steps - preview + 1], slope[preview:])
+            on[: steps - preview] = 2 * np.einsum("kij,kj->ki", last, d[preview:])
+        by_state = np.zeros((steps, n))
+        by_state[1:] = on[:-1, :n]
+        before = np.zeros_like(known)
+        before[1:] = (known + 0.5 * on)[:-1]  # nothing hangs on the state of rest at the start
+        return by_state, on[:, n], constant, before
+
+
+@dataclass(frozen=True)
+class Ceiling:
+    """The bound of the mean cost J of every controller that knows `preview` [s] of road ahead.
+
+    roads (episodes,): the penalised optimum of each road, whose mean is the bound; proven (episodes,): a proven lower bound of
+    each, for the car without end stops. passive: J of the conventional car in expectation, exact.
+    """
+
+    preview: float
+    roads: np.ndarray
+    proven: np.ndarray
+    passive: float
+
+    @property
+    def value(self) -> float:
+        return float(self.roads.mean())
+
+    @property
+    def standard_error(self) -> float:
+        """Of `value` by the choice of roads."""
+        return float(self.roads.std(ddof=1) / math.sqrt(len(self.roads))) if len(self.roads) > 1 else math.nan
+
+    @property
+    def change(self) -> float:
+        """Against the conventional passive car, as a fraction."""
+        return self.value / self.passive - 1.0
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "preview": {"value": self.preview, "unit": "s"},
+            "roads": len(self.roads),
+            "cost": self.value,
+            "standard_error": self.standard_error,
+            "passive": self.passive,
+            "change": self.change,
+            "change_standard_error": self.standard_error / self.passive,
+            "proven_without_stops": float(self.proven.mean()) / self.passive - 1.0,
+        }
+
+
+def passive_cost(
+    network: Network,
+    road: Road,
+    speed: float,
+    duration: float,
+    cost: StageCost,
+    control_step: float = CONTROL_STEP,
+) -> float:
+    """Mean J of the conventional passive car from rest over `duration` [s], in expectation and exactly: it is linear."""
+    car = linear_car(conventional(network), speed=speed, road=road)
+    n = len(car.A)
+    noise = car.intensity * np.outer(car.G, car.G)
+    loan = expm(np.block([[-car.A, noise], [np.zeros((n, n)), car.A.T]]) * control_step)
+    A = loan[n:, n:].T
+    W = A @ loan[:n, n:]
+    weights = np.array(cost.quadratic[:3])
+    X, total, steps = np.zeros((n, n)), 0.0, round(duration / control_step)
+    for _ in range(steps):
+        X = A @ X @ A.T + W
+        total += float(weights @ np.einsum("ij,jk,ik->i", car.C, X, car.C))
+    return total / steps
+
+
+FILE = Path(__file__).with_name("ceiling.json")
+#: roads that nothing was tuned on
+SEED = 600_000
+ROADS = 32
+
+
+def ceiling(
+    network: Network | str | Path = "quarter-car-isd",
+    *,
+    preview: float = 0.0,
+    road: str | Road = "paper",
+    speed: float = 20.0,
+    duration: float = 20.0,
+    episodes: int = ROADS,
+    seed: int = SEED,
+    cost: StageCost | None = None,
+    settings: CeilingSettings | None = None,
+    compute: bool = True,
+    store: Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Ceiling | None:
+    """The bound for controllers that know `preview` [s] of road ahead (0: a causal one, whatever it measures).
+
+    Roads are those of seeds `seed`, `seed + 1`, ...; what is known of them is shipped or in the user's cache, the rest is
+    computed (some 5 s a road) and kept there, or in the file `store`; without `compute`: None where one is missing.
+    Raises `InputError` for a road that is not rough, or a car without a motor.
+    """
+    network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
+    settings = settings or CeilingSettings()
+    points = steps_ahead(preview, CONTROL_STEP)
+    key = episode_key(network, ground, speed, duration, cost, preview=preview, settings=asdict(settings))
+    known = read(key, FILE)
+    wanted = range(seed, seed + episodes)
+    missing = [s for s in wanted if s not in known]
+    if missing and not compute:
+        return None
+    if missing:
+        steps = round(duration / CONTROL_STEP)
+        value = NewsValue(network, ground, speed, steps, cost, settings=settings)
+        plain = NewsValue(network, ground, speed, steps, cost, settings=PROVEN)
+        about: dict[str, Any] = {
+            "network": network.name,
+            "road": ground.name,
+            "speed": speed,
+            "duration": duration,
+        }
+        about |= {"preview": preview, "settings": asdict(settings)}
+        for i, s in enumerate(missing):
+            found = _one_road(network, ground, speed, duration, cost, value, plain, points, s)
+            known[s] = {n: None if x is None else float(f"{x:.7g}") for n, x in found.items()}
+            keep(store or FILE, store is not None, key, about, s, known[s])
+            if progress is not None:
+                progress((i + 1) / len(missing))
+    proven = [known[s]["proven"] for s in wanted]
+    return Ceiling(
+        preview,
+        np.array([known[s]["reached"] for s in wanted]),
+        np.array([math.nan if x is None else x for x in proven]),
+        passive_cost(network, ground, speed, duration, cost),
+    )
+
+
+def _one_road(
+    network: Network,
+    road: Road,
+    speed: float,
+    duration: float,
+    cost: StageCost,
+    value: NewsValue,
+    plain: NewsValue,
+    points: int,
+    seed: int,
+) -> dict[str, float | None]:
+    from gymnasium.utils import seeding
+
+    heights = road.heights(duration, speed=speed, rng=seeding.np_random(seed)[0])
+    penalty, slope = value.penalty(heights, points)
+    episode = Episode(network, heights, cost=cost, penalty=penalty)
+    proven = Episode(network, heights, cost=cost, penalty=plain.penalty(heights, points)[0]).relaxation()
+    tries = [episode.optimise(schedule) for schedule in SEARCH]
+    first = min(episode.cost_of(episode.rollout(I)) for I in tries)
+    for schedule in POLISH:
+        tries.append(episode.optimise(schedule, stitch(episode, value, slope, tries)))
+    best = min(episode.cost_of(episode.rollout(I)) for I in tries)
+    return {"reached": best, "unstitched": first, "proven": proven}
+
+
+#: starts of the search, and what follows each stitch
+SEARCH = (*SCHEDULES, Schedule(((4.0, 3e-4), (1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15))
+_GENTLE = Schedule(((1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15)
+_STRONG = Schedule(((8.0, 1e-3), (4.0, 3e-4), (2.0, 1e-4), (1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15)
+POLISH = (_GENTLE, _STRONG, _STRONG, _GENTLE, _STRONG)
+WINDOW = 50  # control steps between which a stitch may change over
+
+
+def stitch(episode: Episode, value: NewsValue, slope: np.ndarray, tries: Sequence[np.ndarray]) -> np.ndarray:
+    """The best of several solutions, piece by piece: currents (steps,) that follow now one of `tries`, now another.
+
+    Local optima of a road differ here and there, and a car forgets within a second. What a solution loses in a step is its
+    cost, less penalty, plus the change of the value function; going over from one to another costs about the value of their
+    difference; the cheapest way through is found by dynamic programming.
+    """
+    n, steps = value.model.n, episode.steps
+    lost, states = [], []
+    for currents in tries:
+        path = episode.rollout(currents)
+        above = path.z[:, :n] - np.outer(episode.heights[:: episode.sub][:-1], value.model.lift)
+        X = np.column_stack([above, np.concatenate([[0.0], path.current[:-1]])])
+        worth = np.einsum("ki,kij,kj->k", X, value.V, X) + 2 * np.sum(slope * X, axis=1)
+        p = episode.penalty
+        assert p is not None
+        stage = path.outputs**2 @ episode.squares + episode.on_current * path.current**2
+        stage -= np.sum(p.on_state * path.z[:, :n], axis=1) + p.on_current * path.current
+        lost.append(stage + np.append(worth[1:], 0.0) - worth)
+        states.append(X)
+    many = len(tries)
+    starts = range(0, steps, WINDOW)
+    total, came = np.zeros(many), []
+    for first in starts:
+        # over[i, j]: from i to j at the start of this window
+        over = np.zeros((many, many))
+        for i in range(many):
+            for j in range(many):
+                change = states[i][first] - states[j][first]
+                over[i, j] = change @ value.V[first] @ change
+        way = total[:, None] + over
+        came.append(np.argmin(way, axis=0))
+        total = way.min(axis=0) + np.array([x[first : first + WINDOW].sum() for x in lost])
+    out = np.empty(steps)
+    now = int(np.argmin(total))
+    for first, before in zip(reversed(starts), reversed(came), strict=True):
+        out[first : first + WINDOW] = tries[now][first : first + WINDOW]
+        now = int(before[now])
+    return out
+
+
+def known(
+    network: Network | str | Path,
+    road: str | Road = "paper",
+    speed: float = 20.0,
+    duration: float = 20.0,
+    cost: StageCost | None = None,
+    *,
+    preview: float = 0.0,
+) -> dict[str, Any] | None:
+    """The ceiling as the score quotes it (`Ceiling.to_dict`), or None where it has not been computed."""
+    try:
+        found = ceiling(
+            network, preview=preview, road=road, speed=speed, duration=duration, cost=cost, compute=False
+        )
+    except InputError:  # a road or a car without one
+        return None
+    return None if found is None else found.to_dict()
+
+
+def command(
+    preview: Annotated[
+        list[float] | None,
+        typer.Option(help="Road ahead that is known [s]; 0, none, unless given.", min=0.0),
+    ] = None,
+    road: Annotated[str, typer.Option(help="A rough road: paper, A ... H.")] = "paper",
+    speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
+    network: Annotated[
+        str, typer.Option(help="The plant: a built-in network or a model file.")
+    ] = "quarter-car-isd",
+    episodes: Annotated[int, typer.Option(help="Roads, some 5 s of work each.", min=2)] = ROADS,
+    duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1)] = 20.0,
+    store: Annotated[
+        Path | None, typer.Option("--store", help="Keep what is computed in this file.", metavar="FILE")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
+    ] = None,
+) -> None:
+    """Bound what any controller can reach that knows so much of the road ahead: the causal ceiling, and with preview.
+
+    What has been computed is kept and not computed again. `isd-gym score` quotes the ceilings it finds.
+
+    Example: isd-gym ceiling --preview 0 --preview 0.1
+    """
+    import json
+    import sys
+
+    from rich.console import Console
+    from rich.progress import track
+
+    from isd_gym.files import check_file, write_text
+
+    if json_file is not None:
+        check_file(json_file)
+    found = []
+    plant, ground = Network.load(network), find_road(road)
+    for s in preview or [0.0]:
+        steps = iter(
+            track(
+                range(1000),
+                f"{s:g} s ahead",
+                console=Console(stderr=True),
+                transient=True,
+                disable=not sys.stderr.isatty(),
+            )
+        )
+        shown = 0
+
+        def advance(share: float) -> None:
+            nonlocal shown
+            while shown < 1000 * share and next(steps, None) is not None:  # noqa: B023
+                shown += 1
+
+        bound = ceiling(
+            plant,
+            preview=s,
+            road=ground,
+            speed=speed,
+            duration=duration,
+            episodes=episodes,
+            store=store,
+            progress=advance,
+        )
+        assert bound is not None
+        row = bound.to_dict()
+        found.append(row)
+        typer.echo(
+            f"{s:4.2f} s ahead: J {row['cost']:.4f} +- {row['standard_error']:.4f}, "
+            f"{100 * row['change']:+.1f} +- {100 * row['change_standard_error']:.1f} % against passive "
+            f"({episodes} roads; proven without end stops {100 * row['proven_without_stops']:+.1f} %)"
+        )
+    if json_file is not None:
+        write_text(json_file, json.dumps({"schema": "isd-ceiling/1", "ceilings": found}, indent=1) + "\n")

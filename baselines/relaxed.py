@@ -1,0 +1,253 @@
+"""A proven lower bound of an episode's cost: the car whose friction is a second actuator, as a convex program.
+
+Let the friction be any force within its level and take the end stops away: the real friction is one of the choices, and
+the least cost over currents and friction is a convex quadratic program. A primal-dual interior point solves it, one
+Riccati sweep an iteration; any multipliers of its limits give a lower bound, evaluated exactly by one more sweep.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+
+
+class LinearCar(NamedTuple):
+    """``x+ = A x + B I + G f + W`` a physics step, outputs ``C x + CI I + CF f + YW`` at the end of control steps.
+
+    Cost: ``squares . y^2 + current I^2 + slope_x . x`` a control step, x at its start.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    G: np.ndarray  # of a friction at its level
+    W: np.ndarray  # (physics steps, n): what the road does
+    C: np.ndarray  # (3, n)
+    CI: np.ndarray
+    CF: np.ndarray
+    YW: np.ndarray  # (control steps, 3)
+    squares: np.ndarray  # (3,)
+    current: float
+    slope_x: np.ndarray  # (control steps, n)
+    substeps: int
+
+
+class Terms(NamedTuple):
+    """``1/2 curvature u^2 + slope u`` on each of a kind of variable."""
+
+    curvature: np.ndarray
+    slope: np.ndarray
+
+
+class Choice(NamedTuple):
+    """Friction (physics steps,) as a share of its level, change of current and current (control steps,) [A]."""
+
+    friction: np.ndarray
+    change: np.ndarray
+    current: np.ndarray
+
+
+@nb.njit(error_model="numpy", cache=True)
+def least(car, on_friction, on_change, on_current, choice):
+    """Least cost of the linear car over free friction and changes of current: (value, ok); fills `choice`."""
+    A, B, G, W, C, CI, CF, YW, q, qi, slope_x, sub = car
+    hf, gf = on_friction
+    hd, gd = on_change
+    hI, gI = on_current
+    f, dI, I = choice
+    total, n = W.shape
+    steps = total // sub
+    m = n + 1
+    V, v, const = np.zeros((m, m)), np.zeros(m), 0.0
+    kf, Kf = np.zeros(total), np.zeros((total, m))
+    kd, Kd = np.zeros(steps), np.zeros((steps, m))
+    F, g, w = np.zeros((m, m)), np.zeros(m), np.zeros(m)
+    F[:n, :n], F[:n, n], F[n, n], g[:n] = A, B, 1.0, G
+    VF, Q = np.empty((m, m)), np.empty((m, m))
+    p, c, Vw = np.empty(m), np.empty(m), np.empty(m)
+    for k in range(steps - 1, -1, -1):
+        for i in range(sub - 1, -1, -1):
+            j = k * sub + i
+            if i == sub - 1:
+                # the outputs, on (x+, I); what f feeds through directly comes below
+                for r in range(3):
+                    if q[r] != 0.0:
+                        t = 2.0 * q[r]
+                        for a in range(n):
+                            v[a] += t * YW[k, r] * C[r, a]
+                            for b in range(n):
+                                V[a, b] += t * C[r, a] * C[r, b]
+                            V[a, n] += t * C[r, a] * CI[r]
+                            V[n, a] += t * C[r, a] * CI[r]
+                        V[n, n] += t * CI[r] * CI[r]
+                        v[n] += t * YW[k, r] * CI[r]
+                        const += q[r] * YW[k, r] ** 2
+            for a in range(n):
+                w[a] = W[j, a]
+            for a in range(m):
+                t = 0.0
+                for b in range(m):
+                    t += V[a, b] * w[b]
+                Vw[a] = t
+            t = 0.0
+            for a in range(m):
+                t += w[a] * (0.5 * Vw[a] + v[a])
+            const += t
+            for a in range(m):
+                for b in range(m):
+                    t = 0.0
+                    for r in range(m):
+                        t += V[a, r] * F[r, b]
+                    VF[a, b] = t
+            rf, gg = hf[j], gf[j]
+            for a in range(m):
+                t = 0.0
+                for b in range(m):
+                    t += V[a, b] * g[b]
+                rf += g[a] * t
+                gg += g[a] * (v[a] + Vw[a])
+            for a in range(m):
+                t = 0.0
+                u = 0.0
+                for r in range(m):
+                    t += F[r, a] * (v[r] + Vw[r])
+                    u += g[r] * VF[r, a]
+                p[a] = t
+                c[a] = u
+                for b in range(m):
+                    t = 0.0
+                    for r in range(m):
+                        t += F[r, a] * VF[r, b]
+                    Q[a, b] = t
+            if i == sub - 1:
+                for r in range(3):
+                    if q[r] != 0.0 and CF[r] != 0.0:
+                        # 2 q CF f (C x+ + CI I + YW) + q CF^2 f^2, x+ = F z + g f + w
+                        t = 2.0 * q[r] * CF[r]
+                        e = YW[k, r]
+                        for a in range(n):
+                            e += C[r, a] * w[a]
+                        gg += t * e
+                        rf += t * CF[r]
+                        for b in range(m):
+                            u = CI[r] if b == n else 0.0
+                            for a in range(n):
+                                u += C[r, a] * F[a, b]
+                            c[b] += t * u
+                        u = 0.0
+                        for a in range(n):
+                            u += C[r, a] * g[a]
+                        rf += 2.0 * t * u
+            if not rf > 0.0:
+                return 0.0, False
+            kf[j] = -gg / rf
+            const -= 0.5 * gg * gg / rf
+            for a in range(m):
+                Kf[j, a] = -c[a] / rf
+                v[a] = p[a] + c[a] * kf[j]
+            for a in range(m):
+                for b in range(m):
+                    V[a, b] = Q[a, b] + c[a] * Kf[j, b]
+            for a in range(m):
+                for b in range(a):
+                    t = 0.5 * (V[a, b] + V[b, a])
+                    V[a, b] = t
+                    V[b, a] = t
+        for a in range(n):
+            v[a] += slope_x[k, a]
+        # I after the change: its own terms, then dI
+        V[n, n] += 2.0 * qi + hI[k]
+        v[n] += gI[k]
+        r0 = V[n, n] + hd[k]
+        gg = v[n] + gd[k]
+        if not r0 > 0.0:
+            return 0.0, False
+        kd[k] = -gg / r0
+        const -= 0.5 * gg * gg / r0
+        for a in range(m):
+            c[a] = V[n, a]
+        for a in range(m):
+            Kd[k, a] = -c[a] / r0
+            v[a] += c[a] * kd[k]
+        for a in range(m):
+            for b in range(m):
+                V[a, b] += c[a] * Kd[k, b]
+    z, y = np.zeros(m), np.zeros(m)
+    for k in range(steps):
+        t = kd[k]
+        for a in range(m):
+            t += Kd[k, a] * z[a]
+        dI[k] = t
+        z[n] += t
+        I[k] = z[n]
+        for i in range(sub):
+            j = k * sub + i
+            t = kf[j]
+            for a in range(m):
+                t += Kf[j, a] * z[a]
+            f[j] = t
+            for a in range(m):
+                u = g[a] * t + (W[j, a] if a < n else 0.0)
+                for b in range(m):
+                    u += F[a, b] * z[b]
+                y[a] = u
+            z[:] = y
+    return const, True
+
+
+def bound(car: LinearCar, slew: float, most: float, on_current: np.ndarray) -> float | None:
+    """A lower bound of the total cost under |friction| <= 1, |dI| <= `slew` and |I| <= `most` [A]; None if none is found.
+
+    `on_current` (control steps,): a linear cost of the current.
+    """
+    total = len(car.W)
+    steps = total // car.substeps
+    limits = (1.0, slew, most)
+    now = [np.zeros(total), np.zeros(steps), np.zeros(steps)]
+    mu = 0.1
+
+    def slack(x: np.ndarray, limit: float) -> np.ndarray:
+        return np.stack([limit - x, limit + x])
+
+    # the multipliers of a bound belong to f^2 <= 1, dI^2 <= slew^2, I^2 <= most^2
+    duals = [mu / slack(x, l) for x, l in zip(now, limits, strict=True)]
+    best = -np.inf
+    for _ in range(80):
+        terms = []
+        for x, l, d in zip(now, limits, duals, strict=True):
+            s = slack(x, l)
+            h = (d / s).sum(axis=0)
+            terms.append(Terms(h, mu / s[0] - mu / s[1] - h * x))
+        friction, change, current = terms
+        current = current._replace(slope=current.slope + on_current)
+        new = [np.empty_like(x) for x in now]
+        if not least(car, friction, change, current, Choice(*new))[1]:
+            break
+        primal, dual, moves = 1.0, 1.0, []
+        for x, y, l, d in zip(now, new, limits, duals, strict=True):
+            s, ds = slack(x, l), np.stack([x - y, y - x])
+            dd = mu / s - d - d / s * ds
+            primal = min(
+                primal, 0.995 * float(np.min(np.where(ds < 0, -s / np.minimum(ds, -1e-300), np.inf)))
+            )
+            dual = min(dual, 0.995 * float(np.min(np.where(dd < 0, -d / np.minimum(dd, -1e-300), np.inf))))
+            moves.append(dd)
+        now = [x + primal * (y - x) for x, y in zip(now, new, strict=True)]
+        duals = [d + dual * m for d, m in zip(duals, moves, strict=True)]
+        left = sum(float(np.sum(d * slack(x, l))) for x, l, d in zip(now, limits, duals, strict=True)) / steps
+        if left < 1e-2:
+            squares = [d.sum(axis=0) / (2 * l) for d, l in zip(duals, limits, strict=True)]
+            terms = [Terms(2 * m, np.zeros_like(m)) for m in squares]
+            friction, change, current = terms
+            current = current._replace(slope=on_current)
+            value, ok = least(car, friction, change, current, Choice(*(np.empty_like(x) for x in now)))
+            if ok:  # any multipliers give a bound: this one is exact
+                best = max(
+                    best, value - sum(float(m.sum()) * l**2 for m, l in zip(squares, limits, strict=True))
+                )
+            if left < 2e-4:
+                break
+        step = min(primal, dual)
+        mu *= 0.3 if step > 0.3 else 0.6 if step > 0.1 else 1.0
+    return float(best) if np.isfinite(best) else None
