@@ -272,7 +272,7 @@ def passive_cost(
 FILE = Path(__file__).with_name("ceiling.json")
 #: roads that nothing was tuned on
 SEED = 600_000
-ROADS = 32
+ROADS = 16
 
 
 def ceiling(

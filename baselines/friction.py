@@ -309,9 +309,6 @@ def _plan(x, current, moves, road, m, iterations):
     return broken
 
 
-BEYOND = 20  # steps that are planned behind the road that is seen
-
-
 @dataclass(frozen=True)
 class FrictionMpcSettings:
     """horizon [steps]; iterations: sweeps per step at most. move, effort [1/A^2], tyre_load, centring [-]: weights beside
@@ -339,8 +336,12 @@ class FrictionMpcSettings:
 
 
 def with_preview(settings: FrictionMpcSettings, preview: float, control_step: float) -> FrictionMpcSettings:
-    """The settings for `preview` [s] of road ahead: a horizon that reaches `BEYOND` steps farther."""
-    return replace(settings, preview=preview, horizon=steps_ahead(preview, control_step) + BEYOND)
+    """The settings for `preview` [s] of road ahead: a horizon as long, and more sweeps, for there is more to plan.
+
+    J against passive on roads 1000-1007, 0.1 s: 2 sweeps -33.10 %, 6 sweeps -33.31; 20 steps more of horizon -33.09 (2 sweeps).
+    """
+    horizon = max(steps_ahead(preview, control_step), settings.horizon)
+    return replace(settings, preview=preview, horizon=horizon, iterations=6)
 
 
 class FrictionMpc(BatchController):

@@ -18,6 +18,8 @@ OWN = {
         "convert": "agents.cli:convert",
         "reproduce": "baselines.reproduce:command",
         "ceiling": "baselines.ceiling:command",
+        "sweep": "isd_gym.sweep:command",
+        "warm": "isd_gym.sweep:warm",
     },
     REFERENCES: {
         "clairvoyant": "baselines.clairvoyant:reachable",

@@ -158,7 +158,7 @@ def drive(
     )
 
 
-def _measures(run: Run, cost: StageCost) -> dict[str, tuple[np.ndarray, str]]:
+def measures(run: Run, cost: StageCost) -> dict[str, tuple[np.ndarray, str]]:
     """Mean squares (or means, for cost and energy) by episode, and the unit of the value."""
     dt = run.control_step
     power = RESISTANCE * run.current**2 - run.thrust * run.current * run.device_travel_rate
@@ -180,6 +180,23 @@ def _pool(name: str, values: np.ndarray) -> np.ndarray:
     if name.endswith("_rms"):
         return np.sqrt(values.mean(axis=-1))
     return values.max(axis=-1) if name.startswith("peak") else values.mean(axis=-1)
+
+
+def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dict[str, Any]:
+    """A quantity of the score: the value of episodes (episodes,), and its change against `ground`, episode by episode.
+
+    Both as `measures` gives them for `name`. The 95 % interval is that of the ratio of the pooled values over `RESAMPLES`
+    draws of the episodes, the same for every quantity and policy.
+    """
+    quantity: dict[str, Any] = {"value": float(_pool(name, values)), "unit": unit}
+    if np.all(ground > 0):
+        episodes = len(values)
+        draws = np.random.default_rng(0).integers(episodes, size=(RESAMPLES, episodes))
+        ratio = _pool(name, values[draws]) / _pool(name, ground[draws]) - 1.0
+        low, high = np.quantile(ratio, [0.025, 0.975])
+        change = float(_pool(name, values) / _pool(name, ground) - 1.0)
+        quantity |= {"change": change, "low": float(low), "high": float(high)}
+    return quantity
 
 
 @dataclass
@@ -260,21 +277,13 @@ def score(
             randomize=randomize,
             progress=None if progress is None else (lambda share, n=entry.name: progress(n, share)),  # type: ignore[misc]
         )
-    base = _measures(runs[reference.name], cost)
-    draws = np.random.default_rng(0).integers(episodes, size=(RESAMPLES, episodes))
+    base = measures(runs[reference.name], cost)
     rows = []
     for entry in todo:
         run = runs[entry.name]
         row: dict[str, Any] = {"policy": entry.name}
-        for name, (values, unit) in _measures(run, cost).items():
-            quantity: dict[str, Any] = {"value": float(_pool(name, values)), "unit": unit}
-            ground = base[name][0]
-            if np.all(ground > 0):
-                ratio = _pool(name, values[draws]) / _pool(name, ground[draws]) - 1.0
-                low, high = np.quantile(ratio, [0.025, 0.975])
-                change = float(_pool(name, values) / _pool(name, ground) - 1.0)
-                quantity |= {"change": change, "low": float(low), "high": float(high)}
-            row[name] = quantity
+        for name, (values, unit) in measures(run, cost).items():
+            row[name] = compare(name, values, base[name][0], unit)
         slew = np.abs(np.diff(run.current, axis=0, prepend=0.0))
         row["limit_violations"] = {
             "body_acceleration": int(np.sum(np.abs(run.body_acceleration) > LIMITS["body_acceleration"])),

@@ -267,7 +267,8 @@ def test_policies_load_and_run_without_torch(rng, tmp_path):
 @pytest.mark.parametrize("name", [p.parent.name for p in SHIPPED.glob("*/policy.json")])
 def test_a_shipped_policy_is_what_its_score_says(name):
     policy = Policy.load(name)
-    env = gymnasium.make_vec("ISDSuspension-v0", 8, autoreset_mode="disabled")
+    looks = {"observation": policy.observation, "preview": policy.preview or 0.25}
+    env = gymnasium.make_vec("ISDSuspension-v0", 8, autoreset_mode="disabled", **looks)
     car = gymnasium.make_vec("ISDSuspension-v0", 8, network="quarter-car-passive", autoreset_mode="disabled")
     (obs, _), _ = env.reset(seed=0), car.reset(seed=0)
     own = other = 0.0
@@ -277,7 +278,7 @@ def test_a_shipped_policy_is_what_its_score_says(name):
         other -= car.step(np.zeros((8, 1)))[1].sum()
     change = own / other - 1
     assert change == pytest.approx(policy.info["score"]["cost"]["change"], abs=0.04)
-    assert policy.info["training"]["command"].startswith(f"isd-gym train {name}")
+    assert policy.info["training"]["command"].startswith(f"isd-gym train {policy.info['algorithm']}")
 
 
 def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path):

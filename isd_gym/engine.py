@@ -1,0 +1,261 @@
+"""Many independent runs: on the cores of one machine, on a Ray cluster, or in shards of an array of jobs.
+
+A `Task` names a function and its arguments as plain JSON, so that it travels to any process or machine; what it returns is
+one file, written whole or not at all, under a name made of the task. Called again with the same folder, what is there is
+not done again. A worker that dies costs its task, which is given to another, and then a line; the rest goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import json
+import logging
+import multiprocessing
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError
+from .files import write_text
+
+SCHEMA = "isd-result/1"
+TRIES = 2  # of a task whose worker died
+ENGINES = ("local", "ray")
+
+
+@dataclass(frozen=True)
+class Task:
+    """`function`: "package.module:name", called with `arguments` as keywords; both and what it returns are JSON."""
+
+    function: str
+    arguments: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        """The task's name: the same wherever and whenever it is made."""
+        text = json.dumps([self.function, self.arguments], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+    def call(self) -> Any:
+        """Do it here."""
+        module, _, name = self.function.partition(":")
+        return getattr(importlib.import_module(module), name)(**self.arguments)
+
+
+@dataclass
+class Outcome:
+    """Results by key, and what went wrong with the tasks that have none, a line each."""
+
+    results: dict[str, Any] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+def stored(tasks: Sequence[Task], folder: Path) -> dict[str, Any]:
+    """Results that are in the folder, by key; a file that is broken is none."""
+    out = {}
+    for task in tasks:
+        try:
+            data = json.loads((folder / f"{task.key}.json").read_text(encoding="utf-8"))
+            if data["schema"] == SCHEMA and data["key"] == task.key:
+                out[task.key] = data["result"]
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return out
+
+
+def shard(tasks: Sequence[Task], which: str | None) -> list[Task]:
+    """The tasks of one job of an array, `which` being "i/n" with i from 0 to n - 1; all without."""
+    if which is None:
+        return list(tasks)
+    try:
+        i, n = (int(part) for part in which.split("/"))
+    except ValueError:
+        raise InputError(f"a shard is i/n, such as 0/8, not '{which}'") from None
+    if not 0 <= i < n:
+        raise InputError(f"shard {which}: i goes from 0 to n - 1")
+    return list(tasks)[i::n]
+
+
+def run(
+    tasks: Sequence[Task],
+    folder: str | Path,
+    *,
+    jobs: int = 1,
+    engine: str = "local",
+    address: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> Outcome:
+    """Do what is not done yet of `tasks`, their results as files in `folder`.
+
+    jobs: processes of this machine; engine "ray": a Ray cluster at `address` ("auto": the one this machine belongs to).
+    progress(done, all): told after each. Raises `InputError` for a folder that cannot be written or a cluster that is not there.
+    """
+    if engine not in ENGINES:
+        raise InputError(f"no engine '{engine}': there are {', '.join(ENGINES)}")
+    if jobs < 1:
+        raise InputError(f"jobs must be at least 1, not {jobs}")
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write '{folder}' ({error.strerror})") from None
+    out = Outcome(stored(tasks, folder))
+    todo = [task for task in {t.key: t for t in tasks}.values() if task.key not in out.results]
+    total = len(out.results) + len(todo)
+    if progress is not None:
+        progress(len(out.results), total)
+    source = _local(todo, jobs) if engine == "local" else _ray(todo, address)
+    for task, answer in source:
+        if answer.error is None:
+            out.results[task.key] = answer.result
+            out.failed.pop(task.key, None)
+            head: dict[str, Any] = {"schema": SCHEMA, "key": task.key, "function": task.function}
+            head |= {
+                "arguments": dict(task.arguments),
+                "host": answer.host,
+                "seconds": round(answer.seconds, 3),
+            }
+            write_text(folder / f"{task.key}.json", json.dumps({**head, "result": answer.result}) + "\n")
+        else:
+            out.failed[task.key] = answer.error
+            say(f"{_words(task)}: {answer.error}")
+        if progress is not None:
+            progress(len(out.results), total)
+    return out
+
+
+def _words(task: Task) -> str:
+    return ", ".join(f"{k} {v}" for k, v in task.arguments.items() if isinstance(v, str | int | float))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a task: its result, or the one line that says why there is none."""
+
+    result: Any = None
+    error: str | None = None
+    seconds: float = 0.0
+    host: str = ""
+
+
+def answer(function: str, arguments: Mapping[str, Any]) -> Answer:
+    """Do a task, in whatever process this is; no error gets out."""
+    begin = time.perf_counter()
+    try:
+        result = Task(function, arguments).call()
+        json.dumps(result, allow_nan=False)
+    except Exception as error:  # one task's error is its own
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        own = isinstance(error, InputError)
+        return Answer(error=text if own else f"{type(error).__name__}: {text}")
+    return Answer(result, None, time.perf_counter() - begin, socket.gethostname())
+
+
+# --------------------------------------------------------------------------------------------- this machine
+
+
+def _serve(pipe: Connection) -> None:
+    while True:
+        try:
+            job = pipe.recv()
+        except (EOFError, KeyboardInterrupt):
+            return
+        pipe.send(answer(*job))
+
+
+class _Worker:
+    """A process that does one task after another, and what it does now."""
+
+    def __init__(self, context: Any) -> None:
+        self.pipe, other = context.Pipe()
+        self.process = context.Process(target=_serve, args=(other,), daemon=True)
+        self.process.start()
+        other.close()
+        self.task: Task | None = None
+
+    def give(self, task: Task) -> None:
+        self.task = task
+        with suppress(OSError):  # one that died this instant: its silence is noticed when it is waited for
+            self.pipe.send((task.function, dict(task.arguments)))
+
+    def stop(self) -> None:
+        self.pipe.close()
+        self.process.join(2.0)
+        if self.process.is_alive():
+            self.process.terminate()
+
+
+def _local(todo: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Answer]]:
+    if jobs == 1:
+        for task in todo:
+            yield task, answer(task.function, task.arguments)
+        return
+    # fresh processes: a fork of one that has threads may hang
+    context = multiprocessing.get_context("spawn")
+    waiting, tries = list(reversed(todo)), dict.fromkeys((t.key for t in todo), 0)
+    workers = [_Worker(context) for _ in range(min(jobs, len(todo)))]
+    try:
+        while waiting or any(w.task for w in workers):
+            for i, w in enumerate(workers):
+                if w.task is None and waiting:
+                    if not w.process.is_alive():  # it died while it had nothing to do
+                        w.stop()
+                        workers[i] = w = _Worker(context)
+                    task = waiting.pop()
+                    tries[task.key] += 1
+                    w.give(task)
+            ready = wait([x for w in workers if w.task for x in (w.pipe, w.process.sentinel)])
+            for i, w in enumerate(workers):
+                if w.task is None or not (w.pipe in ready or w.process.sentinel in ready):
+                    continue
+                task, w.task = w.task, None
+                try:
+                    yield task, w.pipe.recv()
+                except (EOFError, ConnectionError):  # it died
+                    w.stop()
+                    workers[i] = _Worker(context)
+                    if tries[task.key] < TRIES:
+                        waiting.append(task)
+                    else:
+                        yield task, Answer(error=f"its worker died {TRIES} times")
+    finally:
+        for w in workers:
+            w.stop()
+
+
+# --------------------------------------------------------------------------------------------- a Ray cluster
+
+
+def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answer]]:
+    try:
+        import ray
+    except ImportError:
+        raise InputError('the Ray engine needs Ray: pip install "isd-gym[scale]"') from None
+    own = not ray.is_initialized()
+    if own:
+        try:
+            ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
+        except Exception as error:  # a cluster can be missing in many ways
+            text = str(error).splitlines()[0]
+            raise InputError(f"no Ray cluster at '{address or 'auto'}': {text}") from None
+    try:
+        # a node that is lost takes its tasks along, and others get them
+        remote = ray.remote(num_cpus=1, max_retries=TRIES)(answer)
+        pending = {remote.remote(t.function, dict(t.arguments)): t for t in todo}
+        while pending:
+            ready, _ = ray.wait(list(pending), num_returns=1)
+            task = pending.pop(ready[0])
+            try:
+                yield task, ray.get(ready[0])
+            except ray.exceptions.RayError as error:
+                yield task, Answer(error=f"its worker died ({type(error).__name__})")
+    finally:
+        if own:
+            ray.shutdown()

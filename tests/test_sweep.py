@@ -1,0 +1,304 @@
+"""Sweeps: every item once, whatever dies; the merged figures are the score's; bad grids are one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from isd_gym import engine
+from isd_gym.engine import Task
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import find, passive
+from isd_gym.scoring import score
+from isd_gym.sweep import Condition, Grid, Sensors, drive_item, sweep
+
+GRID = """
+policies = ["isd-passive", "skyhook"]
+episodes = 4
+batch = 2
+duration = 0.5
+
+[axes]
+speed = [10, 30.0]
+
+[[conditions]]
+name = "heavy"
+factors = { "body.mass" = 1.2 }
+"""
+
+
+# ------------------------------------------------------------------- functions that tasks name: they run in workers
+
+
+def noted(folder: str, number: int) -> int:
+    """A task that tells that it was done."""
+    with (Path(folder) / "done").open("a") as file:
+        file.write(f"{number}\n")
+    return number**2
+
+
+def dies_once(folder: str, number: int) -> int:
+    """A task that kills its worker the first time."""
+    mark = Path(folder) / f"died-{number}"
+    if number == 1 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return noted(folder, number)
+
+
+def dies(folder: str, number: int) -> int:
+    """Number 2 never survives, number 3 has an error."""
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number == 3:
+        raise ValueError("of its own")
+    return noted(folder, number)
+
+
+def slow(folder: str, number: int) -> int:
+    time.sleep(0.3)
+    return noted(folder, number)
+
+
+def _tasks(name: str, folder: Path, count: int) -> list[Task]:
+    return [Task(f"test_sweep:{name}", {"folder": str(folder), "number": i}) for i in range(count)]
+
+
+def _done(folder: Path) -> list[int]:
+    return sorted(int(line) for line in (folder / "done").read_text().split())
+
+
+@pytest.fixture
+def importable(monkeypatch):
+    """Workers find this file."""
+    here = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_is_done_once_and_not_again(jobs, tmp_path, importable):
+    tasks = _tasks("noted", tmp_path, 5)
+    first = engine.run(tasks, tmp_path / "out", jobs=jobs)
+    assert [first.results[t.key] for t in tasks] == [0, 1, 4, 9, 16] and not first.failed
+    again = engine.run(tasks, tmp_path / "out", jobs=jobs)
+    assert again.results == first.results
+    assert _done(tmp_path) == [0, 1, 2, 3, 4]
+
+
+def test_a_broken_result_is_made_again(tmp_path):
+    tasks = _tasks("noted", tmp_path, 2)
+    engine.run(tasks, tmp_path / "out")
+    for text in ("{", "[]", '{"schema": "isd-result/1", "key": "another", "result": 7}'):
+        (tmp_path / "out" / f"{tasks[0].key}.json").write_text(text)
+        assert engine.run(tasks, tmp_path / "out").results[tasks[0].key] == 0
+
+
+def test_a_worker_that_dies_costs_nothing_but_time(tmp_path, importable):
+    tasks = _tasks("dies_once", tmp_path, 4)
+    outcome = engine.run(tasks, tmp_path / "out", jobs=2)
+    assert len(outcome.results) == 4 and not outcome.failed
+    assert _done(tmp_path) == [0, 1, 2, 3]
+
+
+def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable):
+    tasks, lines = _tasks("dies", tmp_path, 6), []
+    outcome = engine.run(tasks, tmp_path / "out", jobs=2, say=lines.append)
+    assert _done(tmp_path) == [0, 1, 4, 5]
+    assert sorted(outcome.failed.values()) == ["ValueError: of its own", "its worker died 2 times"]
+    assert len(lines) == 2
+    assert not list((tmp_path / "out").glob(".*"))  # nothing half-written
+
+
+def test_killed_as_a_whole_it_goes_on_where_it_was(tmp_path, importable):
+    code = (
+        "from pathlib import Path\nfrom isd_gym import engine\nimport test_sweep\n"
+        f"folder = Path({str(tmp_path)!r})\n"
+        "if __name__ == '__main__':\n"
+        "    engine.run(test_sweep._tasks('slow', folder, 12), folder / 'out', jobs=2)\n"
+    )
+    script = tmp_path / "go.py"
+    script.write_text(code)
+    process = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
+    while not list((tmp_path / "out").glob("[!.]*.json")):
+        time.sleep(0.05)
+        assert process.poll() is None
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    tasks = _tasks("slow", tmp_path, 12)
+    kept = engine.stored(tasks, tmp_path / "out")
+    assert 0 < len(kept) < 12
+    outcome = engine.run(tasks, tmp_path / "out")
+    assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(12)]
+    # what had a result was not done again; what was under way when it was killed may have been
+    assert len(_done(tmp_path)) <= 12 + 2 and set(_done(tmp_path)) == set(range(12))
+
+
+def test_shards_are_a_partition():
+    tasks = _tasks("noted", Path("x"), 11)
+    parts = [engine.shard(tasks, f"{i}/3") for i in range(3)]
+    assert sorted(t.key for p in parts for t in p) == sorted(t.key for t in tasks)
+    for bad in ("3/3", "-1/3", "1", "a/b", "1/0"):
+        with pytest.raises(InputError):
+            engine.shard(tasks, bad)
+
+
+# ------------------------------------------------------------------------------------------------------- the grid
+
+
+def test_a_grid_is_axes_crossed_and_conditions_named(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    grid = Grid.load(tmp_path / "grid.toml")
+    assert [c.name for c in grid.conditions] == ["speed 10", "speed 30", "heavy"]
+    assert len(grid.tasks()) == 3 * 3 * 2  # the passive car as well
+    assert len({t.key for t in grid.tasks()}) == 18
+
+
+def test_a_sweep_says_what_the_score_says(tmp_path):
+    plant = Network.load("quarter-car-isd")
+    heavy = plant.with_parameters({"body.mass": 1.2 * plant.parameters["body.mass"]})
+    grid = Grid(
+        ("skyhook",), (Condition("heavy", factors={"body.mass": 1.2}),), episodes=5, batch=2, duration=1.0
+    )
+    merged, _ = sweep(grid, tmp_path / "out")
+    assert merged["missing"] == 0 and json.loads((tmp_path / "out" / "sweep.json").read_text()) == merged
+    expected = score(
+        [find("skyhook", heavy, model=plant)], heavy, reference=passive(heavy), episodes=5, duration=1.0
+    )
+    own = {r["policy"]: r for r in expected.policies}["skyhook"]
+    (row,) = merged["conditions"][0]["policies"]
+    for name in ("cost", "tyre_load_rms", "energy", "peak_body_acceleration"):
+        for key in ("value", "change", "low", "high"):
+            assert row[name].get(key) == pytest.approx(own[name].get(key), rel=1e-12)
+
+
+def test_shards_of_a_sweep_merge_to_the_whole(tmp_path):
+    grid = Grid(("skyhook",), (Condition("a"), Condition("b", speed=10.0)), episodes=4, batch=2, duration=0.2)
+    whole, _ = sweep(grid, tmp_path / "whole")
+    first, _ = sweep(grid, tmp_path / "parts", which="0/2")
+    assert first["missing"] == 4
+    second, _ = sweep(grid, tmp_path / "parts", which="1/2")
+    assert second == whole
+
+
+def test_sensors_are_late_and_noisy_and_tell_the_present_current():
+    clean = np.arange(24.0).reshape(4, 1, 6)
+    late = Sensors(0.0, 2, 0)
+    seen = [late(obs, k) for k, obs in enumerate(clean)]
+    np.testing.assert_array_equal([s[0, 0] for s in seen], [0, 0, 0, 6])
+    np.testing.assert_array_equal([s[0, 5] for s in seen], clean[:, 0, 5])
+    noisy = Sensors(2.0, 0, 0)
+    errors = np.array([noisy(np.zeros((500, 6)), k) for k in range(20)])[..., :5].std(axis=(0, 1))
+    np.testing.assert_allclose(errors, [0.2, 1e-3, 0.04, 2e-4, 0.02], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("polices = ['lqg']", "did you mean 'policies'"),
+        ("policies = []", "at least one"),
+        ("policies = ['lqg', 'lqg']", "named twice"),
+        ("policies = ['lqg']\nepisodes = 0", "episodes must be"),
+        ("policies = ['lqg']\n[axes]\nspeeds = [1]", "did you mean 'speed'"),
+        ("policies = ['lqg']\n[axes]\nspeed = []", "at least one"),
+        ("policies = ['lqg']\n[axes]\nspeed = [-1]", "speed must be"),
+        ("policies = ['lqg']\n[axes]\nroad = ['nowhere']", "no road 'nowhere'"),
+        ("policies = ['lqg']\n[[conditions]]\nspeed = 1", "with a name"),
+        (
+            "policies = ['lqg']\n[[conditions]]\nname = 'a'\nfactors = {'body.mas' = 1}",
+            "no parameter 'body.mas'",
+        ),
+        ("policies = ['lqg']\n[[conditions]]\nname = 'a'\n[[conditions]]\nname = 'a'", "two conditions"),
+        ("policies = [", "grid"),
+        ("duration = nan\npolicies = ['lqg']", "duration"),
+    ],
+)
+def test_a_bad_grid_is_one_line(text, why, tmp_path):
+    path = tmp_path / "grid.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=why) as error:
+        Grid.load(path)
+    assert "\n" not in str(error.value) and str(path) in str(error.value)
+
+
+def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path, capsys, monkeypatch):
+    from isd_gym.cli import main
+
+    def go(*args: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["isd-gym", "sweep", *args])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return int(end.value.code or 0)
+
+    (tmp_path / "grid.toml").write_text(GRID.replace("isd-passive", "nobody"))
+    assert go(str(tmp_path / "grid.toml"), "--out", str(tmp_path / "out")) == 1
+    said = capsys.readouterr()
+    assert "heavy" in said.out and "6 items are missing" in said.err
+    assert said.err.count("no policy 'nobody'") >= 6 and "Traceback" not in said.err
+    (tmp_path / "good.toml").write_text(GRID)
+    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out")) == 0
+    assert go(str(tmp_path / "absent.toml"), "--out", str(tmp_path / "out")) == 2
+
+
+def test_an_item_is_small():
+    text = json.dumps(drive_item("skyhook", 0, 8, 0.5, {}))
+    assert len(text) < 3000
+
+
+# ------------------------------------------------------------------------------------------------------- a cluster
+
+needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
+
+
+@needs_ray
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable):
+    import ray
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    second = cluster.add_node(num_cpus=1)
+    ray.init(address=cluster.address, log_to_driver=False)
+    try:
+        tasks = _tasks("slow", tmp_path, 16)
+        killed = []
+
+        def kill(done: int, total: int) -> None:
+            if done == 4 and not killed:
+                cluster.remove_node(second, allow_graceful=False)
+                killed.append(done)
+
+        outcome = engine.run(tasks, tmp_path / "out", engine="ray", progress=kill)
+        assert killed and not outcome.failed
+        assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(16)]
+        assert set(_done(tmp_path)) == set(range(16)) and len(_done(tmp_path)) <= 17
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+
+
+@needs_ray
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
+    with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'") as error:
+        engine.run(_tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray", address="127.0.0.1:1")
+    assert "\n" not in str(error.value)
+
+
+def test_without_ray_the_engine_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match="scale"):
+        engine.run(_tasks("noted", tmp_path, 1), tmp_path / "out", engine="ray")
+    with pytest.raises(InputError, match="no engine 'cloud'"):
+        engine.run([], tmp_path / "out", engine="cloud")
