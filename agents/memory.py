@@ -60,7 +60,9 @@ class Filter:
             n, nf, ny = len(self.B), len(self.K), len(self.D)
             ahead, known = len(self.law_ahead), len(self.road)
         except TypeError:
-            raise InputError("memory: filter's B, K, D, road and law_ahead must be lists of numbers") from None
+            raise InputError(
+                "memory: filter's B, K, D, road and law_ahead must be lists of numbers"
+            ) from None
         if not (0 < n <= STATES and nf <= STATES and ny <= SIGNALS and ahead <= SIGNALS):
             raise InputError(f"memory: filter has more than {STATES} states or {SIGNALS} signals")
         if known not in (0, n):

@@ -49,7 +49,7 @@ from isd_gym.simulate import PHYSICS_STEP
 from .bounds import linear_car
 from .clairvoyant import CONTROL_STEP, SCHEDULES, Episode, Penalty, Schedule, episode_key, keep, read
 from .controller import steps_ahead
-from .model import Model, Weights, prediction_model, statistical_linearisation
+from .model import Model, Weights, device_reach, prediction_model, statistical_linearisation
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class NewsValue:
         settings: CeilingSettings | None = None,
     ) -> None:
         s = settings or CeilingSettings()
-        weights = Weights(cost, move=s.move, effort=s.effort, centring=s.centring)
+        weights = Weights(cost, s.move, s.effort, s.centring, reach=device_reach(network))
         self.noise, self.pole = road.noise(speed, PHYSICS_STEP)
         if not self.noise > 0 or road.profile is not None:
             raise InputError(f"road '{road.name}' is no rough road alone: nothing about it is news")

@@ -64,7 +64,7 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
     for words in ("of the gain", "travel [mm] 7.60 -> 6.30", "Clairvoyant optimum", "Causal LQ bound"):
         assert words in text
     data = json.loads((tmp_path / "s.json").read_text())
-    assert set(data["references"]) == {"clairvoyant", "clairvoyant_point", "causal_bound"}
+    assert {"clairvoyant", "clairvoyant_point", "causal_bound"} <= set(data["references"])
     point = data["references"]["clairvoyant_point"]  # least cost, so less of what it is made of
     assert -0.6 < point["body_acceleration_change"] < -0.2 and -0.6 < point["suspension_travel_change"] < -0.1
     assert "{" not in text
