@@ -4,8 +4,9 @@ python benchmarks/diagnose.py FOLDER [NAME ...]            a folder of rigs: FOL
 python benchmarks/diagnose.py --suite [WHAT ...] --seeds 1 2   rigs of the hidden suite
 python benchmarks/diagnose.py --again DIR ...              the figures of finished runs; nothing is run
 
-WHAT: home (cars, device rigs), families, a family ("shaken"), a kind ("shaken.friction_ground"); all without. A folder
-without a truth is one of measured rigs: benchmarks/real.json says what may be named there.
+WHAT: home (cars, device rigs), families, a family ("shaken"), a kind ("shaken.friction_ground"); home and families without.
+unseen: families that are kept aside, nothing is developed on them; only where asked for. A folder without a truth is one
+of measured rigs: benchmarks/real.json says what may be named there.
 
 --out DIR      one file per case, written whole; called again with the same DIR, what is there is not run again
 --jobs N       processes, one thread each (all cores without)
@@ -48,7 +49,7 @@ ROOT = Path(__file__).resolve().parents[1]
 class Job:
     """A case to run: files of a folder, or a kind and a seed of the hidden suite."""
 
-    suite: str  # the folder's name, "home" or "families"
+    suite: str  # the folder's name, "home", "families" or "unseen"
     family: str
     kind: str
     name: str
@@ -93,13 +94,14 @@ def in_suite(wanted: list[str], seeds: list[int]) -> Iterator[Job]:
 
     known = [("home", hidden.family(k), k) for k in hidden.ALL_KINDS]
     known += [("families", k.split(".")[0], k) for k in families.KINDS]
+    aside = [("unseen", k.split(".")[0], k) for k in families.UNSEEN_KINDS]
     asked = set(wanted)
     for word in asked:
-        if not any(word in k for k in known):
-            sys.exit(f"--suite {word}: neither home nor families, nor a family, nor a kind")
+        if not any(word in k for k in known + aside):
+            sys.exit(f"--suite {word}: neither home, families nor unseen, nor a family, nor a kind")
     for seed in seeds:
-        for suite, family, kind in known:
-            if not asked or asked & {suite, family, kind}:
+        for suite, family, kind in known + aside:
+            if asked & {suite, family, kind} or (not asked and suite != "unseen"):
                 yield Job(suite, family, kind, f"{kind}-{seed}", seed=seed)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from families import FAMILIES, KINDS, make_case, save
+from families import FAMILIES, KINDS, UNSEEN, UNSEEN_KINDS, make_case, save
 from families.plant import Signal, integrate
 from families.rigs import dyno
 from reference import simulate
@@ -121,7 +121,8 @@ def test_the_cell_of_a_test_machine_reads_inertia_spring_and_damper() -> None:
 
 def test_the_suite_is_broad() -> None:
     assert len(set(KINDS)) == len(KINDS) >= 80
-    for family in FAMILIES.values():
+    assert not set(FAMILIES) & set(UNSEEN) and len(set(UNSEEN_KINDS)) == len(UNSEEN_KINDS)
+    for family in [*FAMILIES.values(), *UNSEEN.values()]:
         assert "none" in family.kinds  # a clean one of each
     assert sum(f.kinds[k].answer == "unknown" for f in FAMILIES.values() for k in f.kinds) >= 10
 

@@ -5,7 +5,7 @@ the library does not have, and returns the records, the model as its owner belie
 
 - `draw`: scales (a gram to five tonnes, 50 Hz to 5 kHz, 300 to 20,000 samples) and signals;
 - `effects`: what is hidden, in proportion to the motion where it sits;
-- `rigs`: the families, and which kinds each has;
+- `rigs`: the families, and which kinds each has; `unseen`: those that are kept aside, and are run once;
 - `plant`: an integrator of their own, Runge-Kutta in small steps, that shares nothing with the project's kernel;
 - `bench`: a rig, one simulation of it, and the best fit without what is hidden;
 - `case`: the size of the effect, nuisances, noise, the owner's errors.
@@ -21,14 +21,17 @@ from __future__ import annotations
 from . import case as _case
 from .case import Case, Family, save
 from .rigs import FAMILIES
+from .unseen import UNSEEN
 
 KINDS: list[str] = [f"{family}.{kind}" for family, f in FAMILIES.items() for kind in f.kinds]
-"""Every kind that `make_case` knows."""
+"""Every kind to work on."""
+UNSEEN_KINDS: list[str] = [f"{family}.{kind}" for family, f in UNSEEN.items() for kind in f.kinds]
+"""Every kind that is kept aside."""
 
 
 def make_case(kind: str, seed: int) -> Case:
     """One case; everything is drawn from `kind` and `seed`."""
-    return _case.make_case(FAMILIES[kind.split(".")[0]], kind, seed)
+    return _case.make_case({**FAMILIES, **UNSEEN}[kind.split(".")[0]], kind, seed)
 
 
-__all__ = ["FAMILIES", "KINDS", "Case", "Family", "make_case", "save"]
+__all__ = ["FAMILIES", "KINDS", "UNSEEN_KINDS", "Case", "Family", "make_case", "save"]

@@ -38,6 +38,10 @@ class Rig:
     input_db: float = 90.0  # how well displacements that go in are measured
 
 
+def at_rest(signals: list[Signal], name: str) -> tuple[Drive, ...]:
+    return tuple(Drive({name: s}, {}) for s in signals)
+
+
 # --------------------------------------------------------------------------------------------------- one simulation
 def changed(model: Model, change: Change, label: str) -> Model:
     """`model` with a change in it."""

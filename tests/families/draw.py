@@ -120,6 +120,21 @@ def strengthened(signal: Signal, factor: float) -> Signal:
     return Signal(signal.value * factor, signal.rate * factor, signal.second * factor, signal.held)
 
 
+def excitation(r: Generator, t: Tempo, size: float, low: float = 0.25, high: float = 3.0) -> list[Signal]:
+    """Two records' signals about a natural frequency: rough, swept or a few tones; the second of another strength."""
+    f, out = t.frequency, []
+    for strength in (1.0, log(r, 0.7, 1.3)):
+        sort = r.choice(["rough", "rough", "sweep", "tones"])
+        if sort == "rough":
+            s = rough(r, t, low * f, high * f, r.uniform(0.0, 1.5), size)
+        elif sort == "sweep":
+            s = sweep(r, t, low * f, high * f, size)
+        else:
+            s = tones(r, t, 0.5 * f, 1.6 * f, size, int(r.integers(2, 5)))
+        out.append(strengthened(s, strength))
+    return out
+
+
 # --------------------------------------------------------------------------------------------------------- models
 def element(kind: str, name: str, first: str, second: str, **parameters: float) -> Element:
     return {"name": name, "type": kind, "between": [first, second], **parameters}
@@ -161,3 +176,7 @@ def reading(r: Generator, quantity: str, node: str, other: str | None = None) ->
     place = {"at": node} if other is None else {"between": [node, other]}
     out = {"name": f"{node}_{quantity}", "quantity": quantity, **place}
     return {**out, "offset": "free"} if quantity == "displacement" and r.random() < 0.35 else out
+
+
+def channel(name: str, quantity: str, **place: str) -> Element:
+    return {"name": name, "quantity": quantity, **place}

@@ -90,18 +90,19 @@ def unknown(shape: Shape, place: Pair | str) -> Hidden:
     return Hidden(((shape, place),), "unknown", gap=(0.12, 0.5))
 
 
-def _link(kind: str, place: Pair, **parameters: Any) -> Change:
+def link(kind: str, place: Pair, **parameters: Any) -> Change:
+    """One element between two terminals."""
     return Change(({"type": kind, "between": list(place), **parameters},))
 
 
 # ------------------------------------------------------------------------------------------------ at two terminals
 def coulomb(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("coulomb_friction", place, level=x * s.force)
+    return lambda x: link("coulomb_friction", place, level=x * s.force)
 
 
 def stribeck(r: Generator, s: Scale, place: Pair) -> Sized:
     rise, speed = r.uniform(1.8, 2.8), r.uniform(0.15, 0.4) * s.rate
-    return lambda x: _link(
+    return lambda x: link(
         "stribeck_friction",
         place,
         level=x * s.force,
@@ -111,24 +112,24 @@ def stribeck(r: Generator, s: Scale, place: Pair) -> Sized:
 
 
 def quadratic(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("quadratic_damping", place, damping=x * s.damping / s.rate)
+    return lambda x: link("quadratic_damping", place, damping=x * s.damping / s.rate)
 
 
 def linear_damping(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("linear_damping", place, damping=x * s.damping)
+    return lambda x: link("linear_damping", place, damping=x * s.damping)
 
 
 def linear_stiffness(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("linear_stiffness", place, stiffness=x * s.stiffness)
+    return lambda x: link("linear_stiffness", place, stiffness=x * s.stiffness)
 
 
 def inertance(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("inertance", place, inertance=x * s.damping * s.travel / s.rate)
+    return lambda x: link("inertance", place, inertance=x * s.damping * s.travel / s.rate)
 
 
 def asymmetric(r: Generator, s: Scale, place: Pair) -> Sized:
     out = r.random() < 0.5
-    return lambda x: _link(
+    return lambda x: link(
         "asymmetric_damping",
         place,
         extension=x * s.damping if out else 0.0,
@@ -137,23 +138,23 @@ def asymmetric(r: Generator, s: Scale, place: Pair) -> Sized:
 
 
 def hardening(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("cubic_stiffness", place, stiffness=x * s.stiffness / s.travel**2)
+    return lambda x: link("cubic_stiffness", place, stiffness=x * s.stiffness / s.travel**2)
 
 
 def softening(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("cubic_stiffness", place, stiffness=-min(x, 0.06) * s.stiffness / s.travel**2)
+    return lambda x: link("cubic_stiffness", place, stiffness=-min(x, 0.06) * s.stiffness / s.travel**2)
 
 
 def sine(r: Generator, s: Scale, place: Pair) -> Sized:
     """Gravity on a pendulum: the smaller the length of a radian, the further from linear; the stiffness is that of the rig."""
-    return lambda x: _link(
+    return lambda x: link(
         "x_sine_less_linear", place, stiffness=s.stiffness, length=s.travel / min(np.sqrt(2.0 * x), 0.7)
     )
 
 
 def gas(r: Generator, s: Scale, place: Pair) -> Sized:
     length, n = r.uniform(3.5, 6.0) * s.travel, 1.3
-    return lambda x: _link("gas_spring", place, force=x * s.stiffness * length / n, length=length, exponent=n)
+    return lambda x: link("gas_spring", place, force=x * s.stiffness * length / n, length=length, exponent=n)
 
 
 def stop(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -161,21 +162,19 @@ def stop(r: Generator, s: Scale, place: Pair) -> Sized:
         r.uniform(0.8, 1.4) * s.travel,
         str(r.choice(["both", "both", "extension", "compression"])),
     )
-    return lambda x: _link(
-        "bump_stop", place, clearance=clearance, stiffness=8.0 * x * s.stiffness, side=side
-    )
+    return lambda x: link("bump_stop", place, clearance=clearance, stiffness=8.0 * x * s.stiffness, side=side)
 
 
 def hysteresis(r: Generator, s: Scale, place: Pair) -> Sized:
     way = r.uniform(0.15, 0.5) * s.travel
-    return lambda x: _link(
+    return lambda x: link(
         "hysteresis", place, level=x * s.force, stiffness=x * s.force / way, exponent=1.0, shape=0.5
     )
 
 
 def cogging(r: Generator, s: Scale, place: Pair) -> Sized:
     pitch, phase = r.uniform(0.8, 2.2) * s.travel, r.uniform(-np.pi, np.pi)
-    return lambda x: _link("cogging_force", place, amplitude=x * s.force, pitch=pitch, phase=phase)
+    return lambda x: link("cogging_force", place, amplitude=x * s.force, pitch=pitch, phase=phase)
 
 
 def play(spring: str) -> Hidden:
@@ -211,23 +210,23 @@ def lag(r: Generator, s: Scale, motor: Any) -> Sized:
 def tanh_spring(r: Generator, s: Scale, place: Pair) -> Sized:
     """A spring that gives in altogether: far beyond where a cubic could follow it."""
     depth = r.uniform(0.25, 0.4)
-    return lambda x: _link(
+    return lambda x: link(
         "x_tanh_less_linear", place, stiffness=min(x, 0.9) * s.stiffness, length=depth * s.travel
     )
 
 
 def switched_spring(r: Generator, s: Scale, place: Pair) -> Sized:
     period, duty = r.uniform(9.0, 23.0) * s.time, r.uniform(0.3, 0.6)
-    return lambda x: _link("x_switched_stiffness", place, stiffness=x * s.stiffness, period=period, duty=duty)
+    return lambda x: link("x_switched_stiffness", place, stiffness=x * s.stiffness, period=period, duty=duty)
 
 
 def position_damping(r: Generator, s: Scale, place: Pair) -> Sized:
-    return lambda x: _link("x_position_damping", place, damping=x * s.damping, length=s.travel)
+    return lambda x: link("x_position_damping", place, damping=x * s.damping, length=s.travel)
 
 
 def timed_friction(r: Generator, s: Scale, place: Pair) -> Sized:
     period, duty = r.uniform(9.0, 23.0) * s.time, r.uniform(0.3, 0.6)
-    return lambda x: _link("x_timed_friction", place, level=2.0 * x * s.force, period=period, duty=duty)
+    return lambda x: link("x_timed_friction", place, level=2.0 * x * s.force, period=period, duty=duty)
 
 
 def resonator(r: Generator, s: Scale, place: Pair) -> Sized:
@@ -251,4 +250,27 @@ def resonator(r: Generator, s: Scale, place: Pair) -> Sized:
 def knocks(r: Generator, s: Scale, place: Pair) -> Sized:
     """Something hits the rig every now and then, and no channel tells when."""
     period, width = r.uniform(11.0, 27.0) * s.time, r.uniform(0.4, 1.0) * s.time
-    return lambda x: _link("x_impulse", place, force=4.0 * x * s.force, period=period, width=width)
+    return lambda x: link("x_impulse", place, force=4.0 * x * s.force, period=period, width=width)
+
+
+#: what a kind is called -> the effect's name and its shape
+DEVICES = {
+    "friction": ("coulomb_friction", coulomb),
+    "stribeck": ("stribeck_friction", stribeck),
+    "quadratic": ("quadratic_damping", quadratic),
+    "asymmetric": ("asymmetric_damping", asymmetric),
+    "cubic": ("cubic_stiffness", hardening),
+    "gas": ("gas_spring", gas),
+    "stop": ("bump_stop", stop),
+    "hysteresis": ("hysteresis", hysteresis),
+    "cogging": ("cogging_force", cogging),
+    "softening": ("cubic_stiffness", softening),
+    "inertance": ("inertance", inertance),
+    "damping": ("linear_damping", linear_damping),
+    "stiffness": ("linear_stiffness", linear_stiffness),
+}
+
+
+def devices(place: tuple[str, str], *names: str, suffix: str = "") -> dict[str, Hidden]:
+    """Kinds of a family: each of `names` hidden at one place."""
+    return {f"{n}{suffix}": at(*DEVICES[n], place) for n in names}

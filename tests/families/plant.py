@@ -263,7 +263,7 @@ def integrate(
     y = np.zeros(2 * n + len(codes))
     for node, (position, velocity) in (initial or {}).items():
         y[nodes.index(node)], y[n + nodes.index(node)] = position, velocity
-    steps = math.ceil(max(2.0, interval * _fastest(n, inverse, codes, P) / 1.2))
+    steps = math.ceil(max(2.0, interval * _fastest(n, inverse, ends, codes, P) / 1.2))
     X, V, A, F = _march(
         y,
         n,
@@ -292,33 +292,27 @@ def integrate(
     return Run(*columns, link, load)
 
 
-def _fastest(n: int, inverse: Array, codes: list[int], P: list[list[float]]) -> float:
-    """Fastest rate [1/s] at which the plant can answer: sum of the links' steepest slopes over mass."""
-    if not n:
-        return 0.0
-    light = float(np.max(np.diag(inverse)))
+def _fastest(n: int, inverse: Array, ends: Any, codes: list[int], P: list[list[float]]) -> float:
+    """Fastest rate [1/s] at which the plant can answer: the links' steepest slopes over the mass that they move."""
     by_code = {code: name for name, (code, _) in LAWS.items()}
+    mobility = np.zeros((n + 1, n + 1))  # what is moved or ground does not give way
+    mobility[:n, :n] = inverse
     slow, fast = 0.0, 0.0
-    for code, p in zip(codes, P, strict=True):
-        name = by_code[code]
+    for (i, j), code, p in zip(ends, codes, P, strict=True):
+        name, i, j = by_code[code], min(i, n), min(j, n)
+        gives = mobility[i, i] + mobility[j, j] - 2.0 * mobility[i, j]
         if name in ("linear_stiffness", "x_spring_with_play", "x_switched_stiffness", "x_maxwell"):
-            slow += 4.0 * abs(p[0]) * light
+            slow += 4.0 * abs(p[0]) * gives
         elif name in ("bump_stop", "hysteresis"):
-            slow += 4.0 * p[1] * light
-        elif name in ("linear_damping", "x_position_damping"):
-            fast += abs(p[0]) * light
+            slow += 4.0 * p[1] * gives
+        elif name in ("linear_damping", "x_position_damping", "x_fading_damping", "x_shear_thinning"):
+            fast += abs(p[0]) * gives
         elif name == "asymmetric_damping":
-            fast += max(abs(p[0]), abs(p[1])) * light
+            fast += max(abs(p[0]), abs(p[1])) * gives
         elif name in DRY:
-            level = (
-                p[0] * p[1] * 4.0
-                if name == "x_wedge_friction"
-                else p[1]
-                if name == "stribeck_friction"
-                else p[0]
-            )
-            fast += level / p[5] * light
-    # forty steps to a period of the stiffest spring; dry friction within Runge-Kutta's limit of stability
+            level = {"x_wedge_friction": 4.0 * p[0] * p[1], "stribeck_friction": p[1]}.get(name, p[0])
+            fast += level / p[5] * gives
+    # fifty steps to a period of the stiffest spring; dry friction within Runge-Kutta's limit of stability
     return max(fast, 8.0 * math.sqrt(slow))
 
 

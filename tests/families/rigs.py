@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.random import Generator
 
 from . import effects as fx
-from .bench import Drive, Rig
+from .bench import Drive, Rig, at_rest
 from .case import Family
 from .draw import (
-    Tempo,
     amplitude,
+    channel,
     element,
+    excitation,
     held,
     log,
     mass,
@@ -21,38 +20,11 @@ from .draw import (
     reading,
     rough,
     spring_damper,
-    strengthened,
-    sweep,
     tempo,
-    tones,
 )
-from .effects import NOTHING, at, play, unknown
-from .plant import Signal
+from .effects import NOTHING, at, devices, play, unknown
 
 BASE, SOIL = ("mass", "base"), ("mass", "ground")
-
-
-def _excitation(r: Generator, t: Tempo, size: float, low: float = 0.25, high: float = 3.0) -> list[Signal]:
-    """Two records' signals about a natural frequency: rough, swept or a few tones; the second of another strength."""
-    f, out = t.frequency, []
-    for strength in (1.0, log(r, 0.7, 1.3)):
-        sort = r.choice(["rough", "rough", "sweep", "tones"])
-        if sort == "rough":
-            s = rough(r, t, low * f, high * f, r.uniform(0.0, 1.5), size)
-        elif sort == "sweep":
-            s = sweep(r, t, low * f, high * f, size)
-        else:
-            s = tones(r, t, 0.5 * f, 1.6 * f, size, int(r.integers(2, 5)))
-        out.append(strengthened(s, strength))
-    return out
-
-
-def _rest(signals: list[Signal], name: str) -> tuple[Drive, ...]:
-    return tuple(Drive({name: s}, {}) for s in signals)
-
-
-def _input(name: str, quantity: str, **place: str) -> dict[str, Any]:
-    return {"name": name, "quantity": quantity, **place}
 
 
 # ------------------------------------------------------------------------------------------------- on a shaken base
@@ -68,8 +40,8 @@ def shaken(r: Generator, sensors: str = "position") -> Rig:
     }
     sort = sensors if sensors != "position" else str(r.choice(["position", "travel", "both"]))
     elements = spring_damper("mass", "base", m, t.omega, zeta)
-    net = model("shaken", {"mass": m}, elements, [_input("base", "displacement", at="base")], out[sort])
-    drives = _rest(_excitation(r, t, size), "base")
+    net = model("shaken", {"mass": m}, elements, [channel("base", "displacement", at="base")], out[sort])
+    drives = at_rest(excitation(r, t, size), "base")
     known = ("mass.mass",) if r.random() < 0.5 else ()
     return Rig(net, drives, t.size, t.interval, 1 / t.omega, size * t.omega, known, (BASE, SOIL))
 
@@ -85,12 +57,12 @@ def shaken2(r: Generator) -> Rig:
     out = [reading(r, "acceleration", "lower"), reading(r, "acceleration", "upper")]
     size = amplitude(r, t.omega)
     net = model(
-        "shaken2", {"lower": m, "upper": upper}, elements, [_input("base", "displacement", at="base")], out
+        "shaken2", {"lower": m, "upper": upper}, elements, [channel("base", "displacement", at="base")], out
     )
     pairs = (("lower", "base"), ("upper", "lower"), ("lower", "ground"))
     return Rig(
         net,
-        _rest(_excitation(r, t, size, 0.3, 4.0), "base"),
+        at_rest(excitation(r, t, size, 0.3, 4.0), "base"),
         t.size,
         t.interval,
         1 / t.omega,
@@ -119,11 +91,11 @@ def three(r: Generator) -> Rig:
     keep = [o for o in out if r.random() < 0.75] or out
     size = amplitude(r, t.omega)
     push = size * sum(masses.values()) * t.omega**2 * 0.5
-    net = model("three", masses, elements, [_input("push", "force", at="one")], keep)
+    net = model("three", masses, elements, [channel("push", "force", at="one")], keep)
     pairs = (("one", "ground"), ("two", "one"), ("three", "two"))
     return Rig(
         net,
-        _rest(_excitation(r, t, push, 0.3, 3.0), "push"),
+        at_rest(excitation(r, t, push, 0.3, 3.0), "push"),
         t.size,
         t.interval,
         1 / t.omega,
@@ -194,13 +166,13 @@ def resonator(r: Generator) -> Rig:
         "resonator",
         {"mass": m},
         spring_damper("mass", "ground", m, t.omega, zeta),
-        [_input("push", "force", at="mass")],
+        [channel("push", "force", at="mass")],
         [reading(r, sort, "mass")],
     )
     signals = [
         rough(r, t, 0.3 * t.frequency, 2.0 * t.frequency, 0.0, push * k) for k in (1.0, log(r, 0.7, 1.3))
     ]
-    return Rig(net, _rest(signals, "push"), t.size, t.interval, 1 / t.omega, size * t.omega, (), (SOIL,))
+    return Rig(net, at_rest(signals, "push"), t.size, t.interval, 1 / t.omega, size * t.omega, (), (SOIL,))
 
 
 def pushed(r: Generator) -> Rig:
@@ -215,12 +187,12 @@ def pushed(r: Generator) -> Rig:
         "pushed",
         {"mass": m},
         spring_damper("mass", "ground", m, t.omega, zeta),
-        [_input("push", "force", at="mass")],
+        [channel("push", "force", at="mass")],
         out,
     )
     return Rig(
         net,
-        _rest(_excitation(r, t, push), "push"),
+        at_rest(excitation(r, t, push), "push"),
         t.size,
         t.interval,
         1 / t.omega,
@@ -244,11 +216,13 @@ def cart(r: Generator) -> Rig:
         amperes = log(r, 0.2, 20.0)
         motor = element("motor", "motor", "mass", "ground", thrust_constant=force / amperes, ratio=1.0)
         signals = [held(r, t, log(r, 2.0, 8.0) / t.omega, amperes * k) for k in (1.0, log(r, 0.7, 1.3))]
-        net = model("cart", {"mass": m}, [guide, motor], [_input("current", "current", element="motor")], out)
-        drives = _rest(signals, "current")
+        net = model(
+            "cart", {"mass": m}, [guide, motor], [channel("current", "current", element="motor")], out
+        )
+        drives = at_rest(signals, "current")
     else:
-        net = model("cart", {"mass": m}, [guide], [_input("push", "force", at="mass")], out)
-        drives = _rest(_excitation(r, t, force, 0.1, 1.5), "push")
+        net = model("cart", {"mass": m}, [guide], [channel("push", "force", at="mass")], out)
+        drives = at_rest(excitation(r, t, force, 0.1, 1.5), "push")
     return Rig(net, drives, t.size, t.interval, 1 / t.omega, size * t.omega, ("mass.mass",), (SOIL,))
 
 
@@ -266,11 +240,11 @@ def dyno(r: Generator) -> Rig:
     cell = (
         {**reading(r, "force", "rod"), "offset": "free"} if r.random() < 0.5 else reading(r, "force", "rod")
     )
-    net = model("dyno", {}, elements, [_input("stroke", "displacement", at="rod")], [cell])
-    signals = _excitation(r, t, size, 0.2, 1.5)
+    net = model("dyno", {}, elements, [channel("stroke", "displacement", at="rod")], [cell])
+    signals = excitation(r, t, size, 0.2, 1.5)
     return Rig(
         net,
-        _rest(signals, "stroke"),
+        at_rest(signals, "stroke"),
         t.size,
         t.interval,
         1 / t.omega,
@@ -283,34 +257,13 @@ def dyno(r: Generator) -> Rig:
 
 ROD = ("rod", "ground")
 LOWER, UPPER, FLOOR = ("lower", "base"), ("upper", "lower"), ("lower", "ground")
-DEVICES = {
-    "friction": ("coulomb_friction", fx.coulomb),
-    "stribeck": ("stribeck_friction", fx.stribeck),
-    "quadratic": ("quadratic_damping", fx.quadratic),
-    "asymmetric": ("asymmetric_damping", fx.asymmetric),
-    "cubic": ("cubic_stiffness", fx.hardening),
-    "gas": ("gas_spring", fx.gas),
-    "stop": ("bump_stop", fx.stop),
-    "hysteresis": ("hysteresis", fx.hysteresis),
-    "cogging": ("cogging_force", fx.cogging),
-    "softening": ("cubic_stiffness", fx.softening),
-    "inertance": ("inertance", fx.inertance),
-    "damping": ("linear_damping", fx.linear_damping),
-    "stiffness": ("linear_stiffness", fx.linear_stiffness),
-}
-
-
-def _at(place: tuple[str, str], *names: str, suffix: str = "") -> dict[str, fx.Hidden]:
-    return {f"{n}{suffix}": at(*DEVICES[n], place) for n in names}
-
-
 FAMILIES: dict[str, Family] = {
     "shaken": Family(
         shaken,
         {
             "none": NOTHING,
-            **_at(SOIL, "friction", "quadratic", "cubic", "damping", suffix="_ground"),
-            **_at(
+            **devices(SOIL, "friction", "quadratic", "cubic", "damping", suffix="_ground"),
+            **devices(
                 BASE,
                 "friction",
                 "stribeck",
@@ -332,8 +285,8 @@ FAMILIES: dict[str, Family] = {
         lambda r: shaken(r, "acceleration"),
         {
             "none": NOTHING,
-            **_at(SOIL, "friction", suffix="_ground"),
-            **_at(BASE, "friction", "asymmetric", "cubic", "stop"),
+            **devices(SOIL, "friction", suffix="_ground"),
+            **devices(BASE, "friction", "asymmetric", "cubic", "stop"),
             "unknown_position_damping": unknown(fx.position_damping, BASE),
         },
     ),
@@ -341,9 +294,9 @@ FAMILIES: dict[str, Family] = {
         shaken2,
         {
             "none": NOTHING,
-            **_at(UPPER, "friction", "asymmetric", "cubic", "stop", suffix="_upper"),
-            **_at(LOWER, "friction", "asymmetric", "quadratic", "hysteresis", suffix="_lower"),
-            **_at(FLOOR, "friction", "damping", suffix="_ground"),
+            **devices(UPPER, "friction", "asymmetric", "cubic", "stop", suffix="_upper"),
+            **devices(LOWER, "friction", "asymmetric", "quadratic", "hysteresis", suffix="_lower"),
+            **devices(FLOOR, "friction", "damping", suffix="_ground"),
             "gain": at("sensor_gain", fx.sensor_gain, "upper_acceleration"),
             "unknown_resonator": unknown(fx.resonator, ("upper", "lower")),
         },
@@ -352,10 +305,10 @@ FAMILIES: dict[str, Family] = {
         three,
         {
             "none": NOTHING,
-            **_at(("two", "one"), "friction", "cubic", suffix="_middle"),
-            **_at(("three", "two"), "friction", "asymmetric", suffix="_top"),
-            **_at(("two", "ground"), "friction", suffix="_ground"),
-            **_at(("one", "ground"), "quadratic", "stop", suffix="_foot"),
+            **devices(("two", "one"), "friction", "cubic", suffix="_middle"),
+            **devices(("three", "two"), "friction", "asymmetric", suffix="_top"),
+            **devices(("two", "ground"), "friction", suffix="_ground"),
+            **devices(("one", "ground"), "quadratic", "stop", suffix="_foot"),
             "unknown_knocks": unknown(fx.knocks, ("three", "ground")),
         },
     ),
@@ -363,7 +316,7 @@ FAMILIES: dict[str, Family] = {
         decay,
         {
             "none": NOTHING,
-            **_at(SOIL, "friction", "quadratic", "cubic", "stop", "asymmetric"),
+            **devices(SOIL, "friction", "quadratic", "cubic", "stop", "asymmetric"),
             "sine": at("cubic_stiffness", fx.sine, SOIL),
             "friction_and_sine": at("coulomb_friction", fx.coulomb, SOIL)
             & at("cubic_stiffness", fx.sine, SOIL),
@@ -377,15 +330,15 @@ FAMILIES: dict[str, Family] = {
         lambda r: decay(r, 2),
         {
             "none": NOTHING,
-            **_at(SOIL, "friction"),
-            **_at(("second", "mass"), "friction", "cubic", suffix="_second"),
+            **devices(SOIL, "friction"),
+            **devices(("second", "mass"), "friction", "cubic", suffix="_second"),
         },
     ),
     "resonator": Family(
         resonator,
         {
             "none": NOTHING,
-            **_at(SOIL, "cubic", "softening", "quadratic", "friction", "gas"),
+            **devices(SOIL, "cubic", "softening", "quadratic", "friction", "gas"),
             "unknown_switched": unknown(fx.switched_spring, SOIL),
         },
     ),
@@ -393,7 +346,7 @@ FAMILIES: dict[str, Family] = {
         pushed,
         {
             "none": NOTHING,
-            **_at(SOIL, "friction", "stribeck", "quadratic", "cubic", "stop", "hysteresis", "gas"),
+            **devices(SOIL, "friction", "stribeck", "quadratic", "cubic", "stop", "hysteresis", "gas"),
             "delay": at("sensor_delay", fx.sensor_delay, fx.FIRST),
             "unknown_tanh": unknown(fx.tanh_spring, SOIL),
             "unknown_knocks": unknown(fx.knocks, SOIL),
@@ -403,16 +356,16 @@ FAMILIES: dict[str, Family] = {
         cart,
         {
             "none": NOTHING,
-            **_at(SOIL, "friction", "stribeck", "quadratic", "cogging", "asymmetric", "stiffness"),
+            **devices(SOIL, "friction", "stribeck", "quadratic", "cogging", "asymmetric", "stiffness"),
             "unknown_timed_friction": unknown(fx.timed_friction, SOIL),
         },
     ),
-    "spin": Family(spin, {"none": NOTHING, **_at(("rim", "ground"), "friction", "quadratic")}),
+    "spin": Family(spin, {"none": NOTHING, **devices(("rim", "ground"), "friction", "quadratic")}),
     "dyno": Family(
         dyno,
         {
             "none": NOTHING,
-            **_at(
+            **devices(
                 ROD,
                 "friction",
                 "stribeck",
