@@ -293,18 +293,24 @@ def ceiling(
     """The bound for controllers that know `preview` [s] of road ahead (0: a causal one, whatever it measures).
 
     Roads are those of seeds `seed`, `seed + 1`, ...; what is known of them is shipped or in the user's cache, the rest is
-    computed (some 5 s a road) and kept there, or in the file `store`; without `compute`: None where one is missing.
+    computed (some 15 s a road) and kept there, or in the file `store`. Without `compute` it is that of the roads there are,
+    and None where there are fewer than two.
     Raises `InputError` for a road that is not rough, or a car without a motor.
     """
     network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
     settings = settings or CeilingSettings()
     points = steps_ahead(preview, CONTROL_STEP)
-    key = episode_key(network, ground, speed, duration, cost, preview=preview, settings=asdict(settings))
+    key = episode_key(
+        network, ground, speed, duration, cost, preview=float(preview), settings=asdict(settings)
+    )
     known = read(key, FILE)
+    if not compute:  # as many as there are, one after another
+        count = next(i for i in range(len(known) + 1) if seed + i not in known)
+        episodes = min(episodes, count)
+        if episodes < 2:
+            return None
     wanted = range(seed, seed + episodes)
     missing = [s for s in wanted if s not in known]
-    if missing and not compute:
-        return None
     if missing:
         steps = round(duration / CONTROL_STEP)
         value = NewsValue(network, ground, speed, steps, cost, settings=settings)
@@ -315,7 +321,7 @@ def ceiling(
             "speed": speed,
             "duration": duration,
         }
-        about |= {"preview": preview, "settings": asdict(settings)}
+        about |= {"preview": float(preview), "settings": asdict(settings)}
         for i, s in enumerate(missing):
             found = _one_road(network, ground, speed, duration, cost, value, plain, points, s)
             known[s] = {n: None if x is None else float(f"{x:.7g}") for n, x in found.items()}
@@ -434,7 +440,7 @@ def command(
     network: Annotated[
         str, typer.Option(help="The plant: a built-in network or a model file.")
     ] = "quarter-car-isd",
-    episodes: Annotated[int, typer.Option(help="Roads, some 5 s of work each.", min=2)] = ROADS,
+    episodes: Annotated[int, typer.Option(help="Roads, some 15 s of work each.", min=2)] = ROADS,
     duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1)] = 20.0,
     store: Annotated[
         Path | None, typer.Option("--store", help="Keep what is computed in this file.", metavar="FILE")

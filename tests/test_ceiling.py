@@ -131,3 +131,15 @@ def test_bad_input_is_one_line():
         ceiling(preview=0.0123)
     with pytest.raises(InputError, match=">= 0"):
         CeilingSettings(move=-1.0)
+
+
+def test_the_shipped_ceiling_is_above_every_causal_controller():
+    found = ceiling(compute=False)
+    assert found is not None, "regenerate: isd-gym ceiling --store baselines/ceiling.json"
+    assert found.standard_error / found.passive < 0.003
+    # proven is farther away than what is searched, and nearer than the clairvoyant's proven bound
+    assert -0.6 < found.proven.mean() / found.passive - 1 < found.change < -0.24
+    idle = drive(passive(CAR), CAR, episodes=4).cost(COST).mean()
+    for name in ("mpc-friction", "lqr-full"):  # the full state is no knowledge of the road
+        own = drive(find(name, CAR), CAR, episodes=4).cost(COST).mean()
+        assert own / idle - 1 > found.change
