@@ -7,18 +7,22 @@ of its seed to the last bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any
 
 import numpy as np
 
 from . import elements as el
+from . import layout as place
 from .errors import InputError
+from .layout import WIDTH
 from .network import GROUND, Channel, Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
 
-LANES = 128  # cars that share an instruction stream; their state fits the first-level cache
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_LIMIT = 0.5  # A per control step, Table 5
 NO_SATURATION = 1e9
@@ -105,8 +109,6 @@ class Batch:
         self._check_randomize()
         self._spread = {k: v for k, v in self.randomize.items() if k not in ("speed", "road")}
         self._roads = [road(r) for r in self.randomize.get("road", [])]
-        self.lanes = min(count, LANES)
-        self.blocks = -(-count // self.lanes)
         # the network's own outputs are not needed here: the signals take their place
         bare = Network(
             network.name,
@@ -116,9 +118,10 @@ class Batch:
         )
         self._bare = bare
         self.channels = [*signal_channels(network), *extra]
-        networks: Network | list[Network] = [bare] * self.lanes if self._spread else bare
-        self.plant = plant = Plant(networks, physics_step, lanes=self.lanes, extra=self.channels)
-        self.mats = np.tile(plant.mats, (self.blocks, 1)) if self._spread else plant.mats
+        self.groups = -(-count // WIDTH)
+        networks: Network | list[Network] = [bare] * WIDTH if self._spread else bare
+        self.plant = plant = Plant(networks, physics_step, lanes=WIDTH, extra=self.channels)
+        self._mats = np.tile(plant.mats, (self.groups, 1, 1)) if self._spread else plant.mats
         columns = {part: -1 for part in ("r", "v", "alpha")}
         for j, (part, name) in enumerate(plant.labels):
             if part in columns and name == plant.networks[0].inputs[self._road_input()].name:
@@ -127,57 +130,92 @@ class Batch:
             raise InputError(
                 f"network '{network.name}' has more than one current; the environment drives one"
             )
-        self._blank = plant.state()
-        _, m, nc = (int(i) for i in plant.ints[:3])
-        # behind the states of the blocks the kernel puts their inputs
-        self._work = np.zeros(
-            (self.blocks * len(self._blank) + (self.substeps + 1) * m + self.substeps * nc, self.lanes)
-        )
-        self._cars = np.zeros((10 + len(self.channels), count))
-        self._cars[7] = NO_SATURATION
+        self._states = np.zeros((self.groups, plant.at.height, WIDTH))
+        wide = self.groups * WIDTH  # rows hold whole groups of cars; those beyond `count` stand still
+        self._cars = np.zeros((place.SIGNALS + len(self.channels), wide))
+        self._ways = np.zeros((3, wide), np.int64)
+        self._cars[place.SATURATION] = NO_SATURATION
         lag, delay, saturation = (
             next((e for e in network.elements if isinstance(e, kind)), None)
             for kind in (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
         )
         if isinstance(lag, el.ActuatorLag) and lag.time_constant > 0:
-            self._cars[6] = math.exp(-physics_step / lag.time_constant)
+            self._cars[place.LAG_POLE] = math.exp(-physics_step / lag.time_constant)
         if isinstance(saturation, el.ThrustSaturation):
-            self._cars[7] = saturation.current
+            self._cars[place.SATURATION] = saturation.current
         if isinstance(delay, el.ActuatorDelay):
-            self._cars[8] = delay.delay / physics_step
-        depth = int(self._cars[8].max()) + 2 if self._cars[8].any() else 0
+            self._cars[place.DELAY] = delay.delay / physics_step
+        steps_late = self._cars[place.DELAY].max()
+        self._past = np.zeros((int(steps_late) + 2 if steps_late else 0, wide))
         self.points = round(preview / control_step)
-        self._belts = np.zeros((count, depth + self.points * self.substeps))
-        self._ways = np.zeros((3, count), np.int64)
+        # the road drawn ahead: of every physics step of a control step a ring that begins at ints[-1], and the last of them
+        # once more, a car's points side by side
+        self._rings = np.zeros((self.substeps, self.points, wide))
+        self._ahead = np.zeros((wide, self.points))
         self.table = np.zeros(0)
         driven = any(e is not None for e in (lag, delay, saturation))
         self._ints = np.concatenate(
-            [plant.ints, [self.lanes, self.substeps, *columns.values(), driven, depth, 0]]
+            [plant.ints, [count, self.substeps, *columns.values(), driven, False, place.MEASURED, 0]]
         )
+        self._settings = np.zeros(place.LIFTED + len(self.channels))
+        self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_LIMIT
+        self._settings[place.BOUNDS : place.LIFTED] = math.inf
+        self.seen = np.zeros((count, 6), np.float32)
         self.speeds = np.full(count, self.speed)
+        self.threads = 1
         self._arguments()
 
     def _arguments(self) -> None:
         """The arguments of the kernel, and what is seen of them from here: views, made once."""
+        at, count = self.plant.at, self.count
         self._drive = self.plant.kernel.drive
+        inputs = (self.substeps + 1) * at.inputs + self.substeps * at.currents
         self._drive_arguments = (
-            *(self.mats.reshape(-1), self._ints, self._work.reshape(-1), self._cars),
-            *(self._ways, self.table, self._belts),
+            *(self._mats.reshape(-1), self._ints, self._states.reshape(-1), self._cars, self._ways),
+            *(self.table, self._past, self._rings, self._ahead, self._settings, self.seen),
         )
-        depth = self._ints[-2]
-        self.states = self._work[: self.blocks * len(self._blank)]
-        self.cars, self.rough, self.out = self._cars[:9], self._cars[9], self._cars[10:]
-        self.commands = self._belts[:, :depth]
-        # one control step after another is a ring that begins at ints[-1]; a car's points lie side by side
-        self.rings = self._belts[:, depth:].reshape(self.count, self.substeps, self.points)
-        self.ways, self.counters = self._ways[:2], self._ways[2].view(np.uint64)
+        threads = max(1, min(self.threads, self.groups))
+        ends = [self.groups * i // threads for i in range(threads + 1)]
+        self._shares = [
+            (np.zeros(inputs * WIDTH), begin, stop) for begin, stop in zip(ends[:-1], ends[1:], strict=True)
+        ]
+        self._crew: Crew | None = None
+        self.cars, self.out = self._cars[:, :count], self._cars[place.SIGNALS :, :count]
+        self.counters = self._ways[place.COUNTER].view(np.uint64)
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("states", "cars", "rough", "out", "commands", "rings", "ways", "counters")
-        return {k: v for k, v in self.__dict__.items() if k not in (*views, "_drive", "_drive_arguments")}
+        views = ("cars", "out", "counters")
+        return {
+            k: v
+            for k, v in self.__dict__.items()
+            if k not in (*views, "_drive", "_drive_arguments", "_shares", "_crew")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        self._arguments()
+
+    def judge(
+        self,
+        weights: Sequence[float],
+        bounds: Sequence[float],
+        *,
+        width: int = 6,
+        shows: int = place.MEASURED,
+        lifted: Sequence[bool] = (),
+        threads: int = 1,
+    ) -> None:
+        """Have every step limit the currents that `target` asks for, and give rewards, costs and observations.
+
+        weights: factors on the squares of acceleration, travel, tyre load and current; bounds of the five measured signals;
+        width of an observation, and what it `shows` (`layout`); of which outputs the road's height is taken off.
+        threads: how many share the cars. The results do not depend on it.
+        """
+        self._ints[-3], self._ints[-2] = True, shows
+        self._settings[place.WEIGHTS : place.BOUNDS] = weights
+        self._settings[place.BOUNDS : place.LIFTED] = bounds
+        self._settings[place.LIFTED : place.LIFTED + len(lifted)] = lifted
+        self.seen, self.threads = np.zeros((self.count, width), np.float32), threads
         self._arguments()
 
     def _road_input(self) -> int:
@@ -212,45 +250,48 @@ class Batch:
             speed = float(rng.uniform(*self.randomize["speed"]))
         ground = self._roads[int(rng.integers(len(self._roads)))] if self._roads else self.road
         self.speeds[i] = speed
-        h = self.plant.step
-        self.cars[2, i], self.cars[3, i] = ground.noise(speed, h)
-        self.cars[[0, 1, 4, 5], i] = 0.0
-        self.commands[i] = 0.0
+        h, cars = self.plant.step, self._cars
+        cars[place.ROUGH_GAIN, i], cars[place.ROUGH_POLE, i] = ground.noise(speed, h)
+        for row in (place.CURRENT, place.LAGGED, place.HEIGHT, place.HEIGHT_RATE, place.ROUGH, place.TARGET):
+            cars[row, i] = 0.0
+        self._past[:, i] = 0.0
         self.counters[i] = rng.integers(0, 2**64, dtype=np.uint64)
-        self.rough[i] = 0.0
         fixed = ground.fixed(speed, h, round(self.duration / h) + self.points * self.substeps, rng)
-        self._place(i, fixed)
-        block, lane = divmod(i, self.lanes)
-        size = len(self._blank)
-        self.states[block * size : (block + 1) * size, lane] = self._blank[:, lane]
+        self._give(i, fixed)
+        group, lane = divmod(i, WIDTH)
+        self._states[group, :, lane] = 0.0
         if self.points:
             from .kernel import road_noise
 
             rough = np.empty(self.points * self.substeps)
-            self.counters[i] = road_noise(self.counters[i], self.cars[2, i], self.cars[3, i], 0.0, rough)
-            self.rough[i] = rough[-1]
+            self.counters[i] = road_noise(
+                self.counters[i], cars[place.ROUGH_GAIN, i], cars[place.ROUGH_POLE, i], 0.0, rough
+            )
+            cars[place.ROUGH, i] = rough[-1]
             if len(fixed):
                 count = min(len(rough), len(fixed))
                 rough[:count] += fixed[:count]
                 rough[count:] += fixed[-1]
-                self.ways[0, i] += count
-            self.rings[i] = np.roll(rough.reshape(self.points, self.substeps), self._ints[-1], axis=0).T
+                self._ways[place.PROFILE, i] += count
+            ring = np.roll(rough.reshape(self.points, self.substeps), self._ints[-1], axis=0)
+            self._rings[:, :, i], self._ahead[i] = ring.T, ring[:, -1]
 
-    def _place(self, i: int, fixed: np.ndarray) -> None:
+    def _give(self, i: int, fixed: np.ndarray) -> None:
         """Give car i its fixed profile, in a slot of the table; the kernel holds the last height after its end."""
+        ways = self._ways[: place.COUNTER, : self.count]
         if not len(fixed):
-            self.ways[:, i] = 0
+            ways[:, i] = 0
             return
         slot = len(self.table) // self.count
         if len(fixed) > slot:
             table = np.zeros((self.count, len(fixed)))
             table[:, :slot] = self.table.reshape(self.count, slot)
-            begin, old = np.arange(self.count), self.ways.copy()
-            self.ways[:] = np.where(old[1] > 0, old + begin * (len(fixed) - slot), 0)
+            begin, old = np.arange(self.count), ways.copy()
+            ways[:] = np.where(old[1] > 0, old + begin * (len(fixed) - slot), 0)
             self.table, slot = table.ravel(), len(fixed)
             self._arguments()
         self.table[i * slot : i * slot + len(fixed)] = fixed
-        self.ways[:, i] = i * slot, i * slot + len(fixed)
+        ways[:, i] = i * slot, i * slot + len(fixed)
 
     def _redraw(self, i: int, rng: np.random.Generator) -> None:
         from .network import assemble
@@ -259,39 +300,88 @@ class Batch:
         values = {k: nominal[k] * float(rng.uniform(*v)) for k, v in self._spread.items() if k in nominal}
         asm = assemble(self._bare.with_parameters(values), self.channels)
         part = discretise(asm, self.plant.step, self.plant.u_columns)
-        block, lane = divmod(i, self.lanes)
-        size = len(self.plant.mats)
-        self.mats[block * size : (block + 1) * size, lane] = part.numbers
+        self.plant.place(self._mats, i, part)
 
     # ----------------------------------------------------------------------------------------- step
 
     def step(self) -> np.ndarray:
-        """Run one control step with the currents in `self.cars[0]`; returns `out` (signals, count), SI units."""
-        self._drive(*self._drive_arguments)
+        """Run one control step with the currents in `current` (after `judge`: `target`); returns `out` (signals, count), SI units."""
+        if len(self._shares) == 1:
+            self.broken = self._drive(*self._drive_arguments, *self._shares[0])
+        else:
+            if self._crew is None or self._crew.process != os.getpid():  # threads do not outlive a fork
+                self._crew = Crew(len(self._shares))
+            self.broken = sum(
+                self._crew.do(self._drive, [(*self._drive_arguments, *share) for share in self._shares])
+            )
+        if self.points:
+            self._ints[-1] = (self._ints[-1] + 1) % self.points
         return self.out
 
     @property
     def current(self) -> np.ndarray:
         """Present commanded current [A] (count,)."""
-        return self.cars[0]
+        return self.cars[place.CURRENT]
+
+    @property
+    def target(self) -> np.ndarray:
+        """Current that is asked for [A] (count,)."""
+        return self.cars[place.TARGET]
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Reward and the four terms of the cost (5, count) of the last step."""
+        return self.cars[place.REWARD : place.BROKEN]
+
+    @property
+    def gone(self) -> np.ndarray:
+        """Which cars left their bounds, or reason, in the last step (count,)."""
+        return self.cars[place.BROKEN] != 0.0
 
     @property
     def road_height(self) -> np.ndarray:
         """Height of the road under the wheel now [m] (count,)."""
-        return self.cars[4]
+        return self.cars[place.HEIGHT]
 
-    def road_ahead(self, out: np.ndarray | None = None) -> np.ndarray:
-        """Road ahead relative to the height under the wheel [m], one point a control step, (count, points).
+    def road_ahead(self, points: int | None = None) -> np.ndarray:
+        """Road ahead relative to the height under the wheel [m], one point a control step, (count, points)."""
+        begin = int(self._ints[-1])
+        ahead = np.roll(self._ahead[: self.count], -begin, axis=1)[:, :points]
+        return ahead - self.road_height[:, None]
 
-        out (count, up to `points`): where to write, in its own type.
-        """
-        from .kernel import preview
 
-        if out is None:
-            out = np.empty((self.count, self.points))
-        if self.points:
-            preview(self.rings[:, -1], self._ints[-1], self.cars[4], out)
-        return out
+class Crew:
+    """Threads that wait for work, as many as there are shares of it; this one takes the first."""
+
+    def __init__(self, size: int) -> None:
+        self.process = os.getpid()
+        self.asked: list[SimpleQueue[Any]] = [SimpleQueue() for _ in range(size - 1)]
+        self.done: SimpleQueue[Any] = SimpleQueue()
+        for queue in self.asked:
+            Thread(target=_work, args=(queue, self.done), daemon=True).start()
+
+    def do(self, function: Callable[..., int], shares: Sequence[tuple[Any, ...]]) -> list[int]:
+        for queue, share in zip(self.asked, shares[1:], strict=True):
+            queue.put((function, share))
+        results = [function(*shares[0])]
+        results += [self.done.get() for _ in self.asked]
+        for result in results:
+            if isinstance(result, BaseException):
+                raise result
+        return results
+
+    def __del__(self) -> None:
+        for queue in self.asked:
+            queue.put(None)
+
+
+def _work(asked: SimpleQueue[Any], done: SimpleQueue[Any]) -> None:
+    while (task := asked.get()) is not None:
+        function, share = task
+        try:
+            done.put(function(*share))
+        except BaseException as error:
+            done.put(error)
 
 
 def nodes_of_device(network: Network) -> tuple[str | None, str | None]:

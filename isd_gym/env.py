@@ -6,6 +6,7 @@ Physics lives in `Batch`; spaces, rewards and episodes live here.
 from __future__ import annotations
 
 import math
+import os
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +19,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from . import elements as el
-from .batch import CURRENT_LIMIT, SLEW_LIMIT, Batch, nodes_of_device, state_channels
+from .batch import CURRENT_LIMIT, SIGNALS, Batch, nodes_of_device, state_channels
 from .cost import StageCost
 from .errors import InputError
 from .network import Network
@@ -45,7 +46,8 @@ GRAVITY = 9.81  # m/s^2
 PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
 N_MEASURED = len(MEASURED)
 STEP_INFO = ("tyre_load", "cost_acceleration", "cost_travel", "cost_tyre_load", "cost_current")
-OBSERVATIONS = ("measured", "full", "preview")
+OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
+TYRE_LOAD = SIGNALS.index("tyre_load")
 
 
 class Task:
@@ -65,6 +67,7 @@ class Task:
         preview: float,
         duration: float,
         picture: bool = False,
+        threads: int = 1,
     ) -> None:
         if observation not in OBSERVATIONS:
             raise InputError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
@@ -103,50 +106,53 @@ class Task:
         self.width = len(high)
         self.action_space = spaces.Box(-CURRENT_LIMIT, CURRENT_LIMIT, (1,), np.float32)
         self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
-        self.bounds = tuple(bound for _, _, bound in MEASURED[:-1])
-        self._heights = np.array([c.quantity == "displacement" for c in extra])
+        self.batch.judge(
+            self.cost.quadratic,
+            [bound for _, _, bound in MEASURED[:-1]],
+            width=self.width,
+            shows=OBSERVATIONS.index(observation),
+            lifted=[False] * len(SIGNALS) + [c.quantity == "displacement" for c in extra],
+            threads=threads,
+        )
         names = [name for name, _, _ in MEASURED]
         self._sensors = [e for e in net.elements if e.place == "channel" and e.where[0] in names]
         self._histories: dict[str, np.ndarray] = {}
 
-    def observe(self, out: np.ndarray) -> np.ndarray:
-        """Observation (count, width) float32 of the signals `out` (signals, count)."""
-        obs = np.empty((out.shape[1], self.width), np.float32)
-        obs.T[:5] = out[:5]
-        obs[:, 5] = self.batch.cars[0]
-        if self.observation == "full":
-            state = out[6:].T.copy()
-            state[:, self._heights] -= self.batch.road_height[:, None]
-            obs[:, N_MEASURED:] = state
-        elif self.observation == "preview":
-            self.batch.road_ahead(obs[:, N_MEASURED:])
-        return self._sense(obs) if self._sensors else obs
+    def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Observations (cars, width) of the cars `which`, at rest at the start of their roads."""
+        obs = np.zeros((self.batch.count, self.width), np.float32)[which]
+        if self.observation == "preview":
+            obs[:, N_MEASURED:] = self.batch.road_ahead(self.points)[which]
+        return self._sense(obs, which) if self._sensors else obs
 
-    def _sense(self, obs: np.ndarray) -> np.ndarray:
+    def observe(self) -> np.ndarray:
+        """Observations (count, width) float32 after a step; those of cars that broke are cut off at their bounds."""
+        obs = self.batch.seen.copy()
+        if self._sensors:
+            obs = self._sense(obs)
+        if self.batch.broken:
+            obs = np.clip(np.nan_to_num(obs), -self.high, self.high)
+        return obs
+
+    def _sense(self, obs: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Sensor faults of the model: what a faulty channel reports (the physics and the reward do not see it)."""
         names = [name for name, _, _ in MEASURED]
+        step = self.batch.control_step
         for e in self._sensors:
             j = names.index(e.where[0])
-            if isinstance(e, el.SensorDelay):
-                steps = e.delay / self.batch.control_step
-                low, part = int(steps), steps - int(steps)
-                past = self._histories.setdefault(e.name, np.zeros((low + 2, len(obs))))
-                past[1:] = past[:-1]
-                past[0] = obs[:, j]
-                obs[:, j] = (1 - part) * past[low] + part * past[low + 1]
-            elif isinstance(e, el.SensorGain):
-                obs[:, j] *= e.gain
-            elif isinstance(e, el.SensorBias):
-                obs[:, j] += e.bias
+            if isinstance(e, el.SensorDelay):  # what `apply` does to a record, a sample at a time
+                low, part = int(e.delay / step), e.delay / step % 1.0
+                past = self._histories.setdefault(e.name, np.zeros((low + 2, self.batch.count)))
+                past[1:, which] = past[:-1, which]
+                past[0, which] = obs[:, j]
+                obs[:, j] = (1 - part) * past[low, which] + part * past[low + 1, which]
+            else:
+                obs[:, j] = e.apply(obs[:, j], step)
         return np.clip(obs, -self.high, self.high)
 
     def forget(self, i: int) -> None:
         for past in self._histories.values():
             past[:, i] = 0.0
-
-    def first_signals(self) -> np.ndarray:
-        """Signals of cars at rest: zero."""
-        return np.zeros_like(self.batch.out)
 
 
 class ISDSuspensionEnv(gym.Env):
@@ -239,7 +245,7 @@ class ISDSuspensionEnv(gym.Env):
             **self.metadata,
             "render_fps": round(1 / control_step),
         }  # one picture a step: real time
-        self._slow = observation != "measured" or bool(self.task._sensors)
+        self._faulty = bool(self.task._sensors)
         self._renderer: Renderer | None = None
         self._ready = False
         self._steps = 0
@@ -267,7 +273,7 @@ class ISDSuspensionEnv(gym.Env):
         if self.render_mode == "human":
             self.render()
         self._speed = float(batch.speeds[0])
-        return self.task.observe(batch.out)[0], {"speed": self._speed, **dict.fromkeys(STEP_INFO, 0.0)}
+        return self.task.first()[0], {"speed": self._speed, **dict.fromkeys(STEP_INFO, 0.0)}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if not self._ready:
@@ -277,45 +283,29 @@ class ISDSuspensionEnv(gym.Env):
             target = float(target)
         except (TypeError, ValueError):
             raise InputError(f"the action must have shape (1,), a current in A, not {action!r}") from None
-        if not -CURRENT_LIMIT <= target <= CURRENT_LIMIT:
-            if not math.isfinite(target):
-                raise InputError(f"the action must be finite, not {target}")
-            target = min(max(target, -CURRENT_LIMIT), CURRENT_LIMIT)
+        if not math.isfinite(target):
+            raise InputError(f"the action must be finite, not {target}")
         batch = self.task.batch
-        cars = batch.cars
-        now = cars.item(0)
-        current = now + min(max(target - now, -SLEW_LIMIT), SLEW_LIMIT)
-        cars[0, 0] = current
-        out = batch.step()
+        batch.target[0] = target
+        batch.step()
         self._steps += 1
-        a, l, v, d, w, tyre = (signals := out[:6, 0].tolist())
-        cost_a, cost_l, cost_f, cost_i = self.task.cost.terms(a, l, tyre, current)
-        ba, bl, bv, bd, bw = self.task.bounds
-        broken = not (
-            -ba <= a <= ba and -bl <= l <= bl and -bv <= v <= bv and -bd <= d <= bd and -bw <= w <= bw
-        )
-        if broken or self._slow:
-            obs = self.task.observe(out)[0]
-            if broken:
-                obs = np.clip(np.nan_to_num(obs), -self.task.high, self.task.high)
-        else:
-            signals[5] = current
-            obs = np.array(signals, np.float32)
+        broken = batch.broken > 0
+        obs = self.task.observe()[0] if broken or self._faulty else batch.seen[0].copy()
+        reward, by_acceleration, by_travel, by_load, by_current = batch.judged[:, 0].tolist()
         info = {
             "speed": self._speed,
-            "tyre_load": tyre,
-            "cost_acceleration": cost_a,
-            "cost_travel": cost_l,
-            "cost_tyre_load": cost_f,
-            "cost_current": cost_i,
+            "tyre_load": batch.out.item(TYRE_LOAD, 0),
+            "cost_acceleration": by_acceleration,
+            "cost_travel": by_travel,
+            "cost_tyre_load": by_load,
+            "cost_current": by_current,
         }
-        cost = cost_a + cost_l + cost_f + cost_i
         if self.render_mode is not None:
-            self._total_cost += cost
-            self._trail.append(float(batch.cars[4, 0]))
+            self._total_cost -= reward
+            self._trail.append(float(batch.road_height[0]))
             if self.render_mode == "human":
                 self.render()
-        return obs, -cost, broken, False, info
+        return obs, reward, broken, False, info
 
     def render(self) -> np.ndarray | None:
         if self.render_mode is None:
@@ -350,6 +340,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
     Car i is exactly the single environment seeded with ``seed + i``. Arguments as `ISDSuspensionEnv`'s, and
     `autoreset_mode`: next_step (Gymnasium's default), same_step (`final_obs` and `final_info` in `info`), disabled
     (reset with ``options={"reset_mask": mask}``). With ``render_mode="rgb_array"``, `render` gives a picture of every car.
+    `threads` share the cars, by default one for every 2048 cars as far as there are cores; what comes out does not depend
+    on them.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -373,6 +365,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         max_episode_steps: int = 4000,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        threads: int | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise InputError(
@@ -402,6 +395,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             preview=preview,
             duration=duration,
             picture=render_mode is not None,
+            threads=_threads(num_envs) if threads is None else threads,
         )
         self.metadata = {
             **self.metadata,
@@ -412,11 +406,11 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self.single_observation_space = self.task.observation_space
         self.action_space = gym.vector.utils.batch_space(self.single_action_space, num_envs)
         self.observation_space = gym.vector.utils.batch_space(self.single_observation_space, num_envs)
-        self._bounds = np.array(self.task.bounds)
         self._rngs: list[np.random.Generator] = []
         self.steps = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
         self._any_done = False
+        self._last = np.zeros((num_envs, self.task.width), np.float32)
         self._oldest = 0
         window = 1 + math.ceil(PICTURE_WINDOW / (speed * control_step))
         #: of each car, for its picture: the road it has come over [m], and what it has cost
@@ -454,25 +448,27 @@ class ISDSuspensionVectorEnv(VectorEnv):
             for i, s in enumerate(seeds):
                 if s is not None:
                     self._rngs[i] = seeding.np_random(s)[0]
-        batch = self.task.batch
         self._restart(np.flatnonzero(mask))
-        info, _ = self._info()
-        return self.task.observe(batch.out), info
+        obs = self._last.copy()  # the others stay where they are
+        obs[mask] = self.task.first(np.flatnonzero(mask))
+        self._last = obs
+        return obs, self._info()
 
-    def _info(self) -> tuple[dict[str, Any], np.ndarray]:
-        """`info` of all cars as they stand, and the cost of their last step (num_envs,)."""
-        out, current = self.task.batch.out, self.task.batch.current
-        terms = self.task.cost.terms(out[0], out[1], out[5], current)
-        info = dict(zip(STEP_INFO, (out[5].copy(), *terms), strict=True))
-        a, l, f, i = terms
-        return {"speed": self._speeds, **info}, a + l + f + i
+    def _info(self) -> dict[str, Any]:
+        """`info` of all cars as they stand."""
+        batch = self.task.batch
+        terms = batch.judged[1:].copy()
+        return {
+            "speed": self._speeds,
+            **dict(zip(STEP_INFO, (batch.out[TYRE_LOAD].copy(), *terms), strict=True)),
+        }
 
     def _restart(self, which: np.ndarray) -> None:
         batch = self.task.batch
         for i in which:
             batch.reset(int(i), self._rngs[i])
             self.task.forget(int(i))
-        batch.out[:, which] = 0.0
+        batch.out[:, which] = batch.judged[:, which] = 0.0
         self._speeds = batch.speeds.copy()
         self._speeds.setflags(write=False)  # one array is handed out until a car starts again
         for i in which if self._trails else ():
@@ -504,38 +500,31 @@ class ISDSuspensionVectorEnv(VectorEnv):
             if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
             else None
         )
-        now = batch.cars[0]
-        change = np.clip(target, -CURRENT_LIMIT, CURRENT_LIMIT)
-        change -= now
-        np.clip(change, -SLEW_LIMIT, SLEW_LIMIT, out=change)
-        now += change
-        out = batch.step()
+        batch.target[:] = target
+        batch.step()
         self.steps += 1
         self._oldest += 1
+        obs = self.task.observe()
+        terminated = batch.gone if batch.broken else np.zeros(self.num_envs, bool)
         if revived is not None:
             self._restart(revived)
-        info, cost = self._info()
+            obs[revived] = self.task.first(revived)
+            terminated[revived] = False
+        reward, info = batch.judged[0].copy(), self._info()
         if self._trails:
-            self._total_cost += cost
+            self._total_cost -= reward
             for i in np.flatnonzero(self.steps):  # not where a car has just started again
                 self._trails[i].append(float(batch.road_height[i]))
-        obs = self.task.observe(out)
-        terminated = np.zeros(self.num_envs, bool)
-        # NaN fails the comparison and is found below
-        if not bool((np.abs(out[:5]).max(axis=1) <= self._bounds).all()):
-            terminated = ~(np.abs(out[:5]) <= self._bounds[:, None]).all(axis=0)
-            obs = np.clip(np.nan_to_num(obs), -self.task.high, self.task.high)
         if self._oldest >= self.max_episode_steps or terminated.any():
             truncated = (self.steps >= self.max_episode_steps) & ~terminated
-            if revived is not None:
-                terminated[revived] = False
             self._done = terminated | truncated
             self._any_done = bool(self._done.any())
             if self._any_done and self.autoreset_mode is AutoresetMode.SAME_STEP:
                 obs = self._restart_now(obs, info)
         else:
             truncated = np.zeros(self.num_envs, bool)
-        return obs, -cost, terminated, truncated, info
+        self._last = obs
+        return obs, reward, terminated, truncated, info
 
     def _restart_now(self, obs: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         which = np.flatnonzero(self._done)
@@ -549,8 +538,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         }
         info["_final_info"] = done
         self._restart(which)
-        fresh = self.task.observe(self.task.batch.out)
-        obs[which] = fresh[which]
+        obs[which] = self.task.first(which)
         info["speed"] = self._speeds
         for name in STEP_INFO:
             info[name][which] = 0.0
@@ -581,6 +569,12 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderers": []}
+
+
+def _threads(cars: int) -> int:
+    """Threads that pay: handing over work costs what some hundred cars take."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(cores, cars // 2048))
 
 
 _MODES = {
@@ -615,7 +609,7 @@ def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, cost: float) -> 
         road_step=step,
         road_behind=(len(trail) - 1) * step,
         speed=float(batch.speeds[i]),
-        current=float(batch.cars[0, i]),
+        current=float(batch.current[i]),
         current_limit=CURRENT_LIMIT if first is not None else None,
         body_acceleration=float(out[0]),
         suspension_travel=float(out[1]),

@@ -1,35 +1,20 @@
-"""The one compiled kernel: single cars, batches and long records all run through `advance`.
+"""The one compiled kernel: single cars, batches and long records all run through `march`.
 
 A step of length h is exact in the linear part (matrix exponential, inputs linear over the step, currents held).
 Dry friction is set-valued and projected (Moreau, time stepping at velocity level: Acary and Brogliato, Springer
 2008): its force is the one within its bound that stops the sliding, or the bound. Smooth laws enter as a force that
-is linear over the step with its end value found implicitly (second order). Several laws that see one another are
-solved by Gauss-Seidel sweeps.
+is linear over the step with its end value found implicitly (second order).
 
-Cars are *lanes*: the last axis of every array, so that one instruction works on many of them; a single car is one
-lane. No operation is reordered between lanes, so a car in a batch is the same car alone, to the last bit.
+Cars are *lanes*, eight to a group (`lanes`); where each number lies is said by `layout`. There are three ways through a step:
+in closed form and without branches (at most one constant friction and one stop: the car), law by law in those lanes that touch
+something, or law by law in all lanes. Which of them is a property of the network, and no lane sees its neighbours, so a
+car in a batch is the same car alone, to the last bit.
 
-The kernel is compiled in three variants: for `one` lane, for lanes that `share` their matrices, and for lanes each with
-its `own`. Compiled code is cached on disk under a key made of the sources, so an upgrade never runs yesterday's physics.
+Several laws that see one another are solved by Gauss-Seidel sweeps of secant steps, and where these do not settle by a
+safeguarded Newton iteration. A step that is not solved to `GOOD` is no result: its number and law are written down, and
+the lane's state becomes nan.
 
-A plant's numbers are a pool `mats` (R, 1 or lanes) and `state` (.., lanes), both flat inside the kernel. Laws are sorted,
-smooth ones first. `sizes` in front of `ints`: n states, m inputs, nc currents, nl laws, ns of them smooth, whether the
-quiet way is open, ny outputs, `rows` and `cols` of a step, whether a law's rate is a difference of its elongations.
-
-| rows of `state` | |
-|---|---|
-| cols | what a step reads: x, inputs at its start and end, currents, forces, elongations (where rates are differences) |
-| rows | what a step makes of it before the new forces act: x, then of every law what a quiet car needs (elongation of a smooth law, rate of a dry one), then of every law the other of the two |
-| 9 nl | of every law: force, state z, elongation, rate; factor of the secant, force as it was tried (dry: its bound), what the law said to it, the next z, rate as it was tried |
-| 3 | lanes in which laws act, those that are not settled yet, whether a lane moved |
-
-| numbers of `mats` | |
-|---|---|
-| 1 | the step h [s] |
-| cols x rows | the matrix of a step, column by column |
-| nl x rows | what the forces at the end of the step add |
-| 4 nl, nl | parameters of the laws; |elongation| below which a smooth law rests, yield of a dry one |
-| cols x ny | the outputs, column by column (ny filled up to a multiple of 8) |
+Compiled code is cached on disk under a key made of the sources, so an upgrade never runs yesterday's physics.
 """
 
 from __future__ import annotations
@@ -47,326 +32,337 @@ import numpy as np
 from numba.core.options import DefaultOptions
 
 from . import elements as el
+from . import layout as layout_module
+from .lanes import bits, fused, load, noise, select, some, spread, store
+from .layout import (
+    AHEAD,
+    BOUNDS,
+    BROKEN,
+    CONTACT,
+    COST,
+    COUNTER,
+    CURRENT,
+    CURRENT_LIMIT,
+    DELAY,
+    GENERAL,
+    HEIGHT,
+    HEIGHT_RATE,
+    LAG_POLE,
+    LAGGED,
+    LIFTED,
+    PROFILE,
+    PROFILE_END,
+    QUIET,
+    REWARD,
+    ROUGH,
+    ROUGH_GAIN,
+    ROUGH_POLE,
+    SATURATION,
+    SIGNALS,
+    SLEW_LIMIT,
+    TARGET,
+    WEIGHTS,
+    WHOLE,
+    WIDTH,
+    layout,
+)
 
-LAW_PARAMETERS = 4  # numbers a law may read
+SWEEPS = 40  # of Gauss-Seidel
+TIGHT = 1e-9  # relative change of a force at which a law is settled
+GOOD = 1e-6  # relative error of a force with which a step counts as solved
 U = nb.uintp  # an unsigned index spares the code for negative ones
-
-
-# ------------------------------------------------------------------------------------- law dispatch
-
-
-def _chain(functions: Sequence[Callable], fallback: Callable) -> Callable:
-    """One compiled function that calls functions[code]."""
-    out: Callable = nb.njit(error_model="numpy")(fallback)
-    for code, function in reversed(list(enumerate(functions))):
-        out = _link(code, nb.njit(error_model="numpy")(function), out)
-    return out
-
-
-def _link(code: int, this: Callable, rest: Callable) -> Callable:
-    @nb.njit(error_model="numpy")
-    def dispatch(which, *args):
-        if which == code:
-            return this(*args)
-        return rest(which, *args)
-
-    return dispatch
-
-
-def _no_law(which, p, d, v, d_last, z, h):
-    return 0.0, z
-
-
-def _no_bound(which, p, d, v):
-    return 0.0
-
-
-def _laws() -> tuple[list[type[el.Element]], list[type[el.Element]]]:
-    smooth = [cls for cls in el.TYPES.values() if cls.law is not None]
-    dry = [cls for cls in el.TYPES.values() if cls.bound is not None]
-    return smooth, dry
-
-
-def law_code(cls: type[el.Element]) -> int:
-    """Code of an element's law in the kernel: >= 0 a smooth law, < 0 a set-valued one."""
-    smooth, dry = _laws()
-    return smooth.index(cls) if cls.law is not None else -1 - dry.index(cls)
-
-
-def _stamp() -> int:
-    """A number that changes with the kernel's and the laws' code."""
-    smooth, dry = _laws()
-    return _stamp_of((*((c.type, c.law) for c in smooth), *((c.type, c.bound) for c in dry)))
-
-
-@functools.cache
-def _stamp_of(laws: tuple[tuple[str, Any], ...]) -> int:
-    # as resources: the package may lie in a zip
-    parts = sorted(resources.files(el.__name__).iterdir(), key=lambda f: f.name)
-    code = [f for f in parts if f.name.endswith(".py")]
-    digest = hashlib.sha256()
-    for file in (resources.files(__package__) / "kernel.py", *code):
-        digest.update(file.read_bytes())
-    for name, law in laws:
-        digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
-    return int.from_bytes(digest.digest()[:6], "big")
-
-
-# ------------------------------------------------------------------------------------------- road noise
-
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
-_MIX_2 = np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S16, _S32, _S48 = (np.uint64(i) for i in (30, 27, 31, 16, 32, 48))
-_LOW = np.uint64(0xFFFF)
-_MEAN = 4 * 65535 / 2
-_SIGMA = math.sqrt(4 * (65536.0**2 - 1) / 12)
-
-
-@nb.njit(inline="always")
-def noise(counter):
-    """A zero-mean, unit-variance number from a counter: four 16-bit uniforms of one SplitMix64 word, summed.
-
-    Nearly normal (excess kurtosis -0.3); the road is a sum of thousands of them, hence normal.
-    """
-    w = counter
-    w = (w ^ (w >> _S30)) * _MIX_1
-    w = (w ^ (w >> _S27)) * _MIX_2
-    w = w ^ (w >> _S31)
-    total = (
-        np.int64(w & _LOW) + np.int64((w >> _S16) & _LOW) + np.int64((w >> _S32) & _LOW) + np.int64(w >> _S48)
-    )
-    return (np.float64(total) - _MEAN) / _SIGMA
-
-
-@nb.njit(error_model="numpy")
-def road_noise(seed, gain, pole, start, out):
-    """Fill `out` with the rough road of one car [m], continuing from counter `seed` and height `start`."""
-    r, counter = start, seed
-    for k in range(out.shape[0]):
-        counter = counter + _GOLDEN
-        r = pole * r + gain * noise(counter)
-        out[k] = r
-    return counter
-
-
-@nb.njit(error_model="numpy", cache=True)
-def preview(rings, begin, heights, out):
-    """Road ahead of cars relative to their `heights` [m]: out (N, points); rings (N, >= points) begin at `begin`."""
-    size, count = rings.shape[1], out.shape[1]
-    first = min(size - begin, count)
-    for e in range(out.shape[0]):
-        height = heights[e]
-        for i in range(first):
-            out[e, i] = rings[e, begin + i] - height
-        for i in range(count - first):
-            out[e, first + i] = rings[e, i] - height
-
-
-# --------------------------------------------------------------------------------------------- kernel
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's step
 
 law_force: Callable  # made of the laws that are registered when the kernel is compiled
 law_bound: Callable
-ONE = False  # compiled with True for a single lane: its matrices, states and inputs are plain vectors
-OWN = False  # compiled with True where every lane has matrices of its own
 
 
-def sums(mats, at, stride, cols, state, src, dst, rows, lanes):
-    """Rows `dst`... of the state = a matrix, stored column by column, times its rows `src`... .
+# ----------------------------------------------------------------------------------------- linear part
 
-    Every row is summed in the order of its columns, however many lanes there are. `stride` is a multiple of 8 and
-    `cols` of 4; up to 7 rows more than asked for may be written.
+
+def sums(mats, own, at, height, columns, state, result, rows):
+    """Rows `result`... of the state = a matrix of the pool, stored column by column, times its first `columns` rows."""
+    for i in range(0, rows, 4):
+        a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+        k = at + i
+        if own:
+            for j in range(columns):
+                x = load(state, j * WIDTH)
+                a = fused(load(mats, k * WIDTH), x, a)
+                b = fused(load(mats, (k + 1) * WIDTH), x, b)
+                c = fused(load(mats, (k + 2) * WIDTH), x, c)
+                d = fused(load(mats, (k + 3) * WIDTH), x, d)
+                k += height
+        else:
+            for j in range(columns):
+                x = load(state, j * WIDTH)
+                a = fused(spread(mats[U(k)]), x, a)
+                b = fused(spread(mats[U(k + 1)]), x, b)
+                c = fused(spread(mats[U(k + 2)]), x, c)
+                d = fused(spread(mats[U(k + 3)]), x, d)
+                k += height
+        to = (result + i) * WIDTH
+        store(state, to, a)
+        store(state, to + WIDTH, b)
+        store(state, to + 2 * WIDTH, c)
+        store(state, to + 3 * WIDTH, d)
+
+
+def pooled(mats, own, k):
+    """Number k of the pool, in every lane."""
+    if own:
+        return load(mats, k * WIDTH)
+    return spread(mats[U(k)])
+
+
+def number(mats, own, k, l):
+    """Number k of the pool, of lane l."""
+    return mats[U(k * WIDTH + l)] if own else mats[U(k)]
+
+
+def clip(x, level):
+    x = select(x > level, level, x)
+    return select(x < -level, -level, x)
+
+
+def take(state, row, values, at, width, first, count):
+    """A row of the state from inputs: one number for all lanes (width 1), or those of the `count` cars from `first` on."""
+    if width == 1:
+        store(state, row * WIDTH, spread(values[U(at)]))
+    elif count == WIDTH:
+        store(state, row * WIDTH, load(values, at * width + first))
+    else:
+        for l in range(count):
+            state[U(row * WIDTH + l)] = values[U(at * width + first + l)]
+
+
+# --------------------------------------------------------------------------------------- closed form
+
+
+def touch(mats, own, ints, state):
+    """End a step of at most one stop (or play) and one constant friction, which may stick.
+
+    Clear of the stop the friction is ``clip(-r / g)``. On it, the force of the stop is linear in the friction; with it
+    put in, so is the rate, and the friction a clip again. A stop that would pull is not touched.
     """
-    if ONE:  # eight rows at once
-        for i in range(0, rows, 8):
-            a0, a1, a2, a3, a4, a5, a6, a7 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            b = at + i
-            for j in range(cols):
-                v = state[U(src + j)]
-                a0 += mats[U(b)] * v
-                a1 += mats[U(b + 1)] * v
-                a2 += mats[U(b + 2)] * v
-                a3 += mats[U(b + 3)] * v
-                a4 += mats[U(b + 4)] * v
-                a5 += mats[U(b + 5)] * v
-                a6 += mats[U(b + 6)] * v
-                a7 += mats[U(b + 7)] * v
-                b += stride
-            o = dst + i
-            state[U(o)] = a0
-            state[U(o + 1)] = a1
-            state[U(o + 2)] = a2
-            state[U(o + 3)] = a3
-            state[U(o + 4)] = a4
-            state[U(o + 5)] = a5
-            state[U(o + 6)] = a6
-            state[U(o + 7)] = a7
-        return
-    w = lanes if OWN else 1
-    for i in range(0, rows, 2):  # two rows by four columns at once
-        y0 = state[(dst + i) * lanes : (dst + i + 1) * lanes]
-        y1 = state[(dst + i + 1) * lanes : (dst + i + 2) * lanes]
-        for j in range(0, cols, 4):
-            b = at + j * stride + i
-            x0 = state[(src + j) * lanes : (src + j + 1) * lanes]
-            x1 = state[(src + j + 1) * lanes : (src + j + 2) * lanes]
-            x2 = state[(src + j + 2) * lanes : (src + j + 3) * lanes]
-            x3 = state[(src + j + 3) * lanes : (src + j + 4) * lanes]
-            m00, m01 = mats[b * w : (b + 1) * w], mats[(b + 1) * w : (b + 2) * w]
-            b += stride
-            m10, m11 = mats[b * w : (b + 1) * w], mats[(b + 1) * w : (b + 2) * w]
-            b += stride
-            m20, m21 = mats[b * w : (b + 1) * w], mats[(b + 1) * w : (b + 2) * w]
-            b += stride
-            m30, m31 = mats[b * w : (b + 1) * w], mats[(b + 1) * w : (b + 2) * w]
-            if OWN:
-                if j == 0:
-                    for l in range(lanes):
-                        y0[l] = 0.0 + m00[l] * x0[l] + m10[l] * x1[l] + m20[l] * x2[l] + m30[l] * x3[l]
-                        y1[l] = 0.0 + m01[l] * x0[l] + m11[l] * x1[l] + m21[l] * x2[l] + m31[l] * x3[l]
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    friction, push = spread(0.0), spread(0.0)
+    level, rate = spread(0.0), spread(0.0)
+    rubs = nl > ns
+    if rubs:
+        level = pooled(mats, own, at.level)
+        rate = load(state, (at.first + ns) * WIDTH)
+        friction = clip(rate * pooled(mats, own, at.give), level)
+    if ns > 0:
+        upper, lower = pooled(mats, own, at.upper), pooled(mats, own, at.lower)
+        free, yields = load(state, at.first * WIDTH), spread(0.0)
+        if rubs:
+            yields = pooled(mats, own, at.gains + ns * at.rows + n)
+        place = fused(yields, friction, free)
+        meets = (place > upper) | (place < lower)
+        if some(meets):
+            extended = place > 0.0
+            beyond = free - select(extended, upper, lower)
+            alone = beyond * pooled(mats, own, at.per_elongation)
+            alone = fused(load(state, at.other * WIDTH), pooled(mats, own, at.per_rate), alone)
+            shared = pooled(mats, own, at.per_friction)
+            held, slip, own_slip = friction, spread(0.0), spread(0.0)
+            if rubs:
+                slip = pooled(mats, own, at.gains + n + ns)  # what the stop does to the sliding
+                own_slip = pooled(mats, own, at.gains + ns * at.rows + n + ns)
+                held = clip(fused(slip, alone, rate) * pooled(mats, own, at.give_stopped), level)
+            force = fused(shared, held, alone)
+            touches = meets & (select(extended, force, -force) > 0.0)
+            friction = select(touches, held, friction)
+            push = select(touches, force, push)
+            # a damped stop pushes from the instant it is met: one that would at once push clear is met, and no more
+            own_yield = pooled(mats, own, at.gains + n)
+            limit = select(extended, upper, lower)
+            rest = fused(yields, friction, free) - limit
+            gap = fused(own_yield, push, rest)
+            short = touches & (select(extended, gap, -gap) < 0.0)
+            if some(short):
+                push = select(short, -rest / own_yield, push)
+            if rubs:
+                # where the sliding reverses within the step, friction has the old sign up to that instant
+                was = load(state, (at.rate + ns) * WIDTH)
+                end = fused(own_slip, friction, fused(slip, push, rate))
+                turns = touches & ~short & (abs(friction) >= level) & (was * end < 0.0)
+                if some(turns):
+                    bound = friction
+                    for _ in range(3):
+                        part = select(was * end < 0.0, was / (was - end), spread(0.0))
+                        friction = select(turns, bound * (1.0 - 2.0 * part), friction)
+                        push = select(turns, fused(shared, friction, alone), push)
+                        push = select(turns & (select(extended, push, -push) <= 0.0), spread(0.0), push)
+                        end = fused(own_slip, friction, fused(slip, push, rate))
+                    # what acted was a mean over the step; what outputs see is the force at its end
+                    seen = select(end > 0.0, level, -level)
+                    store(state, (at.force + ns) * WIDTH, select(turns & (abs(end) > 1e-9), seen, friction))
                 else:
-                    for l in range(lanes):
-                        y0[l] = y0[l] + m00[l] * x0[l] + m10[l] * x1[l] + m20[l] * x2[l] + m30[l] * x3[l]
-                        y1[l] = y1[l] + m01[l] * x0[l] + m11[l] * x1[l] + m21[l] * x2[l] + m31[l] * x3[l]
-            else:
-                a0, a1, a2, a3 = m00[0], m10[0], m20[0], m30[0]
-                b0, b1, b2, b3 = m01[0], m11[0], m21[0], m31[0]
-                if j == 0:
-                    for l in range(lanes):
-                        y0[l] = 0.0 + a0 * x0[l] + a1 * x1[l] + a2 * x2[l] + a3 * x3[l]
-                        y1[l] = 0.0 + b0 * x0[l] + b1 * x1[l] + b2 * x2[l] + b3 * x3[l]
-                else:
-                    for l in range(lanes):
-                        y0[l] = y0[l] + a0 * x0[l] + a1 * x1[l] + a2 * x2[l] + a3 * x3[l]
-                        y1[l] = y1[l] + b0 * x0[l] + b1 * x1[l] + b2 * x2[l] + b3 * x3[l]
+                    store(state, (at.force + ns) * WIDTH, friction)
+        elif rubs:
+            store(state, (at.force + ns) * WIDTH, friction)
+        store(state, at.force * WIDTH, push)
+    elif rubs:
+        store(state, at.force * WIDTH, friction)
+    apply(mats, own, ints, state, push, friction)
 
 
-def solve(mats, ints, state, left, lanes):
-    """Forces of all laws at the end of the step, of the `left` lanes in which laws act.
+def apply(mats, own, ints, state, push, friction):
+    """States, elongation of the stop and rate of the friction with the forces that were found."""
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    stop, rub = at.gains, at.gains + ns * at.rows
+    for i in range(n + nl):
+        x = load(state, (at.step + i) * WIDTH)
+        if nl > ns:
+            x = fused(pooled(mats, own, rub + i), friction, x)
+        if ns > 0 and at.way == CONTACT:
+            x = fused(pooled(mats, own, stop + i), push, x)
+        to = i if i < n else at.elongation + i - n if i < n + ns else at.rate + i - n
+        store(state, to * WIDTH, x)
+
+
+# ------------------------------------------------------------------------------------------ law by law
+
+
+def busy(mats, own, ints, state, count):
+    """Lanes (as bits) in which laws are to be solved for; in the others the friction is a clip."""
+    at = layout(ints)
+    everyone = (1 << count) - 1
+    if at.way == GENERAL:
+        return everyone
+    acts = spread(1.0) < spread(0.0)
+    for j in range(at.smooth):
+        d, f = load(state, (at.first + j) * WIDTH), load(state, (at.force + j) * WIDTH)
+        acts = acts | (abs(d) > pooled(mats, own, at.spans + j)) | (f != 0.0)
+    if at.laws > at.smooth:
+        rate = load(state, (at.first + at.smooth) * WIDTH)
+        friction = clip(rate * pooled(mats, own, at.give), pooled(mats, own, at.level))
+        store(state, (at.force + at.smooth) * WIDTH, friction)
+    return bits(acts) & everyone
+
+
+def parameters(mats, own, at, j, l):
+    """The numbers that law j of lane l reads."""
+    begin = at.own * WIDTH + (l * at.laws + j) * at.parameters if own else at.own + j * at.parameters
+    return mats[begin : begin + at.parameters]
+
+
+def settle(mats, own, ints, state, left):
+    """Forces of all laws at the end of the step in the lanes `left` (bits); those that cannot be found become nan.
 
     Gauss-Seidel over the laws, a secant step in each; a single dry friction is eliminated: it follows the forces of
     the others at once. Lanes take turns, which keeps the processor busy: a visit is one long chain of operations.
     """
-    lanes = 1 if ONE else lanes
-    n, m, nc, nl, ns, rows, cols = ints[0], ints[1], ints[2], ints[3], ints[4], ints[7], ints[8]
-    gap = nl * lanes
-    f_at = (n + 2 * m + nc) * lanes
-    # rows of the laws: force, state, elongation, rate; factor of the secant; force as it was tried, what the law said,
-    # its next state, rate as it was tried
-    laws = (cols + rows) * lanes
-    acting = laws + 9 * gap  # lanes in which laws act, those that are not settled, whether a lane moved
-    line, moved = acting + lanes, acting + 2 * lanes
-    for i in range(left):
-        l = int(state[U(acting + i)])
-        state[U(line + i)] = l
-        for j in range(nl):
-            k = laws + j * lanes + l
-            state[U(k)] = state[U(f_at + j * lanes + l)]
-            if j >= ns:
-                # the bound is that of the rate at the start of the step: a falling (Stribeck) curve taken at its end
-                # would have several solutions
-                p = numbers(mats, ints, j, l, lanes)
-                state[U(k + 5 * gap)] = law_bound(
-                    -1 - ints[U(10 + j)], p, state[U(k + 2 * gap)], state[U(k + 3 * gap)]
-                )
-    for sweep in range(200):
-        for i in range(left):
-            state[U(moved + int(state[U(line + i)]))] = 0.0
+    at = layout(ints)
+    nl, ns = at.laws, at.smooth
+    for l in range(WIDTH):
+        if left >> l & 1:
+            for j in range(nl):
+                state[U((at.acting + j) * WIDTH + l)] = state[U((at.force + j) * WIDTH + l)]
+                if j >= ns:
+                    # the bound is that of the rate at the start of the step: a falling (Stribeck) curve taken at its
+                    # end would have several solutions
+                    state[U((at.tried + j) * WIDTH + l)] = law_bound(
+                        -1 - ints[U(at.code + j)],
+                        parameters(mats, own, at, j, l),
+                        state[U((at.elongation + j) * WIDTH + l)],
+                        state[U((at.rate + j) * WIDTH + l)],
+                    )
+    for sweep in range(SWEEPS):
+        moved = 0
         if nl - ns > 1 or ns == 0:
             for j in range(ns, nl):
-                for i in range(left):
-                    rub(mats, ints, state, j, int(state[U(line + i)]), lanes)
+                for l in range(WIDTH):
+                    if left >> l & 1:
+                        moved |= rub(mats, own, ints, state, j, l) << l
         for j in range(ns):
-            for i in range(left):
-                push(mats, ints, state, sweep, j, int(state[U(line + i)]), lanes)
-        keep = 0
-        for i in range(left):
-            l = int(state[U(line + i)])
-            if state[U(moved + l)] > 0.0:
-                state[U(line + keep)] = l
-                keep += 1
-        left = keep
+            for l in range(WIDTH):
+                if left >> l & 1:
+                    moved |= push(mats, own, ints, state, sweep, j, l) << l
+        left &= moved
         if left == 0:
             break
+    for l in range(WIDTH):
+        if left >> l & 1:
+            newton(mats, own, ints, state, l)
 
 
-def numbers(mats, ints, j, l, lanes):
-    """The parameters of law j of lane l."""
-    w, a = (lanes, l) if OWN else (1, 0)
-    b = (1 + ints[8] * ints[7] + ints[3] * ints[7] + j * LAW_PARAMETERS) * w + a
-    return mats[U(b)], mats[U(b + w)], mats[U(b + 2 * w)], mats[U(b + 3 * w)]
+def seen(mats, own, at, state, row, l, skip):
+    """Row `row` of the step in lane l with all forces but that of law `skip`."""
+    s = state[U((at.step + row) * WIDTH + l)]
+    for i in range(at.laws):
+        if i != skip:
+            s += number(mats, own, at.gains + i * at.rows + row, l) * state[U((at.acting + i) * WIDTH + l)]
+    return s
 
 
-def rub(mats, ints, state, j, l, lanes):
-    """Dry friction j of lane l against the sliding that the other forces leave."""
-    lanes = 1 if ONE else lanes
-    w, a = (lanes, l) if OWN else (1, 0)
-    n, nl, rows, cols = ints[0], ints[3], ints[7], ints[8]
-    law = (cols + rows) * lanes + l
-    k, gains = law + j * lanes, (1 + cols * rows + n + j) * w + a
-    s = state[U((cols + n + j) * lanes + l)]
-    for i in range(nl):
-        if i != j:
-            s += mats[U(gains + i * rows * w)] * state[U(law + i * lanes)]
-    old, gap = state[U(k)], nl * lanes
+def rub(mats, own, ints, state, j, l):
+    """Dry friction j of lane l against the sliding that the other forces leave; 1 if it changed."""
+    at = layout(ints)
+    row = at.states + j
+    old = state[U((at.acting + j) * WIDTH + l)]
     new = held(
-        -1 - ints[U(10 + j)],
-        numbers(mats, ints, j, l, lanes),
-        s,
-        mats[U(gains + j * rows * w)],
-        state[U(k + 5 * gap)],
-        state[U(k + 2 * gap)],
-        state[U(k + 3 * gap)],
-        ints[U(10 + nl + j)] == 0,
+        -1 - ints[U(at.code + j)],
+        parameters(mats, own, at, j, l),
+        seen(mats, own, at, state, row, l, j),
+        number(mats, own, at.gains + j * at.rows + row, l),
+        state[U((at.tried + j) * WIDTH + l)],
+        state[U((at.elongation + j) * WIDTH + l)],
+        state[U((at.rate + j) * WIDTH + l)],
+        ints[U(at.differs + j)] == 0,
     )
-    state[U(k)] = new
-    if nl > 1 and abs(new - old) > 1e-9 * (1.0 + abs(new)):
-        state[U(law + (9 * nl + 2) * lanes)] = 1.0
+    state[U((at.acting + j) * WIDTH + l)] = new
+    return 1 if at.laws > 1 and abs(new - old) > TIGHT * (1.0 + abs(new)) else 0
 
 
-def push(mats, ints, state, sweep, j, l, lanes):
-    """A secant step of smooth law j of lane l, and the single dry friction with it."""
-    lanes = 1 if ONE else lanes
-    w, a = (lanes, l) if OWN else (1, 0)
-    n, nl, ns, rows, cols = ints[0], ints[3], ints[4], ints[7], ints[8]
-    gap, column = nl * lanes, rows * w
-    one = nl - ns == 1
-    y, law = (cols + n) * lanes + l, (cols + rows) * lanes + l
-    k = law + j * lanes
+def push(mats, own, ints, state, sweep, j, l):
+    """A secant step of smooth law j of lane l, and the single dry friction with it; 1 if it changed."""
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    single = nl - ns == 1
+    k = at.acting + j
     # elongation, rate, and the rate at the single friction, as the forces at the end of the step make them
-    gd = (1 + cols * rows + n + j) * w + a
-    gs, ge = gd + nl * w, gd + (ns - j) * w
-    d, s, e = state[U(y + j * lanes)], state[U(y + (nl + j) * lanes)], 0.0
-    for i in range(ns if one else nl):
-        f = state[U(law + i * lanes)]
-        d += mats[U(gd + i * column)] * f
-        s += mats[U(gs + i * column)] * f
-        if one:
-            e += mats[U(ge + i * column)] * f
-    if one:
-        r_at = law + ns * lanes
+    d, s, e = state[U((at.first + j) * WIDTH + l)], state[U((at.other + j) * WIDTH + l)], 0.0
+    for i in range(ns if single else nl):
+        f = state[U((at.acting + i) * WIDTH + l)]
+        column = at.gains + i * at.rows + n
+        d += number(mats, own, column + j, l) * f
+        s += number(mats, own, column + nl + j, l) * f
+        if single:
+            e += number(mats, own, column + ns, l) * f
+    if single:
+        column = at.gains + ns * at.rows + n
         t = held(
-            -1 - ints[U(10 + ns)],
-            numbers(mats, ints, ns, l, lanes),
-            state[U(y + ns * lanes)] + e,
-            mats[U(ge + ns * column)],
-            state[U(r_at + 5 * gap)],
-            state[U(r_at + 2 * gap)],
-            state[U(r_at + 3 * gap)],
-            ints[U(10 + nl + ns)] == 0,
+            -1 - ints[U(at.code + ns)],
+            parameters(mats, own, at, ns, l),
+            state[U((at.first + ns) * WIDTH + l)] + e,
+            number(mats, own, column + ns, l),
+            state[U((at.tried + ns) * WIDTH + l)],
+            state[U((at.elongation + ns) * WIDTH + l)],
+            state[U((at.rate + ns) * WIDTH + l)],
+            ints[U(at.differs + ns)] == 0,
         )
-        d += mats[U(gd + ns * column)] * t
-        s += mats[U(gs + ns * column)] * t
-        state[U(r_at)] = t
-    p = numbers(mats, ints, j, l, lanes)
-    now, z = law_force(ints[U(10 + j)], p, d, s, state[U(k + 2 * gap)], state[U(k + gap)], mats[0])
-    f, factor = state[U(k)], state[U(k + 4 * gap)]
+        d += number(mats, own, column + j, l) * t
+        s += number(mats, own, column + nl + j, l) * t
+        state[U((at.acting + ns) * WIDTH + l)] = t
+    p = parameters(mats, own, at, j, l)
+    now, z = law_force(
+        ints[U(at.code + j)],
+        p, d, s, state[U((at.elongation + j) * WIDTH + l)], state[U((at.memory + j) * WIDTH + l)], mats[0],
+    )  # fmt: skip
+    f, factor = state[U(k * WIDTH + l)], state[U((at.factor + j) * WIDTH + l)]
     r = now - f
     if sweep > 0:
         # secant: step = r / (1 - slope); a law that resists motion has a slope below zero
-        span, change = f - state[U(k + 5 * gap)], now - state[U(k + 6 * gap)]
+        span = f - state[U((at.tried + j) * WIDTH + l)]
+        change = now - state[U((at.said + j) * WIDTH + l)]
         # alone, it also sees how the friction follows; one of many takes only its own share of the change
-        share, whole = mats[U(gs + j * column)] * span, s - state[U(k + 8 * gap)]
+        share = number(mats, own, at.gains + j * at.rows + n + nl + j, l) * span
+        whole = s - state[U((at.tried_rate + j) * WIDTH + l)]
         if ns > 1 and abs(whole) > 0.1 * abs(share):
             change *= share / whole
         rest = span - change
@@ -374,13 +370,15 @@ def push(mats, ints, state, sweep, j, l, lanes):
             guess = span / rest if span * rest > 0.05 * span * span else 1.0
             # many sweeps: only ever more careful, so that kinks cannot make it run in circles
             factor = guess if sweep < 20 else min(guess, factor)
-            state[U(k + 4 * gap)] = factor
-    state[U(k + 5 * gap)], state[U(k + 6 * gap)], state[U(k + 7 * gap)] = f, now, z
-    state[U(k + 8 * gap)] = s
-    if not abs(r) <= 1e-9 * (1.0 + abs(f)):
-        state[U(k)] = f + r * (factor if factor > 0.0 else 1.0)
-        if r == r:  # what is no number stays none
-            state[U(law + (9 * nl + 2) * lanes)] = 1.0
+            state[U((at.factor + j) * WIDTH + l)] = factor
+    state[U((at.tried + j) * WIDTH + l)] = f
+    state[U((at.said + j) * WIDTH + l)] = now
+    state[U((at.coming + j) * WIDTH + l)] = z
+    state[U((at.tried_rate + j) * WIDTH + l)] = s
+    if abs(r) <= TIGHT * (1.0 + abs(f)):
+        return 0
+    state[U(k * WIDTH + l)] = f + r * (factor if factor > 0.0 else 1.0)
+    return 1
 
 
 def held(kind, p, rate, gain, level, d, was, slides):
@@ -407,323 +405,583 @@ def held(kind, p, rate, gain, level, d, was, slides):
     return out
 
 
-def quiet(mats, ints, state, l, lanes):
-    """Whether no law of lane l acts, and none has acted before, so that only its one friction counts."""
-    lanes = 1 if ONE else lanes
-    w, a = (lanes, l) if OWN else (1, 0)
-    n, m, nc, nl, ns = ints[0], ints[1], ints[2], ints[3], ints[4]
-    fast, rows, cols = ints[5], ints[7], ints[8]
-    spans = 1 + cols * rows + nl * (rows + LAW_PARAMETERS)
-    out = fast != 0
-    for j in range(ns):
-        out &= abs(state[U((cols + n + j) * lanes + l)]) <= mats[U((spans + j) * w + a)]
-        out &= state[U((n + 2 * m + nc + j) * lanes + l)] == 0.0
-    return out
+def ask(mats, own, ints, state, j, l, dd, ds):
+    """Force and next memory of smooth law j of lane l under the forces that act, its elongation off by dd, its rate by ds."""
+    at = layout(ints)
+    row = at.states + j
+    return law_force(
+        ints[U(at.code + j)],
+        parameters(mats, own, at, j, l),
+        seen(mats, own, at, state, row, l, -1) + dd,
+        seen(mats, own, at, state, row + at.laws, l, -1) + ds,
+        state[U((at.elongation + j) * WIDTH + l)],
+        state[U((at.memory + j) * WIDTH + l)],
+        mats[0],
+    )
 
 
-def act(mats, ints, state, lanes):
-    """Find the forces of the laws in those lanes in which they act; their number, and they in a row of the state."""
-    lanes = 1 if ONE else lanes
-    n, nl, fast, rows, cols = ints[0], ints[3], ints[5], ints[7], ints[8]
-    if fast and not ONE:  # the rows that quiet cars leave out
-        at = (n + nl) // 2 * 2
-        sums(mats, 1 + at, rows, cols, state, 0, cols + at, n + 2 * nl - at, lanes)
-    line = (cols + rows + 9 * nl) * lanes
-    count = 0
-    for l in range(lanes):
-        if not quiet(mats, ints, state, l, lanes):
-            state[U(line + count)] = l
-            count += 1
-    solve(mats, ints, state, count, lanes)
-    return count
+def answers(mats, own, ints, state, l):
+    """What all laws of lane l say to the forces that act; the largest relative difference, and its law."""
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    worst, who = 0.0, 0
+    for j in range(nl):
+        f, row = state[U((at.acting + j) * WIDTH + l)], n + j
+        if j < ns:
+            now, z = ask(mats, own, ints, state, j, l, 0.0, 0.0)
+            state[U((at.coming + j) * WIDTH + l)] = z
+        else:
+            # without what a reversal within the step does, which is not continuous
+            gain = number(mats, own, at.gains + j * at.rows + row, l)
+            rate, level = seen(mats, own, at, state, row, l, j), state[U((at.tried + j) * WIDTH + l)]
+            now = held(0, parameters(mats, own, at, j, l), rate, gain, level, 0.0, 0.0, False)
+        state[U((at.said + j) * WIDTH + l)] = now
+        error = abs(now - f) / (1.0 + abs(f))
+        if error > TIGHT and j < ns:
+            # a law that jumps (a damped stop as it is met) has any force between, where it jumps
+            least, most = now, now
+            for side in range(2):
+                near = (1.0 if side == 0 else -1.0) * 1e-9
+                dd = near * (1e-3 + abs(seen(mats, own, at, state, row, l, -1)))
+                ds = near * (1e-3 + abs(seen(mats, own, at, state, row + nl, l, -1)))
+                there = ask(mats, own, ints, state, j, l, dd, ds)[0]
+                least, most = min(least, there), max(most, there)
+            if least <= f <= most:
+                error = 0.0
+        if not error <= worst:
+            worst, who = error, j
+    return worst, who
 
 
-def finish(mats, ints, state, count, lanes):
-    """End the step of the `count` lanes in which laws act."""
-    lanes = 1 if ONE else lanes
-    n, m, nc, nl, ns, rows, cols = ints[0], ints[1], ints[2], ints[3], ints[4], ints[7], ints[8]
-    gains, gap, line = 1 + cols * rows, nl * lanes, (cols + rows + 9 * nl) * lanes
-    for at in range(count):
-        l = int(state[U(line + at)])
-        w, a = (lanes, l) if OWN else (1, 0)
-        law = (cols + rows) * lanes + l
-        for i in range(n + 2 * nl):
-            t = state[U((cols + i) * lanes + l)]
-            for j in range(nl):
-                t += mats[U((gains + j * rows + i) * w + a)] * state[U(law + j * lanes)]
-            if i < n:
-                state[U(i * lanes + l)] = t
-            elif i < n + nl:  # elongations and rates; those of dry laws stand the other way round
-                state[U(law + (2 if i < n + ns else 3) * gap + (i - n) * lanes)] = t
-            else:
-                state[U(law + (3 if i < n + nl + ns else 2) * gap + (i - n - nl) * lanes)] = t
-        for j in range(nl):
-            k = law + j * lanes
-            f, s = state[U(k)], state[U(k + 3 * gap)]
-            if j < ns:
-                state[U(k + gap)] = state[U(k + 7 * gap)]
-            elif ints[U(10 + nl + j)] == 0 and abs(s) > 1e-9:
-                # what acted was a mean over the step; what outputs see is the force at its end
-                f = law_bound(
-                    -1 - ints[U(10 + j)], numbers(mats, ints, j, l, lanes), state[U(k + 2 * gap)], s
-                )
-                f = f if s > 0.0 else -f
-            state[U((n + 2 * m + nc + j) * lanes + l)] = f
+def newton(mats, own, ints, state, l):
+    """Forces of all laws of lane l at once: Newton steps with one-sided slopes, shortened until they help.
 
-
-def march(mats, ints, state, u, c, u_at, c_at, steps, width, lanes):
-    """Run `steps` steps in place; u (.., m, width) from row u_at and c (.., nc, width) from row c_at, flat.
-
-    `width` is `lanes`, or 1 where all lanes have the same inputs.
+    What is found is as good as it gets: it stands if the laws agree with it to `GOOD`, else the lane's state becomes nan.
     """
-    lanes = 1 if ONE else lanes
-    w, a = (lanes, 1) if OWN else (1, 0)
-    n, m, nc, nl, ns = ints[0], ints[1], ints[2], ints[3], ints[4]
-    fast, rows, cols = ints[5], ints[7], ints[8]
-    f_at = n + 2 * m + nc
-    last_d = cols + rows + 2 * nl
-    gains = 1 + cols * rows
-    params = gains + nl * rows
-    quiet_at = params + nl * LAW_PARAMETERS
-    hot = n + nl if fast and not ONE else n + 2 * nl
-    differ = ints[9]
-    narrow = ONE or width == 1
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    matrix = at.scratch * WIDTH  # (law, law), then the step and the best forces
+    step, start, best = matrix + nl * nl, matrix + nl * (nl + 1), matrix + nl * (nl + 2)
+    for j in range(nl):
+        f = state[U((at.force + j) * WIDTH + l)]
+        state[U((at.acting + j) * WIDTH + l)] = f
+        state[U(best + j)] = f
+    worst, who = answers(mats, own, ints, state, l)
+    least, last = worst, who
+    for turn in range(60):
+        if least <= TIGHT:
+            break
+        for j in range(nl):
+            f = state[U((at.acting + j) * WIDTH + l)]
+            state[U(start + j)] = f
+            state[U(step + j)] = state[U((at.said + j) * WIDTH + l)] - f
+            by_d, by_s, stick = 0.0, 0.0, 0.0
+            if j < ns:
+                said = state[U((at.said + j) * WIDTH + l)]
+                away = 1e-7 if turn % 2 == 0 else -1e-7  # either side of a kink in turn
+                dd = away * (1e-3 + abs(seen(mats, own, at, state, n + j, l, -1)))
+                ds = away * (1e-2 + abs(seen(mats, own, at, state, n + nl + j, l, -1)))
+                by_d = (ask(mats, own, ints, state, j, l, dd, 0.0)[0] - said) / dd
+                by_s = (ask(mats, own, ints, state, j, l, 0.0, ds)[0] - said) / ds
+            else:
+                gain = number(mats, own, at.gains + j * at.rows + n + j, l)
+                level = state[U((at.tried + j) * WIDTH + l)]
+                if gain < 0.0 and abs(state[U((at.said + j) * WIDTH + l)]) < level:
+                    stick = -1.0 / gain
+            for i in range(nl):
+                column = at.gains + i * at.rows + n + j
+                first = number(mats, own, column, l)
+                if j < ns:
+                    slope = by_d * first + by_s * number(mats, own, column + nl, l)
+                else:
+                    slope = 0.0 if i == j else stick * first
+                state[U(matrix + j * nl + i)] = (1.0 if i == j else 0.0) - slope
+        eliminate(state, matrix, step, nl)
+        share = 1.0
+        for _ in range(14):
+            for j in range(nl):
+                state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)] + share * state[U(step + j)]
+            error, which = answers(mats, own, ints, state, l)
+            if error < worst:
+                break
+            share *= 0.5
+        if not error < worst:  # no way down: a cautious step towards what the laws say
+            for j in range(nl):
+                state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)]
+            answers(mats, own, ints, state, l)
+            for j in range(nl):
+                said = state[U((at.said + j) * WIDTH + l)]
+                state[U((at.acting + j) * WIDTH + l)] += (0.5 if turn % 3 else 0.05) * (
+                    said - state[U(start + j)]
+                )
+            error, which = answers(mats, own, ints, state, l)
+        worst, who = error, which
+        if worst < least:
+            least, last = worst, who
+            for j in range(nl):
+                state[U(best + j)] = state[U((at.acting + j) * WIDTH + l)]
+    for j in range(nl):
+        state[U((at.acting + j) * WIDTH + l)] = state[U(best + j)]
+    answers(mats, own, ints, state, l)
+    if not least <= GOOD:
+        for j in range(nl):
+            state[U((at.acting + j) * WIDTH + l)] = math.nan
+        if state[U(at.failed * WIDTH + l)] == 0.0:
+            state[U(at.failed * WIDTH + l)] = -1.0  # in this step
+            state[U((at.failed + 1) * WIDTH + l)] = last
+
+
+def eliminate(numbers, matrix, right, n):
+    """Solve a small system of equations in place (rows one after another), the largest pivot first."""
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(numbers[U(matrix + i * n + k)]) > abs(numbers[U(matrix + best * n + k)]):
+                best = i
+        if best != k:
+            for j in range(n):
+                a, b = U(matrix + k * n + j), U(matrix + best * n + j)
+                numbers[a], numbers[b] = numbers[b], numbers[a]
+            a, b = U(right + k), U(right + best)
+            numbers[a], numbers[b] = numbers[b], numbers[a]
+        pivot = numbers[U(matrix + k * n + k)]
+        if abs(pivot) < 1e-300:
+            pivot = 1e-300
+        for i in range(k + 1, n):
+            share = numbers[U(matrix + i * n + k)] / pivot
+            for j in range(k, n):
+                numbers[U(matrix + i * n + j)] -= share * numbers[U(matrix + k * n + j)]
+            numbers[U(right + i)] -= share * numbers[U(right + k)]
+    for i in range(n - 1, -1, -1):
+        t = numbers[U(right + i)]
+        for j in range(i + 1, n):
+            t -= numbers[U(matrix + i * n + j)] * numbers[U(right + j)]
+        pivot = numbers[U(matrix + i * n + i)]
+        numbers[U(right + i)] = t / (pivot if abs(pivot) >= 1e-300 else 1e-300)
+
+
+def finish(mats, own, ints, state, left):
+    """End the step of the lanes `left` (bits) with the forces that were solved for."""
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    for l in range(WIDTH):
+        if left >> l & 1:
+            for i in range(n + 2 * nl):
+                t = seen(mats, own, at, state, i, l, -1)
+                if i < n:
+                    to = i
+                elif i < n + nl:  # elongations and rates; those of dry laws stand the other way round
+                    to = (at.elongation if i < n + ns else at.rate) + i - n
+                else:
+                    to = (at.rate if i < n + nl + ns else at.elongation) + i - n - nl
+                state[U(to * WIDTH + l)] = t
+            for j in range(nl):
+                f, s = state[U((at.acting + j) * WIDTH + l)], state[U((at.rate + j) * WIDTH + l)]
+                if j < ns:
+                    state[U((at.memory + j) * WIDTH + l)] = state[U((at.coming + j) * WIDTH + l)]
+                elif ints[U(at.differs + j)] == 0 and abs(s) > 1e-9:
+                    # what acted was a mean over the step; what outputs see is the force at its end
+                    d = state[U((at.elongation + j) * WIDTH + l)]
+                    f = law_bound(-1 - ints[U(at.code + j)], parameters(mats, own, at, j, l), d, s)
+                    f = f if s > 0.0 else -f
+                state[U((at.force + j) * WIDTH + l)] = f
+
+
+def solved(mats, own, ints, state, count, now):
+    """End step number `now` law by law."""
+    at = layout(ints)
+    left = busy(mats, own, ints, state, count)
+    if left:
+        settle(mats, own, ints, state, left)
+    if at.way == QUIET:
+        friction = spread(0.0)
+        if at.laws > at.smooth:
+            friction = load(state, (at.force + at.smooth) * WIDTH)
+        apply(mats, own, ints, state, friction, friction)
+    if left:
+        finish(mats, own, ints, state, left)
+    for l in range(count):
+        if state[U(at.failed * WIDTH + l)] < 0.0:
+            state[U(at.failed * WIDTH + l)] = now
+
+
+def unsolved(mats, own, ints, state, count, now):
+    """In the place of `solved` where all networks go the way CONTACT."""
+
+
+# ---------------------------------------------------------------------------------------------- steps
+
+
+def march(mats, own, ints, state, u, c, u_at, c_at, steps, width, first, count, now):
+    """Run a group of `count` lanes in place for `steps` steps, the first of them number `now`.
+
+    u (.., m, width) from row u_at and c (.., nc, width) from row c_at, flat; `width` 1: all lanes have the same inputs, else
+    the group's are those from `first` on.
+    """
+    at = layout(ints)
+    m, nc, nl = at.inputs, at.currents, at.laws
     for k in range(steps):
         for j in range(2 * m):
-            if narrow:
-                value = u[U((u_at + k) * m + j)]
-                for l in range(lanes):
-                    state[U((n + j) * lanes + l)] = value
-            else:
-                for l in range(lanes):
-                    state[U((n + j) * lanes + l)] = u[U(((u_at + k) * m + j) * lanes + l)]
+            take(state, at.start + j, u, (u_at + k) * m + j, width, first, count)
         for j in range(nc):
-            if narrow:
-                value = c[U((c_at + k) * nc + j)]
-                for l in range(lanes):
-                    state[U((n + 2 * m + j) * lanes + l)] = value
-            else:
-                for l in range(lanes):
-                    state[U((n + 2 * m + j) * lanes + l)] = c[U(((c_at + k) * nc + j) * lanes + l)]
-        for i in range(differ * nl * lanes):
-            state[U((f_at + nl) * lanes + i)] = state[U(last_d * lanes + i)]
-        sums(mats, 1, rows, cols, state, 0, cols, hot, lanes)
-        busy, count = 1 - fast, 0
-        if fast:
-            for j in range(ns):
-                d, f, q = (cols + n + j) * lanes, (f_at + j) * lanes, (quiet_at + j) * w
-                span = mats[U(q)]
-                for l in range(lanes):
-                    if OWN:
-                        span = mats[U(q + l)]
-                    busy += (abs(state[U(d + l)]) > span) | (state[U(f + l)] != 0.0)
-            if ns < nl:  # the friction of a quiet car
-                s, f = (cols + n + ns) * lanes, (f_at + ns) * lanes
-                top, yields = (params + ns * LAW_PARAMETERS) * w, (quiet_at + ns) * w
-                level, give = mats[U(top)], mats[U(yields)]
-                for l in range(lanes):
-                    if OWN:
-                        level, give = mats[U(top + l)], mats[U(yields + l)]
-                    t = state[U(s + l)] * give
-                    t = level if t > level else t
-                    state[U(f + l)] = -level if t < -level else t
-        if busy:
-            count = act(mats, ints, state, lanes)
-            if fast == 0:
-                finish(mats, ints, state, count, lanes)
-                continue
-        f, g = (f_at + ns) * lanes, gains + ns * rows
-        for i in range(n + nl):  # states, elongations of smooth laws, rate of the friction
-            x = (i if i < n else last_d + i - n if i < n + ns else last_d + nl + ns) * lanes
-            y = (cols + i) * lanes
-            if ns == nl:
-                for l in range(lanes):
-                    state[U(x + l)] = state[U(y + l)]
-            elif OWN:
-                for l in range(lanes):
-                    state[U(x + l)] = state[U(y + l)] + mats[U((g + i) * w + l)] * state[U(f + l)]
-            else:
-                gain = mats[U(g + i)]
-                for l in range(lanes):
-                    state[U(x + l)] = state[U(y + l)] + gain * state[U(f + l)]
-        if busy:
-            finish(mats, ints, state, count, lanes)
+            take(state, at.current + j, c, (c_at + k) * nc + j, width, first, count)
+        for j in range(nl * at.differ):
+            store(state, (at.last + j) * WIDTH, load(state, (at.elongation + j) * WIDTH))
+        sums(mats, own, at.matrix, at.rows, at.columns, state, at.step, at.rows)
+        if at.way == CONTACT:
+            touch(mats, own, ints, state)
+        else:
+            solved(mats, own, ints, state, count, now + k)
 
 
-def outputs(mats, ints, state, dst, count, lanes):
-    """The first `count` outputs now, into rows `dst`... of the state (room for a multiple of 8)."""
-    rows, cols, nl, ny = ints[7], ints[8], ints[3], ints[6]
-    stride = (ny + 7) // 8 * 8
-    at = 1 + cols * rows + nl * (rows + LAW_PARAMETERS + 1)
-    sums(mats, at, stride, cols, state, 0, dst, count, 1 if ONE else lanes)
+def outputs(mats, own, ints, state):
+    """The outputs now, into their rows of the state."""
+    at = layout(ints)
+    sums(mats, own, at.out, at.out_rows, at.columns, state, at.outcome, at.out_rows)
+
+
+def pool_of(mats, own, ints, group):
+    size = layout(ints).size
+    return mats[group * size * WIDTH : (group + 1) * size * WIDTH] if own else mats
+
+
+def record(mats, ints, states, u, c, every, width, lanes, out):
+    """A whole record: flat u (N*every+1, m, width) and c (N*every, nc, width); the lanes share inputs if width is 1.
+
+    out (N+1, ny, lanes) holds the outputs at every `every`-th step. `states`: of the groups, one after another. The last
+    numbers of `ints` say of every output whether it sees a current before its sample (`Plant.early`).
+    """
+    at = layout(ints)
+    own = mats.shape[0] != at.size
+    m, nc, ny, nl = at.inputs, at.currents, at.outputs, at.laws
+    size = at.height * WIDTH
+    early = at.differs + nl
+    some_early = False
+    for i in range(ny):
+        some_early |= ints[U(early + i)] != 0
+    last = c.shape[0] // max(nc * width, 1) - 1
+    for group in range((lanes + WIDTH - 1) // WIDTH):
+        first = group * WIDTH
+        count = min(WIDTH, lanes - first)
+        pool, state = pool_of(mats, own, ints, group), states[group * size : (group + 1) * size]
+        for j in range(m):  # before the first step
+            take(state, at.end + j, u, j, width, first, count)
+        for k in range(out.shape[0]):
+            if k > 0:
+                begin = (k - 1) * every
+                march(pool, own, ints, state, u, c, begin, begin, every, width, first, count, begin + 1)
+            if some_early:
+                outputs(pool, own, ints, state)
+                for i in range(ny):
+                    if ints[U(early + i)] != 0:
+                        for l in range(count):
+                            out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
+            for j in range(nc):  # a current acts from its sample on
+                take(state, at.current + j, c, min(k * every, last) * nc + j, width, first, count)
+            outputs(pool, own, ints, state)
+            for i in range(ny):
+                if ints[U(early + i)] == 0:
+                    for l in range(count):
+                        out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
 
 
 def advance(mats, ints, state, u, c, lanes):
-    """Run ``u.shape[0] - 1`` steps in place: `state` of a `Plant`, u (K+1, m, lanes), c (K, nc, lanes)."""
-    march(
-        *(mats.reshape(-1), ints, state.reshape(-1), u.reshape(-1), c.reshape(-1), 0, 0),
-        *(u.shape[0] - 1, lanes, lanes),
-    )
+    """Run ``u.shape[0] - 1`` steps in place: `state` (rows, lanes) of a `Plant`, u (K+1, m, lanes), c (K, nc, lanes)."""
+    at = layout(ints)
+    pools, own = mats.reshape(-1), mats.size != at.size
+    flat_u, flat_c = u.reshape(-1), c.reshape(-1)
+    work = np.zeros(at.height * WIDTH)
+    for group in range((lanes + WIDTH - 1) // WIDTH):
+        first = group * WIDTH
+        count = min(WIDTH, lanes - first)
+        for i in range(at.scratch):
+            for l in range(count):
+                work[U(i * WIDTH + l)] = state[i, first + l]
+        pool = pool_of(pools, own, ints, group)
+        march(pool, own, ints, work, flat_u, flat_c, 0, 0, u.shape[0] - 1, lanes, first, count, 1)
+        for i in range(at.scratch):
+            for l in range(count):
+                state[i, first + l] = work[U(i * WIDTH + l)]
 
 
 def measure(mats, ints, state, u, c, lanes, out):
     """Outputs now: out (ny, lanes) from u (m, lanes) and c (nc, lanes)."""
-    n, m, nc, nl, ny, rows, cols = ints[0], ints[1], ints[2], ints[3], ints[6], ints[7], ints[8]
-    at = cols + rows + 9 * nl + 3
-    for l in range(lanes):
-        for j in range(m):
-            state[n + m + j, l] = u[j, l]
-        for j in range(nc):
-            state[n + 2 * m + j, l] = c[j, l]
-    outputs(mats.reshape(-1), ints, state.reshape(-1), at, ny, lanes)
-    for i in range(ny):
-        for l in range(lanes):
-            out[i, l] = state[at + i, l]
+    at = layout(ints)
+    pools, own = mats.reshape(-1), mats.size != at.size
+    work = np.zeros(at.height * WIDTH)
+    for group in range((lanes + WIDTH - 1) // WIDTH):
+        first = group * WIDTH
+        for l in range(min(WIDTH, lanes - first)):
+            for j in range(at.inputs):
+                state[at.end + j, first + l] = u[j, first + l]
+            for j in range(at.currents):
+                state[at.current + j, first + l] = c[j, first + l]
+            for i in range(at.columns):
+                work[U(i * WIDTH + l)] = state[i, first + l]
+        outputs(pool_of(pools, own, ints, group), own, ints, work)
+        for i in range(at.outputs):
+            for l in range(min(WIDTH, lanes - first)):
+                out[i, first + l] = work[U((at.outcome + i) * WIDTH + l)]
 
 
-def record(mats, ints, state, u, c, every, width, lanes, out):
-    """A whole record: flat u (N*every+1, m, width) and c (N*every, nc, width); the lanes share inputs if width is 1.
+# ---------------------------------------------------------------------------------------- cars, roads
 
-    out (N+1, ny, lanes) holds the outputs at every `every`-th step; `state` has room for them after its end.
+
+def drive(mats, ints, states, cars, ways, table, past, rings, ahead, settings, seen_out, room, begin, stop):
+    """One control step of the groups of cars from `begin` to before `stop`; the number of cars that broke.
+
+    ints[-9:] = cars, physics steps per control step, the columns of u that take the road's height, rate and acceleration
+    (-1: none), whether the drive does more than hold its current, whether currents are asked for (and limited) or
+    given, what an observation shows (`MEASURED`, `WHOLE`, `AHEAD`), and where the road drawn ahead begins now. `cars`,
+    `ways`, `settings`: `layout`. table: the fixed profiles, one after another. past (currents kept, cars): newest first.
+    rings (substeps, points, cars): the road drawn ahead, a ring for each physics step of a control step, and ahead
+    (cars, points): the last of them, car by car. seen_out (cars, signals): the observations. `room`: for the inputs of a
+    control step.
     """
-    lanes = 1 if ONE else lanes
-    n, m, nc, nl, ny, rows, cols = ints[0], ints[1], ints[2], ints[3], ints[6], ints[7], ints[8]
-    y = cols + rows + 9 * nl + 3
-    for j in range(m + nc):  # before the first step
-        for l in range(lanes):
-            at = l if width > 1 else 0
-            value = u[j * width + at] if j < m else c[(j - m) * width + at]
-            state[U((n + m + j) * lanes + l)] = value
-    for k in range(out.shape[0]):
-        if k > 0:
-            march(mats, ints, state, u, c, (k - 1) * every, (k - 1) * every, every, width, lanes)
-            for j in range(nc):  # a current acts from its sample on
-                for l in range(lanes):
-                    at = min(k * every, c.shape[0] // (nc * width) - 1) * nc + j
-                    state[U((n + 2 * m + j) * lanes + l)] = c[at * width + (l if width > 1 else 0)]
-        outputs(mats, ints, state, y, ny, lanes)
-        for i in range(ny):
-            for l in range(lanes):
-                out[k, i, l] = state[U((y + i) * lanes + l)]
-
-
-def drive(mats, ints, states, cars, ways, table, belts):
-    """One control step of a batch, block by block of `lanes` cars.
-
-    ints[-8:] = lanes, physics steps per control step, the columns of u that take the road's height, rate and
-    acceleration (-1: none), whether the drive does more than hold its current, past currents that are kept, and
-    where the road drawn ahead begins now.
-    cars (10 + outputs, N): 0 commanded current [A], 1 state of the drive's lag [A], 2 gain [m] and 3 pole of the rough
-    road, 4 last height [m], 5 last rate [m/s], 6 pole of the lag (0: none), 7 saturation [A], 8 delay [steps], 9 height
-    of the rough road [m], then the outputs. ways (3, N): next place in `table`, its end, and the rough road's counter.
-    belts (N, ..): past currents, newest first, then the road drawn ahead, a ring for each physics step of a control
-    step (`ahead`). In `states`, room for the inputs follows those of all blocks.
-    """
-    lanes, substeps, col_r, col_v, col_a = ints[-8], ints[-7], ints[-6], ints[-5], ints[-4]
-    drives, depth, begin = ints[-3], ints[-2], ints[-1]
-    lanes = 1 if ONE else lanes
-    m, nc, nl, ny, rows, cols = ints[1], ints[2], ints[3], ints[6], ints[7], ints[8]
-    total = cars.shape[1]
-    blocks = (total + lanes - 1) // lanes
-    y = (cols + rows + 9 * nl + 3) * lanes
-    per_state = y + (ny + 7) // 8 * 8 * lanes
-    per_mats = mats.shape[0] // blocks if OWN else 0
-    u_at = blocks * per_state
-    c_at = u_at + (substeps + 1) * m * lanes
-    u, c = states[u_at:c_at], states[c_at : c_at + substeps * nc * lanes]
-    h = mats[0]
-    points = (belts.shape[1] - depth) // substeps
-    plain = points == 0 and table.shape[0] == 0
-    for b in range(blocks):
-        first = b * lanes
-        count = min(lanes, total - first)
-        end = first + count
-        pool = mats[b * per_mats : (b + 1) * per_mats] if OWN else mats
-        state = states[b * per_state : (b + 1) * per_state]
-        last, rate, rough = cars[4, first:end], cars[5, first:end], cars[9, first:end]
-        gain, pole, counter = cars[2, first:end], cars[3, first:end], ways[2, first:end]
+    at = layout(ints)
+    total, substeps = ints[-9], ints[-8]
+    drives, asked, shows, now = ints[-4], ints[-3], ints[-2], ints[-1]
+    own = mats.shape[0] != at.size
+    m, nc = at.inputs, at.currents
+    size, wide = at.height * WIDTH, cars.shape[1]
+    flat = cars.reshape(-1)
+    c_at = (substeps + 1) * m * WIDTH
+    u, c = room[:c_at], room[c_at:]
+    broken = 0
+    for group in range(begin, stop):
+        first = group * WIDTH
+        count = min(WIDTH, total - first)
+        pool, state = pool_of(mats, own, ints, group), states[group * size : (group + 1) * size]
+        current = load(flat, CURRENT * wide + first)
+        if asked:
+            target = clip(load(flat, TARGET * wide + first), spread(settings[CURRENT_LIMIT]))
+            current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
+            store(flat, CURRENT * wide + first, current)
+        travel(ints, flat, ways.reshape(-1), table, rings.reshape(-1), ahead, u, mats[0], wide, first, count)
+        for k in range(substeps * nc):
+            if drives:
+                for l in range(count):
+                    c[k * WIDTH + l] = driven(flat, past, wide, first + l)
+            else:
+                store(c, k * WIDTH, current)
+        march(pool, own, ints, state, u, c, 0, 0, substeps, WIDTH, 0, count, 1)
+        outputs(pool, own, ints, state)
+        broken += judge(ints, state, flat, settings, wide, first, count)
         for l in range(count):
-            if col_r >= 0:
-                u[col_r * lanes + l] = last[l]
+            for j in range(5):
+                seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
+            seen_out[first + l, 5] = flat[U(CURRENT * wide + first + l)]
+        if shows == WHOLE:
+            for l in range(count):
+                height = flat[U(HEIGHT * wide + first + l)]
+                for j in range(6, seen_out.shape[1]):
+                    lift = settings[U(LIFTED + j)] * height
+                    seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)] - lift
+        elif shows == AHEAD:
+            look(ahead, (now + 1) % max(ahead.shape[1], 1), flat, wide, first, count, seen_out)
+    return broken
+
+
+def travel(ints, cars, ways, table, rings, ahead, u, h, wide, first, count):
+    """The road under a group in the physics steps of a control step, into u (substeps + 1, m, lanes)."""
+    m, substeps, now = ints[1], ints[-8], ints[-1]
+    col_r, col_v, col_a = ints[-7], ints[-6], ints[-5]
+    points = ahead.shape[1]
+    height, rate = load(cars, HEIGHT * wide + first), load(cars, HEIGHT_RATE * wide + first)
+    rough = load(cars, ROUGH * wide + first)
+    gain, pole = load(cars, ROUGH_GAIN * wide + first), load(cars, ROUGH_POLE * wide + first)
+    if col_r >= 0:
+        store(u, col_r * WIDTH, height)
+    if col_v >= 0:
+        store(u, col_v * WIDTH, rate)
+    if col_a >= 0:
+        store(u, col_a * WIDTH, spread(0.0))
+    for k in range(substeps):
+        rough = pole * rough + gain * noise(ways, COUNTER * wide + first, 1)
+        new = rough
+        row = (k + 1) * m
+        if table.shape[0] > 0:
+            scratch = row * WIDTH
+            store(u, scratch, new)
+            for l in range(count):
+                place, end = PROFILE * wide + first + l, PROFILE_END * wide + first + l
+                if ways[place] < ways[end]:
+                    u[scratch + l] += table[ways[place]]
+                    ways[place] += 1
+                elif ways[end] > 0:
+                    u[scratch + l] += table[ways[end] - 1]
+            new = load(u, scratch)
+        if points > 0:
+            place = (k * points + now) * wide + first
+            here = load(rings, place)
+            store(rings, place, new)
+            if k == substeps - 1:
+                for l in range(count):
+                    ahead[first + l, now] = rings[U(place + l)]
+            new = here
+        if col_r >= 0:
+            store(u, (row + col_r) * WIDTH, new)
+        if col_v >= 0 or col_a >= 0:
+            v = (new - height) / h
             if col_v >= 0:
-                u[col_v * lanes + l] = rate[l]
+                store(u, (row + col_v) * WIDTH, v)
             if col_a >= 0:
-                u[col_a * lanes + l] = 0.0
-        for k in range(substeps):
-            for l in range(count):
-                word = np.uint64(counter[l]) + _GOLDEN
-                counter[l] = np.int64(word)
-                rough[l] = pole[l] * rough[l] + gain[l] * noise(word)
-            # the height goes to the outputs' room first
-            height = state[y : y + lanes]
-            for l in range(count):
-                height[l] = rough[l]
-            if not plain:
-                for l in range(count):
-                    e = first + l
-                    r = height[l]
-                    if ways[0, e] < ways[1, e]:
-                        r += table[ways[0, e]]
-                        ways[0, e] += 1
-                    elif ways[1, e] > 0:
-                        r += table[ways[1, e] - 1]
-                    if points > 0:
-                        i = depth + k * points + begin
-                        now = belts[e, i]
-                        belts[e, i] = r
-                        r = now
-                    height[l] = r
-            o = (k + 1) * m * lanes
-            if col_r >= 0:
-                to = u[o + col_r * lanes : o + (col_r + 1) * lanes]
-                for l in range(count):
-                    to[l] = height[l]
-            if col_v >= 0 or col_a >= 0:
-                for l in range(count):
-                    v = (height[l] - last[l]) / h
-                    if col_v >= 0:
-                        u[o + col_v * lanes + l] = v
-                    if col_a >= 0:
-                        u[o + col_a * lanes + l] = (v - rate[l]) / h
-                    rate[l] = v
-            for l in range(count):
-                last[l] = height[l]
-        for k in range(substeps):
-            for l in range(count):
-                i = cars[0, first + l]
-                if drives:
-                    i = driven(cars, belts, depth, first + l)
-                if nc > 0:
-                    c[k * nc * lanes + l] = i
-        march(pool, ints, state, u, c, 0, 0, substeps, lanes, lanes)
-        outputs(pool, ints, state, cols + rows + 9 * nl + 3, ny, lanes)
-        for i in range(ny):
-            to, source = cars[10 + i, first:end], state[y + i * lanes : y + (i + 1) * lanes]
-            for l in range(count):
-                to[l] = source[l]
-    if points > 0:
-        ints[-1] = (begin + 1) % points
+                store(u, (row + col_a) * WIDTH, (v - rate) / h)
+            rate = v
+        height = new
+    store(cars, HEIGHT * wide + first, height)
+    store(cars, HEIGHT_RATE * wide + first, rate)
+    store(cars, ROUGH * wide + first, rough)
 
 
-def driven(cars, belts, depth, e):
+def look(ahead, begin, cars, wide, first, count, seen_out):
+    """The road ahead of a group, relative to the height under the wheel, behind its measured signals."""
+    points, shown = ahead.shape[1], seen_out.shape[1] - 6
+    before = min(points - begin, shown)
+    for l in range(count):
+        e = first + l
+        height, row, to = cars[HEIGHT * wide + e], ahead[e], seen_out[e]
+        near, far = to[6 : 6 + before], to[6 + before : 6 + shown]
+        source = row[begin : begin + before]
+        for i in range(before):
+            near[i] = source[i] - height
+        for i in range(shown - before):
+            far[i] = row[i] - height
+
+
+def judge(ints, state, cars, settings, wide, first, count):
+    """Signals, costs and reward of a group after its control step; the number of cars that broke in it.
+
+    A broken car's cost is that of the bounds it left.
+    """
+    at = layout(ints)
+    for i in range(at.outputs):
+        store(cars, (SIGNALS + i) * wide + first, load(state, (at.outcome + i) * WIDTH))
+    good = spread(0.0) < spread(1.0)
+    for j in range(5):
+        good = good & (abs(load(state, (at.outcome + j) * WIDTH)) <= settings[U(BOUNDS + j)])
+    a, l, tyre = (
+        load(state, at.outcome * WIDTH),
+        load(state, (at.outcome + 1) * WIDTH),
+        load(state, (at.outcome + 5) * WIDTH),
+    )
+    everyone = (1 << count) - 1
+    wrong = ~bits(good) & everyone
+    if wrong:
+        a = select(abs(a) <= settings[BOUNDS], a, spread(settings[BOUNDS]))
+        l = select(abs(l) <= settings[BOUNDS + 1], l, spread(settings[BOUNDS + 1]))
+        tyre = select(abs(tyre) < math.inf, tyre, spread(0.0))
+        store(cars, (SIGNALS + 5) * wide + first, tyre)
+    i = load(cars, CURRENT * wide + first)
+    by_a, by_l = settings[WEIGHTS] * (a * a), settings[WEIGHTS + 1] * (l * l)
+    by_f, by_i = settings[WEIGHTS + 2] * (tyre * tyre), settings[WEIGHTS + 3] * (i * i)
+    store(cars, COST * wide + first, by_a)
+    store(cars, (COST + 1) * wide + first, by_l)
+    store(cars, (COST + 2) * wide + first, by_f)
+    store(cars, (COST + 3) * wide + first, by_i)
+    store(cars, REWARD * wide + first, -(by_a + by_l + by_f + by_i))
+    store(cars, BROKEN * wide + first, select(good, spread(0.0), spread(1.0)))
+    number_wrong = 0
+    while wrong:
+        number_wrong += wrong & 1
+        wrong >>= 1
+    return number_wrong
+
+
+def driven(cars, past, wide, e):
     """Current [A] of car e in the next physics step, after its drive's delay, lag and saturation."""
-    i = cars[0, e]
+    i, depth = cars[CURRENT * wide + e], past.shape[0]
     if depth > 0:
         for k in range(depth - 1, 0, -1):
-            belts[e, k] = belts[e, k - 1]
-        belts[e, 0] = i
-        back = cars[8, e]
+            past[k, e] = past[k - 1, e]
+        past[0, e] = i
+        back = cars[DELAY * wide + e]
         low = int(back)
         part = back - low
-        i = belts[e, low] if part == 0.0 else ((1.0 - part) * belts[e, low] + part * belts[e, low + 1])
-    if cars[6, e] > 0.0:
+        i = past[low, e] if part == 0.0 else ((1.0 - part) * past[low, e] + part * past[low + 1, e])
+    pole, most = cars[LAG_POLE * wide + e], cars[SATURATION * wide + e]
+    if pole > 0.0:
         # mean over the step of the first-order lag, exact
-        was = cars[1, e]
-        cars[1, e] = i + (was - i) * cars[6, e]
-        i = i + (was - i) * (1.0 - cars[6, e]) / -math.log(cars[6, e])
-    if cars[7, e] < 1e8:
-        i = cars[7, e] * math.tanh(i / cars[7, e])
+        was = cars[LAGGED * wide + e]
+        cars[LAGGED * wide + e] = i + (was - i) * pole
+        i = i + (was - i) * (1.0 - pole) / -math.log(pole)
+    if most < 1e8:
+        i = most * math.tanh(i / most)
     return i
+
+
+@nb.njit(error_model="numpy", cache=True)
+def road_noise(seed, gain, pole, start, out):
+    """Fill `out` with the rough road of one car [m], continuing from counter `seed` and height `start`."""
+    r = start
+    counters, drawn = np.empty(WIDTH, np.int64), np.empty(WIDTH)
+    for l in range(WIDTH):  # `noise` moves them on before it draws
+        counters[l] = np.int64(np.uint64(seed) + np.uint64(l + 1) * _GOLDEN - np.uint64(WIDTH) * _GOLDEN)
+    for k in range(0, out.shape[0], WIDTH):
+        store(drawn, 0, noise(counters, 0, WIDTH))
+        for l in range(min(WIDTH, out.shape[0] - k)):
+            r = pole * r + gain * drawn[l]
+            out[k + l] = r
+    return np.uint64(seed) + np.uint64(out.shape[0]) * _GOLDEN
+
+
+# -------------------------------------------------------------------------------------- law dispatch
+
+
+def _no_law(which, p, d, v, d_last, z, h):
+    return 0.0, z
+
+
+def _no_bound(which, p, d, v):
+    return 0.0
+
+
+def _dispatch(functions: Sequence[Callable], fallback: Callable) -> Callable:
+    """One compiled function that calls functions[which]."""
+    names = fallback.__code__.co_varnames[: fallback.__code__.co_argcount]
+    of_law = ", ".join(names[1:])
+    lines = [f"def dispatch({', '.join(names)}):"]
+    for code in range(len(functions)):
+        lines.append(f"    if which == {code}:\n        return law_{code}({of_law})")
+    lines.append(f"    return fallback({', '.join(names)})")
+    scope: dict[str, Any] = {f"law_{code}": nb.njit(f, **_INNER) for code, f in enumerate(functions)}
+    scope["fallback"] = nb.njit(fallback, **_INNER)
+    exec("\n".join(lines), scope)
+    return nb.njit(scope["dispatch"], **_INNER)
+
+
+def _laws() -> tuple[list[type[el.Element]], list[type[el.Element]]]:
+    smooth = [cls for cls in el.TYPES.values() if cls.law is not None]
+    dry = [cls for cls in el.TYPES.values() if cls.bound is not None]
+    return smooth, dry
+
+
+def law_code(cls: type[el.Element]) -> int:
+    """Code of an element's law in the kernel: >= 0 a smooth law, < 0 a set-valued one."""
+    smooth, dry = _laws()
+    return smooth.index(cls) if cls.law is not None else -1 - dry.index(cls)
+
+
+def _stamp() -> int:
+    """A number that changes with the kernel's and the laws' code."""
+    smooth, dry = _laws()
+    return _stamp_of((*((c.type, c.law) for c in smooth), *((c.type, c.bound) for c in dry)))
+
+
+@functools.cache
+def _stamp_of(laws: tuple[tuple[str, Any], ...]) -> int:
+    digest = hashlib.sha256()
+    own, package = (
+        resources.files(str(__package__)),
+        resources.files(el.__name__),
+    )  # the package may lie in a zip
+    files = [own / name for name in ("kernel.py", "lanes.py", "layout.py")]
+    files += [f for f in sorted(package.iterdir(), key=lambda f: f.name) if f.name.endswith(".py")]
+    for file in files:
+        digest.update(file.read_bytes())
+    for name, law in laws:
+        digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
+    return int.from_bytes(digest.digest()[:6], "big")
 
 
 # ------------------------------------------------------------------------------------------- compiling
@@ -738,37 +996,41 @@ class Kernel(NamedTuple):
     drive: Callable
 
 
-_PLAIN: tuple[Callable, ...] = (sums, numbers, held, quiet, rub, push, solve, act, finish, march, outputs)
-_PLAIN += (advance, measure, record, driven, drive)
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True}
+_CLOSED = (layout, sums, pooled, number, clip, take, apply, touch)
+_LAWS = (parameters, held, seen, rub, push, eliminate, ask, answers, newton, settle, busy, finish, solved)
+_STEPS = (march, outputs, pool_of, driven, travel, look, judge)
+_ENTRIES = (advance, measure, record, drive)
+#: put in where they are called: what returns a piece of an array cannot be a function of its own where nothing counts
+#: references, and what is called once need not be compiled, optimised and linked twice
+_INLINE = (pool_of, parameters, settle, busy, finish, solved, unsolved, march)
+_INNER: dict[str, Any] = {
+    "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True
+}  # fmt: skip
+_ENTRY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True}
 if hasattr(
     DefaultOptions, "_nrt"
-):  # nothing here makes an array, and calls that count no references are inlined
-    _OPTIONS["_nrt"] = False
+):  # nothing inside makes an array, and calls that count no references are inlined
+    _INNER["_nrt"] = False
 
 
 @functools.cache
-def _bind(stamp: int, variant: str) -> Kernel:
-    smooth, dry = _laws()
-    names: dict[str, Any] = {
-        **globals(),
-        "ONE": variant == "one",
-        "OWN": variant == "own",
-        "law_force": _chain([c.law for c in smooth], _no_law),  # type: ignore[misc]
-        "law_bound": _chain([c.bound for c in dry], _no_bound),  # type: ignore[misc]
-    }
-    for plain in _PLAIN:
+def _bind(stamp: int, laws: bool) -> Kernel:
+    smooth, dry = _laws() if laws else ([], [])
+    names: dict[str, Any] = {**vars(layout_module), **globals()}
+    if laws:
+        names["law_force"] = _dispatch([c.law for c in smooth], _no_law)  # type: ignore[misc]
+        names["law_bound"] = _dispatch([c.bound for c in dry], _no_bound)  # type: ignore[misc]
+    for plain in (*_CLOSED, *(_LAWS if laws else (unsolved,)), *_STEPS, *_ENTRIES):
         # compiled functions read constants and one another from `names`; the name of a function is part of its key
         # in numba's cache on disk: the stamp keeps old laws out
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
-        twin.__qualname__ = f"{plain.__name__}_{variant}_{stamp:x}"
-        names[plain.__name__] = nb.njit(twin, **_OPTIONS)
+        twin.__qualname__ = f"{plain.__name__}_{'laws' if laws else 'closed'}_{stamp:x}"
+        name = "solved" if plain is unsolved else plain.__name__
+        options = _ENTRY if plain in _ENTRIES else _INNER
+        names[name] = nb.njit(twin, **options, inline="always" if plain in _INLINE else "never")
     return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
 
 
-def kernel(variant: str) -> Kernel:
-    """The compiled kernel with every law that is registered now.
-
-    `variant`: "one" lane, lanes with "shared" matrices, or lanes each with its "own".
-    """
-    return _bind(_stamp(), variant)
+def kernel(laws: bool | str = True) -> Kernel:
+    """The compiled kernel with every law that is registered now, or without any: for networks of the way `CONTACT`."""
+    return _bind(_stamp(), bool(laws))

@@ -19,20 +19,17 @@ from scipy.linalg import expm
 
 from . import elements as el
 from .errors import InputError
+from .layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
 from .network import Assembly, Channel, Network, assemble
 from .units import UNITS, convert
 
 PHYSICS_STEP = 1e-3  # s
+WAY = Layout._fields.index("way")
 
 
 @dataclass(frozen=True)
 class Discrete:
-    """One network at one step, as the kernel reads it: a column of its pool of numbers, and what is in it.
-
-    Rows of a step: the n states, then for every law what a quiet car needs (elongation of a smooth law, rate of a dry
-    one), then for every law the other of the two. Its columns: states, inputs u at the start and at the end of the
-    step, currents c, forces of the laws at the start, elongations at the start (only if `differ`).
-    """
+    """One network at one step: its numbers as the kernel reads them, and the blocks of its matrix."""
 
     # x at the end of the step = A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), laws as in the assembly
     blocks: tuple[np.ndarray, ...]
@@ -40,12 +37,17 @@ class Discrete:
     yields: tuple[
         np.ndarray, np.ndarray
     ]  # what forces add to elongations and to rates, laws in the kernel's order
-    # the step, its matrix, what the forces at its end add, parameters and quiet spans of the laws, outputs
-    numbers: np.ndarray
-    sizes: tuple[int, ...]  # n, m, nc, nl, smooth laws, fast, ny, stored rows, stored columns, any differ
-    kinds: tuple[int, ...]  # laws in the kernel's order: smooth ones first
-    differ: tuple[int, ...]  # 1 where the rate of a law is a difference of its elongations
-    order: tuple[int, ...]  # place of each of them in the assembly
+    numbers: np.ndarray  # the pool, without the laws' parameters where a lane has its own (`layout`)
+    ints: np.ndarray  # (`layout`)
+    order: tuple[int, ...]  # place of each law in the assembly
+
+    @property
+    def layout(self) -> Layout:
+        return layout(self.ints.tolist())
+
+    def structure(self) -> tuple[int, ...]:
+        """What lanes of one plant must have in common: all sizes and codes but the way through a step."""
+        return (*self.ints[:5].tolist(), *self.ints[6:].tolist())
 
 
 def _columns(asm: Assembly) -> list[int]:
@@ -61,7 +63,10 @@ def _columns(asm: Assembly) -> list[int]:
 
 
 def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
-    """Exact discretisation of the linear part: `columns` first-order hold, currents and friction zero-order hold."""
+    """Exact discretisation of the linear part: `columns` first-order hold, currents and friction zero-order hold.
+
+    Raises `InputError` where the network runs away so fast that its matrices are not finite.
+    """
     from .kernel import law_code
 
     n, laws = asm.size[0], list(asm.laws)
@@ -73,18 +78,23 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
         big = np.zeros((n + 2 * k, n + 2 * k))
         big[:n, :n], big[:n, n : n + k] = A * step, B * step
         big[n : n + k, n + k :] = np.eye(k)
-        phi = expm(big)
+        with np.errstate(all="ignore"):
+            phi = expm(big) if np.isfinite(big).all() else big
+        if not np.isfinite(phi).all():
+            raise InputError(
+                f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part grows beyond all numbers"
+            )
         Ad, hold, late = phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
     else:
         Ad, hold, late = np.zeros((0, 0)), np.zeros((0, k)), np.zeros((0, k))
     early = hold - late
     U0, U1, G0, G1 = early[:, :m], late[:, :m], early[:, m + nc :], late[:, m + nc :].copy()
-    kinds = tuple(law_code(type(e)) for e in laws)
-    dry = np.array([code < 0 for code in kinds], bool)
+    codes = tuple(law_code(type(e)) for e in laws)
+    dry = np.array([code < 0 for code in codes], bool)
     G1[:, dry] += G0[:, dry]  # dry friction holds its force over the whole step
     G0[:, dry] = 0.0
     order = np.argsort(dry, kind="stable")
-    kinds, laws, dry = tuple(kinds[j] for j in order), [laws[j] for j in order], dry[order]
+    codes, laws, dry = tuple(codes[j] for j in order), [laws[j] for j in order], dry[order]
     nl, ns = len(laws), int(np.sum(~dry))
     start, end = G0[:, order], G1[:, order]
     E, R = asm.elongation[order], asm.elongation_rate[order]
@@ -109,60 +119,73 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     smooth = ~dry[:, None]
     rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
     gains = np.vstack([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)])
-    fast, of_laws = _law_numbers(laws, ns, GD, GS, bool(differ.any()))
+    way, of_laws, parameters = _law_numbers(laws, ns, GD, GS, bool(differ.any()))
     O = asm.outputs
     zero = np.zeros((len(O), 1))
     seen_outside = np.hstack(
         [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], O[:, own], zero.repeat(blank.shape[1], 1)]
     )
-    width = rows.shape[1]
+    sizes = (n, m, nc, nl, ns, way, len(O), -(-len(rows) // 4) * 4, rows.shape[1], int(differ.any()))
+    # velocities that both a current and a law's force reach at once: seen before the current steps
+    early = np.array([c_.quantity == "velocity" for c_ in asm.channels], bool)
+    early &= O[:, c].any(axis=1) & O[:, own].any(axis=1)
     return Discrete(
         blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
         outputs=(O[:, x], O[:, u], _pad(O[:, c]), O[:, f]),
         yields=(GD, GS),
         numbers=np.concatenate(
-            [[step], _stored(rows, 4), _stored(gains, 1), of_laws, _stored(seen_outside, 4)]
+            [[step], _stored(rows), _stored(gains), of_laws, _stored(seen_outside), parameters.ravel()]
         ),
-        sizes=(
-            *(n, m, nc, nl, ns, int(fast), len(O), -(-len(rows) // 8) * 8, -(-width // 4) * 4),
-            int(differ.any()),
-        ),
-        kinds=kinds,
-        differ=tuple(int(d) for d in differ),
+        ints=np.array([*sizes, parameters.shape[1], *codes, *differ, *early], np.int64),
         order=tuple(int(j) for j in order),
     )
 
 
 def _law_numbers(
     laws: Sequence[el.Element], ns: int, GD: np.ndarray, GS: np.ndarray, differ: bool
-) -> tuple[bool, np.ndarray]:
-    """Whether the quiet way is open to a car with these laws, and what the kernel reads of them."""
-    from .kernel import LAW_PARAMETERS
-
-    params = np.zeros((len(laws), LAW_PARAMETERS))
-    for j, e in enumerate(laws):
-        numbers = e.law_parameters()
-        params[j, : len(numbers)] = numbers
-    # the quiet way: at most one constant friction, and stops that nothing touches
-    yields = GS.diagonal()[ns:]
-    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]) @ params[ns:, 0]
-    fast = (
-        len(laws) - ns <= 1
-        and not differ
-        and bool((spans > 0).all() and (yields < 0).all())
-        and all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
-    )
-    with np.errstate(divide="ignore"):
-        return fast, np.concatenate([params.ravel(), np.maximum(spans, 0.0), -1.0 / yields])
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """The way through a step that is open to a car with these laws, what it reads of them, and their parameters (law, number)."""
+    lists = [e.law_parameters() for e in laws]
+    parameters = np.zeros((len(laws), max(map(len, lists), default=0)))
+    for row, numbers in zip(parameters, lists, strict=True):
+        row[: len(numbers)] = numbers
+    rubs = len(laws) > ns
+    # beyond the general way: at most one constant friction that the motion yields to, and stops that nothing touches
+    constant = all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
+    level = parameters[ns, 0] if rubs and constant else 0.0
+    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]).sum(axis=1) * level
+    way = CONTACT
+    own = GS[ns, ns] if rubs else -1.0
+    closed = np.array([np.inf, -np.inf, 0.0, 0.0, 0.0, level, -1.0 / own if own < 0 else 0.0, 0.0])
+    contact = laws[0].contact() if ns == 1 else None
+    if differ or len(laws) - ns > 1 or not constant or own >= 0:
+        way = GENERAL
+    elif contact is not None:
+        upper, lower, stiffness, damping = contact
+        rest = 1.0 - stiffness * GD[0, 0] - damping * GS[0, 0]
+        by_friction, slip = 0.0, own
+        if rubs:
+            by_friction = (stiffness * GD[0, 1] + damping * GS[0, 1]) / rest
+            slip = own + GS[1, 0] * by_friction
+        closed[:5] = upper, lower, stiffness / rest, damping / rest, by_friction
+        closed[7] = -1.0 / slip if slip < 0 else 0.0
+        if rest <= 0 or slip >= 0:
+            way = GENERAL
+    elif ns:
+        way = QUIET if (spans > 0).all() else GENERAL
+    return way, np.concatenate([np.maximum(spans, 0.0), closed]), parameters
 
 
 def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
     """The same network with other parameters of its laws (in the assembly's order): its linear part is the same."""
-    _, _, _, nl, ns, _, ny, rows, cols, differ = part.sizes
-    fast, of_laws = _law_numbers([laws[i] for i in part.order], ns, *part.yields, bool(differ))
-    numbers, end = part.numbers.copy(), len(part.numbers) - cols * (-(-ny // 8) * 8)
-    numbers[end - len(of_laws) : end] = of_laws
-    return replace(part, numbers=numbers, sizes=(*part.sizes[:5], int(fast), *part.sizes[6:]))
+    at = part.layout
+    way, of_laws, parameters = _law_numbers(
+        [laws[i] for i in part.order], at.smooth, *part.yields, bool(at.differ)
+    )
+    numbers, ints = part.numbers.copy(), part.ints.copy()
+    numbers[at.spans : at.out], numbers[at.own :] = of_laws, parameters.ravel()
+    ints[WAY] = way
+    return replace(part, numbers=numbers, ints=ints)
 
 
 def _law_elements(network: Network) -> tuple[el.Element, ...]:
@@ -183,11 +206,11 @@ def _pad(block: np.ndarray) -> np.ndarray:
     return block if block.shape[1] else np.zeros((len(block), 1))
 
 
-def _stored(matrix: np.ndarray, columns: int) -> np.ndarray:
-    """A matrix column by column, filled up with zeros to a multiple of 8 rows and of `columns` columns."""
+def _stored(matrix: np.ndarray) -> np.ndarray:
+    """A matrix column by column, filled up with zeros to a multiple of four rows."""
     high, wide = matrix.shape
-    out = np.zeros((-(-wide // columns) * columns, -(-high // 8) * 8))
-    out[:wide, :high] = matrix.T
+    out = np.zeros((wide, -(-high // 4) * 4))
+    out[:, :high] = matrix.T
     return out.ravel()
 
 
@@ -195,7 +218,8 @@ class Plant:
     """Networks ready for the kernel: one shared by all `lanes`, or one a lane (all of the same structure).
 
     `step` [s]; `extra`: output channels after the network's own. `u_columns` says which of the base vector's inputs
-    the kernel reads, in order; `labels` names them as (part, channel): part 'r', 'v', 'alpha' or 'F'.
+    the kernel reads, in order; `labels` names them as (part, channel): part 'r', 'v', 'alpha' or 'F'. `at` says where
+    things lie in `mats`, `ints` and a state (`layout`).
     """
 
     def __init__(
@@ -248,25 +272,37 @@ class Plant:
         for asm in once.values():
             like, discrete = stepped[id(asm.rate)]
             whole[id(asm)] = discrete if asm is like else with_laws(discrete, asm.laws)
-        self.pack([whole[id(asm)] for asm in self.assemblies], several)
+        self._pack([whole[id(asm)] for asm in self.assemblies], several)
 
-    def pack(self, parts: Sequence[Discrete], several: bool) -> None:
+    def _pack(self, parts: Sequence[Discrete], several: bool) -> None:
         from .kernel import kernel
 
         first = parts[0]
         for other in parts[1:]:
-            if (other.kinds, other.differ, other.sizes[:5], other.sizes[6:]) != (
-                *(first.kinds, first.differ),
-                *(first.sizes[:5], first.sizes[6:]),
-            ):
+            if other.structure() != first.structure():
                 raise InputError("the lanes' networks differ in structure, not only in parameters")
-        self.mats = np.stack([p.numbers for p in parts], axis=1)
-        self.ints = np.array([*first.sizes, *first.kinds, *first.differ], np.int64)
-        self.ints[5] = min(p.sizes[5] for p in parts)
-        self.n, self.n_laws, self.n_outputs = first.sizes[0], first.sizes[3], first.sizes[6]
+        self.ints = first.ints.copy()
+        self.ints[WAY] = min(int(p.ints[WAY]) for p in parts)
+        self.at = at = layout(self.ints.tolist())
+        self.groups = -(-self.lanes // WIDTH)
+        self.n, self.n_laws, self.n_outputs = at.states, at.laws, at.outputs
         self.order = first.order
-        self.variant = "one" if self.lanes == 1 else "own" if several else "shared"
-        self.kernel = kernel(self.variant)
+        if several:
+            self.mats = np.empty((self.groups, at.size, WIDTH))
+            self.mats[:] = parts[0].numbers[:, None]  # lanes that nobody uses must have numbers, too
+            for lane, part in enumerate(parts):
+                self.place(self.mats, lane, part)
+        else:
+            self.mats = first.numbers[:, None].copy()
+        self.kernel = kernel(bool(self.at.way != CONTACT))
+
+    def place(self, mats: np.ndarray, lane: int, part: Discrete) -> None:
+        """Put the numbers of a lane into `mats` (groups, numbers, 8), where every lane has its own."""
+        at = self.at
+        group, l = divmod(lane, WIDTH)
+        mats[group, : at.own, l] = part.numbers[: at.own]
+        count = at.size - at.own  # the parameters of a lane's laws lie together
+        mats[group, at.own :].reshape(-1)[l * count : (l + 1) * count] = part.numbers[at.own :]
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: v for k, v in self.__dict__.items() if k != "kernel"}
@@ -275,47 +311,54 @@ class Plant:
         from .kernel import kernel
 
         self.__dict__.update(state)
-        self.kernel = kernel(self.variant)
+        self.kernel = kernel(bool(self.at.way != CONTACT))
 
     def state(self, initial: np.ndarray | None = None, inputs: np.ndarray | None = None) -> np.ndarray:
-        """A fresh kernel state; `initial` (n,) or (n, lanes) in the coordinates of the assembly.
+        """A fresh kernel state (rows, lanes); `initial` (n,) or (n, lanes) in the coordinates of the assembly.
 
         `inputs` (inputs, 1 or lanes): what moves the network at the start, in the order of `labels`; nothing by default.
         """
-        rows, cols = self.ints[7], self.ints[8]
-        room = -(-self.n_outputs // 8) * 8  # for the outputs
-        state = np.zeros((cols + rows + 9 * self.n_laws + 3 + room, self.lanes))
+        state = np.zeros((self.at.height, self.lanes))
         if initial is not None and self.n:
             state[: self.n] = np.asarray(initial, float).reshape(self.n, -1)
         if self.n_laws and (initial is not None or inputs is not None):
             self._start_laws(state, np.zeros((len(self.u_columns), 1)) if inputs is None else inputs)
         return state
 
+    def grouped(self, state: np.ndarray) -> np.ndarray:
+        """A state (rows, lanes) as groups (groups, rows, 8)."""
+        wide = np.zeros((len(state), self.groups * WIDTH))
+        wide[:, : self.lanes] = state
+        return np.ascontiguousarray(wide.reshape(len(state), self.groups, WIDTH).transpose(1, 0, 2))
+
     @property
     def memory(self) -> list[int]:
         """Rows of the kernel's state that hold the states of the hysteresis laws."""
-        first = int(self.ints[7] + self.ints[8]) + self.n_laws
         laws = self.assemblies[0].laws
-        return [first + j for j, i in enumerate(self.order) if isinstance(laws[i], el.Hysteresis)]
+        return [self.at.memory + j for j, i in enumerate(self.order) if isinstance(laws[i], el.Hysteresis)]
 
     def softened(self, softness: float) -> np.ndarray:
         """`mats` with dry friction like a damper below ``softness * |g| * level``, g what a force adds to its own rate."""
-        from .kernel import LAW_PARAMETERS
-
-        n, nl, ns, rows, cols = (int(self.ints[i]) for i in (0, 3, 4, 7, 8))
-        gains = 1 + cols * rows
-        mats = self.mats.copy()
-        for j in range(ns, nl):
-            mats[gains + j * rows + n + j] *= 1.0 + softness
-            mats[gains + nl * rows + nl * LAW_PARAMETERS + j] /= 1.0 + softness
+        at, mats = self.at, self.mats.copy()
+        numbers = mats if mats.ndim == 2 else mats.transpose(1, 0, 2)
+        for j in range(at.smooth, at.laws):
+            own = at.gains + j * at.rows + at.states + j
+            with np.errstate(divide="ignore", invalid="ignore"):
+                # what the stop adds to the yielding of the friction on it stays as it is
+                through = np.where(
+                    numbers[at.give_stopped] > 0, -1.0 / numbers[at.give_stopped] - numbers[own], 0.0
+                )
+                numbers[own] *= 1.0 + softness
+                yields = -(numbers[own] + through)
+                numbers[at.give] = np.where(numbers[own] < 0, -1.0 / numbers[own], 0.0)
+                numbers[at.give_stopped] = np.where(yields > 0, 1.0 / yields, 0.0)
         return mats
 
     def _start_laws(self, state: np.ndarray, inputs: np.ndarray) -> None:
         """Elongations, rates and smooth forces that belong to the initial state and the first inputs."""
-        n, m, nc, nl = (int(i) for i in self.ints[:4])
-        first = int(self.ints[7] + self.ints[8])
-        x, f = state[:n], state[n + 2 * m + nc :][:nl]
-        z, d, s = (state[first + i * nl : first + (i + 1) * nl] for i in (1, 2, 3))
+        at = self.at
+        x = state[: at.states]
+        f, z, d, s = (state[row : row + at.laws] for row in (at.force, at.memory, at.elongation, at.rate))
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
             cols, order = asm.columns("x"), list(self.order)
@@ -326,6 +369,16 @@ class Plant:
                 if e.law is not None:
                     p = np.array(e.law_parameters())
                     f[j, lane], z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)
+
+    def _unsolved(self, states: np.ndarray) -> list[tuple[int, str] | None]:
+        """Of every lane, the number of the first step that was not solved and the law that was not; None: there is none."""
+        out: list[tuple[int, str] | None] = []
+        for lane in range(self.lanes):
+            group, l = divmod(lane, WIDTH)
+            step, law = states[group, self.at.failed : self.at.failed + 2, l]
+            laws = self.assemblies[0].laws
+            out.append((int(step), laws[self.order[int(law)]].name) if step else None)
+        return out
 
     def run(
         self,
@@ -366,10 +419,12 @@ class Plant:
             )
             c[:, j] = values[: len(c)]
         out = np.empty((samples, self.n_outputs, self.lanes))
-        state = self.state(initial, u[0]).ravel()
+        states = self.grouped(self.state(initial, u[0]))
         self.kernel.record(
-            self.mats.ravel(), self.ints, state, u.ravel(), c.ravel(), every, width, self.lanes, out
-        )
+            self.mats.reshape(-1), self.ints, states.reshape(-1), u.reshape(-1), c.reshape(-1),
+            every, width, self.lanes, out,
+        )  # fmt: skip
+        self.unsolved = self._unsolved(states)
         for j, difference in enumerate(self._by_difference):
             if difference:
                 out[:, j] = np.gradient(out[:, j], self.step * every, axis=0)
@@ -419,7 +474,8 @@ def simulate(
     The physics runs at the largest whole fraction of the sampling step that is not above `step`. Displacements and
     forces are linear between samples, currents held. Where something acts through the velocity or acceleration of a
     moved node, these come from a cubic spline through its samples. `initial`: state in the assembly's coordinates.
-    Raises `InputError` for a missing channel or a time that is not uniform.
+    Raises `InputError` for a missing channel, a time that is not uniform, and a simulation that breaks down: it names the
+    time, and the law that could not be solved for.
     """
     network = Network.load(model)
     time = np.asarray(time, float)
@@ -447,7 +503,20 @@ def simulate(
             at = np.arange(len(fine[c.name])) * (dt / every)
             fine[c.name] = spline(at)
             slopes[c.name] = (spline(at, 1), spline(at, 2))
-    out = plant.run(fine, every=every, samples=len(time), initial=initial, derivatives=slopes)
+    with np.errstate(all="ignore"):
+        out = plant.run(fine, every=every, samples=len(time), initial=initial, derivatives=slopes)
+    sound = np.isfinite(out).all(axis=(1, 2))
+    if not sound.all():
+        failure = plant.unsolved[0]
+        at = time[0] + plant.step * failure[0] if failure else time[int(np.argmin(sound))]
+        why = (
+            f"the force of '{failure[1]}' cannot be found"
+            if failure
+            else "the motion grows beyond all numbers"
+        )
+        raise InputError(
+            f"model '{network.name}' breaks down at t = {at:.6g} s: {why} (a smaller step may help, or the model is unstable)"
+        )
     named = {c.name: convert(out[:, j, 0], UNITS[c.quantity], c.unit) for j, c in enumerate(plant.channels)}
     return sense(network, named, dt)
 

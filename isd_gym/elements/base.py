@@ -207,6 +207,13 @@ class Element:
         """|d| [m] below which a smooth law is exactly zero and at rest; 0 where there is no such span."""
         return 0.0
 
+    def contact(self) -> tuple[float, float, float, float] | None:
+        """Of a law that is a stop: elongations [m] beyond which it pushes, its stiffness [N/m] and damping [N s/m]; else None.
+
+        It pushes back with ``k (d - clearance) + c v``, or not at all where that would pull.
+        """
+        return None
+
     def apply(self, signal: Array, step: float) -> Array:
         """What an element at a motor or a channel makes of its signal (n, ...), sampled every `step` [s]."""
         raise NotImplementedError(f"{self.type} acts between two nodes, not on a signal")

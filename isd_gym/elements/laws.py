@@ -80,14 +80,22 @@ def _bouc_wen(p, d, v, d_last, z, h):
             u = 1.0 - (1.0 - u) * math.exp(-x)
         z = level * u if way > 0.0 else -level * u
         return z, z
-    steps = int(min(1.0 + 4.0 * x, 64.0))
-    part = way / steps
-    turn = shape if part > 0.0 else -shape
-    for _ in range(steps):  # midpoint rule in travel: the law does not depend on the rate
-        bend = (abs(z) / level) ** exponent * (math.copysign(turn, turn * z) + 1.0 - shape)
-        m = z + 0.5 * part * stiffness * (1.0 - bend)
-        bend = (abs(m) / level) ** exponent * (math.copysign(turn, turn * m) + 1.0 - shape)
-        z = z + part * stiffness * (1.0 - bend)
+    # exponential Runge-Kutta of second order in travel: what saturates does so at any length of a step, and as the number
+    # of parts does not depend on the travel, the force is a smooth function of it
+    u, parts = max(min(z / level if way > 0.0 else -z / level, 1.0), -1.0), 8
+    x /= parts
+    for _ in range(parts):  # du/dx = rest - slope u
+        power = abs(u) ** exponent
+        slope = exponent * (power / u if exponent > 1.0 else 1.0) if u > 0.0 else 0.0
+        y = slope * x
+        decay = x if y < 1e-8 else -math.expm1(-y) / slope
+        m = min(u + (1.0 - power * (1.0 if u > 0.0 else 1.0 - 2.0 * shape)) * decay, 1.0)
+        change = power * (1.0 if u > 0.0 else 1.0 - 2.0 * shape) - abs(m) ** exponent * (
+            1.0 if m > 0.0 else 1.0 - 2.0 * shape
+        )
+        better = m + (change + slope * (m - u)) * (0.5 * x if y < 1e-8 else (x - decay) / y)
+        u = min(better, 1.0) if better > u else m
+    z = level * u if way > 0.0 else -level * u
     return z, z
 
 
@@ -229,6 +237,11 @@ class BumpStop(Element):
     def quiet(self) -> float:
         return self.clearance
 
+    def contact(self) -> tuple[float, float, float, float]:
+        upper = self.clearance if self.side != "compression" else math.inf
+        lower = -self.clearance if self.side != "extension" else -math.inf
+        return upper, lower, self.stiffness, self.damping
+
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
         return [{"side": side} for side in cls.choices["side"]]
@@ -264,6 +277,9 @@ class Backlash(Element):
 
     def quiet(self) -> float:
         return 0.5 * self.gap
+
+    def contact(self) -> tuple[float, float, float, float]:
+        return 0.5 * self.gap, -0.5 * self.gap, self.stiffness, 0.0
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:

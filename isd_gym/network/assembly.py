@@ -36,6 +36,7 @@ class Assembly:
     """
 
     network: Network
+    channels: tuple[Channel, ...]  # of the outputs
     size: tuple[int, int, int, int, int]  # states, moved nodes, force inputs, currents, laws
     laws: tuple[el.Element, ...]
     rate: np.ndarray
@@ -228,6 +229,7 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     by_difference = tuple(hangs_on(row, basis_w) for row in law_rows)
     return Assembly(
         network=network,
+        channels=(*network.outputs, *extra),
         size=size,
         laws=laws,
         rate=rate,

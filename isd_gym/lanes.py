@@ -1,0 +1,239 @@
+"""Eight numbers at once for compiled code: arithmetic on `Lanes` reads like that on a float.
+
+A processor's vector instructions, which a compiler finds in loops only where it can prove what may overlap. Compiled functions
+take lanes from flat float64 arrays (`load`, `spread`) and put them back (`store`); in between stand the operators, comparisons
+(a `Mask`), `select`, `fused` and `clip`. What happens in one lane never depends on the others, and the same
+instructions run however many lanes are in use: a car beside seven others is the car alone, to the last bit.
+
+`fused` rounds once (IEEE 754 fusedMultiplyAdd), on any machine.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+
+from .layout import WIDTH
+
+_intrinsic: Any = intrinsic  # the checker sees the arguments of what it makes wrongly
+_DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
+_DOUBLES, _WORDS, _BITS = (ir.VectorType(t, WIDTH) for t in (_DOUBLE, _WORD, ir.IntType(1)))
+
+
+class _Lanes(types.Type):
+    def __init__(self, name: str, vector: ir.Type) -> None:
+        super().__init__(name=name)
+        self.vector = vector
+
+
+LANES = _Lanes("Lanes", _DOUBLES)
+MASK = _Lanes("Mask", _BITS)
+
+
+@register_model(_Lanes)
+class _Model(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: _Lanes) -> None:
+        super().__init__(dmm, fe_type, fe_type.vector)
+
+
+def _splat(builder: Any, value: Any, vector: ir.VectorType) -> Any:
+    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(
+        one, ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+    )
+
+
+@lower_cast(types.Float, LANES)
+def _from_float(context, builder, fromty, toty, value):
+    return _splat(builder, context.cast(builder, value, fromty, types.float64), _DOUBLES)
+
+
+# ------------------------------------------------------------------------------------------ operators
+
+
+def _operator(symbol: Any, emit: Any, result: _Lanes, operand: _Lanes = LANES, arity: int = 2) -> None:
+    """Teach the compiler `symbol` of `arity` operands, at least one of them lanes and the others lanes or floats."""
+
+    @infer_global(symbol)
+    class _(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Any:
+            fits = all(a == operand or (operand is LANES and isinstance(a, types.Float)) for a in args)
+            if len(args) == arity and operand in args and fits:
+                return signature(result, *([operand] * arity))
+            return None
+
+    lower_builtin(symbol, *([operand] * arity))(lambda context, builder, sig, args: emit(builder, *args))
+
+
+for _symbol, _name in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
+    _operator(_symbol, lambda b, x, y, n=_name: getattr(b, n)(x, y), LANES)
+for _symbol, _name in (
+    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="), (operator.ne, "!=")
+):  # fmt: skip
+    _compare = "fcmp_unordered" if _name == "!=" else "fcmp_ordered"
+    _operator(_symbol, lambda b, x, y, n=_name, c=_compare: getattr(b, c)(n, x, y), MASK)
+_operator(operator.and_, lambda b, x, y: b.and_(x, y), MASK, MASK)
+_operator(operator.or_, lambda b, x, y: b.or_(x, y), MASK, MASK)
+_operator(operator.invert, lambda b, x: b.not_(x), MASK, MASK, 1)
+_operator(operator.neg, lambda b, x: b.fneg(x), LANES, LANES, 1)
+_operator(abs, lambda b, x: _call(b, "llvm.fabs.v8f64", x), LANES, LANES, 1)
+
+
+def _call(builder: Any, name: str, *args: Any) -> Any:
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(_DOUBLES, [_DOUBLES] * len(args)), name
+    )
+    return builder.call(function, args)
+
+
+# -------------------------------------------------------------------------------- memory and functions
+
+
+def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.Type) -> Any:
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+
+
+def _flat(array: Any, dtype: Any) -> bool:
+    return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype == dtype
+
+
+@_intrinsic
+def load(typing, array, index):
+    """The eight numbers of a flat array from `index` on."""
+    if not _flat(array, types.float64):
+        return None
+
+    def emit(context, builder, sig, args):
+        return builder.load(_address(context, builder, sig.args[0], args[0], args[1], _DOUBLES), align=8)
+
+    return LANES(array, types.intp), emit
+
+
+@_intrinsic
+def store(typing, array, index, lanes):
+    """Put lanes into a flat array from `index` on."""
+    if not _flat(array, types.float64) or lanes != LANES:
+        return None
+
+    def emit(context, builder, sig, args):
+        builder.store(args[2], _address(context, builder, sig.args[0], args[0], args[1], _DOUBLES), align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, lanes), emit
+
+
+@_intrinsic
+def spread(typing, value):
+    """A number in every lane."""
+
+    def emit(context, builder, sig, args):
+        return _splat(builder, args[0], _DOUBLES)
+
+    return LANES(types.float64), emit
+
+
+@_intrinsic
+def select(typing, mask, yes, no):
+    """`yes` where the mask holds, `no` elsewhere."""
+    if mask != MASK:
+        return None
+
+    def emit(context, builder, sig, args):
+        return builder.select(*args)
+
+    return LANES(MASK, LANES, LANES), emit
+
+
+@_intrinsic
+def fused(typing, a, b, c):
+    """``a b + c``, rounded once."""
+
+    def emit(context, builder, sig, args):
+        return _call(builder, "llvm.fma.v8f64", *args)
+
+    return LANES(LANES, LANES, LANES), emit
+
+
+@_intrinsic
+def some(typing, mask):
+    """Whether the mask holds in any lane."""
+    if mask != MASK:
+        return None
+
+    def emit(context, builder, sig, args):
+        bits = builder.bitcast(args[0], ir.IntType(WIDTH))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+
+    return types.boolean(MASK), emit
+
+
+@_intrinsic
+def bits(typing, mask):
+    """The mask as a whole number: bit l is lane l."""
+    if mask != MASK:
+        return None
+
+    def emit(context, builder, sig, args):
+        return builder.zext(builder.bitcast(args[0], ir.IntType(WIDTH)), _WORD)
+
+    return types.int64(MASK), emit
+
+
+# ----------------------------------------------------------------------------------------- road noise
+
+_GOLDEN, _MIX_1, _MIX_2 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+_MEAN = 4 * 65535 / 2
+_SIGMA = (4 * (65536.0**2 - 1) / 12) ** 0.5
+
+
+@_intrinsic
+def noise(typing, counters, index, stride):
+    """Eight zero-mean, unit-variance numbers from the counters `index`... of a flat int64 array, which move on by `stride`.
+
+    Each is the sum of the four 16-bit uniforms of one SplitMix64 word; counters count in SplitMix64's odd constant. Nearly
+    normal (excess kurtosis -0.3); the road is a sum of thousands of them, hence normal.
+    """
+    if not _flat(counters, types.int64):
+        return None
+
+    def emit(context, builder, sig, args):
+        def word(value: int) -> Any:
+            return ir.Constant(
+                _WORDS, [ir.Constant(_WORD, value - (1 << 64) if value >> 63 else value)] * WIDTH
+            )
+
+        def shifted(w: Any, by: int) -> Any:
+            return builder.lshr(w, word(by))
+
+        place = _address(context, builder, sig.args[0], args[0], args[1], _WORDS)
+        golden = builder.mul(word(_GOLDEN), _splat(builder, args[2], _WORDS))
+        w = builder.add(builder.load(place, align=8), golden)
+        builder.store(w, place, align=8)
+        w = builder.mul(builder.xor(w, shifted(w, 30)), word(_MIX_1))
+        w = builder.mul(builder.xor(w, shifted(w, 27)), word(_MIX_2))
+        w = builder.xor(w, shifted(w, 31))
+        low = word(0xFFFF)
+        total = builder.add(
+            builder.add(builder.and_(w, low), builder.and_(shifted(w, 16), low)),
+            builder.add(builder.and_(shifted(w, 32), low), shifted(w, 48)),
+        )
+        small = builder.trunc(total, ir.VectorType(ir.IntType(32), WIDTH))
+        number = builder.sitofp(small, _DOUBLES)
+
+        def constant(value: float) -> Any:
+            return ir.Constant(_DOUBLES, [ir.Constant(_DOUBLE, value)] * WIDTH)
+
+        return builder.fdiv(builder.fsub(number, constant(_MEAN)), constant(_SIGMA))
+
+    return LANES(counters, types.intp, types.int64), emit
