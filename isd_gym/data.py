@@ -10,7 +10,10 @@ import difflib
 import io
 import math
 import re
+import sys
 import warnings
+from array import array
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, plain, shown
 from .files import whole
+from .inputs import memory_limit, plain_file, read_bytes, too_large
 from .quality import TIME, Finding, check
 from .signals import Consistency, integral_consistency, noise_level, smooth_derivatives
 from .units import convert
@@ -36,6 +40,8 @@ __all__ = [
     "write_table",
 ]
 
+#: of a text table: characters of a line, columns, and how many times its size it takes in memory while it is read
+LINE_LIMIT, COLUMN_LIMIT, TEXT_SHARE = 131_072, 10_000, 12
 _TIME_NAMES = ("time", "t", "zeit", "timestamp", "timestamps")
 
 
@@ -46,10 +52,10 @@ def _vector(values: Any) -> np.ndarray:
 
 
 def _did_you_mean(name: str, known: Iterable[str]) -> str:
-    names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    listed = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-    return f"did you mean '{near[0]}'? It has: {listed}" if near else f"it has: {listed}"
+    names = sorted(n for n in known if len(n) <= 200)[:2000]
+    near = difflib.get_close_matches(name[:200], names, n=1, cutoff=0.5)
+    listed = ", ".join(plain(n, 40) for n in names[:12]) + (", ..." if len(names) > 12 else "")
+    return f"did you mean {shown(near[0])}? It has: {listed}" if near else f"it has: {listed}"
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ class Table:
     def __getitem__(self, name: str) -> np.ndarray:
         """The column `name` (n,); raises `InputError` with the nearest name where there is none."""
         if name not in self.columns:
-            raise InputError(f"{self.source}: no column '{name}'; {_did_you_mean(name, self.columns)}")
+            raise InputError(f"{self.source}: no column {shown(name)}; {_did_you_mean(name, self.columns)}")
         return self.columns[name]
 
     @property
@@ -99,7 +105,53 @@ class Table:
 
 
 # ---------------------------------------------------------------------------------------------------- reading
-Columns = tuple[dict[str, Any], dict[str, str]]
+#: names of the columns that are wanted, all of them, or a function that chooses among those there are
+Choice = list[str] | Callable[[list[str]], list[str]] | None
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What a file holds: name -> values, name -> unit where one is told, and the line of each sample where there are lines."""
+
+    values: dict[str, Any]
+    units: dict[str, str]
+    lines: list[int] = field(default_factory=list)
+
+    def line(self, sample: int) -> str:
+        """Where a sample is, for messages."""
+        return f"line {self.lines[sample]}" if sample < len(self.lines) else f"sample {sample + 1}"
+
+
+def read_columns(
+    path: str | Path, wanted: Choice = None, *, axis: str = TIME, resample: bool = False
+) -> Columns:
+    """Read the columns of a table file: any separator, decimal commas, preambles, units in the header or the file's own.
+
+    The one reader of every table in the project; `read_table` puts a time base and channels on it. `axis`: the name under
+    which MATLAB and MDF files hold what the others are told over. Raises `InputError` with one line, also for what is no
+    plain file or would take more memory than `inputs.memory_limit`.
+    """
+    path = Path(path)
+    try:
+        reader = _READERS[path.suffix.lower()]
+    except KeyError:
+        known = " ".join(_READERS)
+        raise InputError(
+            f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known})"
+        ) from None
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, not a table")
+    plain_file(path)
+    try:
+        return reader(path, wanted, axis, resample)
+    except InputError:
+        raise
+    except ImportError as error:
+        raise InputError(
+            f'{path}: reading {path.suffix} needs {error.name}: pip install "isd-gym[io]"'
+        ) from None
+    except Exception as error:  # whatever it is, it is the file's fault
+        raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
 
 
 def read_table(
@@ -110,7 +162,7 @@ def read_table(
     expected: Mapping[str, str] | None = None,
     resample: bool = False,
 ) -> Table:
-    """Read a table from `path`; the suffix tells the format (.csv .txt .tsv .parquet .mat .mf4 .mdf).
+    """Read a table from `path`; the suffix tells the format (.csv .txt .tsv .dat .parquet .mat .mf4 .mdf).
 
     rename: column in the file -> channel. units: unit of a column, by its channel or its name in the file (goes
     before what the file itself says; time is 's' unless told). expected: channel -> unit it shall have; then exactly
@@ -120,33 +172,16 @@ def read_table(
     Nothing in a file is ever executed. Raises `InputError` with one line on whatever cannot be used.
     """
     path = Path(path)
-    try:
-        reader = _READERS[path.suffix.lower()]
-    except KeyError:
-        known = " ".join(_READERS)
-        raise InputError(
-            f"{path}: cannot tell the format from suffix '{path.suffix}' (known: {known})"
-        ) from None
-    if not path.is_file():
-        raise InputError(f"{path}: {'is a folder, not a table' if path.is_dir() else 'no such file'}")
     rename, units = dict(rename or {}), dict(units or {})
     inverse = {channel: name for name, channel in rename.items()}
     if len(inverse) < len(rename):
         raise InputError(f"{path}: two columns are renamed to one channel")
     wanted = None if expected is None else [inverse.get(c, c) for c in expected]
-    try:
-        columns, file_units = reader(path, wanted, inverse.get(TIME, TIME), resample)
-    except InputError:
-        raise
-    except ImportError as error:
-        raise InputError(
-            f'{path}: reading {path.suffix} needs {error.name}: pip install "isd-gym[io]"'
-        ) from None
-    except Exception as error:  # the formats' own libraries raise anything on a damaged file
-        raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
+    found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), resample=resample)
+    columns, file_units = found.values, found.units
     for name in rename if expected is None else ():
         if name not in columns:
-            raise InputError(f"{path}: no column '{name}' to rename; {_did_you_mean(name, columns)}")
+            raise InputError(f"{path}: no column {shown(name)} to rename; {_did_you_mean(name, columns)}")
     columns = {rename.get(name, name): values for name, values in columns.items()}
     file_units = {rename.get(name, name): unit for name, unit in file_units.items()}
     file_units |= {rename.get(name, name): unit for name, unit in units.items()}
@@ -160,17 +195,19 @@ def read_table(
     out: dict[str, np.ndarray] = {}
     for name in target if expected is not None else columns:
         if name not in columns:
-            raise InputError(f"{path}: no column '{inverse.get(name, name)}'; {_did_you_mean(name, columns)}")
+            raise InputError(
+                f"{path}: no column {shown(inverse.get(name, name))}; {_did_you_mean(name, columns)}"
+            )
         values = np.asarray(columns[name])
         if values.dtype.kind not in "fiub" or values.ndim != 1:
             if expected is None and name != TIME:
                 continue
-            raise InputError(f"{path}: column '{name}' does not hold plain numbers")
+            raise InputError(f"{path}: column {shown(name)} does not hold plain numbers")
         try:
             unit = file_units.get(name) or target.get(name, "")
             out[name] = convert(values.astype(float), unit, target[name]) if name in target else values
         except InputError as error:
-            raise InputError(f"{path}: column '{name}': {error}") from None
+            raise InputError(f"{path}: column {shown(name)}: {error}") from None
     time = out.pop(TIME)
     if len(time) == 0:
         raise InputError(f"{path}: no samples")
@@ -203,6 +240,8 @@ def _split_header(text: str) -> tuple[str, str]:
 def _number(text: str, comma: bool) -> float | None:
     """The number in a cell, nan for an empty one, None for text."""
     text = text.strip()
+    if len(text) > 400:
+        return None
     if text.lower() in ("", "nan", "na", "n/a", "null", "none", "-", "#nv"):
         return math.nan
     try:
@@ -211,10 +250,14 @@ def _number(text: str, comma: bool) -> float | None:
         return None
 
 
-def _read_csv(path: Path, wanted: list[str] | None, time: str, resample: bool) -> Columns:
-    raw = path.read_bytes()
+def _text_of(path: Path) -> str:
+    """The text of a file of bearable size, whatever its encoding."""
+    limit, size = memory_limit(), plain_file(path)
+    if size * TEXT_SHARE > limit:
+        raise too_large(str(path), size * TEXT_SHARE, limit)
+    raw = read_bytes(path, limit)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        text = raw.decode("utf-16")
+        text = raw.decode("utf-16", "replace")
     else:
         try:
             text = raw.decode("utf-8-sig")
@@ -222,32 +265,52 @@ def _read_csv(path: Path, wanted: list[str] | None, time: str, resample: bool) -
             text = raw.decode("latin-1")
     if "\0" in text:
         raise InputError(f"{path}: is not a text table")
-    rows = [(i, s) for i, s in enumerate(text.splitlines(), 1) if s.strip() and s.lstrip()[0] not in "#%"]
-    if not rows:
-        raise InputError(f"{path}: is empty")
+    return text
 
-    def cells(line: str, delimiter: str) -> list[str]:
-        return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
 
-    # The delimiter and decimal sign under which the last lines hold numbers before all else, all lines alike
+def _cells(line: str, delimiter: str) -> list[str]:
+    return line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter), [])
+
+
+def _dialect(path: Path, rows: list[tuple[int, str]]) -> tuple[str, bool, int]:
+    """(delimiter, decimal comma, width) under which the last lines hold numbers before all else, all lines alike."""
     best: tuple[tuple[float, int], str, bool, int] = ((0.0, 0), ",", False, 0)
     for delimiter, comma in [(d, False) for d in ",;\t"] + [(";", True), ("\t", True), (" ", False)]:
-        split = [cells(s, delimiter) for _, s in rows[-20:]]
+        split = [_cells(s, delimiter) for _, s in rows[-20:]]
         width = max((len(c) for c in split), key=[len(c) for c in split].count)
         numbers = sum(_number(x, comma) is not None for c in split if len(c) == width for x in c)
-        share = numbers / sum(map(len, split))
+        share = numbers / max(sum(map(len, split)), 1)
         if width > 1 and (share, numbers) > best[0]:
             best = ((share, numbers), delimiter, comma, width)
     (_, numbers), delimiter, comma, width = best
     if not numbers:
         tried = "separators tried: comma, semicolon, tab, blank"
         raise InputError(f"{path}: no columns of numbers found ({tried})")
+    return delimiter, comma, width
+
+
+def _read_csv(path: Path, wanted: Choice, time: str, resample: bool) -> Columns:
+    text = _text_of(path)
+    # a line ends where an editor says so, not at every separator that Unicode has
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    rows = [(i, s) for i, s in enumerate(lines, 1) if s.strip() and s.lstrip()[0] not in "#%"]
+    del lines
+    if not rows:
+        raise InputError(f"{path}: is empty")
+    for number, line in rows:
+        if len(line) > LINE_LIMIT:
+            raise InputError(
+                f"{path}: line {number} has {len(line)} characters, at most {LINE_LIMIT} are read"
+            )
+    delimiter, comma, width = _dialect(path, rows)
+    if width > COLUMN_LIMIT:
+        raise InputError(f"{path}: has {width} columns, at most {COLUMN_LIMIT} are read")
     numeric_first = [
-        sum(_number(x, comma) is not None and x.strip() != "" for x in cells(s, delimiter)) > width / 2
+        sum(_number(x, comma) is not None and x.strip() != "" for x in _cells(s, delimiter)) > width / 2
         for _, s in rows[:200]
     ]
     first = numeric_first.index(True) if True in numeric_first else len(rows)
-    heads = [[x.strip() for x in cells(s, delimiter)] for _, s in rows[:first]]
+    heads = [[x.strip() for x in _cells(s, delimiter)] for _, s in rows[:first]]
     if not heads or first == len(rows):
         raise InputError(f"{path}: line {rows[0][0]}: no header row that names the columns")
     unit_row: list[str] = []
@@ -259,34 +322,40 @@ def _read_csv(path: Path, wanted: list[str] | None, time: str, resample: bool) -
     names = [name for name, _ in pairs]
     if len(names) != width:
         raise InputError(f"{path}: line {rows[first][0]} has {width} fields, the header has {len(names)}")
+    if callable(wanted):
+        wanted = wanted(names)
+    there = Counter(names)
     for name in wanted or ():
-        if name not in names:
-            raise InputError(f"{path}: no column '{name}'; {_did_you_mean(name, names)}")
-    for name in names:
-        if names.count(name) > 1 and (wanted is None or name in wanted):
-            raise InputError(f"{path}: the header names '{name}' twice")
+        if name not in there:
+            raise InputError(f"{path}: no column {shown(name)}; {_did_you_mean(name, names)}")
+    for name, count in there.items():
+        if count > 1 and (wanted is None or name in wanted):
+            raise InputError(f"{path}: the header names {shown(name)} twice")
     file_units = {n: u for (n, _), u in zip(pairs, unit_row, strict=True) if u} if unit_row else {}
     file_units |= {name: unit for name, unit in pairs if unit}
     chosen = (
         set(names) if wanted is None else {*wanted, time, *(n for n in names if n.lower() in _TIME_NAMES)}
     )
     used = [i for i, n in enumerate(names) if n in chosen]
+    numbers = [n for n, _ in rows[first:]]
     body = "\n".join(s for _, s in rows[first:])
     try:  # fast path: every cell of interest a number
         data = np.loadtxt(
             io.StringIO(body.replace(",", ".") if comma else body),
             delimiter=None if delimiter == " " else delimiter,
             quotechar='"',
+            comments=None,
             ndmin=2,
         )
-        if data.shape[1] != width:
+        if data.shape != (len(numbers), width):
             raise ValueError
-        return {names[i]: data[:, i] for i in used}, file_units
+        return Columns({names[i]: data[:, i] for i in used}, file_units, numbers)
     except ValueError:
         pass
-    columns: dict[str, Any] = {names[i]: [] for i in used}
+    del body
+    columns: dict[str, Any] = {names[i]: array("d") for i in used}
     for number, line in rows[first:]:
-        row = cells(line, delimiter)
+        row = _cells(line, delimiter)
         if len(row) != width:
             raise InputError(f"{path}: line {number} has {len(row)} fields, the header has {width}")
         for i in used:
@@ -296,136 +365,56 @@ def _read_csv(path: Path, wanted: list[str] | None, time: str, resample: bool) -
                 continue
             if value is None:
                 raise InputError(
-                    f"{path}: line {number}, column '{names[i]}': '{row[i].strip()}' is not a number"
+                    f"{path}: line {number}, column {shown(names[i])}: {shown(row[i].strip())} is not a number"
                 )
             if names[i] in columns:
                 columns[names[i]].append(value)
-    return {name: np.array(values) for name, values in columns.items()}, file_units
+    return Columns({name: np.array(values) for name, values in columns.items()}, file_units, numbers)
 
 
-def _read_parquet(path: Path, wanted: list[str] | None, time: str, resample: bool) -> Columns:
-    import pyarrow.parquet as parquet
+def _isolated(kind: str) -> Callable[[Path, Choice, str, bool], Columns]:
+    """The reader of a binary format, which runs in a process of its own."""
 
-    table = parquet.read_table(path)
-    columns: dict[str, Any] = {}
-    units: dict[str, str] = {}
-    for item in table.schema:
-        name, unit = _split_header(item.name)
-        unit = ((item.metadata or {}).get(b"unit") or unit.encode()).decode()
-        columns[name] = table.column(item.name).to_numpy()
-        if unit:
-            units[name] = unit
-    return columns, units
+    def read(path: Path, wanted: Choice, axis: str, resample: bool) -> Columns:
+        from . import isolated
 
+        if sys.modules.get(_LIBRARIES[kind], 0) is None:  # as good as not installed, for this process
+            raise ModuleNotFoundError(name=_LIBRARIES[kind])
+        given = None if callable(wanted) else wanted
+        head, arrays = isolated.read(kind, path, given, axis, resample)
+        if "no_channel" in head:
+            name = head["no_channel"]
+            raise InputError(f"{path}: no channel {shown(name)}; {_did_you_mean(name, head['names'])}")
+        columns: dict[str, Any] = {}
+        units = dict(head["units"])
+        told = [(name, values) for (name, _), values in zip(head["columns"], arrays, strict=True)]
+        for full, values in told + [(name, _NO_NUMBERS) for name in head["other"]]:
+            name, unit = _split_header(full) if kind == "parquet" else (full, "")
+            if name in columns and values is not _NO_NUMBERS:
+                raise InputError(f"{path}: names {shown(name)} twice")
+            columns.setdefault(name, values)
+            if full in units:
+                units[name] = units[full]
+            elif unit:
+                units[name] = unit
+        if callable(wanted):
+            wanted(list(columns))
+        return Columns(columns, units)
 
-def _read_mat(path: Path, wanted: list[str] | None, time: str, resample: bool) -> Columns:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        content = loadmat(path, squeeze_me=True, chars_as_strings=True)
-    except NotImplementedError:
-        raise InputError(
-            f"{path}: is a MATLAB 7.3 file; save it with save('{path.name}', ..., '-v7')"
-        ) from None
-    except (MatReadError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: is not a MATLAB file that can be read ({_one_line(error)})") from None
-    columns: dict[str, Any] = {}
-    units: dict[str, str] = {}
-
-    def take(items: Iterable[tuple[str, Any]]) -> None:
-        for name, value in items:
-            value = np.asarray(value)
-            if value.dtype.names and value.ndim == 0:  # a struct: its fields are the channels
-                fields = {n: value[n].item() for n in value.dtype.names}
-                if name == "units":
-                    units.update({n: str(u) for n, u in fields.items()})
-                else:
-                    take(fields.items())
-            elif value.dtype.kind in "fiub" and value.ndim == 1 and name not in columns:
-                columns[name] = value
-            elif value.dtype.kind in "fiub" and value.ndim == 1:
-                raise InputError(f"{path}: holds '{name}' more than once")
-            elif name == time or (wanted is not None and name in wanted):
-                raise InputError(
-                    f"{path}: '{name}' is not a plain vector of numbers (cells and objects are refused)"
-                )
-
-    take((k, v) for k, v in content.items() if not k.startswith("__"))
-    if wanted is None:  # constants and settings may lie beside the channels
-        lengths = [len(v) for v in columns.values()]
-        common = len(columns[time]) if time in columns else max(lengths, key=lengths.count, default=0)
-        columns = {n: v for n, v in columns.items() if len(v) == common}
-    return columns, units
+    return read
 
 
-#: MDF conversions that are mere arithmetic or tables; a formula in a file is not evaluated.
-_MDF_CONVERSIONS = {4: {0, 1, 2, 4, 5}, 3: {0, 1, 2, 6, 7, 8, 9, 65535}}
-
-
-def _read_mdf(path: Path, wanted: list[str] | None, time: str, resample: bool) -> Columns:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import asammdf
-
-        found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        units: dict[str, str] = {}
-        with path.open("rb") as stream:
-            if not stream.read(168).startswith(b"MDF") or stream.tell() < 168:
-                raise InputError(f"{path}: is not an MDF file")
-        with path.open("rb") as stream, asammdf.MDF(stream) as mdf:
-            masters = set(mdf.masters_db.items())
-            allowed = _MDF_CONVERSIONS[4 if mdf.version >= "4" else 3]
-            names = wanted or [n for n in mdf.channels_db if n != TIME]  # no channel wanted: time alone
-            for name in names:
-                places = [p for p in mdf.channels_db.get(name, ()) if tuple(p) not in masters]
-                if not places:
-                    if not wanted:
-                        continue
-                    raise InputError(f"{path}: no channel '{name}'; {_did_you_mean(name, mdf.channels_db)}")
-                if len(places) > 1:
-                    raise InputError(
-                        f"{path}: holds channel '{name}' {len(places)} times, in groups {[p[0] for p in places]}"
-                    )
-                group, index = places[0]
-                for i in {index, mdf.masters_db.get(group, index)}:
-                    conversion = mdf.groups[group].channels[i].conversion
-                    if conversion is not None and conversion.conversion_type not in allowed:
-                        raise InputError(
-                            f"{path}: channel '{name}' needs a formula or text conversion; export it as numbers"
-                        )
-                item = mdf.get(group=group, index=index)
-                if item.samples.ndim == 1 and item.samples.dtype.kind in "fiub" and len(item.samples):
-                    found[name] = (np.array(item.timestamps), np.array(item.samples))
-                    units[name] = item.unit
-                elif wanted:
-                    raise InputError(f"{path}: channel '{name}' does not hold plain numbers")
-    if not found:
-        raise InputError(f"{path}: holds no numeric channel")
-    base = min((t for t, _ in found.values()), key=lambda t: (t[-1] - t[0]) / max(len(t) - 1, 1))
-    same = all(len(t) == len(base) and np.allclose(t, base, rtol=0, atol=1e-9) for t, _ in found.values())
-    if not same:
-        if not resample:
-            rates = sorted(
-                {f"{(t[-1] - t[0]) / max(len(t) - 1, 1):.4g} s x {len(t)}" for t, _ in found.values()}
-            )
-            raise InputError(
-                f"{path}: channels are on different rasters ({', '.join(rates)}); ask to resample them"
-            )
-        start, end = max(t[0] for t, _ in found.values()), min(t[-1] for t, _ in found.values())
-        base = base[(base >= start) & (base <= end)]
-    columns = {n: v if same else np.interp(base, t, v) for n, (t, v) in found.items()}
-    return {time: base} | columns, {n: u for n, u in units.items() if u}
-
-
-_READERS: dict[str, Callable[[Path, list[str] | None, str, bool], Columns]] = {
+_NO_NUMBERS = np.empty(0, object)
+_LIBRARIES = {"parquet": "pyarrow", "mat": "scipy.io", "mdf": "asammdf"}
+_READERS: dict[str, Callable[[Path, Choice, str, bool], Columns]] = {
     ".csv": _read_csv,
     ".txt": _read_csv,
     ".tsv": _read_csv,
-    ".parquet": _read_parquet,
-    ".mat": _read_mat,
-    ".mf4": _read_mdf,
-    ".mdf": _read_mdf,
+    ".dat": _read_csv,
+    ".parquet": _isolated("parquet"),
+    ".mat": _isolated("mat"),
+    ".mf4": _isolated("mdf"),
+    ".mdf": _isolated("mdf"),
 }
 
 

@@ -17,7 +17,7 @@ from .errors import InputError, shown
 
 #: environment variable that raises the limit on what a file may take in memory
 LIMIT_VARIABLE = "ISD_GYM_READ_LIMIT_GB"
-DEFAULT_LIMIT_GB = 2.0
+DEFAULT_LIMIT_GB = 1.0
 JSON_LIMIT = 32 * 2**20  # bytes
 DEPTH = 32  # of lists and objects within each other
 DIGITS = 300  # of a whole number in JSON: what a float can hold

@@ -19,13 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, shown
+from .units import convert
 
 REFERENCE_FREQUENCY = 0.1  # n0 [cycle/m]
 #: ISO 8608:2016 geometric means of G(n0) [m^3]
 ISO_CLASSES = {letter: 16e-6 * 4.0**i for i, letter in enumerate("ABCDEFGH")}
 PAPER_KAPPA = 5e-7  # m^3/cycle: reproduces Table 7's passive row; Table 6 prints 5e-6
 PRINTED_KAPPA = 5e-6
+STEEPEST = 1.0  # median slope of a recorded profile [m/m]: no road is that steep, a forgotten unit is
 
 
 @dataclass(frozen=True)
@@ -127,38 +129,59 @@ def sweep(amplitude: float = 0.005, start: float = 0.5, stop: float = 20.0, dura
 
 
 def recorded(path: str | Path) -> Road:
-    """A measured profile: a table with `distance` [m] or `time` [s], and `height` (or `road`) [m]."""
-    import csv
+    """A measured profile: a table (any that `data.read_table` reads) with `distance` or `time`, and `height` or `road`.
+
+    Units are those of the file, metres and seconds where it tells none. Raises `InputError`.
+    """
+    from .data import read_columns
 
     path = Path(path)
-    try:
-        with path.open(newline="") as file:
-            rows = [row for row in csv.reader(file) if row]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read road '{path}': {error}") from None
-    header = [h.strip().lower().split("[")[0].strip() for h in rows[0]] if rows else []
-    axis = next((h for h in ("distance", "time") if h in header), None)
-    value = next((h for h in ("height", "road") if h in header), None)
-    if axis is None or value is None:
-        raise InputError(f"road '{path}' needs a header with 'distance' or 'time', and 'height'")
-    i, j = header.index(axis), header.index(value)
-    x, z = np.empty(len(rows) - 1), np.empty(len(rows) - 1)
-    for k, row in enumerate(rows[1:]):
+    roles: dict[str, str] = {}
+
+    def choose(names: list[str]) -> list[str]:
+        lower = {name.lower(): name for name in reversed(names)}
+        for role, known in (("along", ("distance", "time")), ("height", ("height", "road"))):
+            found = next((k for k in known if k in lower), None)
+            if found is None:
+                raise InputError(f"road '{path}' needs a header with 'distance' or 'time', and 'height'")
+            roles[role] = lower[found]
+        return list(roles.values())
+
+    table = read_columns(path, choose, resample=True)
+    over_time = roles["along"].lower() == "time"
+    columns = []
+    for role, unit in (("along", "s" if over_time else "m"), ("height", "m")):
+        name = roles[role]
+        values = np.asarray(table.values[name])
+        if values.dtype.kind not in "fiub" or values.ndim != 1:
+            raise InputError(f"road '{path}': column {shown(name)} does not hold plain numbers")
         try:
-            x[k], z[k] = float(row[i]), float(row[j])
-        except (ValueError, IndexError):
-            raise InputError(f"road '{path}', line {k + 2}: '{','.join(row)}' is not two numbers") from None
-    bad = np.flatnonzero(~np.isfinite(x) | ~np.isfinite(z))
+            columns.append(convert(values.astype(float), table.units.get(name) or unit, unit))
+        except InputError as error:
+            raise InputError(f"road '{path}': column {shown(name)}: {error}") from None
+    x, z = columns
+    axis = roles["along"]
+    if len(x) != len(z):
+        raise InputError(f"road '{path}': {shown(axis)} has {len(x)} samples, the height has {len(z)}")
+    bad = np.flatnonzero(~np.isfinite(x) | ~np.isfinite(z) | (np.abs(x) > 1e9) | (np.abs(z) > 1e5))
     if len(bad):
-        raise InputError(f"road '{path}', line {bad[0] + 2}: not finite")
+        raise InputError(f"road '{path}', {table.line(bad[0])}: not finite, or no road any more")
     if len(x) < 2:
         raise InputError(f"road '{path}' has fewer than two points")
     steps = np.diff(x)
     if steps.min() <= 0:
-        raise InputError(f"road '{path}', line {int(np.argmax(steps <= 0)) + 3}: {axis} does not increase")
+        where = table.line(int(np.argmax(steps <= 0)) + 1)
+        raise InputError(f"road '{path}', {where}: {shown(axis)} does not increase")
     if steps.max() > 10 * np.median(steps):
-        raise InputError(f"road '{path}', line {int(np.argmax(steps)) + 3}: gap of {steps.max():g} in {axis}")
-    return Road(path.stem, abscissa=x, profile=z, over_time=axis == "time", shift=True)
+        where = table.line(int(np.argmax(steps)) + 1)
+        raise InputError(f"road '{path}', {where}: gap of {steps.max():g} in {shown(axis)}")
+    slope = float(np.median(np.abs(np.diff(z)) / steps))
+    if slope > (STEEPEST * 20.0 if over_time else STEEPEST):
+        raise InputError(
+            f"road '{path}' climbs {slope:.3g} m in every {'second' if over_time else 'metre'}: is the height in mm? "
+            "Name the unit in the header, as in 'height [mm]'"
+        )
+    return Road(path.stem, abscissa=x, profile=z, over_time=over_time, shift=True)
 
 
 NAMES = "paper, paper-printed, flat, A ... H, bump, pothole, sweep, a file, or a sum such as C+bump"
@@ -184,8 +207,10 @@ def road(source: str | Path | Road) -> Road:
         return named[text]()
     if text.upper().removeprefix("ISO-") in ISO_CLASSES:
         return iso_road(text.upper().removeprefix("ISO-"))
-    if Path(text).is_file():
+    if Path(text).is_file() or Path(text).is_fifo():
         return recorded(text)
+    if len(text) > 4096:
+        raise InputError(f"no road {shown(text)}: {NAMES}")
     if "+" in text:
         parts = [road(part) for part in text.split("+")]
         rough = [p for p in parts if p.roughness > 0]
@@ -198,5 +223,5 @@ def road(source: str | Path | Road) -> Road:
                     base, abscissa=s.abscissa, profile=s.profile, over_time=s.over_time, shift=s.shift
                 )
             return replace(base, name=text)
-        raise InputError(f"road '{text}': one rough road and one profile can be added")
-    raise InputError(f"no road '{text}': {NAMES}")
+        raise InputError(f"road {shown(text)}: one rough road and one profile can be added")
+    raise InputError(f"no road {shown(text)}: {NAMES}")

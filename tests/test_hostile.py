@@ -9,16 +9,20 @@ import struct
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from agents.convert import convert, read_normalize, read_torch
 from agents.pickles import array, read_pickle
 from agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
+from isd_gym.data import Table, read_table, write_table
 from isd_gym.errors import InputError, plain, shown
 from isd_gym.files import claim_folder, whole, whole_folder
 from isd_gym.network import Network
+from isd_gym.road import road
 
 
 def refused(run, match=None):
@@ -616,3 +620,164 @@ def test_the_workshop_of_a_living_process_is_not_cleared(tmp_path):
     assert (tmp_path / "a" / "thing.json").read_text() == "still here"
     assert (tmp_path / "x.json").read_text() == "here too"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b", "x.json"]
+
+
+# ------------------------------------------------------------------------------------------- tables
+
+
+def table(tmp_path, suffix, n=100):
+    path = tmp_path / f"t{suffix}"
+    write_table(path, Table(np.arange(n) * 1e-3, {"x": np.sin(np.arange(float(n)))}))
+    return path
+
+
+def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):
+    from isd_gym import isolated
+
+    path = table(tmp_path, ".mat")
+    read_table(path)
+    assert isolated._helper is not None
+    program = Path(isolated.__file__).with_name("_tables.py").read_text()
+    faulty = program.replace("content = loadmat(path,", "os.kill(os.getpid(), 11) or loadmat(path,")
+    assert faulty != program
+    monkeypatch.setattr(isolated.resources, "files", lambda package: tmp_path)
+    (tmp_path / "_tables.py").write_text(faulty)
+    isolated._stop()
+    refused(lambda: read_table(path), "library that reads it broke down")
+    (tmp_path / "_tables.py").write_text(program)
+    assert len(read_table(path)) == 100
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of a process")
+def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
+    from isd_gym import isolated
+
+    path = table(tmp_path, ".mat")
+    program = Path(isolated.__file__).with_name("_tables.py").read_text()
+    monkeypatch.setattr(isolated.resources, "files", lambda package: tmp_path)
+    monkeypatch.setattr(isolated, "SECONDS", 0.1)
+    (tmp_path / "_tables.py").write_text(
+        program.replace("content = loadmat(path,", "while True: pass\n        (path,")
+    )
+    isolated._stop()
+    refused(lambda: read_table(path), "more than 0 s")
+    isolated._stop()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_five_changed_bytes_of_a_mat_file_are_no_fault(seed, tmp_path):
+    """The library behind it faults on some of these; here each is a table or one line."""
+    path, rng = table(tmp_path, ".mat", 20), np.random.default_rng(seed)
+    whole_file = bytearray(path.read_bytes())
+    for _ in range(100):
+        data = whole_file.copy()
+        for place in rng.integers(0, len(data), 5):
+            data[place] = rng.integers(256)
+        path.write_bytes(data)
+        with contextlib.suppress(InputError):
+            read_table(path)
+
+
+def test_what_would_unpack_to_too_much_is_not_unpacked(tmp_path, monkeypatch):
+    import zlib
+
+    monkeypatch.setenv("ISD_GYM_READ_LIMIT_GB", "0.02")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    import pyarrow
+
+    same = pyarrow.array(np.zeros(4_000_000))
+    parquet.write_table(pyarrow.table({"time": same, "x": same}), tmp_path / "b.parquet", compression="zstd")
+    refused(
+        lambda: read_table(tmp_path / "b.parquet"),
+        "would take .* GB, the limit is 0.02 .*ISD_GYM_READ_LIMIT_GB",
+    )
+    head = b"MATLAB 5.0".ljust(124) + b"\x00\x01IM"
+    packed = zlib.compress(struct.pack("<II", 14, 2**29) + bytes(60_000_000), 9)
+    (tmp_path / "b.mat").write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
+    refused(lambda: read_table(tmp_path / "b.mat"), "the limit is 0.02")
+    (tmp_path / "b.csv").write_text("time,x\n" + "0,1\n" * 1_000_000)
+    refused(lambda: read_table(tmp_path / "b.csv"), "the limit is 0.02")
+    (tmp_path / "b.parquet").rename(tmp_path / "c.parquet")
+    monkeypatch.setenv("ISD_GYM_READ_LIMIT_GB", "0.5")
+    assert len(read_table(tmp_path / "c.parquet")) == 4_000_000
+    monkeypatch.setenv("ISD_GYM_READ_LIMIT_GB", "much")
+    refused(lambda: read_table(tmp_path / "c.parquet"), "must be a number of gigabytes")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time,x\n0,1\n1," + "9" * 200_000 + "\n", "line 3 has 200002 characters"),
+        ("time," + "x" * 200_000 + "\n0,1\n1,2\n", "line 1 has"),
+        ('time,x\n0,"' + "a" * 131_060 + "\n", "."),
+        (",".join(f"c{i}" for i in range(20_000)) + "\n" + ",".join("1" * 20_000) + "\n", "20000 columns"),
+        ("time,x\x1b[31m\n0,1\n", r"it has: time, x\\x1b\[31m"),
+        ("time,x\n0,1\n1,\x1b]0;owned\x07\n", r"'\\x1b\]0;owned\\x07' is not a number"),
+        ("\0", "not a text table"),
+    ],
+)
+def test_a_text_table_may_hold_anything(text, says, tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    refused(lambda: read_table(path, expected={"x": "m"}), says)
+
+
+def test_one_reader_for_all_tables_so_a_road_in_millimetres_is_one(tmp_path):
+    x = np.arange(0, 50, 0.25)
+    z = 0.02 * np.sin(x)
+    ways = {
+        "head.csv": "distance [m],height [mm]\n"
+        + "".join(f"{a},{1e3 * b}\n" for a, b in zip(x, z, strict=True)),
+        "rows.csv": "rig 7\n\ndistance;height\nm;mm\n"
+        + "".join(f"{a};{1e3 * b}\n".replace(".", ",") for a, b in zip(x, z, strict=True)),
+        "bom.txt": "\ufeffHeight (cm)\tDistance (mm)\n"
+        + "".join(f"{1e2 * b}\t{1e3 * a}\n" for a, b in zip(x, z, strict=True)),
+    }
+    for name, text in ways.items():
+        (tmp_path / name).write_text(text)
+    savemat(tmp_path / "m.mat", {"distance": x, "height": 1e3 * z, "units": {"height": "mm"}})
+    for name in (*ways, "m.mat"):
+        np.testing.assert_allclose(road(tmp_path / name).profile, z, atol=1e-12)
+        np.testing.assert_allclose(road(tmp_path / name).abscissa, x, atol=1e-12)
+    rng = np.random.default_rng(0)
+    (tmp_path / "f.csv").write_text(
+        "distance,height\n"
+        + "".join(f"{a},{b}\n" for a, b in zip(x, 20 * rng.standard_normal(len(x)), strict=True))
+    )
+    refused(lambda: road(tmp_path / "f.csv"), "is the height in mm")
+    (tmp_path / "u.csv").write_text("distance [m],height [N]\n0,0\n1,0\n")
+    refused(lambda: road(tmp_path / "u.csv"), "unit 'N' cannot be turned into 'm'")
+
+
+def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
+    """Destructors of the libraries complain about broken files."""
+    path = table(tmp_path, ".mf4")
+    path.write_bytes(path.read_bytes()[:700] + bytes(4000))
+    code = (
+        "import sys, os; from isd_gym.data import read_table; from isd_gym import isolated\n"
+        "from isd_gym.errors import InputError\n"
+        "for _ in range(3):\n try: read_table(sys.argv[1])\n except InputError as e: pass\n"
+        "print(isolated._helper.process.pid)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, str(path)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    with pytest.raises(OSError):
+        os.kill(int(done.stdout), 0)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_forked_process_has_a_reader_of_its_own(tmp_path):
+    path = table(tmp_path, ".mat")
+    code = (
+        "import os, sys; from isd_gym.data import read_table\n"
+        "read_table(sys.argv[1]); pid = os.fork()\n"
+        "n = len(read_table(sys.argv[1]))\n"
+        "if pid == 0: os._exit(0 if n == 100 else 1)\n"
+        "status = os.waitpid(pid, 0)[1]; n += len(read_table(sys.argv[1])); print(n, status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr) == ("200 0\n", "")

@@ -94,8 +94,8 @@ def test_recorded_profile_over_distance(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("distance,height\n0,0\n1,x\n", "line 3: '1,x' is not two numbers"),
-        ("distance,height\n0,0\n1,0\n1,0\n", "line 4: distance does not increase"),
+        ("distance,height\n0,0\n1,x\n", "line 3, column 'height': 'x' is not a number"),
+        ("distance,height\n0,0\n1,0\n1,0\n", "line 4: 'distance' does not increase"),
         ("distance,height\n" + "".join(f"{i},0\n" for i in range(9)) + "500,0\n", "line 11: gap of 492"),
         ("distance,height\n0,0\n1,nan\n", "line 3: not finite"),
         ("a,b\n0,0\n", "needs a header"),
