@@ -412,6 +412,8 @@ def simulate(
 
     Example: isd-gym simulate force-rig test.csv --out force.csv
     """
+    import numpy as np
+
     from .data import Table, read_table, write_table
     from .network import Network
     from .simulate import simulate as run
@@ -420,6 +422,12 @@ def simulate(
     network = Network.load(model)
     table = read_table(data, expected={c.name: c.unit for c in network.inputs})
     outputs = run(network, table.time, table.columns, step=step)
+    for name, values in outputs.items():
+        if not np.isfinite(values).all():
+            at = table.time[int(np.argmin(np.isfinite(values)))]
+            raise InputError(
+                f"the model's output {shown(name)} is not finite from {at:g} s on: nothing is written"
+            )
     units = {c.name: c.unit for c in network.outputs}
     write_table(out, Table(time=table.time, columns=outputs, source=network.name, units=units))
     typer.echo(f"{len(table.time)} samples of {', '.join(outputs)} in {out}")

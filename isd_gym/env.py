@@ -21,7 +21,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from . import elements as el
 from .batch import CURRENT_LIMIT, SIGNALS, Batch, nodes_of_device, state_channels
 from .cost import StageCost
-from .errors import InputError
+from .errors import InputError, plain
 from .network import Network
 from .road import Road
 
@@ -280,9 +280,13 @@ class ISDSuspensionEnv(gym.Env):
             raise gym.error.ResetNeeded("call reset() before step()")
         try:
             (target,) = action.tolist() if isinstance(action, np.ndarray) else action
+            if isinstance(target, str):  # float() would make a number of it
+                raise TypeError
             target = float(target)
-        except (TypeError, ValueError):
-            raise InputError(f"the action must have shape (1,), a current in A, not {action!r}") from None
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(
+                f"the action must have shape (1,), a current in A, not {plain(repr(action), 60)}"
+            ) from None
         if not math.isfinite(target):
             raise InputError(f"the action must be finite, not {target}")
         batch = self.task.batch
@@ -332,6 +336,19 @@ class ISDSuspensionEnv(gym.Env):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
+
+
+def _currents(actions: Any) -> np.ndarray:
+    """Actions as an array of floats; raises `InputError` for text, objects and numbers that no float holds."""
+    if isinstance(actions, np.ndarray) and actions.dtype.kind == "f":
+        return actions.astype(float, copy=False)
+    try:
+        found = np.asarray(actions)
+        if found.dtype.kind not in "fiub":
+            raise ValueError
+        return found.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError("the actions must be numbers, currents in A") from None
 
 
 class ISDSuspensionVectorEnv(VectorEnv):
@@ -485,7 +502,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         if not self._rngs:
             raise gym.error.ResetNeeded("call reset() before step()")
-        target = np.asarray(actions, float)
+        target = _currents(actions)
         if target.shape != (self.num_envs, 1):
             raise InputError(
                 f"the actions must have shape ({self.num_envs}, 1), currents in A, not {target.shape}"

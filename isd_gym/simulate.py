@@ -460,6 +460,10 @@ def upsample(values: np.ndarray, every: int, hold: bool = False) -> np.ndarray:
     return np.interp(np.arange(every * (n - 1) + 1) / every, np.arange(n), values)
 
 
+#: steps of one simulation: more than a day at 1 ms would be a slip of the unit of time
+MOST_STEPS = 1e8
+
+
 def simulate(
     model: Network | str | Path | Mapping[str, Any],
     time: np.ndarray,
@@ -481,11 +485,17 @@ def simulate(
     time = np.asarray(time, float)
     if time.ndim != 1 or len(time) < 2 or not np.all(np.isfinite(time)):
         raise InputError("time must be a row of at least two finite samples")
+    if np.abs(time).max() > 1e12:
+        raise InputError(f"time must lie within 1e12 s, not at {np.abs(time).max():g}")
     dt = (time[-1] - time[0]) / (len(time) - 1)
     if dt <= 0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
         raise InputError("time must be uniformly sampled and increasing")
     if not step > 0:
         raise InputError(f"the physics step must be positive, not {step}")
+    if (dt / step) * len(time) > MOST_STEPS:
+        raise InputError(
+            f"{dt * len(time):.4g} s would take more than {MOST_STEPS:g} steps of {step:g} s: give a larger step"
+        )
     every = max(1, math.ceil(dt / step - 1e-9))
     plant = Plant(network, dt / every, extra=extra)
     needs = {name for part, name in plant.labels if part in ("v", "alpha")}

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -23,6 +24,7 @@ from isd_gym.errors import InputError, plain, shown
 from isd_gym.files import claim_folder, whole, whole_folder
 from isd_gym.network import Network
 from isd_gym.road import road
+from isd_gym.simulate import simulate
 
 
 def refused(run, match=None):
@@ -781,3 +783,55 @@ def test_a_forked_process_has_a_reader_of_its_own(tmp_path):
         [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False
     )
     assert (done.stdout, done.stderr) == ("200 0\n", "")
+
+
+# ------------------------------------------------------------------------------------------- actions, records
+
+
+class NoNumber:
+    def __repr__(self):
+        return "\x1b[31m\n" * 1000
+
+
+@pytest.mark.parametrize(
+    "action",
+    [[10**400], ["5"], "5", [None], [1.0, 2.0], [], 3.0, None, {}, [[1.0]], [1j], [NoNumber()], np.array(["5"]), np.array([1, 2])],
+)  # fmt: skip
+def test_an_action_may_be_anything(action):
+    env = gym.make("ISDSuspension-v0").unwrapped
+    env.reset(seed=0)
+    refused(lambda: env.step(action), "action")
+    many = gym.make_vec("ISDSuspension-v0", 2).unwrapped
+    many.reset(seed=0)
+    refused(lambda: many.step([action, action]), "action")
+    refused(lambda: many.step(action), "action")
+    _, reward, *_ = env.step([np.float32(1.0)])
+    assert np.isfinite(reward)
+
+
+def test_a_record_whose_time_is_no_time_does_not_hang():
+    inputs = {"road": np.zeros(3), "current": np.zeros(3)}
+    for time, says in (
+        ([0, 1e6, 2e6], "larger step"),
+        ([0, 1e300, 2e300], "within"),
+        ([0, 1e-3, np.inf], "finite"),
+    ):
+        refused(lambda time=time: simulate("quarter-car-isd", np.array(time), inputs), says)
+
+
+def test_what_is_not_finite_is_not_written(tmp_path):
+    data = Network.load("quarter-car-isd").to_dict()
+    data["elements"].append(
+        {"name": "c", "type": "linear_stiffness", "between": ["body", "ground"], "stiffness": 1.0}
+    )
+    data["elements"].append(
+        {"name": "a", "type": "cubic_stiffness", "between": ["body", "ground"], "stiffness": -1e15}
+    )
+    (tmp_path / "m.json").write_text(json.dumps(data))
+    t = np.arange(2000) * 1e-3
+    write_table(tmp_path / "d.csv", Table(t, {"road": 100 * np.sin(20 * t), "current": 0 * t}))
+    done = cli("simulate", "m.json", "d.csv", "--out", "o.csv", cwd=tmp_path)
+    assert (
+        done.returncode == 2 and "is not finite from" in done.stderr and len(done.stderr.splitlines()) == 1
+    ), done
+    assert not (tmp_path / "o.csv").exists()
