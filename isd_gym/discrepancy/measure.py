@@ -43,7 +43,7 @@ def intervals(search: Search, candidate: Candidate) -> dict[str, Quantity]:
     variance = np.maximum(np.diag(np.linalg.inv(f.hessian + np.diag(1 / sigma**2))), 0.0)
     try:
         dragged, _ = Fitter(problem, W).refit(f, unmodelled(problem, f, SMALL))
-        variance = variance + np.sum(dragged**2, axis=1)
+        variance = variance + np.sum(np.clip(dragged, -1e6, 1e6) ** 2, axis=1)  # some have no end
     except BROKEN:
         pass
     variance = np.minimum(variance, sigma**2)  # no wider than what was known before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -15,9 +16,11 @@ from ..units import UNITS, convert
 from .fit import Fitter
 from .motion import motions
 from .noise import plain
-from .problem import Array, Problem, Record
+from .problem import Array, Problem, Record, pace
 from .result import Trace
 from .structure import base_structure
+
+HIGHEST = 8.0  # times the frequency of the motion
 
 
 @dataclass(frozen=True)
@@ -33,10 +36,10 @@ class Deconvolution:
     samples: int
 
     @classmethod
-    def of(
-        cls, network: Network, pair: tuple[str, str], names: list[str], step: float, samples: int
-    ) -> Deconvolution:
-        """The linear response about rest. Raises `InputError` where there is none."""
+    def of(cls, network: Network, pair: tuple[str, str], trace: Trace, names: list[str]) -> Deconvolution:
+        """The linear response about rest, up to some eight times the frequency of the motion: above it the sensors resolve
+        no force. Raises `InputError` where there is none."""
+        step, samples = float(trace.time[1] - trace.time[0]), len(trace.time)
         name = network.free_name("missing_force")
         outputs = []
         for c in network.outputs:
@@ -59,8 +62,9 @@ class Deconvolution:
             tuple(outputs),
         )
         space = linearise(probe)
+        time = float(np.median([pace(trace.measured[n], step) for n in names]))
         frequency = np.asarray(np.fft.rfftfreq(samples, step), np.float64)
-        low, high = 0.5 / (samples * step), 0.4 / step
+        low, high = 0.5 / (samples * step), min(HIGHEST / (2 * math.pi * time), 0.4 / step)
         band = np.flatnonzero((frequency >= low) & (frequency <= high))
         if len(band) < 10:
             raise InputError("the record is too short to look for a force in it")

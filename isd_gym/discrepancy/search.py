@@ -20,6 +20,7 @@ from .candidate import (
 )
 from .criteria import Criteria
 from .fit import gap
+from .imitate import imitations
 from .initial import carried
 from .judge import Judge, Outcome, block_lead
 from .noise import Whitener
@@ -211,8 +212,37 @@ class Search:
             chosen = min(known, key=lambda r: level(self.problem, r, chosen, self.floors), default=chosen)
         elif depth < len(path) - 1:
             chosen = self.settle_again(chosen, richest)
-        trial.chosen = trial.foremost = self.refined(trial, self.prune(trial, chosen))
+        chosen = self.challenged(trial, self.refined(trial, self.prune(trial, chosen)))
+        trial.chosen = trial.foremost = chosen
         return trial
+
+    def challenged(self, trial: Trial, chosen: Candidate) -> Candidate:
+        """Other laws that give the force which was found: they run, too, from there, and the best of them is chosen."""
+        runners = trial.stages[len(chosen.hypotheses) - 1]
+        best = chosen
+        for structure in imitations(self.problem, chosen):
+            r = self.anew(trial, structure, chosen)
+            if r is None:
+                continue
+            try:
+                trial.of(r)
+            except BROKEN:
+                continue
+            runners.insert(1, r)
+            if (
+                r.well_formed()
+                and self.schwarz(r, chosen) < self.schwarz(best, chosen) - self.criteria.decisive
+            ):
+                best = r
+        if best is not chosen and trial.beyond(best) < trial.beyond(chosen):
+            runners.append(chosen)
+            return best
+        return chosen
+
+    def schwarz(self, candidate: Candidate, best: Candidate) -> float:
+        """Schwarz's criterion (2 log L, a penalty for every parameter), with the noise that `best` leaves."""
+        samples = sum(map(len, best.fit.outputs.values()))
+        return level(self.problem, candidate, best, self.floors) + len(candidate.fit.x) * math.log(samples)
 
     def refined(self, trial: Trial, chosen: Candidate) -> Candidate:
         """The fit begun again with other shapes where more is left than noise: from one start it may end in a place of its own."""

@@ -295,12 +295,11 @@ def _cloud(
     d = view.d
     if not set(pair) <= {*d.refitted.nodes, "ground"}:
         return None
-    step = float(trace.time[1] - trace.time[0])
     names = [c.name for c in d.refitted.outputs if c.name in trace.refit]
     noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
     from ..discrepancy.missing_force import Deconvolution, motion
 
-    response = Deconvolution.of(d.refitted, pair, names, step, len(trace.time))
+    response = Deconvolution.of(d.refitted, pair, trace, names)
     before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
     after = None
     if d.effects:

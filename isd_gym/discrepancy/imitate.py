@@ -1,0 +1,80 @@
+"""Other laws at the place of a found one, begun from where they give the same force: one fit may hide in a place of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from .. import elements as el
+from .candidate import BROKEN, Candidate, values_of
+from .hypotheses import hypotheses
+from .motion import force_scale, motions, setting
+from .problem import Array, Problem
+from .structure import Hypothesis, Structure, rebuilt
+
+POINTS = 240  # of the motion at which forces are compared
+NEAR = 0.5  # share of the found force that an imitation may miss
+MOST = 3  # imitations of one effect
+
+
+def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
+    """The candidate with one of its laws replaced by another that gives nearly the same force over the motion at hand."""
+    found = [(h, values_of(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
+    motion, force = motions(problem, candidate.fit), force_scale(problem)
+    for k, element in enumerate(candidate.elements):
+        m = motion.get(element.between) if element.place == "between" else None
+        if m is None or not _plain_curve(type(element)):
+            continue
+        near: list[tuple[float, Hypothesis, dict[str, float]]] = []
+        for h in hypotheses(problem.network):
+            same = set(h.where) == set(element.where) and h.kind.plane == element.plane
+            if h.place != "between" or not same or h.effect == element.type or not _plain_curve(h.kind):
+                continue
+            fitted = _imitate(h, element, setting(problem, problem.network, h, m, force))
+            if fitted is not None and fitted[0] < NEAR:
+                near.append((fitted[0], h, fitted[1]))
+        for _, h, values in sorted(near, key=lambda t: t[0])[:MOST]:
+            try:
+                yield rebuilt(problem.network, [*found[:k], (h, values), *found[k + 1 :]])
+            except (*BROKEN, KeyError, StopIteration):
+                continue
+
+
+def _plain_curve(kind: type[el.Element]) -> bool:
+    """Whether its force is a curve over its plane, without memory, and has one optimum."""
+    return kind.plane != "time" and not kind.series and kind.curve is el.Element.curve and not kind.periodic
+
+
+def _imitate(h: Hypothesis, element: el.Element, at: el.Setting) -> tuple[float, dict[str, float]] | None:
+    """(share of the force that is missed, values) of the best imitation of an element by another law."""
+    travel = at.moves.v if element.plane == "rate" else at.moves.d
+    axis = np.sort(travel[:: max(1, len(travel) // POINTS)])
+    target = element.curve(axis)
+    scale = el.rms(target)
+    free = [f for f in el.parameter_fields(h.kind) if not f.metadata["fixed"]]
+    log = [f.metadata["minimum"] >= 0 for f in free]
+    best: tuple[float, dict[str, float]] | None = None
+    for start in h.kind.starts(at)[:6]:
+        fixed = {k: v for k, v in start.values.items() if k not in {f.name for f in free}}
+        unit = [max(abs(start.values[f.name]), 1e-12) for f in free]
+
+        def values_at(x: Array, fixed=fixed, unit=unit) -> dict[str, float]:
+            own = (u * math.exp(min(v, 50.0)) if lg else u * v for u, v, lg in zip(unit, x, log, strict=True))
+            return fixed | dict(zip([f.name for f in free], map(float, own), strict=True))
+
+        def miss(x: Array, values_at=values_at) -> Array:
+            curve = h.kind(name="trial", where=h.where, **values_at(x), **dict(h.options)).curve(axis)
+            return np.asarray((curve - target) / scale, dtype=np.float64)
+
+        x0 = np.array([0.0 if lg else 1.0 for lg in log])
+        try:
+            done = least_squares(miss, x0, max_nfev=60)
+        except (*BROKEN, ValueError, OverflowError):
+            continue
+        share = el.rms(done.fun)
+        if best is None or share < best[0]:
+            best = share, values_at(done.x)
+    return best
