@@ -1,7 +1,16 @@
-"""The figures of the documentation, made from the package itself: ``python docs/figures.py`` (half a minute)."""
+"""The figures of the documentation, made from the package itself: ``python docs/figures.py [NAME ...]``.
+
+Some minutes in all; names are those of the functions below.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import re
+import shutil
+import sys
+import tempfile
 from pathlib import Path
 
 import matplotlib
@@ -9,11 +18,11 @@ import matplotlib
 matplotlib.use("svg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.patches import FancyArrowPatch, Rectangle
 from PIL import Image
 
 from isd_gym.network import Channel, Network, linearise
 from isd_gym.policies import conventional, find
+from isd_gym.report.schematic import draw
 from isd_gym.road import iso_road, paper_road, road
 from isd_gym.simulate import simulate
 
@@ -42,73 +51,53 @@ def save(figure: plt.Figure, name: str) -> None:
     plt.close(figure)
 
 
-# ------------------------------------------------------------------------------------------ the network, drawn
-
-
-def spring(ax, x, low, high, label, side=1):
-    n = 9
-    y = np.concatenate([[low], np.linspace(low + 0.18 * (high - low), high - 0.18 * (high - low), n), [high]])
-    dx = np.concatenate([[0], 0.14 * np.resize([1, -1], n), [0]])
-    dx[1], dx[-2] = 0, 0
-    ax.plot(x + dx, y, color="k", lw=1.3)
-    ax.text(x + 0.24 * side, (low + high) / 2, label, ha="left" if side > 0 else "right", va="center")
-
-
-def damper(ax, x, low, high, label, side=1):
-    mid = (low + high) / 2
-    ax.plot([x, x], [low, mid - 0.12], color="k", lw=1.3)
-    ax.plot(
-        [x - 0.13, x - 0.13, x + 0.13, x + 0.13],
-        [mid + 0.14, mid - 0.12, mid - 0.12, mid + 0.14],
-        color="k",
-        lw=1.3,
-    )
-    ax.plot([x - 0.11, x + 0.11], [mid + 0.02, mid + 0.02], color="k", lw=1.3)
-    ax.plot([x, x], [mid + 0.02, high], color="k", lw=1.3)
-    ax.text(x + 0.24 * side, mid, label, ha="left" if side > 0 else "right", va="center")
-
-
-def box(ax, x, low, high, text, label, side=1):
-    mid = (low + high) / 2
-    ax.plot([x, x], [low, mid - 0.14], color="k", lw=1.3)
-    ax.plot([x, x], [mid + 0.14, high], color="k", lw=1.3)
-    ax.add_patch(Rectangle((x - 0.15, mid - 0.14), 0.3, 0.28, fc="#f3f3f3", ec="k", lw=1.3))
-    ax.text(x, mid, text, ha="center", va="center", fontsize=8)
-    ax.text(x + 0.24 * side, mid, label, ha="left" if side > 0 else "right", va="center")
+# ------------------------------------------------------------------------------------------ networks, drawn
 
 
 def network() -> None:
-    fig, ax = plt.subplots(figsize=(7.2, 5.2))
-    ax.axis("off")
-    ax.set(xlim=(-1.2, 7.6), ylim=(-0.55, 5.7), aspect="equal")
+    """The quarter car, and the rig of the tutorial on rigs, as ``isd-gym networks NAME --draw FILE`` draws them."""
+    page = (HERE.parent / "tutorials" / "rig.md").read_text(encoding="utf-8")
+    rig = json.loads(page.split('write_text("""')[1].split('""")')[0])
+    draw(CAR).save(HERE / "network.svg")
+    draw(Network.load(rig)).save(HERE / "carriage.svg")
 
-    def mass(y, text):
-        ax.add_patch(Rectangle((-0.5, y), 6.6, 0.45, fc="#dfe7ee", ec="k", lw=1.3))
-        ax.text(2.6, y + 0.225, text, ha="center", va="center")
 
-    def node(x0, x1, y, name):
-        ax.plot([x0, x1], [y, y], color=BLUE, lw=3, solid_capstyle="round")
-        ax.text(x1 + 0.1, y, name, color=BLUE, va="center", ha="left", style="italic")
+def law() -> None:
+    """The law of the tutorial on effects."""
+    fig, ax = plt.subplots(figsize=(5, 2.6))
+    d = np.linspace(-60, 60, 400)
+    ax.plot(d, 200 * (d / 10) / (1 + (d / 10) ** 2), color=BLUE)
+    ax.set(xlabel="travel [mm]", ylabel="force [N]")
+    save(fig, "detent")
 
-    mass(5.1, "body  345 kg")
-    mass(1.05, "wheel  45 kg")
-    spring(ax, 0.1, 1.5, 5.1, "main_spring\n22 kN/m")
-    spring(ax, 3.9, 4.15, 5.1, "oil  709 kN/m")
-    node(1.65, 6.75, 4.15, "piston")
-    box(ax, 1.8, 2.65, 4.15, "b", "inerter\n95 kg")
-    damper(ax, 3.0, 2.65, 4.15, "leak\n1293 N s/m")
-    box(ax, 4.65, 2.65, 4.15, "f", "seal\n500 N")
-    box(ax, 5.75, 2.65, 4.15, "F1", "motor\n243 N/A")
-    node(1.65, 6.75, 2.65, "joint")
-    ax.text(1.72, 2.48, "end stop at ±24.65 mm", color=GREY, fontsize=8, va="top")
-    damper(ax, 3.9, 1.5, 2.65, "damper  1500 N s/m")
-    spring(ax, 2.6, 0.15, 1.05, "tyre  192 kN/m")
-    x = np.linspace(-0.5, 5.7, 200)
-    ax.plot(x, 0.1 + 0.05 * np.sin(5 * (x - 2.6)), color=BLUE, lw=3)
-    ax.text(5.8, 0.1, "road (moved)", color=BLUE, va="center", style="italic")
-    ax.add_patch(FancyArrowPatch((-0.85, 4.7), (-0.85, 5.5), arrowstyle="->", mutation_scale=10, lw=1.2))
-    ax.text(-0.85, 4.55, "up", ha="center", va="top")
-    save(fig, "network")
+
+# ------------------------------------------------------------------------------------------- reports
+
+
+def reports() -> None:
+    """What a score's and a diagnosis' page draw: eight episodes, and the records of the tutorial on diagnoses."""
+    from isd_gym.discrepancy import diagnose
+    from isd_gym.policies import passive
+    from isd_gym.report import score_report, write_report
+    from isd_gym.scoring import score
+
+    with tempfile.TemporaryDirectory() as folder:
+        names = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction", "ppo", "sac")
+        result = score([find(n, CAR) for n in names], CAR, reference=passive(CAR), episodes=8)
+        score_report(result, Path(folder) / "score")
+        page = (HERE.parent / "tutorials" / "diagnose.md").read_text(encoding="utf-8")
+        blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[:2]
+        with contextlib.chdir(folder):
+            exec("".join(blocks), {})  # the tutorial's own lines
+            found = diagnose(["run1.csv", "run2.csv"], "model.json", validate=["run3.csv"])
+        write_report(found, Path(folder) / "found")
+        for kind, figure in (
+            ("score", "trade_off"),
+            ("score", "histories"),
+            ("found", "time"),
+            ("found", "plane"),
+        ):
+            shutil.copy(Path(folder) / kind / f"{figure}.png", HERE / f"{kind}_{figure}.png")
 
 
 # --------------------------------------------------------------------------------------------- force test
@@ -264,6 +253,8 @@ def show() -> None:
 if __name__ == "__main__":
     HERE.mkdir(exist_ok=True)
     road("paper")
-    for make in (network, force_test, sticking, roads, response, projection, show):
-        make()
-        print(make.__name__)
+    every = (network, law, force_test, sticking, roads, response, projection, show, reports)
+    for make in every:
+        if not sys.argv[1:] or make.__name__ in sys.argv[1:]:
+            make()
+            print(make.__name__)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import html
 import re
-from importlib.metadata import entry_points
 
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File
@@ -73,9 +72,10 @@ def elements() -> str:
 def commands() -> str:
     """`--help` of every command."""
     from isd_gym.cli import app
+    from isd_gym.plugins import COMMANDS, plugins
 
     known = {c.name or c.callback.__name__ for c in app.registered_commands}
-    for point in sorted(entry_points(group="isd_gym.commands"), key=lambda p: p.name):
+    for point in plugins(COMMANDS):
         if point.name not in known:
             app.command(name=point.name)(point.load())
     names = [c.name or c.callback.__name__ for c in app.registered_commands]

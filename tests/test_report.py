@@ -473,6 +473,19 @@ def test_labels_do_not_cover_one_another():
 
 
 @pytest.mark.parametrize(
+    ("value", "low", "high", "text"),
+    [
+        (14.66, -900.0, 930.0, "15"),
+        (296.61, 290.3, 303.0, "296.6"),
+        (0.0149, -2.0, 2.0, "0.015"),
+        (709e3, 700e3, 718e3, "709000"),
+    ],
+)
+def test_a_value_in_a_wide_interval_does_not_vanish(diagnosis, value, low, high, text):
+    assert report._digits(value, low, high) == text
+
+
+@pytest.mark.parametrize(
     ("value", "text"),
     [(0.0, "0"), (-1.5, "−1.50"), (296.61, "297"), (1234.5, "1234"), (0.00123, "0.00123"), (2.5e7, "2.50·10⁷"),
      (1.2e-6, "1.20·10⁻⁶"), (float("inf"), "–"), (None, "–")],

@@ -243,6 +243,8 @@ def _digits(value: float, low: float, high: float) -> str:
         return number(value, int(np.clip(np.floor(np.log10(size / half)) + 2, 2, 5)))
     places = 1 - math.floor(math.log10(half))
     places = min(places, 5 - math.floor(math.log10(size)))
+    if low < value < high and value != 0.0:  # a value within a wide interval does not vanish: 14.66 is no 0
+        places = max(places, 1 - math.floor(math.log10(abs(value))))
     return f"{round(value, places) + 0.0:.{max(0, places)}f}".replace("-", "−")
 
 

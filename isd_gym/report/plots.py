@@ -316,7 +316,7 @@ def label_points(
     bars = [Bbox([to_screen(s[:2]), to_screen(s[2:])]).padded(unit) for s in spans]
     for x, y, text, colour in points:
         best: tuple[float, Any, Any] | None = None
-        for reach in (9, 16, 26, 40, 58):
+        for reach in (9, 16, 26, 40, 58, 84, 115):
             for angle in (0, 180, 30, -30, 150, -150, 60, -60, 120, -120, 90, -90):
                 dx, dy = reach * math.cos(math.radians(angle)), reach * math.sin(math.radians(angle))
                 ha = "center" if abs(dx) < 1 else "left" if dx > 0 else "right"

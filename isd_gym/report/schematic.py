@@ -628,10 +628,8 @@ def _signals(sheet: _Sheet, x: float) -> None:
         k = used[node] = used.get(node, -1) + 1
         part = f"ch:{name}"
         ax, ay = end + 14.0, at + 17.0 * k
-        if comes and quantity == "force":
-            _arrow(sheet, ax, ay - 14, ay + 4, part)
-        else:
-            _arrow(sheet, ax, ay + 7, ay - 8, part, both=comes)
+        # what is positive points up; what is moved goes both ways
+        _arrow(sheet, ax, ay + 7, ay - 8, part, both=comes and quantity != "force")
         words = f"{text} in" if comes else text
         out.words.append(Word(ax + 9, ay + 4, words, part, "signal"))
         taken[node] = max(taken.get(node, 0.0), ax + 12 + LETTER * 1.03 * len(words))
