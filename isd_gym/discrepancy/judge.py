@@ -16,7 +16,7 @@ from ..network import Channel, Network
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
 from .fit import Fit, Fitter, residuals
-from .motion import unmodelled, watching
+from .motion import force_scale, unmodelled, watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
 from .problem import Array, Problem
 from .structure import base_structure
@@ -164,25 +164,27 @@ def share_at_place(problem: Problem, fit: Fit, name: str) -> float:
         return _share_of_current(problem, net, e)
     if e.series:
         return 1.0  # force and deflection are shared in series: what it changes in the outputs decides
-    i = problem.estimation[0]
     pair = set(e.where)
     here = [x for x in net.elements if x.place == "between" and set(x.where) == pair]
     extra = tuple(Channel(f"_{x.name}", "force", "N", element=x.name) for x in here)
-    record = replace(problem.records[i], taps=None, thin=1)
-    probe = Problem(watching(net, extra), [record], ["fit"], problem.step)
+    watched = watching(net, extra)
+    records = [replace(problem.records[i], taps=None, thin=1) for i in problem.estimation]
+    probe = Problem(watched, records, ["fit"] * len(records), problem.step)
     try:
-        y = probe.simulate([probe.network], 0, fit.initial[i][:, None], like=net)[:, :, 0]
+        parts = [
+            probe.simulate([watched], k, fit.initial[i][:, None], like=net)[:, :, 0]
+            for k, i in enumerate(problem.estimation)
+        ]
     except InputError:
         return 1.0
+    y = np.concatenate(parts)
     sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
     own = y[:, [x.name for x in here].index(name)] * e.own_share(here)
-    return _rms(own) / max(_rms(y @ sign), _reaction(problem, net, e, i), 1e-300)
+    return _rms(own) / max(_rms(y @ sign), _reaction(problem, net, e), 1e-300)
 
 
-def _reaction(problem: Problem, net: Network, e: el.Element, i: int) -> float:
+def _reaction(problem: Problem, net: Network, e: el.Element) -> float:
     """Where nothing else stands at its place: a typical force of what does stand elsewhere [N]."""
-    from .motion import force_scale
-
     alone = sum(1 for x in net.elements if x.place == "between" and set(x.where) == set(e.where)) == 1
     return force_scale(problem) if alone else 0.0
 

@@ -13,8 +13,9 @@ class SearchSettings:
     them to all of it. depth: effects at once. turns: runners-up from which the search starts over where one effect is not
     enough. window: share of a record that a heat sees, and the least samples of it. chance, sure (2 log L): what a richer
     relative may gain for nothing, and what a step must gain. lost: gap (power over the signal's) from which on a simulation
-    that no input ties to the record has lost its phase. astray: error of the refitted model (share of a channel's
-    deviation) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale;
+    that no input ties to the record has lost its phase. astray: error of the refitted model (share of the deviation,
+    mean over channels) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale,
+    least_brief: and in that of its slowest channel;
     pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. shapes: multiples of a law's shape from which its fit begins again.
     """
 
@@ -31,4 +32,5 @@ class SearchSettings:
     shapes: tuple[float, ...] = (0.6, 0.85, 1.2, 1.7)
     astray: float = 0.5
     brief: float = 16.0
+    least_brief: float = 4.0
     pieces: int = 30

@@ -24,7 +24,7 @@ from .hypotheses import hypotheses
 from .judge import Judge
 from .measure import confidence, intervals, measure
 from .noise import plain, whitener
-from .problem import Problem, Record, Role, bare
+from .problem import Problem, Record, Role, bare, pace
 from .records import dealt, derivatives, read, stretches
 from .result import Contender, Diagnosis, Effect, Quantity, Trace
 from .screen import screen
@@ -138,11 +138,13 @@ class Workflow:
         """Whether the model's simulation does not stay with the records: slight damping, stops, nothing that holds it."""
         left = np.concatenate(residuals(self.problem, base.fit)).std(axis=0)
         share = left / np.maximum(self.problem.measured().std(axis=0), 1e-300)
-        return self.movable() and bool(np.any(share > self.settings.astray))
+        return self.movable() and float(share.mean()) > self.settings.astray
 
     def brief(self) -> tuple[Problem, float]:
         """The same records in brief stretches (and how long they are [s]), each from a state of its own."""
-        p, seconds = self.problem, self.settings.brief * self.problem.time
+        p = self.problem
+        slowest = max(pace(r.measured[:, j], r.rate) for r in p.records for j in range(len(p.channels)))
+        seconds = max(self.settings.brief * p.time, self.settings.least_brief * slowest)
         pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
         for r, role in zip(p.records, p.roles, strict=True):
             pieces[role] += stretches(r, seconds, self.settings.shortest)
