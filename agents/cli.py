@@ -108,7 +108,7 @@ def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]
 
 def convert(
     archive: Annotated[
-        Path, typer.Argument(help="A .zip saved by Stable-Baselines3, or a policy folder for --onnx.")
+        Path, typer.Argument(help="A .zip saved by Stable-Baselines3, or a policy folder for --onnx and --c.")
     ],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
     normalize: Annotated[
@@ -116,8 +116,11 @@ def convert(
     ] = None,
     network: Annotated[str, typer.Option(help="The network it was trained on.")] = "quarter-car-isd",
     onnx: Annotated[Path | None, typer.Option("--onnx", help="Write an ONNX file.", metavar="FILE")] = None,
+    plain_c: Annotated[
+        Path | None, typer.Option("--c", help="Write it as plain C, a header and a source.", metavar="DIR")
+    ] = None,
 ) -> None:
-    """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX.
+    """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX or plain C.
 
     Example: isd-gym convert model.zip --normalize vecnormalize.pkl --out my-policy
     """
@@ -127,8 +130,8 @@ def convert(
     from .convert import convert as run
     from .policy import Policy
 
-    if out is None and onnx is None:
-        raise InputError("nothing to write: give --out DIR or --onnx FILE")
+    if out is None and onnx is None and plain_c is None:
+        raise InputError("nothing to write: give --out DIR, --onnx FILE or --c DIR")
     if archive.suffix == ".zip":
         if archive.is_file():
             typer.echo(f"{archive}: {WARNING}", err=True)
@@ -137,6 +140,11 @@ def convert(
         policy = Policy.load(archive)
     if out is not None:
         typer.echo(f"policy in '{policy.save(out)}'")
+    if plain_c is not None:
+        from .plain_c import export_c
+
+        header, source = export_c(policy, plain_c)
+        typer.echo(f"C in '{header}' and '{source}'")
     if onnx is not None:
         from .onnx import export_onnx
 

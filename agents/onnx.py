@@ -40,6 +40,10 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         return output
 
     memory, n = policy.memory, policy.signals
+    if memory.ahead:
+        raise InputError(
+            f"policy '{policy.name}' sees the road ahead, which the ONNX export does not know: write it as C (--c DIR)"
+        )
     recall = memory.start(np.zeros((1, n), np.float32))
     width = recall.features.shape[1]
 

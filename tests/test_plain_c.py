@@ -1,0 +1,94 @@
+"""A policy as C: compiled without a warning, it commands what Python commands, to rounding."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.memory import Memory
+from agents.plain_c import export_c
+from agents.policy import SHIPPED, Head, Policy
+from isd_gym.errors import InputError
+
+compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+needs_compiler = pytest.mark.skipif(compiler is None, reason="no C compiler")
+NAMES = sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
+
+
+def _compiled(policy: Policy, folder: Path):
+    """(reset, step) of the policy as C, through a shared library."""
+    header, source = export_c(policy, folder)
+    library = folder / "policy.so"
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
+    subprocess.run([compiler, *flags, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"], check=True)
+    loaded = ctypes.CDLL(str(library))
+    name, width = source.stem, policy.weights[0][0].shape[1]
+    step = getattr(loaded, f"{name}_step")
+    step.restype = ctypes.c_float
+    state = (ctypes.c_float * (width + 16))()
+
+    def command(observation: np.ndarray) -> float:
+        row = np.ascontiguousarray(observation, np.float32)
+        return float(step(state, row.ctypes.data_as(ctypes.POINTER(ctypes.c_float))))
+
+    return lambda: getattr(loaded, f"{name}_reset")(state), command, header.read_text()
+
+
+def _observations(policy: Policy, steps: int) -> np.ndarray:
+    env = gym.make("ISDSuspension-v0", observation=policy.observation, preview=policy.preview or 0.25)
+    obs, _ = env.reset(seed=3)
+    policy.reset()
+    seen = [obs]
+    for _ in range(steps - 1):
+        obs, *_ = env.step(np.array([policy.act(obs)]))
+        seen.append(obs)
+    return np.array(seen)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_policy_is_the_same_in_c(name, tmp_path):
+    policy = Policy.load(name)
+    reset, command, header = _compiled(policy, tmp_path / "c")
+    seen = _observations(policy, 400)
+    assert np.abs(seen[:, 5]).max() > 1.0  # it drives
+    for _ in range(2):  # a reset forgets everything
+        policy.reset()
+        reset()
+        own = [policy.act(row) for row in seen]
+        np.testing.assert_allclose([command(row) for row in seen], own, atol=2e-4)
+    assert "body_acceleration [m/s^2]" in header and "0.005 s" in header
+
+
+@needs_compiler
+@pytest.mark.parametrize("mode", ["target", "increment"])
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_heads_activations_and_broken_readings(mode, activation, tmp_path):
+    rng = np.random.default_rng(0)
+    memory = Memory((1.0, 0.01, 0.2, 0.01, 0.05, 2.5), (0.3,) * 6, order=2, leak=((0, 1.0, 0.1),), ahead=3)
+    width = memory.width(6)
+    weights = [(rng.normal(size=(8, width)), rng.normal(size=8)), (rng.normal(size=(1, 8)), np.zeros(1))]
+    policy = Policy(
+        weights, memory=memory, head=Head(mode), activation=activation, output="tanh", name="7 of*/9"
+    )
+    reset, command, _ = _compiled(policy, tmp_path)
+    reset()
+    rows = rng.normal(size=(30, 9)).astype(np.float32) * 0.1
+    rows[7, 2] = np.nan
+    rows[9, 0] = np.inf
+    own = [policy.act(row) for row in rows]
+    np.testing.assert_allclose([command(row) for row in rows], own, atol=2e-5)
+
+
+def test_onnx_does_not_pretend_to_know_the_road(tmp_path):
+    pytest.importorskip("onnx")
+    from agents.onnx import export_onnx
+
+    with pytest.raises(InputError, match="--c DIR"):
+        export_onnx(Policy.load("ppo-preview-0.1"), tmp_path / "p.onnx")
