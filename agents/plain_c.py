@@ -87,12 +87,15 @@ def _header(policy: Policy, name: str) -> str:
             f" *   {n} to {n + ahead - 1}: height of the road above that under the wheel [m], "
             f"{step:g} s, {2 * step:g} s, ... {ahead * step:g} s ahead"
         )
-    origin = str(policy.info.get("training", {}).get("command", "a policy folder")).replace("*/", "* /")
+    training = policy.info.get("training")
+    command = training.get("command") if isinstance(training, dict) else None
+    # what a file says of itself may not end the comment it stands in
+    origin = re.sub(r"[^ -~]|[*/\\]", " ", str(command or "a policy folder"))
     return HEADER.format(
         name=name,
         id=name,
         ID=name.upper(),
-        origin=origin.splitlines()[0] if origin else "a policy folder",
+        origin=origin,
         step=step,
         limit=policy.head.limit,
         order="\n".join(order),
@@ -123,7 +126,9 @@ def _source(policy: Policy, name: str) -> str:
             f"    for (int i = 0; i < {memory.ahead}; i++)\n        f[{road} + i] = y[{n} + i] / {_number(memory.rise)} - "
             f"(i > 0 ? y[{n} + i - 1] / {_number(memory.rise)} : 0.0f);"
         )
-        see += [f"    const float risen = f[{road}] * {_number(memory.rise)};", rises]
+        if recall.filter is not None and recall.filter.given.road:
+            see.append(f"    const float risen = f[{road}] * {_number(memory.rise)};")
+        see.append(rises)
     if recall.filter is not None:
         made, lines = _filter(recall.filter, road + memory.ahead, road, memory)
         constants += made
