@@ -1,4 +1,4 @@
-"""Speed against Gymnasium's CartPole in the same run: `python benchmarks/speed.py [--json FILE]` (under a minute).
+"""Speed against Gymnasium's CartPole in the same run: `python benchmarks/speed.py [--json FILE]` (some minutes).
 
 Medians of alternating repetitions, processor time of a single thread, so that other work on the machine counts little.
 `random` draws new currents over the full range at every step; with 5 A throughout every car ends on its stop.
@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -48,9 +52,13 @@ def single(steps: int = 20_000) -> float:
     return float(np.median([seconds(balance) / seconds(drive) for _ in range(5)]))
 
 
-def batch(currents: str, count: int = 1024, steps: int = 300) -> tuple[float, float]:
-    """(ratio to CartPole's own vector environment, million steps per second) of `gymnasium.make_vec`."""
-    cars, poles = gym.make_vec("ISDSuspension-v0", count), gym.make_vec("CartPole-v1", count)
+def batch(currents: str, count: int = 1024, steps: int = 300, **options: object) -> tuple[float, float]:
+    """(ratio to CartPole's own vector environment, million steps per second) of `gymnasium.make_vec`.
+
+    options: of the environment. One thread.
+    """
+    cars = gym.make_vec("ISDSuspension-v0", count, threads=1, **options)
+    poles = gym.make_vec("CartPole-v1", count)
     rng = np.random.default_rng(0)
     draws = [
         (rng.uniform(-5, 5, (count, 1)) if currents == "random" else np.full((count, 1), float(currents)))
@@ -79,6 +87,51 @@ def batch(currents: str, count: int = 1024, steps: int = 300) -> tuple[float, fl
         drive()
         ratios.append(theirs / spent[-1])
     return float(np.median(ratios)), count * steps / float(np.median(spent)) / 1e6
+
+
+def threads(count: int = 8192, steps: int = 100) -> float:
+    """Speed of two threads over one, by the clock: means something only where two cores are idle."""
+    pair = [gym.make_vec("ISDSuspension-v0", count, threads=n) for n in (1, 2)]
+    idle = np.zeros((count, 1), np.float32)
+    for cars in pair:
+        cars.reset(seed=0)
+        cars.step(idle)
+    ratios = []
+    for _ in range(7):
+        clock = []
+        for cars in pair:
+            begin = time.perf_counter()
+            for _ in range(steps):
+                cars.step(idle)
+            clock.append(time.perf_counter() - begin)
+        ratios.append(clock[0] / clock[1])
+    return float(np.median(ratios))
+
+
+FRESH = """
+import time
+import gymnasium, numpy
+begin = time.process_time()
+car = gymnasium.make("ISDSuspension-v0")
+car.reset(seed=0)
+car.step(numpy.zeros(1, numpy.float32))
+one = time.process_time() - begin
+cars = gymnasium.make_vec("ISDSuspension-v0", 1024)
+cars.reset(seed=0)
+cars.step(numpy.zeros((1024, 1), numpy.float32))
+print(one, time.process_time() - begin - one)
+"""
+
+
+def fresh() -> tuple[float, float]:
+    """Processor time of the first step of a car, and of the first step of a batch after it, nothing compiled before."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
+        out = subprocess.run(
+            [sys.executable, "-c", FRESH], env=environment, capture_output=True, text=True, check=True
+        )
+    first, more = (float(word) for word in out.stdout.split())
+    return first, more
 
 
 def hour() -> float:
@@ -112,14 +165,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path)
     file = parser.parse_args().json
-    idle, moving, stopped = batch("0"), batch("random"), batch("5")
+    idle, moving = batch("0"), batch("random")
+    first, more = fresh()
     figures = {
         "gymnasium.make, over CartPole-v1": single(),
         "make_vec 1024 without current, over CartPole's own": idle[0],
         "  million steps per second": idle[1],
         "make_vec 1024 with random currents, over CartPole's own": moving[0],
         "  million steps per second, random": moving[1],
-        "make_vec 1024 on the end stops (5 A throughout), over CartPole's": stopped[0],
+        "make_vec 1024 on the end stops (5 A throughout), over CartPole's": batch("5")[0],
+        "make_vec 1024 on a class E road, over CartPole's": batch("0", road="E")[0],
+        "make_vec 1024, body mass randomised, over CartPole's": batch(
+            "0", randomize={"body.mass": (0.8, 1.2)}
+        )[0],
+        "make_vec 1024 with a preview of 0.4 s, over CartPole's": batch(
+            "0", observation="preview", preview=0.4
+        )[0],
+        "make_vec 8192, two threads over one (two idle cores)": threads(),
+        "first step in a fresh environment [s]": first,
+        "  the first of a batch after it [s]": more,
         "one hour of driving at 1 ms [s]": hour(),
     }
     suspension = ["body", "wheel"]

@@ -179,3 +179,23 @@ def test_a_copied_batch_goes_on_alike_and_on_its_own(twin):
     before = other.out.copy()
     batch.step()
     np.testing.assert_array_equal(other.out, before)
+
+
+@pytest.mark.parametrize("spread", [None, {"body.mass": (0.8, 1.2)}])
+def test_threads_change_nothing(spread):
+    """Groups of cars shared by one, two and three threads: observations, rewards and info to the last bit."""
+    from isd_gym.env import ISDSuspensionVectorEnv
+
+    count = 43
+    fleets = [ISDSuspensionVectorEnv(count, road="E", randomize=spread, threads=n) for n in (1, 2, 3)]
+    first = [cars.reset(seed=5)[0] for cars in fleets]
+    rng = np.random.default_rng(2)
+    for _ in range(60):
+        currents = rng.uniform(-5, 5, (count, 1)).astype(np.float32)
+        one, *others = [cars.step(currents) for cars in fleets]
+        for other in others:
+            np.testing.assert_array_equal(one[0], other[0])
+            np.testing.assert_array_equal(one[1], other[1])
+            np.testing.assert_array_equal(one[4]["tyre_load"], other[4]["tyre_load"])
+    assert np.ptp(one[1]) > 0.0
+    np.testing.assert_array_equal(first[0], first[2])
