@@ -194,6 +194,7 @@ def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before() -> None
     assert [both.network.element(name).type for name in both.names] == ["stribeck_friction"]
 
 
+@pytest.mark.slow
 def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
     """3 % of the damper's force moves the device, which dry friction nearly holds, by a fifth of its travel."""
     d, _ = run("none_passive", 31)
@@ -229,3 +230,81 @@ def test_detents_at_the_cars_device_are_named_with_their_pitch() -> None:
     truth = case.truth["hidden"][0]
     assert d.effects[0].parameters["pitch"].value == pytest.approx(truth["pitch"], rel=0.02)
     assert d.effects[0].parameters["amplitude"].value == pytest.approx(truth["amplitude"], rel=0.15)
+
+
+def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit() -> None:
+    from isd_gym.discrepancy.noise import floor_of
+
+    rng = np.random.default_rng(4)
+    step, n = 4e-3, 8000
+    t = step * np.arange(n)
+    motion = np.sin(2 * np.pi * 1.1 * t) + 0.3 * np.sin(2 * np.pi * 3.7 * t)
+    found = floor_of([motion + 0.02 * rng.standard_normal(n)], step)
+    assert found.known and found.deviation == pytest.approx(0.02, rel=0.1)
+    # a model that misses the motion altogether changes nothing of that
+    assert found.deviation < 0.05 * motion.std()
+
+
+def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
+    from isd_gym.discrepancy.judge import Judge
+    from isd_gym.discrepancy.problem import Problem, Record
+
+    model = Network.load("force-rig").to_dict()
+    model["outputs"][0]["noise"] = 12.5
+    net = Network.load(model)
+    assert Network.load(net.to_dict()) == net
+    t = 2e-3 * np.arange(2000)
+    x = 0.01 * np.sin(12.0 * t)
+    record = Record("rig", 2e-3, {net.inputs[0].name: x}, 500.0 * np.sign(np.cos(12.0 * t))[:, None])
+    judge = Judge(Problem(net, [record, record], ["fit", "choose"]))
+    assert judge.known[0].source == "owner" and judge.known[0].deviation == 12.5
+    model["outputs"][0]["noise"] = -1.0
+    with pytest.raises(InputError, match="noise"):
+        Network.load(model)
+
+
+def test_every_mass_and_the_ground_is_a_place_whatever_is_moved() -> None:
+    from isd_gym.discrepancy.hypotheses import hypotheses, pairs
+
+    car = Network.load("quarter-car-isd")
+    assert {("body", "ground"), ("wheel", "ground")} <= set(pairs(car))
+    tried = {(h.effect, h.where) for h in hypotheses(car)}
+    assert ("coulomb_friction", ("body", "ground")) in tried
+    assert ("inertance", ("body", "ground")) not in tried  # the mass may move already
+
+
+def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
+    from isd_gym.discrepancy.problem import Record
+    from isd_gym.discrepancy.records import dealt
+
+    t = 1e-2 * np.arange(3000)
+    drive = Record("drive", 1e-2, {"u": t}, np.sin(6.0 * t)[:, None])
+    notes: list[str] = []
+    records, roles = dealt([drive], [drive], notes, drive.pace)
+    assert roles[0] == "fit" and {"choose", "report"} <= set(roles)
+    assert sum(len(r) for r in records[1:]) == len(drive)
+    # a decay: two thirds of its motion are over long before two thirds of its time
+    decay = Record("decay", 1e-2, {}, (np.exp(-0.4 * t) * np.cos(6.0 * t))[:, None])
+    records, roles = dealt([decay], [], notes, decay.pace)
+    assert roles[0] == "fit" and len(records[0]) < 0.4 * len(decay)
+    assert any("only record" in n for n in notes)
+
+
+def test_what_is_held_at_many_levels_sticks_and_what_is_held_at_one_end_is_clipped() -> None:
+    from isd_gym.quality import check
+
+    rng = np.random.default_rng(6)
+    t = 2e-3 * np.arange(4000)
+    wave = np.sin(3.0 * t) + 0.3 * np.sin(11.0 * t)
+    noisy = wave + 2e-3 * rng.standard_normal(len(t))
+
+    def levels(y):
+        found = check(Table(t, {"x": y}, "rig"), inputs={}, outputs={"x": "displacement"})
+        return {(f.level, f.check) for f in found if f.check == "held"}
+
+    assert ("error", "held") in levels(np.minimum(noisy, 0.9))
+    stuck = noisy.copy()
+    for begin in range(100, 3900, 130):  # it rests for a while, again and again
+        stuck[begin : begin + 25] = stuck[begin]
+    assert ("error", "held") not in levels(stuck)
+    assert levels(stuck)

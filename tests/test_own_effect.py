@@ -47,7 +47,7 @@ def registered():
     del el.TYPES["softening_clip"]
 
 
-def record(seed: int, force: float, length: float, seconds: float = 12.0) -> Table:
+def record(seed: int, force: float, length: float, seconds: float = 8.0) -> Table:
     """The true rig, by a Runge-Kutta of its own at a tenth of the step."""
     rng = np.random.default_rng(seed)
     step, parts = 4e-3, 10
@@ -96,6 +96,7 @@ def test_its_starts_are_sized_by_the_motion_though_it_says_nothing_of_them(regis
         assert el.rms(law) == pytest.approx(el.PROBE * 16.0, rel=0.05)
 
 
+@pytest.mark.slow  # the kernel is compiled with it
 def test_it_is_named_where_it_is_hidden(registered) -> None:
     found = diagnose([record(1, 6.0, 0.004)], RIG, validate=[record(2, 6.0, 0.004)])
     assert found.verdict == "missing_effect"

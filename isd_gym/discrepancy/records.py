@@ -19,6 +19,7 @@ from .problem import Array, Record, Role, low_pass
 
 #: length of the stretches in which held-out records are judged, in the rig's own time scale: some thirty periods
 STRETCH = 200.0
+LEAST_STRETCH = 40.0
 
 
 #: checks without which there is nothing to compare
@@ -181,7 +182,7 @@ def dealt(
         fit, held = _cut(fit[0])
         share = len(held[0]) / (len(held[0]) + len(fit[0]))
         notes.append(f"held out: the last {share:.0%} of the only record, a third of its motion")
-    pieces = [piece for r in held for piece in stretches(r, STRETCH * time)]
+    pieces = [piece for r in held for piece in stretches(r, _length(r, time))]
     roles: list[Role] = ["choose"] * len(pieces)
     if len(pieces) > 1:
         roles = ["choose" if k % 2 == 0 else "report" for k in range(len(pieces))]
@@ -194,6 +195,12 @@ def dealt(
         )
     fitted: list[Role] = ["fit"] * len(fit)
     return [*fit, *pieces], fitted + roles
+
+
+def _length(record: Record, time: float) -> float:
+    """How long the stretches [s] of a held-out record are: a quarter of a short one, where something drives it on."""
+    whole = len(record) * record.rate
+    return min(STRETCH * time, max(0.25 * whole, LEAST_STRETCH * time)) if record.inputs else STRETCH * time
 
 
 def _cut(record: Record) -> tuple[list[Record], list[Record]]:
