@@ -164,6 +164,9 @@ class Policy:
 
     weights: [(W (out, in), b (out,)), ...]. mean, scale (features,): (feature - mean) / scale, clipped at `clip`.
     info: the rest of policy.json (origin, training, score).
+
+    memory: what makes features of observations. head: what makes a current of the output. activation: between the
+    layers; output: after the last, tanh or clip. name: under which it is scored. network: what it was trained on.
     """
 
     observation = "measured"

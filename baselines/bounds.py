@@ -38,6 +38,8 @@ class Linear:
     States that no output can ever see are left out.
 
     y (3,) = C x + D F: body acceleration [m/s^2], suspension travel [m], tyre load [N]. `intensity`: two-sided [m^2/s].
+
+    `lift`: the state of a car that is lifted together with its road.
     """
 
     A: np.ndarray
@@ -58,6 +60,8 @@ class LQPoint:
 
     `weights` (3,): on the squares of the three, in SI; `gain`: of ``F = -gain @ x``; `cost`: the Riccati value
     ``trace(P G G') intensity``, which the weighted mean square of a rollout must equal.
+
+    `tyre_load` [N] and `effort` [N] or [A] are RMS.
     """
 
     acceleration: float
@@ -77,6 +81,8 @@ def ideal(network: Network | str | Path) -> Network:
     """The car with all that stands between body and wheel taken out, and a force actuator of 1 N/A put in.
 
     Raises `InputError` where there is another mass than body and wheel: the bound would not hold.
+
+    network: a car, by name, file or itself.
     """
     network = Network.load(network)
     signal_channels(network)  # complains if it is no car
@@ -118,6 +124,8 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     """The network without friction and stops, other laws by their slope at rest, on a rough road.
 
     Raises `InputError` for a road without roughness, or a car tied to the ground.
+
+    speed [m/s].
     """
     network = Network.load(network)
     ground = find_road(road)
@@ -166,7 +174,10 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
 
 
 def stationary(car: Linear, gain: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-    """RMS (3,) of acceleration, travel and tyre load under ``F = -gain @ x`` (0 if None), and RMS of F."""
+    """RMS (3,) of acceleration, travel and tyre load under ``F = -gain @ x`` (0 if None), and RMS of F.
+
+    car: as `linear_car` gives it.
+    """
     k = np.zeros(len(car.A)) if gain is None else gain
     X = solve_continuous_lyapunov(car.A - np.outer(car.B[:, 0], k), -car.intensity * np.outer(car.G, car.G))
     Y = car.C - np.outer(car.D, k)
@@ -201,6 +212,8 @@ def lq_bound(
 
     Without `effort` the force between body and wheel is free: the bound. With it, the network's own motor must do,
     and `effort` [1/A^2] weighs the square of its current (the friction and all limits are still left out).
+
+    speed [m/s] and road: what excites the car.
     """
     base = reference(network, speed=speed, road=road)
     w = np.asarray(weights, float)
@@ -213,7 +226,10 @@ def lq_bound(
 def reference(
     network: Network | str | Path = "quarter-car-isd", *, speed: float = 20.0, road: str | Road = "paper"
 ) -> np.ndarray:
-    """RMS (3,) of the conventional passive car in expectation: acceleration [m/s^2], travel [m], tyre load [N]."""
+    """RMS (3,) of the conventional passive car in expectation: acceleration [m/s^2], travel [m], tyre load [N].
+
+    Of the car of `network` on `road` at `speed` [m/s].
+    """
     from isd_gym.policies import conventional
 
     return stationary(linear_car(conventional(Network.load(network)), speed=speed, road=road))[0]
@@ -221,7 +237,10 @@ def reference(
 
 @dataclass(frozen=True)
 class Best:
-    """The best acceleration at a given travel and tyre load; changes are fractions against `reference`."""
+    """The best acceleration at a given travel and tyre load; changes are fractions against `reference`.
+
+    `acceleration_change`, `travel_change`, `tyre_change`: the triple; `point`: the regulator that has it.
+    """
 
     acceleration_change: float
     travel_change: float
@@ -243,6 +262,8 @@ def best_acceleration(
 
     Changes are fractions (-0.17: 17 % less; None: no matter) against the conventional passive car in expectation, or
     against the triple `against` (Table 7's passive row, say). Raises `InputError` where no controller reaches them.
+
+    travel_change, tyre_change: what is allowed. network, road, speed [m/s]: the car and what excites it.
     """
     base = reference(network, speed=speed, road=road) if against is None else np.asarray(against, float)
     car = linear_car(ideal(network), speed=speed, road=road)
@@ -291,7 +312,10 @@ def lq_front(
     travel_changes: Sequence[float] | None = None,
     **options: Any,
 ) -> np.ndarray:
-    """Border of (travel change, acceleration change), shape (k, 2), at a given tyre load change; unreachable ones left out."""
+    """Border of (travel change, acceleration change), shape (k, 2), at a given tyre load change; unreachable ones left out.
+
+    tyre_change: a fraction, or None for no matter; travel_changes: where, 27 from -0.35 to 0.3 by default.
+    """
     rows = []
     for change in np.linspace(-0.35, 0.3, 27) if travel_changes is None else travel_changes:
         try:

@@ -41,7 +41,10 @@ class Controller(ABC):
 
 
 class BatchController(Controller):
-    """A controller of many cars at once; one car is a batch of one. Subclasses give `_start` and `_command`."""
+    """A controller of many cars at once; one car is a batch of one. Subclasses give `_start` and `_command`.
+
+    name: under which it is scored. model: the network it believes in.
+    """
 
     def reset(self) -> None:
         self.reset_batch(1)
@@ -72,7 +75,10 @@ class BatchController(Controller):
 
 
 def steps_ahead(preview: float, control_step: float) -> int:
-    """Control steps of road in `preview` [s]; `InputError` unless it is a whole number of them, or 0."""
+    """Control steps of road in `preview` [s]; `InputError` unless it is a whole number of them, or 0.
+
+    control_step [s].
+    """
     if not (math.isfinite(preview) and preview >= 0):
         raise InputError(f"the preview must be 0 s or more, not {preview:g} s")
     points = round(preview / control_step)
@@ -84,14 +90,20 @@ def steps_ahead(preview: float, control_step: float) -> int:
 
 
 def rises(obs: np.ndarray, points: int) -> np.ndarray:
-    """By how much the road rises in each of the next control steps (points, cars) [m], of observations (6 + .., cars)."""
+    """By how much the road rises in each of the next control steps (points, cars) [m], of observations (6 + .., cars).
+
+    obs: columns, as `clean` gives them.
+    """
     if len(obs) < len(_BOUNDS) + points:
         raise InputError(f"the observation shows {len(obs) - len(_BOUNDS)} points of road, not {points}")
     return np.diff(obs[len(_BOUNDS) : len(_BOUNDS) + points], axis=0, prepend=0.0)
 
 
 def clean(observations: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Observations (n, 6+) as columns (6+, n) float64; a broken number becomes 0, a broken current the last command."""
+    """Observations (n, 6+) as columns (6+, n) float64; a broken number becomes 0, a broken current the last command.
+
+    observations: as the environment gives them.
+    """
     obs = np.array(np.asarray(observations).T, float)
     if not np.isfinite(obs.sum()):
         broken = ~np.isfinite(obs)
@@ -103,7 +115,10 @@ def clean(observations: np.ndarray, last: np.ndarray) -> np.ndarray:
 
 
 def limit(wanted: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Table 5: |I| <= 5 A and |dI| <= 0.5 A; a command that is not a number holds the present current."""
+    """Table 5: |I| <= 5 A and |dI| <= 0.5 A; a command that is not a number holds the present current.
+
+    wanted, present (n,) [A].
+    """
     wanted = np.where(np.isfinite(wanted), wanted, present)
     step = np.minimum(np.maximum(wanted - present, -SLEW_LIMIT), SLEW_LIMIT)
     return np.minimum(np.maximum(present + step, -CURRENT_LIMIT), CURRENT_LIMIT)

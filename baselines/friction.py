@@ -314,7 +314,11 @@ class FrictionMpcSettings:
     """horizon [steps]; iterations: sweeps per step at most. move, effort [1/A^2], tyre_load, centring [-]: weights beside
     the stage cost. spread [-] scales the road's share in the friction's rate, floor [m/s] is its least. terminal_rate
     [m/s]: rate at which friction is linearised for the cost-to-go. preview [s]: road ahead that is known; it
-    is no source of spread, the road after it is."""
+    is no source of spread, the road after it is.
+
+    friction_noise [N]: how little the estimate trusts its friction. sensors: how well it takes them to measure.
+    road_intensity [m^2/s]: of the road's velocity, two-sided.
+    """
 
     horizon: int = 20
     iterations: int = 2
@@ -339,13 +343,19 @@ def with_preview(settings: FrictionMpcSettings, preview: float, control_step: fl
     """The settings for `preview` [s] of road ahead: a horizon as long, and more sweeps, for there is more to plan.
 
     J against passive on roads 1000-1007, 0.1 s: 2 sweeps -33.10 %, 6 sweeps -33.31; 20 steps more of horizon -33.09 (2 sweeps).
+
+    control_step [s].
     """
     horizon = max(steps_ahead(preview, control_step), settings.horizon)
     return replace(settings, preview=preview, horizon=horizon, iterations=6)
 
 
 class FrictionMpc(BatchController):
-    """See the module. `moves` (cars, horizon): planned changes of current [A]."""
+    """See the module. `moves` (cars, horizon): planned changes of current [A].
+
+    model: the network it believes in, whatever the plant is. cost: what it minimises. control_step [s]. settings:
+    its own, the defaults without. name: under which it is scored.
+    """
 
     def __init__(
         self,

@@ -27,7 +27,11 @@ from .model import (
 class LqgSettings:
     """effort [1/A^2], tyre_load [-], centring [-]: weights beside the stage cost. compensation [-]: share of the friction
     made up for. lead [s], foresight [s]: how far ahead the law and the sign of the device's rate are read, for the
-    drive slews. width [m/s]: the sign is smoothed below it."""
+    drive slews. width [m/s]: the sign is smoothed below it.
+
+    sensors: how well the estimate takes them to measure. road_intensity [m^2/s]: of the road's velocity, two-
+    sided.
+    """
 
     effort: float = 0.01
     tyre_load: float = 0.0
@@ -43,7 +47,11 @@ class LqgSettings:
 
 
 class Lqg(BatchController):
-    """``I = -K x`` of the frictionless car, plus friction over thrust constant in the direction the device shall move."""
+    """``I = -K x`` of the frictionless car, plus friction over thrust constant in the direction the device shall move.
+
+    model: the network it believes in, whatever the plant is. cost: what it minimises. control_step [s]. settings:
+    its own, the defaults without. name: under which it is scored.
+    """
 
     def __init__(
         self,
@@ -117,7 +125,10 @@ class Lqg(BatchController):
 
 
 class FullStateLqr(Lqg):
-    """The same law on the true state (``observation="full"``): what the estimate costs, and the bar for the MPC."""
+    """The same law on the true state (``observation="full"``): what the estimate costs, and the bar for the MPC.
+
+    model, cost: as those of `Lqg`.
+    """
 
     observation = "full"
 

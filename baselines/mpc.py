@@ -49,6 +49,9 @@ class MpcSettings:
     friction is beyond the damper along the last plan, known in advance as its rates are, averaged over what the road
     may add to them (`spread` [-] scales that). solver: osqp, daqp or piqp (the last two to be installed; compared in
     `docs/controllers.md`). friction_noise [N]: how little the estimate trusts its friction.
+
+    sensors: how well the estimate takes them to measure. road_intensity [m^2/s]: of the road's velocity, two-
+    sided.
     """
 
     horizon: int = 20
@@ -80,7 +83,11 @@ PAPER = MpcSettings(
 
 
 class Mpc(Controller):
-    """The quadratic program of one car. `plan` (horizon,) [A]; `status`: the solver's last word."""
+    """The quadratic program of one car. `plan` (horizon,) [A]; `status`: the solver's last word.
+
+    model: the network it believes in, whatever the plant is. cost: what it minimises. control_step [s]. settings:
+    its own, the defaults without. name: under which it is scored.
+    """
 
     def __init__(
         self,

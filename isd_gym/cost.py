@@ -18,6 +18,8 @@ class StageCost:
     """Weighted squares of signals over their reference values; the reward is minus the sum.
 
     Weights [-] 0.6 and 0.3 are section 4.2's; references are Table 7's passive row, so a passive car costs about 0.9.
+
+    acceleration, travel, tyre_load, current [-]: the weights.
     """
 
     acceleration: float = 0.6
@@ -53,7 +55,10 @@ class StageCost:
         tyre_load: Signal | float = 0.0,
         current: Signal | float = 0.0,
     ) -> tuple[Signal, Signal, Signal | float, Signal | float]:
-        """The four terms of the cost, of floats or arrays."""
+        """The four terms of the cost, of floats or arrays.
+
+        acceleration [m/s^2], travel [m], tyre_load [N], current [A].
+        """
         a, l, f, i = self.quadratic
         return (
             a * acceleration * acceleration,

@@ -423,6 +423,8 @@ def write_table(path: str | Path, table: Table) -> None:
     """Write `table` in the format of the suffix (.csv .txt .tsv .parquet .mat .mf4), whole or not at all.
 
     Numbers survive exactly. Parquet, .mat and .mf4 carry the units; a CSV has the bare channel names as header.
+
+    path: the file.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -37,7 +37,11 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class Entry:
-    """A policy: its name, how to make a controller, and the plant if it is not everybody's."""
+    """A policy: its name, how to make a controller, and the plant if it is not everybody's.
+
+    name: under which it is scored. make: a fresh controller at every call. network: its plant, None for
+    everybody's.
+    """
 
     name: str
     make: Callable[[], Controller]
@@ -45,7 +49,10 @@ class Entry:
 
 
 class Idle:
-    """No current, whatever is seen. `model`: the network it is told of, and has no use for."""
+    """No current, whatever is seen. `model`: the network it is told of, and has no use for.
+
+    name: under which it is scored.
+    """
 
     observation = "measured"
     fallbacks = 0
@@ -57,11 +64,17 @@ class Idle:
         """Nothing to forget."""
 
     def act(self, observation: np.ndarray) -> float:
-        """0 A."""
+        """0 A.
+
+        Whatever the observation.
+        """
         return 0.0
 
     def reset_batch(self, count: int) -> None:
-        """Nothing to forget, in any number of cars."""
+        """Nothing to forget, in any number of cars.
+
+        count: of cars.
+        """
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
         """0 A for each of the observations (n, 6): (n,)."""
@@ -72,6 +85,8 @@ class Crew:
     """One policy at the wheel of `cars` cars: a controller that commands all of them at once, or one in each.
 
     `observation`: what it wants to see; `preview` [s]: of the road ahead; `times`: processor times of single decisions [s], where there is one controller a car.
+
+    entry: the policy. cars: how many.
     """
 
     def __init__(self, entry: Entry, cars: int) -> None:
@@ -110,7 +125,10 @@ class Crew:
 
 class Leg(NamedTuple):
     """One control step of all cars: what the policy saw (cars, n), commanded [A] (cars, 1) and earned (cars,), and
-    what it will see next (cars, n)."""
+    what it will see next (cars, n).
+
+    In the order of the fields: step, seen, rewards of `actions`, ahead.
+    """
 
     step: int
     seen: np.ndarray
@@ -133,6 +151,8 @@ def travel(
 
     dtype: of the commands, which are limited to the action space. corrupt(observations, step): alters what the policy
     sees. progress(share): told now and then. Raises `InputError` where a car breaks.
+
+    crew: who drives. env: with as many cars. steps: how many.
     """
     crew.reset()
     obs, _ = env.reset(seed=seed)

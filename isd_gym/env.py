@@ -206,6 +206,8 @@ class ISDSuspensionEnv(gym.Env):
 
     ## Versions
     v0: first release. `ISDSuspensionEq8-v0` is the same with the paper's equation (8) as printed.
+
+    `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
@@ -355,7 +357,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
     """Many cars at once, natively: `gymnasium.make_vec("ISDSuspension-v0", 1024)`.
 
     Car i is exactly the single environment seeded with ``seed + i``. Arguments as `ISDSuspensionEnv`'s, and
-    `autoreset_mode`: next_step (Gymnasium's default), same_step (`final_obs` and `final_info` in `info`), disabled
+    `num_envs`, `max_episode_steps` [control steps], `autoreset_mode`: next_step (Gymnasium's default), same_step (`final_obs` and `final_info` in `info`), disabled
     (reset with ``options={"reset_mask": mask}``). With ``render_mode="rgb_array"``, `render` gives a picture of every car.
     `threads` share the cars, by default one for every 2048 cars as far as there are cores; what comes out does not depend
     on them.

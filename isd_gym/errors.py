@@ -30,7 +30,10 @@ def harmless(text: str) -> bool:
 
 
 def shown(value: Any, limit: int = NAME_LIMIT) -> str:
-    """A name or another value of a file for a message: a text in quotes, escaped and cut; a container by its kind alone."""
+    """A name or another value of a file for a message: a text in quotes, escaped and cut; a container by its kind alone.
+
+    limit: characters.
+    """
     if isinstance(value, str):
         return f"'{plain(value, limit)}'"
     if value is None or isinstance(value, bool | float):

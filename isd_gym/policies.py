@@ -33,7 +33,10 @@ def conventional(network: Network) -> Network:
 
 
 def passive(network: Network) -> Entry:
-    """What every policy is compared with."""
+    """What every policy is compared with.
+
+    Of the car of `network`.
+    """
     return Entry("passive", lambda: Idle("passive"), conventional(network))
 
 
@@ -51,6 +54,8 @@ def find(
 
     `model` is what a controller believes in, by default the plant `network`. A .zip holds pickles and is opened only with
     `trust_zip`. Raises `InputError` listing what there is.
+
+    cost: what it minimises. control_step [s].
     """
     if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
         raise InputError(

@@ -40,6 +40,8 @@ def write_dataset(
     must not exist yet. Episode i is the environment seeded with ``seed + i``. duration [s], speed [m/s]. Observations are
     float32 (steps + 1, n), actions float32 (steps, 1), the commanded current [A]. The data set knows its environment with the
     whole network, `recover_environment()` makes it. Nothing is left behind when it fails. Raises `InputError`.
+
+    episodes: how many. road: a name, as the environment takes it. progress(share): told now and then.
     """
     try:
         import h5py  # noqa: F401

@@ -66,7 +66,11 @@ ROAD_WINDOW = 5.0  # [m] of road behind and ahead of the wheel: fills a picture 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot:
-    """What one frame shows of one car. Displacements are absolute, upwards, about static equilibrium."""
+    """What one frame shows of one car. Displacements are absolute, upwards, about static equilibrium.
+
+    `road_behind` [m]: how much of the profile lies behind the wheel. `static_tyre_load` [N]. `label`: the name
+    above the picture.
+    """
 
     time: float  # [s]
     body: float  # [m]
@@ -159,6 +163,8 @@ class Renderer:
     The scales stand still while time runs and only ever widen, when the motion leaves them; a snapshot that
     is earlier than the last one starts afresh. Raises `InputError` where pygame is missing, where a window
     finds no display, and for a size [px] below 640x400.
+
+    width, height [px].
     """
 
     def __init__(
@@ -934,6 +940,8 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: floa
     The file appears whole or not at all. Raises `InputError` for another suffix, no frames, frames of unequal
     size, more than 50 frames per second in a GIF (viewers play none faster), and an MP4 without
     imageio-ffmpeg.
+
+    fps: frames a second.
     """
     path = Path(path)
     kind = path.suffix.lower()

@@ -36,6 +36,8 @@ class Road:
 
     roughness: G(n0) [m^3], 0 for even ground. cutoff: n_c [cycle/m]. heights of a fixed profile [m] over `abscissa`,
     a distance [m] or, with `over_time`, a time [s]; `shift`: start at a random place of it.
+
+    name: as reports call it.
     """
 
     name: str
@@ -47,7 +49,10 @@ class Road:
     shift: bool = False
 
     def noise(self, speed: float, step: float) -> tuple[float, float]:
-        """(gain [m], pole [-]) of ``r_next = pole * r + gain * xi`` with unit-variance xi, exact at the samples."""
+        """(gain [m], pole [-]) of ``r_next = pole * r + gain * xi`` with unit-variance xi, exact at the samples.
+
+        speed, step: [m/s], [s].
+        """
         intensity = (2 * math.pi) ** 2 * 0.5 * self.roughness * REFERENCE_FREQUENCY**2 * speed  # two-sided
         rate = 2 * math.pi * self.cutoff * speed
         if rate == 0.0:
@@ -55,7 +60,10 @@ class Road:
         return math.sqrt(intensity * -math.expm1(-2 * rate * step) / (2 * rate)), math.exp(-rate * step)
 
     def fixed(self, speed: float, step: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """The fixed profile [m] at the ends of up to `count` steps, from 0 to where it stays; empty if there is none."""
+        """The fixed profile [m] at the ends of up to `count` steps, from 0 to where it stays; empty if there is none.
+
+        speed, step: [m/s], [s]. rng: draws where it starts, with `shift`.
+        """
         if self.abscissa is None or self.profile is None:
             return np.empty(0)
         x = np.arange(count + 1) * step * (1.0 if self.over_time else speed)
@@ -69,7 +77,10 @@ class Road:
     def heights(
         self, duration: float, *, speed: float = 20.0, step: float = 1e-3, rng: np.random.Generator
     ) -> np.ndarray:
-        """Heights [m] at 0, step, ..., duration; the road an environment with this generator would drive."""
+        """Heights [m] at 0, step, ..., duration; the road an environment with this generator would drive.
+
+        speed [m/s]. rng: what an environment would draw from.
+        """
         from .kernel import road_noise
 
         count = round(duration / step)
@@ -94,7 +105,10 @@ def paper_road(kappa: float = PAPER_KAPPA) -> Road:
 
 
 def iso_road(letter: str, *, cutoff: float = 0.002) -> Road:
-    """ISO 8608 class A-H (geometric mean), flat below `cutoff` [cycle/m]."""
+    """ISO 8608 class A-H (geometric mean), flat below `cutoff` [cycle/m].
+
+    letter: of the class.
+    """
     if letter.upper() not in ISO_CLASSES:
         raise InputError(f"no ISO 8608 class '{letter}': A to H")
     return Road(letter.upper(), roughness=ISO_CLASSES[letter.upper()], cutoff=cutoff)
@@ -106,7 +120,10 @@ def _over_distance(name: str, shape: Callable[[np.ndarray], np.ndarray], end: fl
 
 
 def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
-    """A raised-cosine bump [m] of `length` [m], starting `at` [m]."""
+    """A raised-cosine bump [m] of `length` [m], starting `at` [m].
+
+    height [m].
+    """
 
     def shape(x: np.ndarray) -> np.ndarray:
         inside = (x >= at) & (x <= at + length)
@@ -131,7 +148,7 @@ def sweep(amplitude: float = 0.005, start: float = 0.5, stop: float = 20.0, dura
 def recorded(path: str | Path) -> Road:
     """A measured profile: a table (any that `data.read_table` reads) with `distance` or `time`, and `height` or `road`.
 
-    Units are those of the file, metres and seconds where it tells none. Raises `InputError`.
+    path: of the table. Units are those of the file, metres and seconds where it tells none. Raises `InputError`.
     """
     from .data import read_columns
 
@@ -191,6 +208,8 @@ def road(source: str | Path | Road) -> Road:
     """A road from its name: paper, paper-printed (kappa as in Table 6), flat, A-H, bump, pothole, sweep, a CSV file.
 
     A class and a profile add up: 'C+bump'.
+
+    source: the name, or a road as it is.
     """
     if isinstance(source, Road):
         return source

@@ -28,6 +28,8 @@ class BatchedVecEnv(VecEnv):
     default) as a share of its limits in [-1, 1], which is what Stable-Baselines3 recommends. Car i of ``seed(s)`` is
     the single environment of seed ``s + i``. ``stagger`` spreads the ends of the first episodes over the cars, so
     that they do not all restart in one step.
+
+    env_id: the environment's name. options: as the environment takes them.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class BatchedVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
+        """False for every car of `indices`: none is wrapped, in a `wrapper_class` or any other."""
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
@@ -112,5 +115,8 @@ class BatchedVecEnv(VecEnv):
 
 
 def make_vec_env(count: int = 64, *, env_id: str = "ISDSuspension-v0", **options: Any) -> BatchedVecEnv:
-    """`BatchedVecEnv` of `count` cars; `options` go to the environment (network, road, speed, randomize, ...)."""
+    """`BatchedVecEnv` of `count` cars; `options` go to the environment (network, road, speed, randomize, ...).
+
+    env_id: the environment's name.
+    """
     return BatchedVecEnv(env_id, count, **options)

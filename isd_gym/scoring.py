@@ -50,7 +50,11 @@ PAPER = {
 
 @dataclass
 class Run:
-    """Signals of one policy over all episodes, each (steps, episodes); processor times of single decisions [s]."""
+    """Signals of one policy over all episodes, each (steps, episodes); processor times of single decisions [s].
+
+    body_acceleration [m/s^2], suspension_travel [m], tyre_load [N], device_travel_rate [m/s], current [A];
+    control_step [s]; fallbacks: a count.
+    """
 
     body_acceleration: np.ndarray
     suspension_travel: np.ndarray
@@ -109,6 +113,10 @@ def drive(
     """Drive one policy over all episodes; episode i has the road of environment seed ``seed + i``.
 
     `corrupt(observations, step)` may alter what the controller sees (sensor noise, delay).
+
+    entry: the policy, on its own plant where it has one, else on `network`. road, randomize, speed [m/s],
+    duration [s]: as the environment takes them. episodes: how many. cost: of the reward. progress(share): told
+    now and then.
     """
     from .env import CONTROL_STEP, ISDSuspensionVectorEnv
 
@@ -201,7 +209,11 @@ def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dic
 
 @dataclass
 class Score:
-    """The outcome of `score`; `to_dict` is `isd-score/1`. `runs` keeps the signals for reports."""
+    """The outcome of `score`; `to_dict` is `isd-score/1`. `runs` keeps the signals for reports.
+
+    road, network: their names. speed [m/s], duration [s]. episodes: how many, seeds from `seed` on. policies: a
+    row each, as the contract has it. references: what puts them in place.
+    """
 
     road: str
     speed: float
@@ -214,6 +226,7 @@ class Score:
     references: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
+        """The score as the contract has it."""
         return {
             "schema": SCHEMA,
             "road": self.road,
@@ -249,6 +262,9 @@ def score(
     the ratio of the pooled values. `clairvoyant`: the least cost known for each episode (episodes,), for the share of the
     reachable gain. `ceiling(preview)`: the bound for controllers that know so many seconds of road (its `change`), for the
     share of the causal gain.
+
+    network: the plant. road, randomize, speed [m/s], duration [s], seed: as those of `drive`. progress(name,
+    share): told now and then.
     """
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")

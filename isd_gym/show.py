@@ -35,6 +35,9 @@ def snapshots(
     """Drive the policies on the same road (that of environment seed `seed`); one snapshot per policy and control step.
 
     Raises `InputError` for a car that breaks, and for what the environment refuses.
+
+    entries: the policies, on their own plants where they have one, else on `network`. speed [m/s]. seconds: how
+    long.
     """
     from .env import CONTROL_STEP, ISDSuspensionEnv
 
@@ -91,7 +94,10 @@ def film(
     progress: Callable[[float], None] | None = None,
     **drive: Any,
 ) -> None:
-    """Write an MP4 (50 frames a second) or a GIF (25), by the suffix of `path`; options as those of `snapshots`."""
+    """Write an MP4 (50 frames a second) or a GIF (25), by the suffix of `path`; options as those of `snapshots`.
+
+    entries, network: as those of `snapshots`. progress(share): told now and then.
+    """
     from .env import CONTROL_STEP
     from .rendering import write_video
 
@@ -129,7 +135,10 @@ def check_window() -> None:
 
 
 def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
-    """Show the policies in a window at the pace of the simulated time, until the end or until the window is closed."""
+    """Show the policies in a window at the pace of the simulated time, until the end or until the window is closed.
+
+    entries, network and options as those of `snapshots`.
+    """
     check_window()
     with _renderer("human", len(entries)) as renderer:
         for shots in snapshots(entries, network, **drive):

@@ -62,6 +62,8 @@ def smooth_derivatives(
     smoother give for it, computed as a penalised spline (banded, exact at the ends). Its bandwidth, and its order (jerk
     or snap being white), maximise the restricted likelihood. noise: (sigma [m], lag-one correlation), by default from
     `noise_level`. Where there is no noise to speak of, x is only differentiated. Raises `InputError` as that does.
+
+    step [s].
     """
     x = np.array(x, float)
     sigma, lag1 = noise_level(x, step) if noise is None else noise
@@ -157,6 +159,8 @@ def integral_consistency(
     From cross spectra over `band` [Hz], each line weighted by its information coherence/(1 - coherence): nothing is
     differentiated or integrated in time, so noise and offsets do not enter. Lags beyond `max_lag` [s] are not sought.
     Raises `InputError` if the record is too short for the band.
+
+    step [s].
     """
     x, y = np.asarray(lower, float), np.asarray(higher, float)
     size = int(min(len(x) // 4, max(4.0 / band[0], 4 * max_lag) / step))

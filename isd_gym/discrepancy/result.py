@@ -25,7 +25,10 @@ FOLDER = ("diagnosis", "diagnosis.json", ("report.html", "diagnosis.json", "mode
 
 @dataclass(frozen=True)
 class Quantity:
-    """A fitted number [unit] with its 95 % interval; `prior` is what the owner's model says, where it does."""
+    """A fitted number [unit] with its 95 % interval; `prior` is what the owner's model says, where it does.
+
+    value, low, high: in `unit`.
+    """
 
     value: float
     low: float
@@ -34,13 +37,17 @@ class Quantity:
     prior: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
+        """As the contract has it."""
         head = {} if self.prior is None else {"prior": self.prior}
         return head | {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
 
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found: what, where, how sure, how large. `element`: its name in the new model."""
+    """An effect that was found: what, where, how sure, how large. `element`: its name in the new model.
+
+    between: its terminals, or channel: of a sensor. confidence: in [0, 1]. parameters: by name.
+    """
 
     effect: str
     between: tuple[str, str] | None
@@ -50,6 +57,7 @@ class Effect:
     element: str
 
     def to_dict(self) -> dict[str, Any]:
+        """As the contract has it."""
         out: dict[str, Any] = {"effect": self.effect}
         if self.channel is not None:
             out["channel"] = self.channel
@@ -62,7 +70,10 @@ class Effect:
 
 @dataclass(frozen=True)
 class Contender:
-    """A set of effects that was tried: `score` is its excess error on held-out data (1: as the refit, 0: noise)."""
+    """A set of effects that was tried: `score` is its excess error on held-out data (1: as the refit, 0: noise).
+
+    where: the place of each. why_not: in words.
+    """
 
     effects: tuple[str, ...]
     where: tuple[tuple[str, ...], ...]
@@ -71,6 +82,7 @@ class Contender:
     why_not: str
 
     def to_dict(self) -> dict[str, Any]:
+        """As the contract has it."""
         return {
             "effects": list(self.effects),
             "where": [list(w) for w in self.where],
@@ -81,7 +93,10 @@ class Contender:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the gap lives in one channel: its `share`, the bands [Hz] that hold most of it, and `when`."""
+    """Where the gap lives in one channel: its `share`, the bands [Hz] that hold most of it, and `when`.
+
+    bands_hz: (low, high) each.
+    """
 
     channel: str
     share: float
@@ -89,6 +104,7 @@ class Place:
     when: str
 
     def to_dict(self) -> dict[str, Any]:
+        """As the contract has it."""
         return {
             "channel": self.channel,
             "share": self.share,
@@ -99,7 +115,11 @@ class Place:
 
 @dataclass(frozen=True)
 class Trace:
-    """One record: `time` (n,), and per channel what was measured and what each model says (n,)."""
+    """One record: `time` (n,), and per channel what was measured and what each model says (n,).
+
+    name: of the record; held_out: whether it took no part in fitting. inputs and measured; before, refit, after:
+    the owner's model, the same refitted, the new one.
+    """
 
     name: str
     held_out: bool
@@ -113,7 +133,10 @@ class Trace:
 
 @dataclass(frozen=True)
 class Law:
-    """The force [N] of a found effect over its elongation [m] or rate [m/s], with its 95 % band; and the operating points."""
+    """The force [N] of a found effect over its elongation [m] or rate [m/s], with its 95 % band; and the operating points.
+
+    element: its name in the new model. axis (n,): elongation or rate; low, high (n,): the band.
+    """
 
     element: str
     kind: str  # 'rate' or 'travel'
@@ -127,7 +150,14 @@ class Law:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The outcome of `diagnose`. `summary` says it in a sentence; `to_dict` is the contract's JSON."""
+    """The outcome of `diagnose`. `summary` says it in a sentence; `to_dict` is the contract's JSON.
+
+    verdict: the contract's word. effects: what was found; contenders: what else was tried. where: the gap lives.
+    parameters: of the owner's model, refitted. closed: share of the gap. gates: what had to hold.
+    next_experiment: what would decide, where something would. base, refitted, model: the owner's network, the
+    same refitted, the new one. traces and laws: for pictures. notes: in words. seconds: of work. units: of the
+    channels. evidence, criteria, settings: what was weighed, by which limits, and how it was searched.
+    """
 
     verdict: str
     summary: str
@@ -153,6 +183,7 @@ class Diagnosis:
     settings: SearchSettings | None = None
 
     def to_dict(self) -> dict[str, Any]:
+        """As the contract has it (`isd-diagnosis/1`)."""
         return _plain(
             {
                 "schema": SCHEMA,

@@ -47,6 +47,8 @@ def parameter(
     `fixed` parameters give the law its shape and are not fitted unless asked for. `spread`: how far from its default
     a value is plausible at all (one sigma, where a car's range says nothing about other rigs). `stride`: how far a
     single step of a fit may go.
+
+    minimum: the hard lower limit, itself out of bounds with `open_end`.
     """
     meta = {
         "unit": unit,
@@ -79,6 +81,7 @@ class Motion:
 
 
 def rms(values: Array) -> float:
+    """Root of the mean square of `values`."""
     return max(float(np.sqrt(np.mean(np.square(values)))), 1e-12)
 
 
@@ -93,6 +96,8 @@ class Setting:
     `motion` of the pair (None at a motor or a channel); `force` [N]: a typical one of the data; `signal`: deviation of
     the current [A] of the motor, or of the channel [its unit]; `time` [s]: in which the motion changes, one over its
     typical circular frequency; `options`: the choices that are not numbers.
+
+    network: the model; where: the place.
     """
 
     network: Network
@@ -121,7 +126,10 @@ class Setting:
 @dataclass(frozen=True)
 class Start:
     """Values from which a fit begins. `ways`: value sets whose responses are projected together; `grows`: what scales
-    with amplitude; `inverse`: the effect is one over the value; `signed`: it may act either way."""
+    with amplitude; `inverse`: the effect is one over the value; `signed`: it may act either way.
+
+    values: by parameter.
+    """
 
     values: dict[str, float]
     ways: tuple[dict[str, float], ...] = ()
@@ -142,6 +150,10 @@ class Element:
     """Anything that stands in a model's list of elements.
 
     `name` is unique in the model. `where` holds the terminals (two nodes), or the motor, or the channel.
+
+    Two things are compiled into the kernel. ``law(p, d, v, d_last, z, h)`` gives (force [N], next z) of the parameters p,
+    the elongation d [m], its rate v [m/s], d_last [m] at the step before, the law's state z and the step h [s];
+    ``bound(p, d, v)`` gives the level [N] that a dry friction can hold.
     """
 
     name: str
@@ -234,6 +246,7 @@ class Element:
         return np.asarray(self.linear()[1 if rate else 0] * axis, dtype=np.float64)
 
     def to_dict(self) -> dict[str, Any]:
+        """As the model file has it."""
         place: Any = list(self.where) if self.place == "between" else self.where[0]
         out: dict[str, Any] = {"name": self.name, "type": self.type, self.place: place}
         for f in fields(self):
@@ -245,12 +258,18 @@ class Element:
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        """Whether it makes sense as a missing effect at that place: by default where none of its type stands."""
+        """Whether it makes sense as a missing effect at that place: by default where none of its type stands.
+
+        network: the model; where: the place.
+        """
         return all(e.type != cls.type for e in beside(network, where))
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
-        """The choices that are not numbers, each a hypothesis of its own."""
+        """The choices that are not numbers, each a hypothesis of its own.
+
+        network: the model; where: the place.
+        """
         return [{}]
 
     @classmethod
@@ -273,7 +292,10 @@ class Element:
 
     @classmethod
     def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
-        """Start values of the special case `simple` (one of `contains`), from values of its own."""
+        """Start values of the special case `simple` (one of `contains`), from values of its own.
+
+        motion: of the pair, where it is one.
+        """
         names = {f.name for f in parameter_fields(TYPES[simple])}
         return {key: value for key, value in values.items() if key in names}
 
@@ -291,12 +313,18 @@ class Element:
         return 0.0
 
     def own_share(self, beside: Sequence[Element]) -> float:
-        """Share of its force that is its own, and not what could be a parameter of what stands there."""
+        """Share of its force that is its own, and not what could be a parameter of what stands there.
+
+        beside: the elements that stand there.
+        """
         return 1.0
 
 
 def beside(network: Network, where: tuple[str, ...]) -> list[Element]:
-    """The elements at a place: between the same two nodes, at the same motor, on the same channel."""
+    """The elements at a place: between the same two nodes, at the same motor, on the same channel.
+
+    network: the model; where: the place.
+    """
     kind = "between" if len(where) == 2 else None
     return [
         e
@@ -351,7 +379,10 @@ def discover() -> None:
 
 
 def register_file(path: str | Path) -> None:
-    """Run a Python file of the user's own that registers elements. Raises `InputError` where it cannot be run."""
+    """Run a Python file of the user's own that registers elements. Raises `InputError` where it cannot be run.
+
+    path: the file.
+    """
     path = Path(path)
     if path.suffix != ".py" or not path.is_file():
         raise InputError(f"no Python file {shown(str(path))} with elements")

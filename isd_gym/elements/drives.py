@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 
 def delayed(values: Array, steps: float, before: float | None = None) -> Array:
-    """`values` (n, ...) later by a number of samples, linear in between; `before` them, or the first one."""
+    """`values` (n, ...) later by a number of samples, linear in between; `before` them, or the first one.
+
+    steps: need not be whole.
+    """
     low = math.floor(steps)
     part = steps - low
     first = np.repeat(values[:1] if before is None else np.full_like(values[:1], before), low + 1, axis=0)

@@ -33,6 +33,8 @@ class Assembly:
     acceleration of the moved nodes, force inputs [N], currents [A], law forces [N]. ``dx/dt = rate @ base``.
     `elongation` and `elongation_rate` have one row per law; rows of `by_difference` laws hang on an algebraic node, whose
     velocity is the difference of its positions.
+
+    `outputs` has one row per channel; those of `outputs_by_difference` hang on an algebraic node too.
     """
 
     network: Network
@@ -49,6 +51,7 @@ class Assembly:
     velocity: np.ndarray
 
     def columns(self, part: str) -> slice:
+        """Columns of a `part` of the base vector: 'x', 'r', 'v', 'alpha', 'F', 'I' or 'f'."""
         n, r, f, i, k = self.size
         widths = {"x": n, "r": r, "v": r, "alpha": r, "F": f, "I": i, "f": k}
         start = 0

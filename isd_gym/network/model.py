@@ -37,6 +37,8 @@ class Channel:
 
     `factor` turns the channel's own unit into SI; `offset` is true where an unknown constant rides on it;
     `noise`: its RMS in the channel's unit, where the owner of the sensor knows it.
+
+    `name`: of the column in a table.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Channel:
         return (self.element,) if isinstance(self.element, str) else self.element or ()
 
     def to_dict(self) -> dict[str, Any]:
+        """As the model file has it (`isd-model/1`)."""
         out: dict[str, Any] = {"name": self.name, "quantity": self.quantity}
         if self.at is not None:
             out["at"] = self.at
@@ -75,6 +78,8 @@ class Network:
 
     Immutable and validated on construction; `with_parameters` and `with_element` return changed copies.
     Raises `InputError` with one line that names the place.
+
+    `name` and `description` are for people.
     """
 
     name: str
@@ -89,18 +94,23 @@ class Network:
 
     @classmethod
     def load(cls, source: str | Path | Mapping[str, Any] | Network) -> Network:
-        """A built-in name ('quarter-car-isd'), a JSON file, a dict, or a network as it is."""
+        """A built-in name ('quarter-car-isd'), a JSON file, a dict, or a network as it is.
+
+        source: any of these.
+        """
         from .format import read
 
         return source if isinstance(source, Network) else read(source)
 
     @classmethod
     def from_dict(cls, data: Any) -> Network:
+        """A network of the `data` of a model file (`isd-model/1`)."""
         from .format import from_dict
 
         return from_dict(data)
 
     def to_dict(self) -> dict[str, Any]:
+        """As the model file has it (`isd-model/1`)."""
         from .format import to_dict
 
         return to_dict(self)
@@ -112,6 +122,7 @@ class Network:
         return dumps(self)
 
     def save(self, path: str | Path) -> None:
+        """Write the model file at `path`, whole or not at all."""
         from ..files import write_text
 
         write_text(path, self.dumps())
@@ -289,13 +300,17 @@ class Network:
         raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
 
     def element(self, name: str) -> el.Element:
+        """The element of that `name`; `InputError` where there is none."""
         for e in self.elements:
             if e.name == name:
                 return e
         raise InputError(f"no element {shown(name)}; there are {', '.join(e.name for e in self.elements)}")
 
     def with_parameters(self, values: Mapping[str, float]) -> Network:
-        """A copy with the parameters at the given paths replaced."""
+        """A copy with the parameters at the given paths replaced.
+
+        values: number by path ('body.mass', 'main_spring.stiffness').
+        """
         masses = dict(self.masses)
         kinds = {e.name: type(e) for e in self.elements}
         changes: dict[str, dict[str, Any]] = {}
@@ -327,7 +342,10 @@ class Network:
         return replace(self, elements=tuple(listed))
 
     def without_element(self, name: str) -> Network:
-        """A copy without an element, and without the uncertainty of its parameters."""
+        """A copy without an element, and without the uncertainty of its parameters.
+
+        name: of the element.
+        """
         self.element(name)
         return replace(
             self,

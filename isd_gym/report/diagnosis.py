@@ -88,7 +88,10 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
 
 
 def check_target(folder: str | Path) -> None:
-    """Raise `InputError` where `write_report` would not write: before long work, not after it."""
+    """Raise `InputError` where `write_report` would not write: before long work, not after it.
+
+    folder: where it would write.
+    """
     check_folder(folder, *FOLDER)
 
 

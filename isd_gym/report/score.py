@@ -53,7 +53,10 @@ def score_report(score: Score, folder: str | Path) -> Path:
 
 
 def check_report(folder: str | Path) -> None:
-    """Raise `InputError` where `score_report` would not write: before long work, not after it."""
+    """Raise `InputError` where `score_report` would not write: before long work, not after it.
+
+    folder: where it would write.
+    """
     check_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS)
 
 
