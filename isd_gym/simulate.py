@@ -29,7 +29,10 @@ WAY = Layout._fields.index("way")
 
 @dataclass(frozen=True)
 class Discrete:
-    """One network at one step: its numbers as the kernel reads them, and the blocks of its matrix."""
+    """One network at one step: its numbers as the kernel reads them, and the blocks of its matrix.
+
+    `yields`: what forces add to the laws' elongations and rates.
+    """
 
     # x at the end of the step = A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), laws as in the assembly
     blocks: tuple[np.ndarray, ...]
@@ -66,6 +69,8 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     """Exact discretisation of the linear part: `columns` first-order hold, currents and friction zero-order hold.
 
     Raises `InputError` where the network runs away so fast that its matrices are not finite.
+
+    asm: the equations. step [s].
     """
     from .kernel import law_code
 
@@ -220,6 +225,8 @@ class Plant:
     `step` [s]; `extra`: output channels after the network's own. `u_columns` says which of the base vector's inputs
     the kernel reads, in order; `labels` names them as (part, channel): part 'r', 'v', 'alpha' or 'F'. `at` says where
     things lie in `mats`, `ints` and a state (`layout`).
+
+    networks: one, or one a lane.
     """
 
     def __init__(
@@ -393,6 +400,8 @@ class Plant:
 
         `inputs`: SI values by channel at every physics step, shape (every*(samples-1)+1,) or with a lane axis;
         `derivatives`: (velocity, acceleration) of moved channels where needed and known, else differences.
+
+        initial: state in the assembly's coordinates, at rest by default.
         """
         total = every * (samples - 1) + 1
         shared = all(np.ndim(v) == 1 for v in inputs.values())
@@ -432,7 +441,10 @@ class Plant:
 
 
 def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
-    """What the drive makes of a commanded current (n, lanes) held over each step: delay, lag, saturation."""
+    """What the drive makes of a commanded current (n, lanes) held over each step: delay, lag, saturation.
+
+    network: the model; motor: the name of its motor; command: the current asked for [A].
+    """
     out = np.asarray(command, float)
     for kind in el.DRIVE_ORDER:
         for e in network.elements:
@@ -442,7 +454,10 @@ def effective_current(network: Network, motor: str, command: np.ndarray, step: f
 
 
 def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> dict[str, np.ndarray]:
-    """Outputs (n, ...) as the sensors of the network report them: delay, gain, bias (in the channel's unit)."""
+    """Outputs (n, ...) as the sensors of the network report them: delay, gain, bias (in the channel's unit).
+
+    outputs: by channel. step [s]: between samples.
+    """
     seen = dict(outputs)
     for e in network.elements:
         if e.place == "channel" and e.where[0] in seen:
@@ -451,7 +466,10 @@ def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> d
 
 
 def upsample(values: np.ndarray, every: int, hold: bool = False) -> np.ndarray:
-    """A record at `every` times its rate: held (currents) or linear in between."""
+    """A record at `every` times its rate: held (currents) or linear in between.
+
+    values (n, ...), the first axis time. hold: keep each value until the next.
+    """
     if every == 1:
         return np.asarray(values, float)
     if hold:
@@ -480,6 +498,8 @@ def simulate(
     moved node, these come from a cubic spline through its samples. `initial`: state in the assembly's coordinates.
     Raises `InputError` for a missing channel, a time that is not uniform, and a simulation that breaks down: it names the
     time, and the law that could not be solved for.
+
+    extra: output channels after the network's own.
     """
     network = Network.load(model)
     time = np.asarray(time, float)

@@ -13,8 +13,6 @@ import isd_gym
 
 ROOT = Path(__file__).parents[1]
 #: beside what the reference pages show and what `isd_gym` exports
-#: not yet: its arrays are given names first
-LATER = {"isd_gym.simulate"}
 MORE = ("isd_gym.driving", "isd_gym.report", "isd_gym.sb3", "isd_gym.show", "isd_gym.rendering")
 
 
@@ -22,7 +20,7 @@ def reference():
     """Dotted names of what is public: modules, classes, functions."""
     pages = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs/reference").glob("*.md"))
     shown = re.findall(r"^::: ([\w.]+)", pages, re.MULTILINE)
-    return sorted({*shown, *MORE, *(f"isd_gym.{name}" for name in isd_gym.__all__)} - LATER)
+    return sorted({*shown, *MORE, *(f"isd_gym.{name}" for name in isd_gym.__all__)})
 
 
 def arguments(function):
