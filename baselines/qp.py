@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -33,6 +34,7 @@ class Osqp:
     def __init__(self, P: np.ndarray, A: np.ndarray, *, accuracy: float = 1e-4) -> None:
         import osqp
 
+        self._made = P, A, accuracy
         self._solver = osqp.OSQP()
         m, n = A.shape
         self._solver.setup(
@@ -51,6 +53,11 @@ class Osqp:
             polishing=False,
         )
         self._good = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """The solver itself cannot travel to another process: there it is set up anew, without its warm start."""
+        P, A, accuracy = self._made
+        return partial(type(self), accuracy=accuracy), (P, A)
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
         self._solver.update(q=q, l=low, u=high)

@@ -564,3 +564,14 @@ def test_settings_of_lqg_matter_as_they_say():
     """Without compensation the linear law loses most of its effect to friction."""
     with_it, without = Lqg(CAR), Lqg(CAR, settings=LqgSettings(compensation=0.0))
     assert cost_change(with_it, cars=4) < cost_change(without, cars=4) - 0.04
+
+
+@pytest.mark.parametrize("name", ["lqg", "mpc", "mpc-friction", "mpc-friction-preview"])
+def test_a_controller_travels_to_another_process(name):
+    first = baselines.make(name)
+    again = pickle.loads(pickle.dumps(first))
+    points = 50 if name.endswith("preview") else 0
+    rows = np.random.default_rng(0).normal(size=(5, 6 + points)) * 0.01
+    for c in (first, again):
+        c.reset()
+    np.testing.assert_allclose([again.act(r) for r in rows], [first.act(r) for r in rows], atol=1e-3)
