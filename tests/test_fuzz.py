@@ -1,6 +1,7 @@
 """A small fixed share of `benchmarks/fuzz.py`, and that it would notice."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 PATH = Path(__file__).parents[1] / "benchmarks" / "fuzz.py"
 spec = importlib.util.spec_from_file_location("fuzz", PATH)
 fuzz = importlib.util.module_from_spec(spec)
+sys.modules["fuzz"] = fuzz  # a class of it is pickled
 spec.loader.exec_module(fuzz)
 
 SHARE = {
