@@ -230,6 +230,8 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
         differences.append(difference)
 
     by_difference = tuple(hangs_on(row, basis_w) for row in law_rows)
+    if not all(np.isfinite(m).all() for m in (rate, position, velocity, *rows)):
+        raise InputError(TOO_FAR_APART)
     return Assembly(
         network=network,
         channels=(*network.outputs, *extra),
@@ -264,6 +266,23 @@ class StateSpace:
         return np.array([self.C @ np.linalg.solve(si * eye - self.A, self.B) + self.D for si in s])
 
 
+#: what is said of a network whose equations are not finite
+TOO_FAR_APART = "the model's numbers lie too far apart: its equations are not finite"
+
+
+def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness [N/m] and damping [N s/m] of each law at rest, or of `damping` where it names the law."""
+    slopes_k, slopes_c = np.zeros(len(laws)), np.zeros(len(laws))
+    for j, e in enumerate(laws):
+        if e.name in damping:
+            slopes_c[j] = damping[e.name]
+        elif e.law is not None:
+            p, d, h = np.array(e.law_parameters()), 1e-7, 1e-9
+            slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]) / (2 * d)
+            slopes_c[j] = (e.law(p, 0.0, d, 0.0, 0.0, h)[0] - e.law(p, 0.0, -d, 0.0, 0.0, h)[0]) / (2 * d)
+    return slopes_k, slopes_c
+
+
 def linearise(
     network: Network | str | Path | Mapping[str, Any],
     *,
@@ -285,18 +304,16 @@ def linearise(
     if any(asm.outputs_by_difference):
         raise InputError("the velocity of an algebraic node has no state-space form")
     if not laws and asm.laws:
-        slopes_k, slopes_c = np.zeros(len(asm.laws)), np.zeros(len(asm.laws))
-        for j, e in enumerate(asm.laws):
-            if damping is not None and e.name in damping:
-                slopes_c[j] = damping[e.name]
-            elif e.law is not None:
-                p, d, h = np.array(e.law_parameters()), 1e-7, 1e-9
-                slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]) / (2 * d)
-                slopes_c[j] = (e.law(p, 0.0, d, 0.0, 0.0, h)[0] - e.law(p, 0.0, -d, 0.0, 0.0, h)[0]) / (2 * d)
-        # f = Kd d + Kc v with d, v = rows @ base and base containing f: solve for f
-        rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
-        gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f], rows)
+        try:
+            slopes_k, slopes_c = _slopes(asm.laws, damping or {})
+            # f = Kd d + Kc v with d, v = rows @ base and base containing f: solve for f
+            rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
+            gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f], rows)
+        except (ArithmeticError, np.linalg.LinAlgError):  # a law without a slope, or one that nothing holds
+            raise InputError(TOO_FAR_APART) from None
         rate, out = rate + rate[:, f] @ gain, out + out[:, f] @ gain
+        if not (np.isfinite(rate).all() and np.isfinite(out).all()):
+            raise InputError(TOO_FAR_APART)
     names: list[str] = []
     keep: list[int] = []
     moved = [c.name for c in network.inputs if c.quantity == "displacement"]
