@@ -72,7 +72,7 @@ def test_whole_page(tmp_path):
     text = (tmp_path / "out" / "index.html").read_text()
     names = {p.name for p in (tmp_path / "out").glob("*.png")}
     assert text.count('src="data:image/png;base64,') == len(names) == 7
-    assert "http" not in text.replace("http://www.w3.org", "")
+    assert "http:" not in text.replace("http://www.w3.org", "") and "https:" not in text
     data = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert data["schema"] == SCHEMA
     assert {c["place"] for c in data["claims"]} >= {"Table 4", "Table 7", "Table 8", "Figure 6"}
