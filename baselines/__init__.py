@@ -111,6 +111,7 @@ ABOUT = {
     "skyhook": "a damper to the sky, by the motor",
     "add": "acceleration-driven damping",
     "lqg": "linear-quadratic optimum on the measured signals, with a Kalman filter",
+    "lqg-preview": "the LQG with the road ahead in sight",
     "lqr-full": "linear-quadratic optimum that sees the whole state, which no car measures",
     "mpc-paper": "the paper's predictive controller with the settings a toolbox would take",
     "mpc": "the paper's predictive controller, tuned",
