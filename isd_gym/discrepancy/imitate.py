@@ -31,7 +31,15 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
         near: list[tuple[float, Hypothesis, dict[str, float]]] = []
         for h in hypotheses(problem.network):
             same = set(h.where) == set(element.where) and h.kind.plane == element.plane
-            if h.place != "between" or not same or h.effect == element.type or not _plain_curve(h.kind):
+            # special and general cases of one law are weighed against one another elsewhere
+            related = element.type in h.kind.contains or h.effect in element.contains
+            if (
+                h.place != "between"
+                or not same
+                or related
+                or not _plain_curve(h.kind)
+                or h.effect == element.type
+            ):
                 continue
             fitted = _imitate(h, element, setting(problem, problem.network, h, m, force))
             if fitted is not None and fitted[0] < NEAR:
