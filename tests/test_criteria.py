@@ -50,7 +50,7 @@ def test_a_name_passes_every_gate() -> None:
         ("determined", {"effects": (replace(FRICTION, complaint="beyond its reach"),)}, "unknown_effect"),
         ("ahead", {"abreast": ("hysteresis at mass-ground",), "lead": 1.0}, "ambiguous"),
         ("forces first", {"effects": (GAIN,), "force_lead": 1.2}, "ambiguous"),
-        ("forces first", {"effects": (replace(GAIN, fault=0.4),)}, "ambiguous"),
+        ("forces first", {"effects": (replace(GAIN, fault=0.4),), "force_lead": 10.0}, "ambiguous"),
     ],
 )
 def test_each_gate_can_fail_and_the_verdict_follows(gate: str, change: dict, verdict: str) -> None:

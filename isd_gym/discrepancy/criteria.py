@@ -96,6 +96,12 @@ class Criteria:
         "a name needs a number",
         "the 95 % interval leaves out zero and what is ten times less: three laws at a pair, a curve fit, span decades",
     )
+    forces_far: float = limit(
+        20.0,
+        "ratio of excess errors",
+        "the same for a fault that is doubtful by its size",
+        "ten times as much: of measured rigs, three were given a sensor's fault for friction",
+    )
     doubtful: float = limit(
         0.25,
         "of gain; or of the motion's time",
@@ -195,7 +201,9 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
         ),
         Gate(
             "forces first",
-            not sensors or (e.force_lead >= c.forces_first and all(x.fault < c.doubtful for x in sensors)),
+            not sensors
+            or e.force_lead
+            >= (c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far),
             min(e.force_lead, 1e3) if sensors else math.inf,
             c.forces_first,
             "no sensor is blamed"
@@ -222,7 +230,9 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     if (little or closes) and e.width < c.wide and e.believed(c.misses):
         return Decision(agreed, gates, small=there)
     if gates and failed <= {"ahead", "forces first"}:
-        return Decision("ambiguous", gates)
+        # a sensor that is perhaps to blame for little is no finding
+        little = "forces first" in failed and e.width < c.wide and e.believed(c.misses)
+        return Decision(agreed, gates, small=True) if little else Decision("ambiguous", gates)
     return Decision("unknown_effect", gates)
 
 
