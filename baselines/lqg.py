@@ -22,6 +22,8 @@ from .model import (
     preview_regulator,
 )
 
+STEEPEST = 0.1  # [m] that a road rises in a control step at most
+
 
 @dataclass(frozen=True)
 class LqgSettings:
@@ -113,7 +115,10 @@ class Lqg(BatchController):
         if not self._points:
             return self.law(self.estimator.update(obs))
         last = self._rises[0]
-        self._rises = rises(obs, self._points)
+        seen = np.nan_to_num(rises(obs, self._points), nan=0.0, posinf=0.0, neginf=0.0)
+        self._rises = np.clip(
+            seen, -STEEPEST, STEEPEST
+        )  # a sensor that talks nonsense is not believed for ever
         return self.law(self.estimator.update(obs, last), self._rises)
 
     def law(self, x: np.ndarray, ahead: np.ndarray | None = None) -> np.ndarray:

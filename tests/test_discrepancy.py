@@ -303,8 +303,14 @@ def test_what_is_held_at_many_levels_sticks_and_what_is_held_at_one_end_is_clipp
         return {(f.level, f.check) for f in found if f.check == "held"}
 
     assert ("error", "held") in levels(np.minimum(noisy, 0.9))
-    stuck = noisy.copy()
-    for begin in range(100, 3900, 130):  # it rests for a while, again and again
-        stuck[begin : begin + 25] = stuck[begin]
+    lost = noisy.copy()
+    for begin in range(100, 3900, 130):  # the motion goes on underneath
+        lost[begin : begin + 25] = lost[begin]
+    assert ("error", "held") in levels(lost)
+    # it rests for a while, again and again, and goes on from there
+    going = np.ones(len(t), bool)
+    for begin in range(100, 3900, 130):
+        going[begin : begin + 25] = False
+    rough = np.diff(wave, prepend=wave[0]) + 2e-3 * rng.standard_normal(len(t))
+    stuck = np.cumsum(np.where(going, rough, 0.0))
     assert ("error", "held") not in levels(stuck)
-    assert levels(stuck)
