@@ -2,7 +2,7 @@
 
 Data go one way: `records` and `problem` (what was measured), `structure` and `hypotheses` (what could be missing, where),
 `noise`, `fit`, `initial` (how a model is fitted), `candidate`, `screen`, `race`, `search` (which models are fitted),
-`judge`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
+`judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
 `experiments`, `words`, `result` (how it is said), `workflow` (all of it).
 """
 

@@ -219,4 +219,17 @@ def block_lead(rival: Outcome, best: Outcome) -> float:
     return float(d.mean() / max(d.std(ddof=1) / math.sqrt(len(d)), 1e-12))
 
 
-__all__ = ["BROKEN", "Judge", "Outcome", "block_lead", "share_at_place"]
+def replication(rival: Outcome, best: Outcome) -> float:
+    """By how many standard errors, over blocks, the rival's error is the larger one, by the logarithm of its ratio.
+
+    In a decay nearly all of the error's power lies in the first few blocks; that it is there again in the others counts.
+    """
+    ratio = np.log(
+        np.maximum(rival.blocks.mean(axis=1), 1e-300) / np.maximum(best.blocks.mean(axis=1), 1e-300)
+    )
+    if len(ratio) < 2:
+        return 0.0
+    return float(ratio.mean() / max(ratio.std(ddof=1) / math.sqrt(len(ratio)), 1e-12))
+
+
+__all__ = ["BROKEN", "Judge", "Outcome", "block_lead", "replication", "share_at_place"]

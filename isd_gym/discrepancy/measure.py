@@ -11,13 +11,14 @@ from ..errors import InputError
 from .candidate import BROKEN, Candidate, level, reckoned
 from .evidence import EffectEvidence, Evidence
 from .fit import Fitter, gap, residuals
-from .judge import block_lead
+from .judge import replication
 from .motion import force_scale, motions, unmodelled
 from .noise import whitener
 from .problem import Array
 from .result import Quantity
-from .search import Search, Trial
+from .search import Search
 from .structure import Hypothesis
+from .trial import Trial
 
 #: share of the typical force that each small effect, unmodelled, may have (one sigma)
 SMALL = 0.005
@@ -157,7 +158,7 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
         effects=effects,
         gain=level(problem, base, best, search.floors) - level(problem, best, best, search.floors),
         halved=gap(problem, best.fit) < 0.5 * gap(problem, base.fit),
-        again=block_lead(refit, after),
+        again=replication(refit, after),
         explained=trial.explained(best),
         lead=min((trial.of(r).score - trial.quiet for r in others), default=math.inf) / own,
         abreast=tuple(r.label for r in abreast),

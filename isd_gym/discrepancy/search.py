@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,77 +23,13 @@ from .fit import gap
 from .imitate import imitations
 from .initial import carried
 from .judge import Judge, Outcome, block_lead
-from .noise import Whitener
 from .problem import Array, Problem
 from .race import compete
 from .settings import SearchSettings
 from .structure import Structure, base_structure, in_line, twin
+from .trial import Trial
 
 Say = Callable[[str], None]
-
-
-@dataclass(eq=False)
-class Trial:
-    """Candidates weighed against one another on the same held-out records, all behind the same filters.
-
-    `chosen`: the one that earned its place, the model refitted where none did; `foremost`: the best that there was to
-    weigh; `richest`: with everything that was added; `stages`: who ran at each stage, best first.
-    """
-
-    judge: Judge
-    base: Candidate
-    richest: Candidate
-    stages: list[list[Candidate]]
-    filters: Whitener
-    chosen: Candidate = field(init=False)
-    foremost: Candidate = field(init=False)
-    notes: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.chosen = self.foremost = self.base
-        self._seen: dict[int, tuple[Candidate, Outcome]] = {}
-        self.floor = self.judge.floor(self.of(self.richest))
-        self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
-
-    def of(self, candidate: Candidate) -> Outcome:
-        """Its outcome. Raises where it breaks down on the held-out records."""
-        if id(candidate) not in self._seen:
-            self._seen[id(candidate)] = candidate, self.judge.outcome(candidate, self.filters)
-        return self._seen[id(candidate)][1]
-
-    def beyond(self, candidate: Candidate) -> float:
-        """Excess of its score over that of noise."""
-        return max(self.of(candidate).score - self.quiet, 0.01 * self.quiet)
-
-    def share(self, last: Outcome, now: Outcome) -> float:
-        """Share of the excess error of `last` that `now` removes: whitened, or plain where that is more."""
-        return max(
-            (last.score - now.score) / max(last.score - self.quiet, 1e-12), self.plain_share(last, now)
-        )
-
-    def plain_share(self, last: Outcome, now: Outcome) -> float:
-        f = np.maximum(self.floor, 1e-12)
-        top = float(np.sum((last.nrmse**2 - now.nrmse**2) / f**2))
-        return top / max(float(np.sum(np.maximum(last.nrmse**2 - self.floor**2, 0.0) / f**2)), 1e-12)
-
-    def explained(self, candidate: Candidate) -> float:
-        """Share of the refitted model's excess that it removes, and no more than in the channel where the gap is widest."""
-        refit, after = self.of(self.base), self.of(candidate)
-        before, left = refit.excess(self.floor) ** 2, after.excess(self.floor) ** 2
-        widest = int(np.argmax(before))
-        return min(self.share(refit, after), 1.0 - float(left[widest] / max(before[widest], 1e-12)))
-
-    def rivals(self, count: int = 6) -> list[Candidate]:
-        """Those that ran beside the foremost one and can be followed on the held-out records."""
-        depth = len(self.foremost.hypotheses)
-        out = []
-        for r in self.stages[depth - 1][:count] if 0 < depth <= len(self.stages) else []:
-            try:
-                self.of(r)
-            except BROKEN:
-                continue
-            out += [r] if r is not self.foremost else []
-        return out
 
 
 class Search:
@@ -213,8 +149,24 @@ class Search:
         elif depth < len(path) - 1:
             chosen = self.settle_again(chosen, richest)
         chosen = self.challenged(trial, self.refined(trial, self.prune(trial, chosen)))
-        trial.chosen = trial.foremost = chosen
+        trial.chosen = trial.foremost = self.plainest(trial, chosen)
         return trial
+
+    def plainest(self, trial: Trial, chosen: Candidate) -> Candidate:
+        """Of those that explain as much with fewer parameters, the best by Schwarz's criterion."""
+        best, runners = chosen, trial.stages[len(chosen.hypotheses) - 1]
+        for r in list(runners):
+            if len(r.fit.x) >= len(best.fit.x) or not r.well_formed():
+                continue
+            try:
+                as_much = trial.beyond(r) < self.criteria.ahead * trial.beyond(best)
+            except BROKEN:
+                continue
+            if as_much and self.schwarz(r, chosen) < self.schwarz(best, chosen):
+                best = r
+        if best is not chosen:
+            runners.append(chosen)
+        return best
 
     def challenged(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Other laws that give the force which was found: they run, too, from there, and the best of them is chosen."""
@@ -370,12 +322,16 @@ class Search:
     # -- rivals -------------------------------------------------------------------------------------------
     def beaten(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:
         """Whether the rival's held-out excess is larger by a tenth, and not by chance."""
-        if trial.of(rival).score - trial.quiet < self.criteria.ahead * trial.beyond(best):
+        ahead, theirs = self.criteria.ahead, trial.of(rival).score - trial.quiet
+        # Schwarz's criterion: parameters that gain nothing, here or on the held-out records, count against it
+        richer = len(rival.fit.x) > len(best.fit.x) and ahead * max(
+            theirs, 0.01 * trial.quiet
+        ) > trial.beyond(best)
+        if richer and self.schwarz(rival, best) - self.schwarz(best, best) > self.criteria.decisive:
+            return True
+        if theirs < ahead * trial.beyond(best):
             return False
-        behind = rival.likelihood - best.likelihood
-        # Schwarz's criterion: parameters that gain nothing count against it
-        more = max(len(rival.fit.x) - len(best.fit.x), 0) * math.log(sum(map(len, best.fit.outputs.values())))
-        sure = behind > 50.0 or (more > 0 and behind + more > self.criteria.decisive)
+        sure = rival.likelihood - best.likelihood > 50.0
         return sure or block_lead(trial.of(rival), trial.of(best)) > self.criteria.replicated
 
     def same(self, rival: Candidate, best: Candidate) -> bool:

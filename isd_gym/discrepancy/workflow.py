@@ -28,9 +28,10 @@ from .problem import Problem, Record, Role, bare, pace
 from .records import dealt, derivatives, read, stretches
 from .result import Contender, Diagnosis, Effect, Quantity, Trace
 from .screen import screen
-from .search import Say, Search, Trial
+from .search import Say, Search
 from .settings import SearchSettings
 from .structure import base_structure, owner_pair
+from .trial import Trial
 from .words import sentence
 
 

@@ -1,0 +1,75 @@
+"""Candidates weighed against one another on the same held-out records, behind the same filters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .candidate import BROKEN, Candidate
+from .judge import Judge, Outcome
+from .noise import Whitener
+
+
+@dataclass(eq=False)
+class Trial:
+    """Candidates weighed against one another on the same held-out records, all behind the same filters.
+
+    `chosen`: the one that earned its place, the model refitted where none did; `foremost`: the best that there was to
+    weigh; `richest`: with everything that was added; `stages`: who ran at each stage, best first.
+    """
+
+    judge: Judge
+    base: Candidate
+    richest: Candidate
+    stages: list[list[Candidate]]
+    filters: Whitener
+    chosen: Candidate = field(init=False)
+    foremost: Candidate = field(init=False)
+    notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.chosen = self.foremost = self.base
+        self._seen: dict[int, tuple[Candidate, Outcome]] = {}
+        self.floor = self.judge.floor(self.of(self.richest))
+        self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
+
+    def of(self, candidate: Candidate) -> Outcome:
+        """Its outcome. Raises where it breaks down on the held-out records."""
+        if id(candidate) not in self._seen:
+            self._seen[id(candidate)] = candidate, self.judge.outcome(candidate, self.filters)
+        return self._seen[id(candidate)][1]
+
+    def beyond(self, candidate: Candidate) -> float:
+        """Excess of its score over that of noise."""
+        return max(self.of(candidate).score - self.quiet, 0.01 * self.quiet)
+
+    def share(self, last: Outcome, now: Outcome) -> float:
+        """Share of the excess error of `last` that `now` removes: whitened, or plain where that is more."""
+        return max(
+            (last.score - now.score) / max(last.score - self.quiet, 1e-12), self.plain_share(last, now)
+        )
+
+    def plain_share(self, last: Outcome, now: Outcome) -> float:
+        f = np.maximum(self.floor, 1e-12)
+        top = float(np.sum((last.nrmse**2 - now.nrmse**2) / f**2))
+        return top / max(float(np.sum(np.maximum(last.nrmse**2 - self.floor**2, 0.0) / f**2)), 1e-12)
+
+    def explained(self, candidate: Candidate) -> float:
+        """Share of the refitted model's excess that it removes, and no more than in the channel where the gap is widest."""
+        refit, after = self.of(self.base), self.of(candidate)
+        before, left = refit.excess(self.floor) ** 2, after.excess(self.floor) ** 2
+        widest = int(np.argmax(before))
+        return min(self.share(refit, after), 1.0 - float(left[widest] / max(before[widest], 1e-12)))
+
+    def rivals(self, count: int = 6) -> list[Candidate]:
+        """Those that ran beside the foremost one and can be followed on the held-out records."""
+        depth = len(self.foremost.hypotheses)
+        out = []
+        for r in self.stages[depth - 1][:count] if 0 < depth <= len(self.stages) else []:
+            try:
+                self.of(r)
+            except BROKEN:
+                continue
+            out += [r] if r is not self.foremost else []
+        return out
