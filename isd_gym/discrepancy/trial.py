@@ -44,6 +44,10 @@ class Trial:
         """Excess of its score over that of noise."""
         return max(self.of(candidate).score - self.quiet, 0.01 * self.quiet)
 
+    def left(self, candidate: Candidate) -> float:
+        """The same, but no less than half a per cent of the refitted model's: what both explain tells nobody apart."""
+        return max(self.beyond(candidate), 0.005 * (self.of(self.base).score - self.quiet))
+
     def share(self, last: Outcome, now: Outcome) -> float:
         """Share of the excess error of `last` that `now` removes: whitened, or plain where that is more."""
         return max(
