@@ -79,10 +79,10 @@ class Criteria:
         1.1, "ratio of excess errors", "the nearest rival of another kind errs more", "a tenth, beyond chance"
     )
     decisive: float = limit(
-        10.0,
+        6.0,
         "difference of Schwarz's criterion",
         "a rival with more parameters that gains nothing by them is beaten",
-        "very strong evidence, Kass and Raftery, JASA 90 (1995)",
+        "strong evidence, Kass and Raftery, JASA 90 (1995)",
     )
     forces_first: float = limit(
         2.0,

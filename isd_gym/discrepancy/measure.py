@@ -100,6 +100,8 @@ def complaint(search: Search, candidate: Candidate, element: el.Element) -> str:
     motion = motions(search.problem, candidate.fit).get(element.between)
     if motion is None:
         return ""
+    if element.periodic and getattr(element, element.periodic[0]) > 1.05 * float(np.ptp(motion.d)):
+        return "less than a period of it lies within the travel"
     scales = {"m": motion.reach, "m/s": float(np.abs(motion.v).max())}
     for f in el.parameter_fields(type(element)):
         scale = scales.get(f.metadata["unit"])

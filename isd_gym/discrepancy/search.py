@@ -159,7 +159,7 @@ class Search:
             if len(r.fit.x) >= len(best.fit.x) or not r.well_formed():
                 continue
             try:
-                as_much = trial.beyond(r) < self.criteria.ahead * trial.beyond(best)
+                as_much = trial.left(r) < self.criteria.ahead * trial.left(best)
             except BROKEN:
                 continue
             if as_much and self.schwarz(r, chosen) < self.schwarz(best, chosen):
@@ -250,15 +250,25 @@ class Search:
 
     def anew(self, trial: Trial, structure: Structure, like: Candidate) -> Candidate | None:
         """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down."""
-        p = self.problem
-        try:
-            least = reckoned(p, like.fit, self.floors)
-            found = settled(p, structure, structure.start, self.floors, rounds=2, least=least)
-            # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
-            about = carried(p, like.fit.network, trial.of(like).start, structure)
+        p, least = self.problem, reckoned(self.problem, like.fit, self.floors)
+        near = level(p, like, like, self.floors) + self.criteria.significant
+        known = dict(zip((f.path for f in like.fit.structure.free), like.fit.x, strict=True))
+        there = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
+        found: list[Candidate] = []
+        try:  # from where it is, and, where that ends far off, from what the owner believes
+            begun = carried(p, like.fit.network, like.fit.initial, structure)
+            f = self.judge.plain.fit(structure, there, begun, like.fit.offset)
+            found.append(settled(p, structure, f.x, self.floors, f, rounds=2, least=least))
         except BROKEN:
+            pass
+        try:
+            if not found or found[0].likelihood > near:
+                found.append(settled(p, structure, structure.start, self.floors, rounds=2, least=least))
+            best = min(found, key=lambda c: c.likelihood)
+            # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
+            return replace(best, about=carried(p, like.fit.network, trial.of(like).start, structure))
+        except (*BROKEN, ValueError):
             return None
-        return replace(found, about=about)
 
     def prune(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
@@ -324,9 +334,7 @@ class Search:
         """Whether the rival's held-out excess is larger by a tenth, and not by chance."""
         ahead, theirs = self.criteria.ahead, trial.of(rival).score - trial.quiet
         # Schwarz's criterion: parameters that gain nothing, here or on the held-out records, count against it
-        richer = len(rival.fit.x) > len(best.fit.x) and ahead * max(
-            theirs, 0.01 * trial.quiet
-        ) > trial.beyond(best)
+        richer = len(rival.fit.x) > len(best.fit.x) and ahead * trial.left(rival) > trial.left(best)
         if richer and self.schwarz(rival, best) - self.schwarz(best, best) > self.criteria.decisive:
             return True
         if theirs < ahead * trial.beyond(best):

@@ -354,7 +354,7 @@ class CoggingForce(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         span = float(np.ptp(at.moves.d))
-        longest, shortest = 2 * span, span / 60
+        longest, shortest = span, span / 60  # with less than a period in sight nothing repeats
         out = []
         # neighbouring pitches shift by a quarter period over the span
         for cycles in np.arange(1 / longest, 1 / shortest, 0.25 / span):
