@@ -229,6 +229,8 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     # what small effects make of a wide gap is no agreement
     if (little or closes) and e.width < c.wide and e.believed(c.misses):
         return Decision(agreed, gates, small=there)
+    if failed == {"material"} and e.width < c.wide and e.believed(c.misses):
+        return Decision(agreed, gates, small=True)  # found, and too small to be named
     if gates and failed <= {"ahead", "forces first"}:
         # a sensor that is perhaps to blame for little is no finding
         little = "forces first" in failed and e.width < c.wide and e.believed(c.misses)

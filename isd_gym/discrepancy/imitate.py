@@ -26,7 +26,11 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     motion, force = motions(problem, candidate.fit), force_scale(problem)
     for k, element in enumerate(candidate.elements):
         m = motion.get(element.between) if element.place == "between" else None
-        if m is None or not _plain_curve(type(element)):
+        # of what repeats, and does not do so within the travel, only a curve is left
+        curve = (
+            element.periodic and getattr(element, element.periodic[0]) > float(np.ptp(m.d)) if m else False
+        )
+        if m is None or not (curve or _plain_curve(type(element))):
             continue
         near: list[tuple[float, Hypothesis, dict[str, float]]] = []
         for h in hypotheses(problem.network):
