@@ -274,12 +274,12 @@ class Run:
                     tb_log_name=self.algorithm,
                     log_interval=1 if self.algorithm == "ppo" else 50,
                 )
+                self.progress("training", 1.0)
             except KeyboardInterrupt:
                 self.save(model)
                 done = min(model.num_timesteps / s.steps, 1.0)
                 self.say(f"saved at {100 * done:.1f} %; this goes on from there:  {self.command(self.out)}")
                 raise
-            self.progress("training", 1.0)
             self.follow(model, s.averaging)
             self.look(model, env)
             self.save(model)
@@ -478,6 +478,9 @@ class Run:
         }
 
 
+SHOW_EVERY = 0.2  # [s] between two words on how far a training is
+
+
 def _callback(run: Run, env: Any) -> Any:
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -522,7 +525,7 @@ def _callback(run: Run, env: Any) -> Any:
             self._tick()
 
         def _on_step(self) -> bool:
-            if (now := time.perf_counter()) - self.shown > 0.2:
+            if (now := time.perf_counter()) - self.shown > SHOW_EVERY:
                 self.shown = now
                 run.progress("training", min(self.model.num_timesteps / run.settings.steps, 1.0))
             return True
