@@ -332,15 +332,20 @@ class Search:
     # -- rivals -------------------------------------------------------------------------------------------
     def beaten(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:
         """Whether the rival's held-out excess is larger by a tenth, and not by chance."""
-        ahead, theirs = self.criteria.ahead, trial.of(rival).score - trial.quiet
-        # Schwarz's criterion: parameters that gain nothing, here or on the held-out records, count against it
-        richer = len(rival.fit.x) > len(best.fit.x) and ahead * trial.left(rival) > trial.left(best)
-        if richer and self.schwarz(rival, best) - self.schwarz(best, best) > self.criteria.decisive:
+        if self.outclassed(trial, rival, best):
             return True
+        ahead, theirs = self.criteria.ahead, trial.of(rival).score - trial.quiet
         if theirs < ahead * trial.beyond(best):
             return False
         sure = rival.likelihood - best.likelihood > 50.0
         return sure or block_lead(trial.of(rival), trial.of(best)) > self.criteria.replicated
+
+    def outclassed(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:
+        """Whether the rival has more parameters that gain nothing, here or on the held-out records (Schwarz's criterion)."""
+        richer = len(rival.fit.x) > len(best.fit.x)
+        if not richer or self.criteria.ahead * trial.left(rival) <= trial.left(best):
+            return False
+        return self.schwarz(rival, best) - self.schwarz(best, best) > self.criteria.decisive
 
     def same(self, rival: Candidate, best: Candidate) -> bool:
         """Whether the rival is no alternative.

@@ -262,7 +262,12 @@ class Workflow:
         p, verdict, names = self.problem, decision.verdict, self.problem.channels
         named, ambiguous = verdict == "missing_effect", verdict == "ambiguous"
         base, final = trial.base, trial.foremost if named else trial.base
-        others = [r for r in trial.rivals() if not self.search.same(r, trial.foremost)]
+        others = [
+            r
+            for r in trial.rivals()
+            if not self.search.same(r, trial.foremost)
+            and not self.search.outclassed(trial, r, trial.foremost)
+        ]
         sure = confidence(trial, others, self.criteria.half, np.random.default_rng(self.seed))
         found = self.effects(trial.foremost, quantities, sure) if named else []
         small = self.effects(trial.foremost, quantities, sure) if decision.small else []
