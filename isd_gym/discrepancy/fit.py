@@ -145,11 +145,10 @@ class Fitter:
         records: list[int] | None = None,
         tolerance: float = 1e-4,
         frozen: bool = False,
-        quit_above: float = math.inf,
     ) -> Fit:
         """Fit the structure to the given records (the estimation records by default).
 
-        `frozen`: only initial states and offsets move. `quit_above`: give up where two steps leave the cost above it.
+        `frozen`: only initial states and offsets move.
         """
         problem = self.problem
         records = problem.estimation if records is None else records
@@ -175,7 +174,7 @@ class Fitter:
         cost = point[0] + self._prior(structure, x, initial, mean, sigma)
         if not math.isfinite(cost):
             raise InputError("the simulation breaks down at the start values")
-        for iteration in range(iterations):
+        for _ in range(iterations):
             _, H, g, nuisance, _ = point
             H, g = H.copy(), g.copy()
             H[np.arange(p), np.arange(p)] += 1.0 / sigma[:p] ** 2
@@ -211,8 +210,6 @@ class Fitter:
                 break
             point = new
             if gain < tolerance:
-                break
-            if iteration >= 2 and cost > quit_above:
                 break
         total, H, g, nuisance, outs = point
         prior = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0

@@ -95,6 +95,7 @@ class Workflow:
     def __post_init__(self) -> None:
         self.network = self.problem.network
         self.search = Search(Judge(self.problem), self.settings, self.criteria, self.say)
+        self._last: tuple[Trial, tuple[Evidence, dict[str, Quantity], list[Candidate]]] | None = None
 
     def run(self, notes: list[str], begun: float) -> Diagnosis:
         p = self.problem
@@ -107,7 +108,7 @@ class Workflow:
         if found is not None:
             return found
         trial = self.search.run(base, self.enough)
-        evidence, quantities, abreast = measure(self.search, trial)
+        evidence, quantities, abreast = self.measured(trial)
         decision = decide(evidence, self.criteria)
         if decision.verdict == "unknown_effect" and not early:
             found = self.briefly(notes, begun, named_only=True)
@@ -117,9 +118,15 @@ class Workflow:
             trial, evidence, decision, quantities, abreast, [*notes, *self.tried(trial)], begun
         )
 
+    def measured(self, trial: Trial) -> tuple[Evidence, dict[str, Quantity], list[Candidate]]:
+        """The evidence of a trial, once: the search asks for it, and the report again."""
+        if self._last is None or self._last[0] is not trial:
+            self._last = trial, measure(self.search, trial)
+        return self._last[1]
+
     def enough(self, trial: Trial) -> bool:
         """Whether a trial needs no runners-up."""
-        verdict = decide(measure(self.search, trial)[0], self.criteria).verdict
+        verdict = decide(self.measured(trial)[0], self.criteria).verdict
         return verdict in ("missing_effect", "no_discrepancy", "parameters_only")
 
     def tried(self, trial: Trial) -> list[str]:
@@ -176,7 +183,7 @@ class Workflow:
             trial = (
                 search.weigh(*search.walk([base], depth=1)) if named_only else search.run(base, flow.enough)
             )
-            evidence, quantities, abreast = measure(search, trial)
+            evidence, quantities, abreast = flow.measured(trial)
         except BROKEN:  # it breaks down on the held-out records
             return None
         decision = decide(evidence, self.criteria)
