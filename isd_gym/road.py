@@ -150,7 +150,7 @@ def recorded(path: str | Path) -> Road:
 
     path: of the table. Units are those of the file, metres and seconds where it tells none. Raises `InputError`.
     """
-    from .data import read_columns
+    from .data.table import read_columns
 
     path = Path(path)
     roles: dict[str, str] = {}

@@ -291,7 +291,7 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
 
 
 def test_what_is_held_at_many_levels_sticks_and_what_is_held_at_one_end_is_clipped() -> None:
-    from isd_gym.quality import check
+    from isd_gym.data import check
 
     rng = np.random.default_rng(6)
     t = 2e-3 * np.arange(4000)

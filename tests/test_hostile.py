@@ -634,7 +634,7 @@ def table(tmp_path, suffix, n=100):
 
 
 def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):
-    from isd_gym import isolated
+    from isd_gym.data import isolated
 
     path = table(tmp_path, ".mat")
     read_table(path)
@@ -652,7 +652,7 @@ def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, mo
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of a process")
 def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
-    from isd_gym import isolated
+    from isd_gym.data import isolated
 
     path = table(tmp_path, ".mat")
     program = Path(isolated.__file__).with_name("_tables.py").read_text()
@@ -756,7 +756,7 @@ def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
     path = table(tmp_path, ".mf4")
     path.write_bytes(path.read_bytes()[:700] + bytes(4000))
     code = (
-        "import sys, os; from isd_gym.data import read_table; from isd_gym import isolated\n"
+        "import sys, os; from isd_gym.data import read_table; from isd_gym.data import isolated\n"
         "from isd_gym.errors import InputError\n"
         "for _ in range(3):\n try: read_table(sys.argv[1])\n except InputError as e: pass\n"
         "print(isolated._helper.process.pid)"

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from ..data import Table, check, read_table
+from ..data.quality import CHECKS
 from ..errors import InputError, shown
 from ..network import Channel, Network
-from ..quality import CHECKS
 from ..units import UNITS, convert
 from .problem import Array, Record, Role, low_pass
 

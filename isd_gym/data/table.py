@@ -1,7 +1,4 @@
-"""Tables of measured channels, read from and written to CSV, Parquet, MATLAB ``.mat`` and MDF ``.mf4`` files.
-
-`check` (whether a record can be trusted) and the signal tools live in `quality` and `signals`; they are at hand here.
-"""
+"""Tables of measured channels, read from and written to CSV, Parquet, MATLAB ``.mat`` and MDF ``.mf4`` files."""
 
 from __future__ import annotations
 
@@ -21,24 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, plain, shown
-from .files import whole
-from .inputs import memory_limit, plain_file, read_bytes, too_large
-from .quality import TIME, Finding, check
-from .signals import Consistency, integral_consistency, noise_level, smooth_derivatives
-from .units import convert
-
-__all__ = [
-    "Consistency",
-    "Finding",
-    "Table",
-    "check",
-    "integral_consistency",
-    "noise_level",
-    "read_table",
-    "smooth_derivatives",
-    "write_table",
-]
+from ..errors import InputError, plain, shown
+from ..files import whole
+from ..inputs import memory_limit, plain_file, read_bytes, too_large
+from ..units import convert
+from .quality import TIME
 
 #: of a text table: characters of a line, columns, and how many times its size it takes in memory while it is read
 LINE_LIMIT, COLUMN_LIMIT, TEXT_SHARE = 131_072, 10_000, 12

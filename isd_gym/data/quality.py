@@ -11,11 +11,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import signal
 
-from .errors import InputError
-from .units import convert
+from ..errors import InputError
+from ..units import convert
 
 if TYPE_CHECKING:
-    from .data import Table
+    from .table import Table
 
 TIME = "time"
 Level = Literal["error", "warning", "note"]

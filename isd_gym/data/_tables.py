@@ -1,6 +1,6 @@
 """Reads MATLAB, Parquet and MDF tables in a process of their own, where a fault or a bomb is only an error.
 
-`isd_gym.data` starts this text with ``python -c``; nothing of the package is imported here. A request is a line of JSON on
+`isolated` starts this text with ``python -c``; nothing of the package is imported here. A request is a line of JSON on
 standard input, the answer a line of JSON on standard output, followed by the columns as float64. The libraries behind these
 formats are written in C: a broken file can bring them down, and a small one can unpack to more than there is.
 """

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError
-from .inputs import memory_limit, plain_file, too_large
+from ..errors import InputError
+from ..inputs import memory_limit, plain_file, too_large
 
 SECONDS, SECONDS_PER_MB = 5.0, 1.0  # processor time for a file
 PATIENCE = 20.0  # times that, by the clock: a busy machine is no endless loop
@@ -31,7 +31,7 @@ class _Helper:
 
     def __init__(self) -> None:
         self.owner = os.getpid()
-        program = (resources.files("isd_gym") / "_tables.py").read_text(encoding="utf-8")
+        program = (resources.files("isd_gym.data") / "_tables.py").read_text(encoding="utf-8")
         threads = {f"{k}_NUM_THREADS": "1" for k in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
         env = {
             **os.environ,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg, optimize, signal
 
-from .errors import InputError
+from ..errors import InputError
 
 
 def noise_level(x: ArrayLike, step: float) -> tuple[float, float]:
