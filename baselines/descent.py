@@ -16,15 +16,13 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from isd_gym.kernel import _stamp, kernel
+from isd_gym.kernel.compiled import kernel, stamp
 
 PIECE = 40  # control steps that share a step length
 CAUTION = 0.5  # how much more than its curvature a deviation at the end of a piece is taken to cost
 ALPHAS = (1.0, 0.4, 0.1, 0.0)  # step lengths tried
 
-# the kernel's functions for one car and for many: bound where this is compiled, see `compiled`
-advance_one: Callable
-measure_one: Callable
+# the kernel's functions: bound where this is compiled, see `compiled`
 advance: Callable
 measure: Callable
 
@@ -136,8 +134,8 @@ def rollout(car, objective, plan, alphas, path, chosen):
                 path.current[k] = last
                 for i in range(sub):
                     c[i, 0, 0] = last
-                advance_one(car.mats, car.ints, state, car.road[k * sub : (k + 1) * sub + 1], c, 1)
-                measure_one(car.mats, car.ints, state, car.road[(k + 1) * sub], c[sub - 1], 1, y)
+                advance(car.mats, car.ints, state, car.road[k * sub : (k + 1) * sub + 1], c, 1)
+                measure(car.mats, car.ints, state, car.road[(k + 1) * sub], c[sub - 1], 1, y)
                 total += objective.current * last * last + objective.slope_i[k] * last
                 for m in range(3):
                     path.outputs[k, m] = y[m, 0]
@@ -289,23 +287,16 @@ class Compiled(NamedTuple):
 
 
 @functools.cache
-def _bind(stamp: int) -> Compiled:
-    one, many = kernel("one"), kernel("shared")
-    names: dict[str, Any] = {
-        **globals(),
-        "advance_one": one.advance,
-        "measure_one": one.measure,
-        "advance": many.advance,
-        "measure": many.measure,
-    }
+def _bind(of: int) -> Compiled:
+    names: dict[str, Any] = {**globals(), "advance": kernel().advance, "measure": kernel().measure}
     made = []
     for plain in (rollout, jacobian):
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
-        twin.__qualname__ = f"{plain.__name__}_{stamp:x}"  # as the kernel's: its laws are compiled in
+        twin.__qualname__ = f"{plain.__name__}_{of:x}"  # as the kernel's: its laws are compiled in
         made.append(nb.njit(twin, nogil=True, error_model="numpy", cache=True))
     return Compiled(*made)
 
 
 def compiled() -> Compiled:
     """The descent's functions, compiled when first needed."""
-    return _bind(_stamp())
+    return _bind(stamp())

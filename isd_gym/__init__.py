@@ -2,6 +2,10 @@
 
 Importing the package makes its environments known to Gymnasium and loads nothing else: the names below, and the modules
 (`isd_gym.env`, `isd_gym.road`, ...), come with their first use.
+
+What a suspension is: `elements`, `network`, `networks` (the built-in models). How it moves: `kernel`, `road`, `simulate`,
+`batch`. Records: `data`, `schemas`. The environment: `env`, `cost`; on it `driving`, `policies`, `scoring`, `sb3`,
+`record`, `sweep`. The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`, `cli`.
 """
 
 from __future__ import annotations

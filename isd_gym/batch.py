@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from . import elements as el
-from . import layout as place
 from .errors import InputError
-from .layout import WIDTH
+from .kernel import layout as place
+from .kernel.layout import WIDTH
 from .network import GROUND, Channel, Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
@@ -261,7 +261,7 @@ class Batch:
         group, lane = divmod(i, WIDTH)
         self._states[group, :, lane] = 0.0
         if self.points:
-            from .kernel import road_noise
+            from .kernel.cars import road_noise
 
             rough = np.empty(self.points * self.substeps)
             self.counters[i] = road_noise(

@@ -81,7 +81,7 @@ class Road:
 
         speed [m/s]. rng: what an environment would draw from.
         """
-        from .kernel import road_noise
+        from .kernel.cars import road_noise
 
         count = round(duration / step)
         gain, pole = self.noise(speed, step)

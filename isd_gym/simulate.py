@@ -19,7 +19,7 @@ from scipy.linalg import expm
 
 from . import elements as el
 from .errors import InputError
-from .layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
+from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
 from .network import Assembly, Channel, Network, assemble
 from .units import UNITS, convert
 
@@ -72,7 +72,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
 
     asm: the equations. step [s].
     """
-    from .kernel import law_code
+    from .kernel.compiled import law_code
 
     n, laws = asm.size[0], list(asm.laws)
     x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
@@ -282,7 +282,7 @@ class Plant:
         self._pack([whole[id(asm)] for asm in self.assemblies], several)
 
     def _pack(self, parts: Sequence[Discrete], several: bool) -> None:
-        from .kernel import kernel
+        from .kernel.compiled import kernel
 
         first = parts[0]
         for other in parts[1:]:
@@ -315,7 +315,7 @@ class Plant:
         return {k: v for k, v in self.__dict__.items() if k != "kernel"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from .kernel import kernel
+        from .kernel.compiled import kernel
 
         self.__dict__.update(state)
         self.kernel = kernel(bool(self.at.way != CONTACT))

@@ -5,7 +5,7 @@ import pytest
 import reference
 from scipy.signal import lsim, sawtooth
 
-from isd_gym import kernel
+from isd_gym.kernel import compiled
 from isd_gym.network import Channel, Network, linearise
 from isd_gym.road import paper_road
 from isd_gym.simulate import Plant, simulate
@@ -240,7 +240,7 @@ def test_an_element_of_ones_own_needs_nothing_but_its_class():
         force: float = el.parameter("N", 1.0, 1e3)
         length: float = el.parameter("m", 1e-3, 1.0)
 
-    before = kernel.kernel("one")
+    before = compiled.kernel()
     try:
         el.register(Magnet)
         net = Network.load("quarter-car-isd").with_element(
@@ -252,7 +252,7 @@ def test_an_element_of_ones_own_needs_nothing_but_its_class():
         assert rms(a["suspension_travel"] - b["suspension_travel"]) > 0.01 * rms(b["suspension_travel"])
     finally:
         el.TYPES.pop("test_magnet")
-    assert kernel.kernel("one") is before  # code compiled from now on does not know the element that is gone
+    assert compiled.kernel() is before  # code compiled from now on does not know the element that is gone
 
 
 def test_simulate_refuses_bad_input():

@@ -1,0 +1,136 @@
+"""The kernel compiled, with every law that is registered or without any; cached on disk under a key made of the sources."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import math
+import types
+from collections.abc import Callable, Sequence
+from importlib import resources
+from typing import Any, NamedTuple
+
+import numba as nb
+from numba.core.options import DefaultOptions
+
+from .. import elements as el
+from . import cars, contact, lanes, laws, layout, linear, newton, solve, steps
+
+
+def _dispatch(functions: Sequence[Callable], fallback: Callable) -> Callable:
+    """One compiled function that calls functions[which]."""
+    names = fallback.__code__.co_varnames[: fallback.__code__.co_argcount]
+    of_law = ", ".join(names[1:])
+    lines = [f"def dispatch({', '.join(names)}):"]
+    for code in range(len(functions)):
+        lines.append(f"    if which == {code}:\n        return law_{code}({of_law})")
+    lines.append(f"    return fallback({', '.join(names)})")
+    scope: dict[str, Any] = {f"law_{code}": nb.njit(f, **_INNER) for code, f in enumerate(functions)}
+    scope["fallback"] = nb.njit(fallback, **_INNER)
+    exec("\n".join(lines), scope)
+    return nb.njit(scope["dispatch"], **_INNER)
+
+
+def _laws() -> tuple[list[type[el.Element]], list[type[el.Element]]]:
+    smooth = [cls for cls in el.TYPES.values() if cls.law is not None]
+    dry = [cls for cls in el.TYPES.values() if cls.bound is not None]
+    return smooth, dry
+
+
+def law_code(cls: type[el.Element]) -> int:
+    """Code of an element's law in the kernel: >= 0 a smooth law, < 0 a set-valued one."""
+    smooth, dry = _laws()
+    return smooth.index(cls) if cls.law is not None else -1 - dry.index(cls)
+
+
+def stamp() -> int:
+    """A number that changes with the kernel's and the laws' code."""
+    smooth, dry = _laws()
+    return _stamp_of((*((c.type, c.law) for c in smooth), *((c.type, c.bound) for c in dry)))
+
+
+@functools.cache
+def _stamp_of(registered: tuple[tuple[str, Any], ...]) -> int:
+    digest = hashlib.sha256()
+    for package in (str(__package__), el.__name__):
+        files = resources.files(package).iterdir()  # the package may lie in a zip
+        for file in sorted((f for f in files if f.name.endswith(".py")), key=lambda f: f.name):
+            digest.update(file.read_bytes())
+    for name, law in registered:
+        digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
+    return int.from_bytes(digest.digest()[:6], "big")
+
+
+class Kernel(NamedTuple):
+    """The compiled functions."""
+
+    advance: Callable
+    measure: Callable
+    record: Callable
+    drive: Callable
+
+
+_CLOSED = (
+    layout.layout, linear.sums, linear.pooled, linear.number, linear.clip, linear.take, contact.apply, contact.touch
+)  # fmt: skip
+_LAWS = (
+    laws.parameters, laws.held, laws.seen, laws.ask, laws.rub, laws.push,
+    newton.eliminate, newton.answers, newton.newton,
+    solve.settle, solve.busy, solve.finish, solve.solved,
+)  # fmt: skip
+_STEPS = (steps.march, steps.outputs, steps.pool_of, cars.driven, cars.travel, cars.look, cars.judge)
+_ENTRIES = (steps.advance, steps.measure, steps.record, cars.drive)
+_MODULES = (
+    math,
+    layout,
+    lanes,
+    linear,
+    laws,
+    newton,
+    solve,
+    steps,
+    cars,
+)  # whose constants the functions read
+#: put in where they are called: what returns a piece of an array cannot be a function of its own where nothing counts
+#: references, and what is called once need not be compiled, optimised and linked twice
+_INLINE = (
+    steps.pool_of,
+    laws.parameters,
+    solve.settle,
+    solve.busy,
+    solve.finish,
+    solve.solved,
+    solve.unsolved,
+    steps.march,
+)
+_INNER: dict[str, Any] = {
+    "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True
+}  # fmt: skip
+_ENTRY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True}
+if hasattr(
+    DefaultOptions, "_nrt"
+):  # nothing inside makes an array, and calls that count no references are inlined
+    _INNER["_nrt"] = False
+
+
+@functools.cache
+def _bind(of: int, with_laws: bool) -> Kernel:
+    smooth, dry = _laws() if with_laws else ([], [])
+    names: dict[str, Any] = {k: v for module in _MODULES for k, v in vars(module).items()}
+    if with_laws:
+        names["law_force"] = _dispatch([c.law for c in smooth], laws.law_force)  # type: ignore[misc]
+        names["law_bound"] = _dispatch([c.bound for c in dry], laws.law_bound)  # type: ignore[misc]
+    for plain in (*_CLOSED, *(_LAWS if with_laws else (solve.unsolved,)), *_STEPS, *_ENTRIES):
+        # compiled functions read constants and one another from `names`; the name of a function is part of its key
+        # in numba's cache on disk: the stamp keeps old laws out
+        twin = types.FunctionType(plain.__code__, names, plain.__name__)
+        twin.__qualname__ = f"{plain.__name__}_{'laws' if with_laws else 'closed'}_{of:x}"
+        name = "solved" if plain is solve.unsolved else plain.__name__
+        options = _ENTRY if plain in _ENTRIES else _INNER
+        names[name] = nb.njit(twin, **options, inline="always" if plain in _INLINE else "never")
+    return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
+
+
+def kernel(with_laws: bool = True) -> Kernel:
+    """The compiled kernel with every law that is registered now, or without any: for networks of the way `CONTACT`."""
+    return _bind(stamp(), with_laws)

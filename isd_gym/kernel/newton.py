@@ -1,0 +1,151 @@
+"""All laws of a lane at once, where sweeps do not settle: a safeguarded Newton iteration."""
+
+from __future__ import annotations
+
+import math
+
+from .laws import TIGHT, ask, held, parameters, seen
+from .layout import WIDTH, layout
+from .linear import U, number
+
+GOOD = 1e-6  # relative error of a force with which a step counts as solved
+
+
+def newton(mats, own, ints, state, l):
+    """Forces of all laws of lane l at once: Newton steps with one-sided slopes, shortened until they help.
+
+    What is found is as good as it gets: it stands if the laws agree with it to `GOOD`, else the lane's state becomes nan.
+    """
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    matrix = at.scratch * WIDTH  # (law, law), then the step and the best forces
+    step, start, best = matrix + nl * nl, matrix + nl * (nl + 1), matrix + nl * (nl + 2)
+    for j in range(nl):
+        f = state[U((at.force + j) * WIDTH + l)]
+        state[U((at.acting + j) * WIDTH + l)] = f
+        state[U(best + j)] = f
+    worst, who = answers(mats, own, ints, state, l)
+    least, last = worst, who
+    for turn in range(60):
+        if least <= TIGHT:
+            break
+        for j in range(nl):
+            f = state[U((at.acting + j) * WIDTH + l)]
+            state[U(start + j)] = f
+            state[U(step + j)] = state[U((at.said + j) * WIDTH + l)] - f
+            by_d, by_s, stick = 0.0, 0.0, 0.0
+            if j < ns:
+                said = state[U((at.said + j) * WIDTH + l)]
+                away = 1e-7 if turn % 2 == 0 else -1e-7  # either side of a kink in turn
+                dd = away * (1e-3 + abs(seen(mats, own, at, state, n + j, l, -1)))
+                ds = away * (1e-2 + abs(seen(mats, own, at, state, n + nl + j, l, -1)))
+                by_d = (ask(mats, own, ints, state, j, l, dd, 0.0)[0] - said) / dd
+                by_s = (ask(mats, own, ints, state, j, l, 0.0, ds)[0] - said) / ds
+            else:
+                gain = number(mats, own, at.gains + j * at.rows + n + j, l)
+                level = state[U((at.tried + j) * WIDTH + l)]
+                if gain < 0.0 and abs(state[U((at.said + j) * WIDTH + l)]) < level:
+                    stick = -1.0 / gain
+            for i in range(nl):
+                column = at.gains + i * at.rows + n + j
+                first = number(mats, own, column, l)
+                if j < ns:
+                    slope = by_d * first + by_s * number(mats, own, column + nl, l)
+                else:
+                    slope = 0.0 if i == j else stick * first
+                state[U(matrix + j * nl + i)] = (1.0 if i == j else 0.0) - slope
+        eliminate(state, matrix, step, nl)
+        share = 1.0
+        for _ in range(14):
+            for j in range(nl):
+                state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)] + share * state[U(step + j)]
+            error, which = answers(mats, own, ints, state, l)
+            if error < worst:
+                break
+            share *= 0.5
+        if not error < worst:  # no way down: a cautious step towards what the laws say
+            for j in range(nl):
+                state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)]
+            answers(mats, own, ints, state, l)
+            for j in range(nl):
+                said = state[U((at.said + j) * WIDTH + l)]
+                state[U((at.acting + j) * WIDTH + l)] += (0.5 if turn % 3 else 0.05) * (
+                    said - state[U(start + j)]
+                )
+            error, which = answers(mats, own, ints, state, l)
+        worst, who = error, which
+        if worst < least:
+            least, last = worst, who
+            for j in range(nl):
+                state[U(best + j)] = state[U((at.acting + j) * WIDTH + l)]
+    for j in range(nl):
+        state[U((at.acting + j) * WIDTH + l)] = state[U(best + j)]
+    answers(mats, own, ints, state, l)
+    if not least <= GOOD:
+        for j in range(nl):
+            state[U((at.acting + j) * WIDTH + l)] = math.nan
+        if state[U(at.failed * WIDTH + l)] == 0.0:
+            state[U(at.failed * WIDTH + l)] = -1.0  # in this step
+            state[U((at.failed + 1) * WIDTH + l)] = last
+
+
+def answers(mats, own, ints, state, l):
+    """What all laws of lane l say to the forces that act; the largest relative difference, and its law."""
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    worst, who = 0.0, 0
+    for j in range(nl):
+        f, row = state[U((at.acting + j) * WIDTH + l)], n + j
+        if j < ns:
+            now, z = ask(mats, own, ints, state, j, l, 0.0, 0.0)
+            state[U((at.coming + j) * WIDTH + l)] = z
+        else:
+            # without what a reversal within the step does, which is not continuous
+            gain = number(mats, own, at.gains + j * at.rows + row, l)
+            rate, level = seen(mats, own, at, state, row, l, j), state[U((at.tried + j) * WIDTH + l)]
+            now = held(0, parameters(mats, own, at, j, l), rate, gain, level, 0.0, 0.0, False)
+        state[U((at.said + j) * WIDTH + l)] = now
+        error = abs(now - f) / (1.0 + abs(f))
+        if error > TIGHT and j < ns:
+            # a law that jumps (a damped stop as it is met) has any force between, where it jumps
+            least, most = now, now
+            for side in range(2):
+                near = (1.0 if side == 0 else -1.0) * 1e-9
+                dd = near * (1e-3 + abs(seen(mats, own, at, state, row, l, -1)))
+                ds = near * (1e-3 + abs(seen(mats, own, at, state, row + nl, l, -1)))
+                there = ask(mats, own, ints, state, j, l, dd, ds)[0]
+                least, most = min(least, there), max(most, there)
+            if least <= f <= most:
+                error = 0.0
+        if not error <= worst:
+            worst, who = error, j
+    return worst, who
+
+
+def eliminate(numbers, matrix, right, n):
+    """Solve a small system of equations in place (rows one after another), the largest pivot first."""
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(numbers[U(matrix + i * n + k)]) > abs(numbers[U(matrix + best * n + k)]):
+                best = i
+        if best != k:
+            for j in range(n):
+                a, b = U(matrix + k * n + j), U(matrix + best * n + j)
+                numbers[a], numbers[b] = numbers[b], numbers[a]
+            a, b = U(right + k), U(right + best)
+            numbers[a], numbers[b] = numbers[b], numbers[a]
+        pivot = numbers[U(matrix + k * n + k)]
+        if abs(pivot) < 1e-300:
+            pivot = 1e-300
+        for i in range(k + 1, n):
+            share = numbers[U(matrix + i * n + k)] / pivot
+            for j in range(k, n):
+                numbers[U(matrix + i * n + j)] -= share * numbers[U(matrix + k * n + j)]
+            numbers[U(right + i)] -= share * numbers[U(right + k)]
+    for i in range(n - 1, -1, -1):
+        t = numbers[U(right + i)]
+        for j in range(i + 1, n):
+            t -= numbers[U(matrix + i * n + j)] * numbers[U(right + j)]
+        pivot = numbers[U(matrix + i * n + i)]
+        numbers[U(right + i)] = t / (pivot if abs(pivot) >= 1e-300 else 1e-300)

@@ -1,0 +1,118 @@
+"""A step law by law, in the lanes where something acts: sweeps over the laws, and what follows from their forces."""
+
+from __future__ import annotations
+
+from .contact import apply
+from .lanes import bits, load, spread, store
+from .laws import law_bound, parameters, push, rub, seen
+from .layout import GENERAL, QUIET, WIDTH, layout
+from .linear import U, clip, pooled
+from .newton import newton
+
+SWEEPS = 40  # of Gauss-Seidel
+
+
+def solved(mats, own, ints, state, count, now):
+    """End step number `now` law by law."""
+    at = layout(ints)
+    left = busy(mats, own, ints, state, count)
+    if left:
+        settle(mats, own, ints, state, left)
+    if at.way == QUIET:
+        friction = spread(0.0)
+        if at.laws > at.smooth:
+            friction = load(state, (at.force + at.smooth) * WIDTH)
+        apply(mats, own, ints, state, friction, friction)
+    if left:
+        finish(mats, own, ints, state, left)
+    for l in range(count):
+        if state[U(at.failed * WIDTH + l)] < 0.0:
+            state[U(at.failed * WIDTH + l)] = now
+
+
+def unsolved(mats, own, ints, state, count, now):
+    """In the place of `solved` where all networks go the way CONTACT."""
+
+
+def busy(mats, own, ints, state, count):
+    """Lanes (as bits) in which laws are to be solved for; in the others the friction is a clip."""
+    at = layout(ints)
+    everyone = (1 << count) - 1
+    if at.way == GENERAL:
+        return everyone
+    acts = spread(1.0) < spread(0.0)
+    for j in range(at.smooth):
+        d, f = load(state, (at.first + j) * WIDTH), load(state, (at.force + j) * WIDTH)
+        acts = acts | (abs(d) > pooled(mats, own, at.spans + j)) | (f != 0.0)
+    if at.laws > at.smooth:
+        rate = load(state, (at.first + at.smooth) * WIDTH)
+        friction = clip(rate * pooled(mats, own, at.give), pooled(mats, own, at.level))
+        store(state, (at.force + at.smooth) * WIDTH, friction)
+    return bits(acts) & everyone
+
+
+def settle(mats, own, ints, state, left):
+    """Forces of all laws at the end of the step in the lanes `left` (bits); those that cannot be found become nan.
+
+    Gauss-Seidel over the laws, a secant step in each; a single dry friction is eliminated: it follows the forces of
+    the others at once. Lanes take turns, which keeps the processor busy: a visit is one long chain of operations.
+    """
+    at = layout(ints)
+    nl, ns = at.laws, at.smooth
+    for l in range(WIDTH):
+        if left >> l & 1:
+            for j in range(nl):
+                state[U((at.acting + j) * WIDTH + l)] = state[U((at.force + j) * WIDTH + l)]
+                if j >= ns:
+                    # the bound is that of the rate at the start of the step: a falling (Stribeck) curve taken at its
+                    # end would have several solutions
+                    state[U((at.tried + j) * WIDTH + l)] = law_bound(
+                        -1 - ints[U(at.code + j)],
+                        parameters(mats, own, at, j, l),
+                        state[U((at.elongation + j) * WIDTH + l)],
+                        state[U((at.rate + j) * WIDTH + l)],
+                    )
+    for sweep in range(SWEEPS):
+        moved = 0
+        if nl - ns > 1 or ns == 0:
+            for j in range(ns, nl):
+                for l in range(WIDTH):
+                    if left >> l & 1:
+                        moved |= rub(mats, own, ints, state, j, l) << l
+        for j in range(ns):
+            for l in range(WIDTH):
+                if left >> l & 1:
+                    moved |= push(mats, own, ints, state, sweep, j, l) << l
+        left &= moved
+        if left == 0:
+            break
+    for l in range(WIDTH):
+        if left >> l & 1:
+            newton(mats, own, ints, state, l)
+
+
+def finish(mats, own, ints, state, left):
+    """End the step of the lanes `left` (bits) with the forces that were solved for."""
+    at = layout(ints)
+    n, nl, ns = at.states, at.laws, at.smooth
+    for l in range(WIDTH):
+        if left >> l & 1:
+            for i in range(n + 2 * nl):
+                t = seen(mats, own, at, state, i, l, -1)
+                if i < n:
+                    to = i
+                elif i < n + nl:  # elongations and rates; those of dry laws stand the other way round
+                    to = (at.elongation if i < n + ns else at.rate) + i - n
+                else:
+                    to = (at.rate if i < n + nl + ns else at.elongation) + i - n - nl
+                state[U(to * WIDTH + l)] = t
+            for j in range(nl):
+                f, s = state[U((at.acting + j) * WIDTH + l)], state[U((at.rate + j) * WIDTH + l)]
+                if j < ns:
+                    state[U((at.memory + j) * WIDTH + l)] = state[U((at.coming + j) * WIDTH + l)]
+                elif ints[U(at.differs + j)] == 0 and abs(s) > 1e-9:
+                    # what acted was a mean over the step; what outputs see is the force at its end
+                    d = state[U((at.elongation + j) * WIDTH + l)]
+                    f = law_bound(-1 - ints[U(at.code + j)], parameters(mats, own, at, j, l), d, s)
+                    f = f if s > 0.0 else -f
+                state[U((at.force + j) * WIDTH + l)] = f

@@ -1,0 +1,123 @@
+"""Steps, and what runs many of them: records (`record`), a few steps of many lanes (`advance`), outputs (`measure`)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .contact import touch
+from .lanes import load, store
+from .layout import CONTACT, WIDTH, layout
+from .linear import U, sums, take
+from .solve import solved
+
+
+def march(mats, own, ints, state, u, c, u_at, c_at, steps, width, first, count, now):
+    """Run a group of `count` lanes in place for `steps` steps, the first of them number `now`.
+
+    u (.., m, width) from row u_at and c (.., nc, width) from row c_at, flat; `width` 1: all lanes have the same inputs, else
+    the group's are those from `first` on.
+    """
+    at = layout(ints)
+    m, nc, nl = at.inputs, at.currents, at.laws
+    for k in range(steps):
+        for j in range(2 * m):
+            take(state, at.start + j, u, (u_at + k) * m + j, width, first, count)
+        for j in range(nc):
+            take(state, at.current + j, c, (c_at + k) * nc + j, width, first, count)
+        for j in range(nl * at.differ):
+            store(state, (at.last + j) * WIDTH, load(state, (at.elongation + j) * WIDTH))
+        sums(mats, own, at.matrix, at.rows, at.columns, state, at.step, at.rows)
+        if at.way == CONTACT:
+            touch(mats, own, ints, state)
+        else:
+            solved(mats, own, ints, state, count, now + k)
+
+
+def outputs(mats, own, ints, state):
+    """The outputs now, into their rows of the state."""
+    at = layout(ints)
+    sums(mats, own, at.out, at.out_rows, at.columns, state, at.outcome, at.out_rows)
+
+
+def pool_of(mats, own, ints, group):
+    size = layout(ints).size
+    return mats[group * size * WIDTH : (group + 1) * size * WIDTH] if own else mats
+
+
+def record(mats, ints, states, u, c, every, width, lanes, out):
+    """A whole record: flat u (N*every+1, m, width) and c (N*every, nc, width); the lanes share inputs if width is 1.
+
+    out (N+1, ny, lanes) holds the outputs at every `every`-th step. `states`: of the groups, one after another. The last
+    numbers of `ints` say of every output whether it sees a current before its sample (`Plant.early`).
+    """
+    at = layout(ints)
+    own = mats.shape[0] != at.size
+    m, nc, ny, nl = at.inputs, at.currents, at.outputs, at.laws
+    size = at.height * WIDTH
+    early = at.differs + nl
+    some_early = False
+    for i in range(ny):
+        some_early |= ints[U(early + i)] != 0
+    last = c.shape[0] // max(nc * width, 1) - 1
+    for group in range((lanes + WIDTH - 1) // WIDTH):
+        first = group * WIDTH
+        count = min(WIDTH, lanes - first)
+        pool, state = pool_of(mats, own, ints, group), states[group * size : (group + 1) * size]
+        for j in range(m):  # before the first step
+            take(state, at.end + j, u, j, width, first, count)
+        for k in range(out.shape[0]):
+            if k > 0:
+                begin = (k - 1) * every
+                march(pool, own, ints, state, u, c, begin, begin, every, width, first, count, begin + 1)
+            if some_early:
+                outputs(pool, own, ints, state)
+                for i in range(ny):
+                    if ints[U(early + i)] != 0:
+                        for l in range(count):
+                            out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
+            for j in range(nc):  # a current acts from its sample on
+                take(state, at.current + j, c, min(k * every, last) * nc + j, width, first, count)
+            outputs(pool, own, ints, state)
+            for i in range(ny):
+                if ints[U(early + i)] == 0:
+                    for l in range(count):
+                        out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
+
+
+def advance(mats, ints, state, u, c, lanes):
+    """Run ``u.shape[0] - 1`` steps in place: `state` (rows, lanes) of a `Plant`, u (K+1, m, lanes), c (K, nc, lanes)."""
+    at = layout(ints)
+    pools, own = mats.reshape(-1), mats.size != at.size
+    flat_u, flat_c = u.reshape(-1), c.reshape(-1)
+    work = np.zeros(at.height * WIDTH)
+    for group in range((lanes + WIDTH - 1) // WIDTH):
+        first = group * WIDTH
+        count = min(WIDTH, lanes - first)
+        for i in range(at.scratch):
+            for l in range(count):
+                work[U(i * WIDTH + l)] = state[i, first + l]
+        pool = pool_of(pools, own, ints, group)
+        march(pool, own, ints, work, flat_u, flat_c, 0, 0, u.shape[0] - 1, lanes, first, count, 1)
+        for i in range(at.scratch):
+            for l in range(count):
+                state[i, first + l] = work[U(i * WIDTH + l)]
+
+
+def measure(mats, ints, state, u, c, lanes, out):
+    """Outputs now: out (ny, lanes) from u (m, lanes) and c (nc, lanes)."""
+    at = layout(ints)
+    pools, own = mats.reshape(-1), mats.size != at.size
+    work = np.zeros(at.height * WIDTH)
+    for group in range((lanes + WIDTH - 1) // WIDTH):
+        first = group * WIDTH
+        for l in range(min(WIDTH, lanes - first)):
+            for j in range(at.inputs):
+                state[at.end + j, first + l] = u[j, first + l]
+            for j in range(at.currents):
+                state[at.current + j, first + l] = c[j, first + l]
+            for i in range(at.columns):
+                work[U(i * WIDTH + l)] = state[i, first + l]
+        outputs(pool_of(pools, own, ints, group), own, ints, work)
+        for i in range(at.outputs):
+            for l in range(min(WIDTH, lanes - first)):
+                out[i, first + l] = work[U((at.outcome + i) * WIDTH + l)]
