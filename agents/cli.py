@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -53,7 +54,7 @@ def train(
 
     from .train import train as run
 
-    if json_file is not None and not json_file.parent.is_dir():
+    if json_file is not None and not os.path.isdir(json_file.parent):
         raise InputError(f"cannot write '{json_file}': no folder '{json_file.parent}'")
     with _bar() as (say, progress):
         report = run(
@@ -133,7 +134,7 @@ def convert(
     if out is None and onnx is None and plain_c is None:
         raise InputError("nothing to write: give --out DIR, --onnx FILE or --c DIR")
     if archive.suffix == ".zip":
-        if archive.is_file():
+        if os.path.isfile(archive):
             typer.echo(f"{archive}: {WARNING}", err=True)
         policy = run(archive, normalize=normalize, network=network)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,10 @@ def open_policy(
     if path.suffix == ".zip":
         from .convert import WARNING, convert
 
-        if path.is_file():
+        if os.path.isfile(path):
             print(f"{name}: {WARNING}", file=sys.stderr)
         first = convert(path, name=path.stem)
-    elif name in names() or path.is_dir() or path.name == "policy.json":
+    elif name in names() or os.path.isdir(path) or path.name == "policy.json":
         first = Policy.load(path.parent if path.name == "policy.json" else path)
     else:
         return None

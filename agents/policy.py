@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import struct
 from collections.abc import Mapping
 from copy import copy
@@ -346,7 +347,7 @@ class Policy:
         """Read a policy folder, or a shipped policy by its name (ppo, sac); `InputError` if anything is amiss."""
         given, folder = folder, Path(folder)
         where = f"policy {shown(str(given), 200)}"
-        if not folder.exists() and (SHIPPED / str(given) / JSON_NAME).is_file():
+        if not os.path.exists(folder) and os.path.isfile(SHIPPED / str(given) / JSON_NAME):
             folder = SHIPPED / str(given)
         if folder.suffix == ".zip":
             raise InputError(
@@ -388,6 +389,6 @@ class Policy:
 
 
 def _read(folder: Path, name: str) -> bytes:
-    if not (folder / name).exists():
+    if not os.path.exists(folder / name):
         raise InputError(f"policy {shown(str(folder), 200)}: no {name} there")
     return read_bytes(folder / name, FILE_LIMIT)

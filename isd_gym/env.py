@@ -282,7 +282,9 @@ class ISDSuspensionEnv(gym.Env):
             raise gym.error.ResetNeeded("call reset() before step()")
         try:
             (target,) = action.tolist() if isinstance(action, np.ndarray) else action
-            if isinstance(target, str):  # float() would make a number of it
+            if isinstance(target, str | bytes) or isinstance(
+                action, bytes
+            ):  # float() would make a number of it
                 raise TypeError
             target = float(target)
         except (TypeError, ValueError, OverflowError):

@@ -34,9 +34,9 @@ def whole(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     check_file(path)
-    if path.is_symlink() and path.is_file() and path.parent != Path("/dev"):
+    if os.path.islink(path) and os.path.isfile(path) and path.parent != Path("/dev"):
         path = path.resolve()
-    elif path.exists() and not (path.is_file() and not path.is_symlink()):
+    elif os.path.exists(path) and not (os.path.isfile(path) and not os.path.islink(path)):
         with tempfile.TemporaryDirectory() as folder:
             temporary = Path(folder) / f"out{path.suffix}"
             yield temporary
@@ -106,20 +106,20 @@ def claim_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -
 def check_file(path: str | Path) -> None:
     """Raise `InputError` where no file can be written: before long work, not after it."""
     path = Path(path)
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"cannot write '{path}': it is a folder; name a file")
 
 
 def check_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()) -> None:
     """Raise `InputError` where `whole_folder` would not write, so that long work does not begin in vain."""
     path = Path(path)
-    if path.is_symlink() or (path.exists() and not path.is_dir()):
+    if os.path.islink(path) or (os.path.exists(path) and not os.path.isdir(path)):
         raise InputError(f"cannot write a {kind} to '{path}': it is no folder")
-    if not path.name or path.resolve() == Path.cwd():
+    if not path.name or os.path.realpath(path) == os.getcwd():
         raise InputError(f"cannot write a {kind} to '{path}': name a folder of its own")
-    if not path.is_dir():
+    if not os.path.isdir(path):
         return
     try:
         there = sorted((p for p in path.iterdir() if not p.name.startswith(_PREFIX)), key=lambda p: p.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -135,13 +136,13 @@ def _place(out: str, policy: str) -> tuple[Path, str]:
         from minari.storage import get_dataset_path
 
         folder = get_dataset_path(out)
-        if folder.exists():
+        if os.path.exists(folder):
             raise InputError(f"Minari has a data set '{out}' already: choose another name or version")
         return folder, out
     folder = Path(out)
-    if folder.exists():
+    if os.path.exists(folder):
         raise InputError(f"'{out}' exists already: choose another folder")
-    if not folder.absolute().parent.is_dir():
+    if not os.path.isdir(folder.absolute().parent):
         raise InputError(f"cannot write '{out}': no folder '{folder.parent}'")
     # absolute: Minari's storage loses its way in a relative one
     return folder.absolute(), f"isd/{re.sub(r'[^-0-9A-Za-z_]', '-', policy)}-v0"

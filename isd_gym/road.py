@@ -13,6 +13,7 @@ intensity (2 pi)^2 kappa u, and kappa = G(n0) n0^2 / 2.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -226,7 +227,7 @@ def road(source: str | Path | Road) -> Road:
         return named[text]()
     if text.upper().removeprefix("ISO-") in ISO_CLASSES:
         return iso_road(text.upper().removeprefix("ISO-"))
-    if Path(text).is_file() or Path(text).is_fifo():
+    if os.path.exists(text) and not os.path.isdir(text):  # a pipe is refused where it is read
         return recorded(text)
     if len(text) > 4096:
         raise InputError(f"no road {shown(text)}: {NAMES}")

@@ -26,9 +26,12 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,10 +40,13 @@ import typer
 
 from .engine import Outcome, Task, shard, stored
 from .engine import run as run_tasks
-from .errors import InputError
+from .errors import InputError, shown
+from .inputs import parse_json, read_bytes
 from .network import Network
 
 SCHEMA = "isd-sweep/1"
+#: conditions and items of a grid, and the size of any number in it
+CONDITIONS, ITEMS, LARGEST = 10_000, 1_000_000, 1e100
 #: one sigma of white noise on each measured signal; the current is the controller's own and is known
 NOISE = {
     "body_acceleration": 0.1,  # m/s^2
@@ -66,9 +72,7 @@ class Condition:
     delay: int = 0  # control steps
 
     def __post_init__(self) -> None:
-        from .road import road
-
-        where = f"condition '{self.name}'" if self.name else "a condition"
+        where = f"condition {shown(self.name)}" if self.name else "a condition"
         if not (_number(self.speed) and self.speed > 0):
             raise InputError(f"{where}: speed must be a positive number of m/s, not {self.speed!r}")
         if not (_number(self.noise) and self.noise >= 0):
@@ -78,15 +82,18 @@ class Condition:
         if self.preview is not None and not (_number(self.preview) and self.preview >= 0):
             raise InputError(f"{where}: preview must be 0 s or more, not {self.preview!r}")
         try:
-            road(self.road)
+            for key, value in (("network", self.network), ("road", self.road), ("model", self.model or "")):
+                if not isinstance(value, str):
+                    raise InputError(f"{key} must be a name, not {shown(value)}")
+            _check_road(self.road, _changed(self.road))
             self.plant()
-            Network.load(self.model or self.network)
+            _network(self.model or self.network, _changed(self.model or self.network))
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
 
     def plant(self) -> Network:
         """The car that is driven."""
-        nominal = Network.load(self.network)
+        nominal = _network(self.network, _changed(self.network))
         if not isinstance(self.factors, Mapping) or not all(
             _number(f) and f > 0 for f in self.factors.values()
         ):
@@ -99,7 +106,29 @@ class Condition:
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < LARGEST  # neither infinite nor nan, nor a whole number that no float holds
+
+
+@lru_cache(maxsize=256)
+def _network(source: str, changed: float) -> Network:
+    return Network.load(source)
+
+
+@lru_cache(maxsize=256)
+def _check_road(source: str, changed: float) -> None:
+    from .road import road
+
+    road(source)
+
+
+def _changed(source: str) -> float:
+    """When the file of that name was last changed, so that it is read once for all conditions; 0 for what is no file."""
+    try:
+        return os.path.getmtime(source)
+    except (OSError, ValueError):
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -116,34 +145,35 @@ class Grid:
     def __post_init__(self) -> None:
         for name, least in (("episodes", 1), ("seed", 0), ("batch", 1)):
             value = getattr(self, name)
-            if not (isinstance(value, int) and not isinstance(value, bool) and value >= least):
-                raise InputError(f"{name} must be a whole number of {least} or more, not {value!r}")
+            if not (isinstance(value, int) and not isinstance(value, bool) and least <= value < 2**53):
+                raise InputError(f"{name} must be a whole number from {least} on, not {shown(value)}")
         if not (_number(self.duration) and self.duration > 0):
             raise InputError(f"duration must be a positive number of seconds, not {self.duration!r}")
         if not self.policies or not all(isinstance(p, str) for p in self.policies):
             raise InputError("policies must be a list of names, at least one")
         if len(set(self.policies)) != len(self.policies):
             raise InputError("a policy is named twice")
-        names = [c.name for c in self.conditions]
-        if twice := next((n for n in names if names.count(n) > 1), None):
-            raise InputError(f"two conditions are called '{twice}'")
+        name, count = Counter(c.name for c in self.conditions).most_common(1)[0]
+        if count > 1:
+            raise InputError(f"two conditions are called {shown(name)}")
+        items = len(self.conditions) * (len(self.policies) + 1) * -(-self.episodes // self.batch)
+        if items > ITEMS:
+            raise InputError(f"it has more than {ITEMS} items")
 
     @classmethod
     def load(cls, path: str | Path) -> Grid:
         """Read a grid; `InputError` with the file and the key for whatever is wrong in it."""
         path = Path(path)
+        data = read_bytes(path)
         try:
-            text = path.read_text(encoding="utf-8")
-            data = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-        except (OSError, UnicodeDecodeError) as error:
-            why = getattr(error, "strerror", None) or "not UTF-8"
-            raise InputError(f"cannot read grid '{path}': {why}") from None
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"grid '{path}': {str(error).splitlines()[0]}") from None
-        try:
-            return cls.from_dict(data)
-        except InputError as error:
-            raise InputError(f"grid '{path}': {error}") from None
+            if path.suffix == ".json":
+                return cls.from_dict(parse_json(data, "it is"))
+            return cls.from_dict(tomllib.loads(data.decode("utf-8-sig")))
+        except (ValueError, RecursionError) as error:  # InputError among them
+            why = (
+                "not UTF-8" if isinstance(error, UnicodeDecodeError) else (str(error).splitlines() or [""])[0]
+            )
+            raise InputError(f"grid '{path}': {why}") from None
 
     @classmethod
     def from_dict(cls, data: Any) -> Grid:
@@ -163,18 +193,21 @@ class Grid:
         for key, values in axes.items():
             if not isinstance(values, list) or not values:
                 raise InputError(f"axes: '{key}' must be a list of values, at least one")
-        if axes or not data.get("conditions"):
+        conditions = data.get("conditions", [])
+        if not isinstance(conditions, list):
+            raise InputError("conditions must be a list of tables")
+        count = math.prod(len(values) for values in axes.values()) + len(conditions)
+        if count > CONDITIONS:
+            raise InputError(f"it has {count:.4g} conditions, at most {CONDITIONS} are handled")
+        if axes or not conditions:
             for values in itertools.product(*axes.values()):
                 chosen = dict(zip(axes, values, strict=True))
                 name = ", ".join(f"{k} {_short(v)}" for k, v in chosen.items()) or "nominal"
                 made.append(Condition(**chosen, name=name))
-        conditions = data.get("conditions", [])
-        if not isinstance(conditions, list):
-            raise InputError("conditions must be a list of tables")
         for i, given in enumerate(conditions):
             if not isinstance(given, dict) or not isinstance(given.get("name"), str):
                 raise InputError(f"conditions[{i}] must be a table with a name")
-            _known(given, keys, f"condition '{given['name']}': ")
+            _known(given, keys, f"condition {shown(given['name'])}: ")
             made.append(Condition(**given))
         rest = {k: v for k, v in data.items() if k in own - {"axes", "schema", "conditions", "policies"}}
         policies = data.get("policies", [])

@@ -22,6 +22,10 @@ SHARE = {
     "zips": 200,
     "actions": 150,
     "networks": 150,
+    "writes": 150,
+    "grids": 150,
+    "records": 40,
+    "roads": 150,
 }
 
 
@@ -30,7 +34,7 @@ def test_a_share_of_the_tries(kind):
     pytest.importorskip({"parquet": "pyarrow", "mf4": "asammdf"}.get(kind, "numpy"))
     found = fuzz.block(kind, 1, 0, SHARE[kind])
     assert not found["failures"], found["failures"]
-    assert found["counts"]["refused"] > 0 and found["counts"]["result"] > 0
+    assert found["counts"]["result"] > 0 and (found["counts"]["refused"] > 0 or kind == "records")
 
 
 def test_what_goes_wrong_is_noticed(monkeypatch):

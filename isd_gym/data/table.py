@@ -6,6 +6,7 @@ import csv
 import difflib
 import io
 import math
+import os
 import re
 import sys
 import warnings
@@ -123,7 +124,7 @@ def read_columns(
         raise InputError(
             f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known})"
         ) from None
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"{path}: is a folder, not a table")
     plain_file(path)
     try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 import runpy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
@@ -386,7 +387,7 @@ def register_file(path: str | Path) -> None:
     path: the file.
     """
     path = Path(path)
-    if path.suffix != ".py" or not path.is_file():
+    if path.suffix != ".py" or not os.path.isfile(path):
         raise InputError(f"no Python file {shown(str(path))} with elements")
     before = dict(TYPES)
     try:

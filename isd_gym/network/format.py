@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import fields
 from difflib import get_close_matches
@@ -32,22 +33,21 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
     if isinstance(source, Mapping):
         return from_dict(source)
     text_name = str(source)
-    builtin = resources.files("isd_gym") / "networks" / f"{text_name}.json"
     where = f"model {shown(text_name, 200)}"
-    if "/" not in text_name and "\0" not in text_name and builtin.is_file():
+    known = builtin_networks()
+    if text_name in known:
+        builtin = resources.files("isd_gym") / "networks" / f"{text_name}.json"
         data = parse_json(builtin.read_bytes(), where)
     else:
-        path = Path(source)
-        if not path.exists():
-            known = builtin_networks()
-            near = get_close_matches(text_name, known, 1)
+        if not os.path.exists(source):  # which answers for whatever is no name of a file, too
+            near = get_close_matches(text_name[:200], known, 1)
             asked = f" (did you mean '{near[0]}'?)" if near else ""
             raise InputError(
                 f"no model {shown(text_name, 200)}{asked}: neither a file nor one of {', '.join(known)}"
             )
-        if path.is_dir():
+        if os.path.isdir(source):
             raise InputError(f"cannot read {where}: it is a folder")
-        data = parse_json(read_bytes(path), where)
+        data = parse_json(read_bytes(source), where)
     try:
         return from_dict(data)
     except InputError as error:
