@@ -106,6 +106,7 @@ def claim_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -
 def check_file(path: str | Path) -> None:
     """Raise `InputError` where no file can be written: before long work, not after it."""
     path = Path(path)
+    _nameable(path)
     if not os.path.isdir(path.parent):
         raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
     if os.path.isdir(path):
@@ -115,6 +116,7 @@ def check_file(path: str | Path) -> None:
 def check_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()) -> None:
     """Raise `InputError` where `whole_folder` would not write, so that long work does not begin in vain."""
     path = Path(path)
+    _nameable(path)
     if os.path.islink(path) or (os.path.exists(path) and not os.path.isdir(path)):
         raise InputError(f"cannot write a {kind} to '{path}': it is no folder")
     if not path.name or os.path.realpath(path) == os.getcwd():
@@ -141,6 +143,18 @@ def check_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
 
 
 # ------------------------------------------------------------------------------------------- the workshop
+
+
+def _nameable(path: Path) -> None:
+    """Raise `InputError` for what no file can be called, or where nobody may look."""
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return  # told better by those who ask
+    except OSError as error:
+        raise _cannot(path, error) from None
+    except ValueError as error:  # a NUL
+        raise InputError(f"cannot write {shown(str(path), 200)} ({error})") from None
 
 
 def _cannot(path: Path, error: OSError) -> InputError:

@@ -57,6 +57,44 @@ def test_names_are_shown_in_one_line_that_steers_nothing():
     assert plain("ok") == "ok"
 
 
+@pytest.mark.parametrize(
+    "name", ["x" * 5000, "x" * 300 + ".csv", "x" * 300 + ".zip", "a\0b", "~" * 300 + "/policy.json"]
+)
+def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
+    from isd_gym.elements.base import register_file
+    from isd_gym.policies import find
+    from isd_gym.sweep import Grid
+
+    for use in (Network.load, Policy.load, read_table, road, Grid.load, register_file):
+        refused(lambda use=use: use(name))
+    refused(lambda: find(name, Network.load("quarter-car-isd")))
+    for write in (claim_folder, whole_folder):
+        refused(lambda write=write: write(tmp_path / name, "page", "mark", ("mark",)).__enter__())
+    refused(lambda: whole(tmp_path / name).__enter__())
+
+
+@pytest.mark.parametrize(
+    ("grid", "says"),
+    [
+        ({"episodes": 10**12}, "more than"),
+        (
+            {"axes": {"speed": [1.0 + k for k in range(200)], "noise": [0.1 * k for k in range(200)]}},
+            "conditions",
+        ),
+        ({"conditions": [{"name": "a\nisd-gym: all fine", "speed": -1}]}, "speed"),
+        ({"conditions": [{"name": "a", "road": ["C"]}]}, "road must be a name"),
+        ({"conditions": [{"name": "a", "factors": {"body.mass": 10**299}}]}, "factors"),
+        ({"seed": 10**299}, "seed"),
+    ],
+)
+def test_a_grid_of_a_sweep_may_hold_anything(grid, says, tmp_path):
+    from isd_gym.sweep import Grid
+
+    path = tmp_path / "grid.json"
+    path.write_text(json.dumps({"policies": ["passive"], "batch": 1} | grid))
+    refused(lambda: Grid.load(path), says)
+
+
 # ------------------------------------------------------- archives of Stable-Baselines3: no code, no pointers
 
 
@@ -795,7 +833,7 @@ class NoNumber:
 
 @pytest.mark.parametrize(
     "action",
-    [[10**400], ["5"], "5", [None], [1.0, 2.0], [], 3.0, None, {}, [[1.0]], [1j], [NoNumber()], np.array(["5"]), np.array([1, 2])],
+    [[10**400], ["5"], "5", b"5", [b"5"], [None], [1.0, 2.0], [], 3.0, None, {}, [[1.0]], [1j], [NoNumber()], np.array(["5"]), np.array([1, 2])],
 )  # fmt: skip
 def test_an_action_may_be_anything(action):
     env = gym.make("ISDSuspension-v0").unwrapped
