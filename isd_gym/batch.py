@@ -45,7 +45,7 @@ def signal_channels(network: Network) -> list[Channel]:
     moved node. A car without a motor reports its suspension in the device's place.
     """
     masses = list(network.masses)
-    if len(masses) < 2 or not network.moved_nodes:
+    if len(masses) < 2 or not any(c.quantity == "displacement" for c in network.moving):
         raise InputError(
             f"network '{network.name}' is no car: it needs two masses and a displacement input (the road)"
         )

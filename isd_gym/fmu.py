@@ -28,7 +28,7 @@ from .errors import InputError
 from .files import check_file, whole
 from .network import Network
 from .simulate import PHYSICS_STEP, Plant, effective_current, sense
-from .units import UNITS, convert
+from .units import convert
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -59,7 +59,7 @@ class Running:
         self.state: np.ndarray | None = None
         self.drives = any(e.place == "element" for e in network.elements)
         self.sensors = any(e.place == "channel" for e in network.elements)
-        self.moved = {c.name for c in network.inputs if c.quantity == "displacement"}
+        self.moved = {c.name for c in network.moving}
         self.commands: dict[str, deque[float]] = {}
         self.readings: dict[str, deque[float]] = {}
         self.last: dict[str, list[float]] = {}  # the present value [SI] of each input and the two before it
@@ -103,7 +103,7 @@ class Running:
         for c in self.network.inputs:
             if c.name not in inputs:
                 raise InputError(f"input '{c.name}' is missing")
-            out[c.name] = float(convert(float(inputs[c.name]), c.unit, UNITS[c.quantity]))
+            out[c.name] = float(convert(float(inputs[c.name]), c.unit, c.si))
             if not math.isfinite(out[c.name]):
                 raise InputError(f"input '{c.name}' is not finite")
         return out
@@ -119,14 +119,10 @@ class Running:
     def _go(self, plant: Plant, fine: Mapping[str, np.ndarray], seconds: float, still: bool = False) -> None:
         rows = len(next(iter(fine.values()))) if fine else (1 + max(1, round(seconds / plant.step)))
         u = np.zeros((rows, len(plant.labels), 1))
-        curves = {
-            name: self._curve(name, rows, seconds) for part, name in plant.labels if part in ("v", "alpha")
-        }
+        curves = {name: self._curve(name, rows, seconds) for name in plant.differentiated}
         for j, (part, name) in enumerate(plant.labels):
-            if part in ("r", "F"):
-                u[:, j, 0] = curves[name][0] if name in curves else fine[name]
-            else:
-                u[:, j, 0] = curves[name][1 if part == "v" else 2]
+            order = plant.order_of(part, name)
+            u[:, j, 0] = curves[name][order] if name in curves else fine[name]
         for name in curves:
             self.slope[name] = float(curves[name][1][-1])
         c = np.zeros((rows - 1, len(plant.currents), 1))
@@ -149,7 +145,7 @@ class Running:
                 out[-1, j, 0] = now
         self.raw = out[-1, :, 0].copy()
         named = {
-            ch.name: float(convert(float(v), UNITS[ch.quantity], ch.unit))
+            ch.name: float(convert(float(v), ch.si, ch.unit))
             for ch, v in zip(plant.channels, values, strict=True)
         }
         if not all(map(math.isfinite, named.values())):

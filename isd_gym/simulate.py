@@ -19,11 +19,20 @@ from scipy.linalg import expm
 
 from . import elements as el
 from .errors import InputError
+<<<<<<< HEAD
 from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
 from .network import Assembly, Channel, Network, assemble
 from .units import UNITS, convert
+=======
+from .layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
+from .network import MOTIONS, Assembly, Channel, Network, assemble
+from .units import convert
+>>>>>>> ca4b35e (Inputs that are a node's velocity or acceleration; models that turn, with torques and volts; constant force, gravity's sine, friction that differs by direction)
 
 PHYSICS_STEP = 1e-3  # s
+#: parts of the base vector that are the motion of a node, each the derivative of the one before
+PARTS = ("r", "v", "alpha")
+TOLD = dict(zip(MOTIONS, PARTS, strict=True))
 WAY = Layout._fields.index("way")
 
 
@@ -194,16 +203,16 @@ def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
 
 
 def _law_elements(network: Network) -> tuple[el.Element, ...]:
-    return tuple(e for e in network.elements if e.place == "between" and (e.law or e.bound) is not None)
+    return tuple(part for e in network.elements if e.place == "between" for part in e.parts())
 
 
 def _linear_part(network: Network) -> tuple[Any, ...]:
     """All that the equations of a network depend on but the parameters of its laws."""
     elements = (
-        (type(e), e.name, e.where) if (e.law or e.bound) and not any(e.linear()) else e
+        (type(e), e.name, e.where) if e.place == "between" and e.parts() and not any(e.linear()) else e
         for e in network.elements
     )
-    return (*network.masses.items(), network.inputs, network.outputs, *elements)
+    return (*network.masses.items(), network.turning, network.inputs, network.outputs, *elements)
 
 
 def _pad(block: np.ndarray) -> np.ndarray:
@@ -260,18 +269,20 @@ class Plant:
         self.channels = (*first.network.outputs, *extra)
         self._by_difference = first.outputs_by_difference
         parts = []
-        displacement = [c for c in first.network.inputs if c.quantity == "displacement"]
+        moving = first.network.moving
         force = [c for c in first.network.inputs if c.quantity == "force"]
         for column in used:
             for part, channels in (
-                ("r", displacement),
-                ("v", displacement),
-                ("alpha", displacement),
+                ("r", moving),
+                ("v", moving),
+                ("alpha", moving),
                 ("F", force),
             ):
                 span = first.columns(part)
                 if span.start <= column < span.stop:
                     parts.append((part, channels[column - span.start].name))
+        #: of every node that is moved, which part of the base vector its input is
+        self.told = {c.name: TOLD[c.quantity] for c in moving}
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
         self.currents = [c for c in first.network.inputs if c.quantity == "current"]
         stepped = {id(asm.rate): (asm, discretise(asm, self.step, used)) for asm in linear.values()}
@@ -377,6 +388,15 @@ class Plant:
                     p = np.array(e.law_parameters())
                     f[j, lane], z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)
 
+    def order_of(self, part: str, name: str) -> int:
+        """How often input `name` is to be differentiated for a `part` of the base vector."""
+        return PARTS.index(part) - PARTS.index(self.told[name]) if part in PARTS else 0
+
+    @property
+    def differentiated(self) -> set[str]:
+        """Inputs whose derivatives something acts through."""
+        return {name for part, name in self.labels if self.order_of(part, name)}
+
     def _unsolved(self, states: np.ndarray) -> list[tuple[int, str] | None]:
         """Of every lane, the number of the first step that was not solved and the law that was not; None: there is none."""
         out: list[tuple[int, str] | None] = []
@@ -413,14 +433,15 @@ class Plant:
 
         u = np.zeros((total, len(self.labels), width))
         for j, (part, name) in enumerate(self.labels):
-            if part in ("r", "F"):
+            order = self.order_of(part, name)  # how often the input is to be differentiated
+            if not order:
                 u[:, j] = wide(inputs[name])
             elif derivatives is not None and name in derivatives:
-                u[:, j] = wide(derivatives[name][0 if part == "v" else 1])
+                u[:, j] = wide(derivatives[name][order - 1])
             else:
                 r = wide(inputs[name])
                 v = np.gradient(r, self.step, axis=0)
-                u[:, j] = v if part == "v" else np.gradient(v, self.step, axis=0)
+                u[:, j] = v if order == 1 else np.gradient(v, self.step, axis=0)
         c = np.zeros((max(total - 1, 1), len(self.currents), width))
         for j, channel in enumerate(self.currents):
             values = effective_current(
@@ -518,7 +539,7 @@ def simulate(
         )
     every = max(1, math.ceil(dt / step - 1e-9))
     plant = Plant(network, dt / every, extra=extra)
-    needs = {name for part, name in plant.labels if part in ("v", "alpha")}
+    needs = plant.differentiated
     fine, slopes = {}, {}
     for c in network.inputs:
         if c.name not in inputs:
@@ -526,7 +547,7 @@ def simulate(
         values = np.asarray(inputs[c.name], float)
         if values.shape != time.shape or not np.all(np.isfinite(values)):
             raise InputError(f"input '{c.name}' must hold {len(time)} finite samples")
-        values = convert(values, c.unit, UNITS[c.quantity])
+        values = convert(values, c.unit, c.si)
         fine[c.name] = upsample(values, every, hold=c.quantity == "current")
         if c.name in needs:
             spline = CubicSpline(np.arange(len(values)) * dt, values)
@@ -547,7 +568,7 @@ def simulate(
         raise InputError(
             f"model '{network.name}' breaks down at t = {at:.6g} s: {why} (a smaller step may help, or the model is unstable)"
         )
-    named = {c.name: convert(out[:, j, 0], UNITS[c.quantity], c.unit) for j, c in enumerate(plant.channels)}
+    named = {c.name: convert(out[:, j, 0], c.si, c.unit) for j, c in enumerate(plant.channels)}
     return sense(network, named, dt)
 
 

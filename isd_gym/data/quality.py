@@ -49,6 +49,11 @@ QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "acceleration": ("m/s^2", 200.0, 2000.0, 1e-3),
     "force": ("N", 2e5, 1e6, 1e-2),
     "current": ("A", 200.0, 1000.0, 1e-4),
+    "angle": ("rad", 1e4, 1e6, 1e-6),  # what turns may go on turning
+    "angular_velocity": ("rad/s", 2e3, 2e4, 1e-5),
+    "angular_acceleration": ("rad/s^2", 1e5, 1e7, 1e-3),
+    "torque": ("N m", 1e5, 1e7, 1e-6),
+    "voltage": ("V", 1e3, 1e5, 1e-5),
 }
 MIN_SAMPLES = 200
 #: the checks by name; one that refuses a record may be accepted by its name

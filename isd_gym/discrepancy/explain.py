@@ -60,6 +60,8 @@ def when(
                 best = (ratio, text)
 
     for (a, b), m in motion.items():
+        turns = {a, b} & problem.network.rotating
+        scale, length, speed = (1.0, "rad", "rad/s") if turns else (1e3, "mm", "m/s")
         d, v = record.seen(m.d[: record.samples]), record.seen(m.v[: record.samples])
         if len(d) < n:
             continue
@@ -69,12 +71,13 @@ def when(
         consider(near, f"velocity of {a}-{b} changes sign")
         for q in (0.8, 0.95):
             level = float(np.quantile(np.abs(d), q))
-            consider(np.abs(d) > level, f"|travel of {a}-{b}| beyond {1e3 * level:.3g} mm")
+            consider(np.abs(d) > level, f"|travel of {a}-{b}| beyond {scale * level:.3g} {length}")
             level = float(np.quantile(np.abs(v), q))
-            consider(np.abs(v) > level, f"|velocity of {a}-{b}| above {level:.3g} m/s")
-            consider(v > np.quantile(v, q), f"{a}-{b} extends faster than {np.quantile(v, q):.3g} m/s")
+            consider(np.abs(v) > level, f"|velocity of {a}-{b}| above {level:.3g} {speed}")
+            consider(v > np.quantile(v, q), f"{a}-{b} extends faster than {np.quantile(v, q):.3g} {speed}")
             consider(
-                v < np.quantile(v, 1 - q), f"{a}-{b} compresses faster than {-np.quantile(v, 1 - q):.3g} m/s"
+                v < np.quantile(v, 1 - q),
+                f"{a}-{b} compresses faster than {-np.quantile(v, 1 - q):.3g} {speed}",
             )
     for c in problem.network.inputs:
         if c.quantity == "current":

@@ -7,19 +7,33 @@ from itertools import combinations
 
 from .. import elements as el
 from ..network import GROUND, Network
+from ..network.assembly import frames
 from .structure import Hypothesis
 
 __all__ = ["Hypothesis", "hypotheses", "pairs"]
 
 
 def pairs(network: Network) -> list[tuple[str, str]]:
-    """Pairs of nodes that can carry a force: those joined already, and every mass with every other and with the ground."""
+    """Pairs of nodes that can carry a force: those joined already, and every mass with every other and with the ground.
+
+    Where nobody knows how far the ground is (`frames`), there is none.
+    """
+    riding = frames(network)
     out: dict[frozenset[str], tuple[str, str]] = {}
     for e in network.elements:
         if e.place == "between" and not e.series:
             out.setdefault(frozenset(e.where), e.between)
-    for pair in (*combinations(network.masses, 2), *((m, GROUND) for m in network.masses)):
-        out.setdefault(frozenset(pair), pair)
+    seen = {
+        m: network.tied[m] if m in riding else -1
+        for m in network.masses
+        if m not in network.moved_nodes or not riding
+    }
+    for pair in combinations(seen, 2):
+        if seen[pair[0]] == seen[pair[1]] and (pair[0] in network.rotating) == (pair[1] in network.rotating):
+            out.setdefault(frozenset(pair), pair)
+    for m in network.masses:
+        if m not in riding and (m not in network.moved_nodes or not riding):
+            out.setdefault(frozenset((m, GROUND)), (m, GROUND))
     return list(out.values())
 
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..network import Channel, Network, assemble
-from .problem import Array, Problem, bare, motion_rows_of
+from ..network.assembly import frames
+from .problem import Array, Problem, bare, led, motion_rows_of
 from .structure import Structure, twin
 
 
@@ -18,10 +19,9 @@ def state_scale(problem: Problem, network: Network, index: int) -> tuple[Array, 
     rows = motion_rows_of(asm, problem.time)
     record, time = problem.records[index], problem.time
     spans = [0.0]
-    for c in network.inputs:
-        if c.quantity == "displacement":
-            spans.append(float(np.ptp(record.inputs[c.name])))
     lengths = {"displacement": 1.0, "velocity": time, "acceleration": time**2}
+    for c in network.moving:
+        spans.append(float(np.ptp(record.inputs[c.name])) * lengths[c.quantity])
     for j, c in enumerate(network.outputs):
         if c.quantity in lengths:
             spans.append(float(np.ptp(record.measured[:, j])) / problem.factors[j] * lengths[c.quantity])
@@ -37,7 +37,7 @@ def guess(problem: Problem, network: Network, index: int, about: Array | None = 
     record = problem.records[index]
     pure = bare(network)
     moved = [c for c in pure.outputs if c.quantity == "displacement"]
-    rates = tuple(Channel(f"_{c.name}", "velocity", "m/s", at=c.at, between=c.between) for c in moved)
+    rates = tuple(pure.probe(f"_{c.name}", "velocity", at=c.at, between=c.between) for c in moved)
     asm = assemble(pure, rates)
     n0 = asm.size[0]
     if not n0:
@@ -51,7 +51,7 @@ def guess(problem: Problem, network: Network, index: int, about: Array | None = 
     count = min(max(5, int(0.2 * problem.time / record.rate)), len(record))
     t = np.arange(count) * record.rate
     x, r, f = asm.columns("x"), asm.columns("r"), asm.columns("f")
-    road = np.array([record.inputs[c.name][0] for c in pure.inputs if c.quantity == "displacement"])
+    road = led(pure, record)[0][0]
     for j, c in enumerate(pure.outputs):
         if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
             continue
@@ -81,7 +81,7 @@ def along(
     pure = bare(net)
     nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
     record, time = problem.records[index], problem.time
-    watched = replace(pure, outputs=tuple(Channel(f"_{n}", "displacement", "m", at=n) for n in nodes))
+    watched = replace(pure, outputs=tuple(_seen(pure, n) for n in nodes))
     probe = Problem(watched, [replace(record, taps=None, thin=1)], ["fit"], problem.step)
     network = replace(
         net, outputs=watched.outputs, elements=tuple(e for e in net.elements if e.place != "channel")
@@ -89,11 +89,13 @@ def along(
     y = probe.simulate([network], 0, initial[:, None], like=net)[:, :, 0]
     v = np.gradient(y, record.step, axis=0)
     asm = assemble(pure)
-    moved = [c.name for c in pure.inputs if c.quantity == "displacement"]
-    r = np.stack([record.inputs[c] for c in moved], axis=1) if moved else np.zeros((len(y), 0))
-    rate = np.gradient(r, record.step, axis=0) if moved else r
+    r, rate = led(pure, record)
     cols = {part: asm.columns(part) for part in ("x", "r", "v")}
     position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
+    if any(c.quantity != "displacement" for c in pure.moving):  # seen from a frame that moves with them
+        position, velocity = position.copy(), velocity.copy()
+        for m in (position, velocity):
+            m[:, cols["r"]] = m[:, cols["v"]] = 0.0
     rows = np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]])
     out = []
     for k in at:
@@ -102,6 +104,15 @@ def along(
         seen = np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])])
         out.append(np.linalg.lstsq(rows, seen, rcond=None)[0])
     return out
+
+
+def _seen(network: Network, node: str) -> Channel:
+    """The displacement of a node in its own frame: against the ground, or the moved node whose place nobody knows."""
+    riding = frames(network)
+    name = f"_{node}"
+    if node in riding:
+        return network.probe(name, "displacement", between=(node, network.moved_nodes[riding[node]]))
+    return network.probe(name, "displacement", at=node)
 
 
 def carried(
@@ -118,7 +129,7 @@ def carried(
     if not target.size[0]:
         return {i: np.zeros(0) for i in initial}
     rows, known = motion_rows_of(target, time), motion_rows_of(source, time)
-    inputs = {str(c.at): c.name for c in net.inputs if c.quantity == "displacement"}
+    inputs = {node: j for j, node in enumerate(net.moved_nodes)}
     out: dict[int, Array] = {}
     for i, x0 in initial.items():
         record = problem.records[i]
@@ -129,7 +140,7 @@ def carried(
             if like in own:
                 want[:, k] = motion[own.index(like)], motion[len(own) + own.index(like)]
             elif like in inputs:
-                r = record.inputs[inputs[like]]
-                want[:, k] = r[0], time * (r[1] - r[0]) / record.step
+                r, v = led(net, record)
+                want[:, k] = r[0, inputs[like]], time * v[0, inputs[like]]
         out[i] = np.asarray(np.linalg.lstsq(rows, want.ravel(), rcond=None)[0], dtype=np.float64)
     return out

@@ -166,7 +166,7 @@ def share_at_place(problem: Problem, fit: Fit, name: str) -> float:
         return 1.0  # force and deflection are shared in series: what it changes in the outputs decides
     pair = set(e.where)
     here = [x for x in net.elements if x.place == "between" and set(x.where) == pair]
-    extra = tuple(Channel(f"_{x.name}", "force", "N", element=x.name) for x in here)
+    extra = tuple(net.probe(f"_{x.name}", "force", element=x.name) for x in here)
     watched = watching(net, extra)
     records = [replace(problem.records[i], taps=None, thin=1) for i in problem.estimation]
     probe = Problem(watched, records, ["fit"] * len(records), problem.step)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .. import elements as el
 from ..errors import InputError
 from ..network import Channel, Network, linearise
-from ..units import UNITS, convert
+from ..units import convert
 from .fit import Fitter
 from .motion import motions
 from .noise import plain
@@ -47,8 +47,8 @@ class Deconvolution:
                 beside = c.element is not None and any(network.element(e).where == pair for e in c.elements)
                 outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
         outputs += [
-            Channel("_d", "displacement", "m", between=pair),
-            Channel("_v", "velocity", "m/s", between=pair),
+            network.probe("_d", "displacement", between=pair),
+            network.probe("_v", "velocity", between=pair),
         ]
         kept = tuple(e for e in network.elements if e.place == "between")
         probe = Network(
@@ -70,7 +70,7 @@ class Deconvolution:
             raise InputError("the record is too short to look for a force in it")
         answer = space.response(frequency[band])[:, :, space.inputs.index(name)]
         order = [space.outputs.index(n) for n in names]
-        factors = np.array([convert(1.0, c.unit, UNITS[c.quantity]) for c in outputs[: len(names)]])
+        factors = np.array([convert(1.0, c.unit, c.si) for c in outputs[: len(names)]])
         factors = factors[[[c.name for c in outputs].index(n) for n in names]]
         two = answer[:, [space.outputs.index("_d"), space.outputs.index("_v")]]
         return cls(names, frequency[band], int(band[0]), answer[:, order], two, factors, samples)

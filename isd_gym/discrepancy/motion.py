@@ -25,7 +25,7 @@ def motions(
     out: dict[tuple[str, str], list[Array]] = {}
     net = fit.network
     where = [*pairs(net), *(p for p in also if p not in pairs(net))]
-    extra = tuple(Channel(f"_{k}", "displacement", "m", between=p) for k, p in enumerate(where))
+    extra = tuple(net.probe(f"_{k}", "displacement", between=p) for k, p in enumerate(where))
     steps = []
     for i in problem.estimation:
         record = problem.records[i]

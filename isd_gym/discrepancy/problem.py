@@ -19,7 +19,7 @@ from scipy.signal import oaconvolve, welch
 
 from ..network import Assembly, Network, assemble
 from ..simulate import Plant, effective_current, upsample
-from ..units import UNITS, convert
+from ..units import convert
 
 Array = NDArray[np.float64]
 #: what a record is for: to fit by, to choose among candidates by, to report by
@@ -143,7 +143,7 @@ class Problem:
         self.roles = list(roles)
         self.step = step
         self.channels = [c.name for c in network.outputs]
-        self.factors = np.array([convert(1.0, UNITS[c.quantity], c.unit) for c in network.outputs])
+        self.factors = np.array([convert(1.0, c.si, c.unit) for c in network.outputs])
         self.free_offset = np.array([c.offset for c in network.outputs])
 
     def _of(self, *roles: Role) -> list[int]:
@@ -233,11 +233,10 @@ class Problem:
                 k: v if v.ndim == 2 else np.repeat(v[:, None], width, axis=1) for k, v in inputs.items()
             }
         slopes = {}
-        for part, name in plant.labels:
-            if part in ("v", "alpha"):
-                pair = record.slopes.get(name)
-                if pair is not None:
-                    slopes[name] = (upsample(pair[0], every), upsample(pair[1], every))
+        for name in plant.differentiated:
+            pair = record.slopes.get(name)
+            if pair is not None:
+                slopes[name] = (upsample(pair[0], every), upsample(pair[1], every))
         start = None
         if plant.n:
             start = self._start(plant, initial, like, record)
@@ -268,6 +267,19 @@ class Problem:
                     known[key] = carrier(source, asm, self.time)
                 maps[id(asm)] = known[key]
         return np.stack([maps[id(asm)] @ initial[:, k] for k, asm in enumerate(plant.assemblies)], axis=1)
+
+
+def led(network: Network, record: Record) -> tuple[Array, Array]:
+    """Displacement and velocity (samples, moved nodes) of the moved nodes; where they are not told, zero: the frame's own."""
+    still = np.zeros(record.samples)
+    r, v = [], []
+    for c in network.moving:
+        u = record.inputs[c.name]
+        told = c.quantity == "displacement"
+        r.append(u if told else still)
+        v.append(np.gradient(u, record.step) if told else u if c.quantity == "velocity" else still)
+    shape = (record.samples, len(r))
+    return np.stack(r, axis=1) if r else np.zeros(shape), np.stack(v, axis=1) if v else np.zeros(shape)
 
 
 def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = None) -> Array:

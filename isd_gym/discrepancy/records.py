@@ -14,7 +14,7 @@ from ..data import Table, check, read_table
 from ..data.quality import CHECKS
 from ..errors import InputError, shown
 from ..network import Channel, Network
-from ..units import UNITS, convert
+from ..units import convert
 from .problem import Array, Record, Role, low_pass
 
 #: length of the stretches in which held-out records are judged, in the rig's own time scale: some thirty periods
@@ -43,8 +43,8 @@ def read(
         table[name]  # raises with the nearest name
     findings = check(
         table,
-        inputs={c.name: c.quantity for c in network.inputs},
-        outputs={c.name: c.quantity for c in network.outputs},
+        inputs={c.name: c.spoken for c in network.inputs},
+        outputs={c.name: c.spoken for c in network.outputs},
     )
     for f in findings:
         message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
@@ -58,7 +58,7 @@ def read(
     def values(name: str, unit: str) -> Array:
         return convert(np.asarray(table[name]), table.units.get(name) or expected[name], unit)
 
-    inputs = {c.name: values(c.name, UNITS[c.quantity]) for c in network.inputs}
+    inputs = {c.name: values(c.name, c.si) for c in network.inputs}
     measured = np.stack([values(c.name, c.unit) for c in network.outputs], axis=1)
     name = Path(table.source).stem
     return Record(name, table.step, inputs, measured, {}, float(table.time[0]))

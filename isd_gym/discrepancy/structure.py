@@ -100,7 +100,42 @@ def base_structure(network: Network) -> Structure:
         elif value != 0:
             s = sigma * abs(value)
             free.append(Free(path, False, value, s, value - REACH * s, value + REACH * s, -1))
+        else:
+            s = sigma * usual(network, path)
+            signed = _signed(network, path)
+            free.append(Free(path, False, 0.0, s, -REACH * s if signed else 0.0, REACH * s, -1))
     return Structure(network, tuple(free))
+
+
+def _signed(network: Network, path: str) -> bool:
+    owner, _, name = path.rpartition(".")
+    own = el.parameter_fields(type(network.element(owner)))
+    return bool(next(f.metadata["minimum"] < 0 for f in own if f.name == name))
+
+
+def usual(network: Network, path: str) -> float:
+    """What a parameter that starts at zero is measured by: of a damping the critical one, of others the largest of its kind.
+
+    network: the owner's model; path: of the parameter. Raises `InputError` where nothing in the network tells.
+    """
+    parts = [e.linear() for e in network.elements if e.place == "between"]
+    k, c, b = (max((p[i] for p in parts), default=0.0) for i in range(3))
+    m = max([*network.masses.values(), b])
+    sizes = {
+        "N/m": [k],
+        "N s/m": [2.0 * math.sqrt(k * m), c],
+        "kg": [m],
+        "N": [max((getattr(e, "level", 0.0) for e in network.elements), default=0.0)],
+    }
+    owner, _, name = path.rpartition(".")
+    field_of = {f.name: f for f in el.parameter_fields(type(network.element(owner)))}
+    size = next((s for s in sizes.get(field_of[name].metadata["unit"], []) if s > 0), 0.0)
+    if not size:
+        raise InputError(
+            f"uncertainty: '{path}' is zero, and nothing in the model says what would be much of it: "
+            "give it a small value that it may grow from"
+        )
+    return size
 
 
 def free_of(element: el.Element, owner: int) -> list[Free]:

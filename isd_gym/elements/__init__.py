@@ -38,14 +38,16 @@ from .base import (
     rms,
 )
 from .drives import DRIVE_ORDER, ActuatorDelay, ActuatorLag, ThrustSaturation, delayed
-from .friction import CoulombFriction, StribeckFriction
+from .friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 from .laws import (
     AsymmetricDamping,
     Backlash,
     BumpStop,
     CoggingForce,
+    ConstantForce,
     CubicStiffness,
     GasSpring,
+    GravitySine,
     Hysteresis,
     QuadraticDamping,
     TyreLiftOff,
@@ -61,13 +63,16 @@ __all__ = [
     "ActuatorDelay",
     "ActuatorLag",
     "AsymmetricDamping",
+    "AsymmetricFriction",
     "Backlash",
     "BumpStop",
     "CoggingForce",
+    "ConstantForce",
     "CoulombFriction",
     "CubicStiffness",
     "Element",
     "GasSpring",
+    "GravitySine",
     "Hysteresis",
     "Inertance",
     "LinearDamping",

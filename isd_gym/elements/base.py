@@ -212,6 +212,10 @@ class Element:
         """(stiffness [N/m], damping [N s/m], inertance [kg]) of the linear part."""
         return 0.0, 0.0, 0.0
 
+    def parts(self) -> tuple[Element, ...]:
+        """What the kernel steps in its place: itself where it has a law, nothing where it is linear."""
+        return (self,) if self.law is not None or self.bound is not None else ()
+
     def law_parameters(self) -> list[float]:
         """The numbers that `law` or `bound` reads, in the order it reads them."""
         return [getattr(self, f.name) for f in parameter_fields(type(self))]
@@ -339,7 +343,23 @@ def beside(network: Network, where: tuple[str, ...]) -> list[Element]:
 def held_by_parameter(network: Network, where: tuple[str, ...]) -> bool:
     """Whether one of the two is the ground and the other a mass that may move within its stated uncertainty."""
     node = next((n for n in where if n != GROUND), GROUND)
-    return GROUND in where and network.uncertainty.get(f"{node}.mass", 0.0) > 0.0
+    return (
+        GROUND in where
+        and node in network.masses
+        and network.uncertainty.get(network.mass_path(node), 0.0) > 0.0
+    )
+
+
+def held_still(network: Network, where: tuple[str, ...]) -> bool:
+    """Whether springs hold both terminals to the ground or to a moved node: then a constant force only shifts the rest."""
+    held = {GROUND, *network.moved_nodes}
+    springs = [set(e.where) for e in network.elements if e.place == "between" and e.linear()[0] > 0]
+    grown = True
+    while grown:
+        more = {n for s in springs if s & held for n in s} - held
+        held |= more
+        grown = bool(more)
+    return set(where) <= held
 
 
 def driven_motor(network: Network, where: tuple[str, ...]) -> bool:

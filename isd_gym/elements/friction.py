@@ -6,7 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from .base import Element, Motion, Setting, Start, beside, parameter, register, rms
+import numpy as np
+
+from .base import Array, Element, Motion, Setting, Start, beside, held_still, parameter, register, rms
+from .laws import ConstantForce
 
 if TYPE_CHECKING:
     from ..network import Network
@@ -86,3 +89,53 @@ class StribeckFriction(Element):
 
     def well_formed(self) -> bool:
         return self.level <= self.static_level  # one that rises with speed mimics damping
+
+
+@register
+class AsymmetricFriction(Element):
+    type = "asymmetric_friction"
+    equation = "F in [-f_c, f_e]: f_e for v > 0 (extension), -f_c for v < 0 (compression)"
+    source = (
+        "seals and drives that rub differently either way; Armstrong-Helouvry et al., Automatica 30 (1994)"
+    )
+    signature = "Coulomb friction about a constant force: it creeps to one side under vibration"
+    test = (
+        "Pull the terminals slowly one way and the other: the force must be {extension} out and {compression} in, "
+        "at every speed."
+    )
+    plane = "rate"
+    contains = ("coulomb_friction",)
+    replaces = ("coulomb_friction",)
+    extension: float = parameter("N", 5.0, 2000.0)
+    compression: float = parameter("N", 5.0, 2000.0)
+
+    def parts(self) -> tuple[Element, ...]:
+        # exactly: whether it slides either way or sticks, it is a friction of the mean level about a constant force
+        mean, lean = 0.5 * (self.extension + self.compression), 0.5 * (self.extension - self.compression)
+        return (
+            CoulombFriction(self.name, self.where, mean),  # type: ignore[call-arg]
+            ConstantForce(f"{self.name} (lean)", self.where, lean),  # type: ignore[call-arg]
+        )
+
+    def curve(self, axis: Array) -> Array:
+        return np.where(axis > 0, self.extension, np.where(axis < 0, -self.compression, 0.0))
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        # where nothing but a spring's rest says where zero is, the lean is that spring's
+        rubs = any(isinstance(e, StribeckFriction | AsymmetricFriction) for e in beside(network, where))
+        return not rubs and not held_still(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        level = next((e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0)
+        pairs = ((1.3, 0.7), (0.7, 1.3))
+        return [
+            Start({"extension": a * (level or at.small), "compression": b * (level or at.small)},
+                  grows=() if level else ("extension", "compression"), signed=bool(level))
+            for a, b in pairs
+        ]  # fmt: skip
+
+    @classmethod
+    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+        return {"level": 0.5 * (values["extension"] + values["compression"])}

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from .base import (
+    GROUND,
     PROBE,
     Array,
     Element,
@@ -20,6 +21,7 @@ from .base import (
     Setting,
     Start,
     beside,
+    held_still,
     parameter,
     register,
     rms,
@@ -105,6 +107,58 @@ def _cogging(p, d, v, d_last, z, h):
 
 def _lift_off(p, d, v, d_last, z, h):
     return -max(p[0] * d - p[1], 0.0), z
+
+
+def _constant(p, d, v, d_last, z, h):
+    return p[0], z
+
+
+def _gravity(p, d, v, d_last, z, h):
+    return p[0] * math.sin(d + p[1]), z
+
+
+@register
+class ConstantForce(Element):
+    type = "constant_force"
+    equation = "F = F0"
+    source = "gravity along a slope, a preload, a drive's offset"
+    signature = "a drift that grows with the square of time where nothing holds the terminals"
+    test = "Let go of the terminals at rest: they must be pulled together with {force}."
+    plane = "elongation"
+    law = staticmethod(_constant)
+    force: float = parameter("N", 1.0, 2e4, minimum=-math.inf)
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        return super().stands(network, where) and not held_still(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        return [Start({"force": at.small}, grows=("force",), signed=True)]
+
+
+@register
+class GravitySine(Element):
+    type = "gravity_sine"
+    equation = "F = G sin(d + d0), G = m g l: a pendulum's torque about its axis"
+    source = "a pendulum; d0 = 0 hangs, pi stands"
+    signature = "a stiffness that softens with amplitude, as the cosine does"
+    test = "Hold the pendulum level: its torque must be {torque}, and half of that at 30 degrees."
+    replaces = ("linear_stiffness",)  # its slope at rest is that stiffness
+    law = staticmethod(_gravity)
+    torque: float = parameter("N", 1e-3, 1e4)  # N m where it turns
+    rest: float = parameter("rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, fixed=True)
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        # of what turns about an axis that gravity pulls on
+        turns = any(n in network.rotating for n in where)
+        return turns and GROUND in where and super().stands(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        held = sum(e.linear()[0] for e in at.beside if e.type == "linear_stiffness")
+        return [Start({"torque": held or at.small / rms(np.sin(at.moves.d))}, grows=("torque",))]
 
 
 @register

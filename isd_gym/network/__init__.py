@@ -8,10 +8,11 @@ responses (`assembly`).
 from ..units import UNITS
 from .assembly import Assembly, StateSpace, assemble, linearise
 from .format import SCHEMA, builtin_networks
-from .model import GROUND, Channel, Network
+from .model import GROUND, MOTIONS, Channel, Network
 
 __all__ = [
     "GROUND",
+    "MOTIONS",
     "SCHEMA",
     "UNITS",
     "Assembly",

@@ -9,6 +9,10 @@ M is singular where nodes have no mass. Its singular value decomposition splits 
 momentum (two states each) and the rest; among the rest, those with damping are first-order states and those
 without are algebraic. The momentum p = a' + S^-1 U^T M_r r' is the state instead of the velocity, so that r'' is
 needed by no state, only by outputs.
+
+Where a node is moved by its velocity or its acceleration, which tell its place only up to constants, what is tied to it
+is seen from a frame that moves with it: q = q_rel + 1 r, and every mass feels -m r'' (`frames`). Then no r is needed where
+nothing but dampers ties it to the ground, and no r' where nothing does; momentum is kept where r' is known.
 """
 
 from __future__ import annotations
@@ -22,7 +26,8 @@ import numpy as np
 
 from .. import elements as el
 from ..errors import InputError
-from .model import GROUND, Channel, Network
+from ..units import TURNING
+from .model import GROUND, MOTIONS, Channel, Network
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,7 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
                 row[index[node]] += sign
         return row
 
+    riding = frames(network)
     M, C, K = (np.zeros((total, total)) for _ in range(3))
     for node, mass in network.masses.items():
         M[index[node], index[node]] += mass
@@ -99,7 +105,7 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
             node = e.between[0 if e.terminal == "first" else 1]
             if node != GROUND:
                 M[:, index[node]] += e.mass * row
-    laws = tuple(e for e in between if e.law is not None or e.bound is not None)
+    laws = tuple(part for e in between for part in e.parts())
     law_rows = np.array([incidence(e.between) for e in laws]).reshape(len(laws), total)
     forces = [c for c in network.inputs if c.quantity == "force"]
     currents = [c for c in network.inputs if c.quantity == "current"]
@@ -110,7 +116,15 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     S = s[:rho, None]
     Ua, Uz, Va, Vz = U[:, :rho], U[:, rho:], Vt[:rho].T, Vt[rho:].T
     Mf, Cf, Kf = (X[:n_free, :n_free] for X in (M, C, K))
-    Mr, Cr, Kr = (X[:n_free, n_free:] for X in (M, C, K))
+    frame = np.zeros((n_free, n_moved))  # one where a free node is seen from the frame of a moved one
+    for node, j in riding.items():
+        frame[index[node], j] = 1.0
+    Mr, Cr, Kr = (X[:n_free, n_free:] + X[:n_free, :n_free] @ frame for X in (M, C, K))
+    if riding:  # what cancels does so exactly
+        for X in (Mr, Cr, Kr):
+            X[np.abs(X) < 1e-12 * np.abs(M if X is Mr else C if X is Cr else K).max(initial=0.0)] = 0.0
+    told = np.array([MOTIONS.index(c.quantity) for c in network.moving], int)  # 0: r, 1: r', 2: r''
+    Mv = Mr * (told < 2)  # of momentum: where r' is known
     if Uz.size and np.abs(Uz.T @ Mr).max(initial=0.0) > 1e-9 * np.abs(M).max():
         raise InputError("an inertia between a massless node and a moved node is not supported here")
     P, t, Qt = np.linalg.svd(Uz.T @ Cf @ Vz)
@@ -147,7 +161,7 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     push_free = push[:n_free]
 
     a, p, y = select(x_, rho), select(x_, rho, rho), select(x_, tau, 2 * rho)
-    a1 = p - (Ua.T @ Mr @ v) / S
+    a1 = p - (Ua.T @ Mv @ v) / S
     known = Cf @ Va @ a1 + Kf @ (Va @ a + Vz @ Q1 @ y) + Cr @ v + Kr @ r - push_free
     Kww = P2.T @ Uz.T @ Kf @ Vz @ Q2
     if Kww.size:
@@ -167,11 +181,11 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     y1 = -(P1.T @ Uz.T @ (known + Kf @ Vz @ Q2 @ w)) / T
     q1 = Va @ a1 + Vz @ Q1 @ y1  # without the algebraic directions: see by_difference
     a2 = -(Ua.T @ (known + Kf @ Vz @ Q2 @ w + Cf @ Vz @ Q1 @ y1 + Mr @ alpha)) / S
-    p1 = a2 + (Ua.T @ Mr @ alpha) / S
+    p1 = a2 + (Ua.T @ Mv @ alpha) / S
     rate = np.vstack([a1, p1, y1])
 
-    position, velocity = np.vstack([q, r]), np.vstack([q1, v])
-    acceleration = np.vstack([Va @ a2, alpha])
+    position, velocity = np.vstack([q + frame @ r, r]), np.vstack([q1 + frame @ v, v])
+    acceleration = np.vstack([Va @ a2 + frame @ alpha, alpha])
     algebraic = np.concatenate([np.abs(Vz @ Q2).sum(axis=1), np.zeros(n_moved)]) > 1e-9
     basis_z = np.vstack([Vz, np.zeros((n_moved, Vz.shape[1]))])
     basis_w = np.vstack([Vz @ Q2, np.zeros((n_moved, Q2.shape[1]))])
@@ -192,8 +206,8 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
 
     def force_of(e: el.Element, where: str) -> np.ndarray:
         row = incidence(e.between)
-        if e in laws:
-            return select(f_, 1, laws.index(e))[0]
+        if e.parts():
+            return np.asarray(sum(select(f_, 1, laws.index(part))[0] for part in e.parts()))
         if isinstance(e, el.Motor):
             return motor_force[e.name]
         if isinstance(e, el.TerminalInertia):
@@ -230,6 +244,15 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
         differences.append(difference)
 
     by_difference = tuple(hangs_on(row, basis_w) for row in law_rows)
+    elongation, elongation_rate = law_rows @ position, law_rows @ velocity
+    if told.any():
+        unknown = [(r_.start + j, "displacement") for j in np.flatnonzero(told > 0)]
+        unknown += [(v_.start + j, "velocity") for j in np.flatnonzero(told > 1)]
+        for e, d in zip(laws, elongation, strict=True):
+            if e.plane == "rate" and GROUND in e.where:
+                d[[column for column, lacking in unknown if lacking == "displacement"]] = 0.0
+        rows = [np.where(np.abs(row) < 1e-12 * np.abs(row).max(initial=0.0), 0.0, row) for row in rows]
+        _complete(network, unknown, rate, elongation, elongation_rate, rows)
     if not all(np.isfinite(m).all() for m in (rate, position, velocity, *rows)):
         raise InputError(TOO_FAR_APART)
     return Assembly(
@@ -238,14 +261,84 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
         size=size,
         laws=laws,
         rate=rate,
-        elongation=law_rows @ position,
-        elongation_rate=law_rows @ velocity,
+        elongation=elongation,
+        elongation_rate=elongation_rate,
         by_difference=by_difference,
         outputs=np.array(rows).reshape(len(rows), width),
         outputs_by_difference=tuple(differences),
         position=position,
         velocity=np.where(algebraic[:, None], 0.0, velocity),
     )
+
+
+def frames(network: Network) -> dict[str, int]:
+    """Free nodes that are seen from the frame of a moved one: node -> number of the input that moves it (of `moving`).
+
+    network: the model. Raises `InputError` where a part of the network has a moved node that is told by its velocity or
+    acceleration, and another moved node besides.
+    """
+    out: dict[str, int] = {}
+    for j, c in enumerate(network.moving):
+        if c.quantity == "displacement":
+            continue
+        part = network.tied[str(c.at)]
+        other = next((o for o in network.moving if o is not c and network.tied[str(o.at)] == part), None)
+        if other is not None:
+            raise InputError(
+                f"input '{c.name}': the {c.spoken} of '{c.at}' says nothing of its distance from '{other.at}', which "
+                f"'{other.name}' moves and the network ties to it: give both as displacements, or leave one out"
+            )
+        out |= {n: j for n, p in network.tied.items() if p == part and n != c.at}
+    return out
+
+
+def _complete(
+    network: Network, unknown: Sequence[tuple[int, str]], rate: Any, d: Any, v: Any, outputs: Sequence[Any]
+) -> None:
+    """Raise `InputError` where equations or outputs need what the velocity or the acceleration of a node does not tell.
+
+    unknown: columns of the base vector that are not known, and what each is.
+    """
+    moving = [c for c in network.moving if c.quantity != "displacement"]
+
+    def first(rows: Any) -> tuple[int, str] | None:
+        """Row and what it lacks."""
+        for k, row in enumerate(rows):
+            for column, lacking in unknown:
+                if abs(row[column]) > 1e-9 * max(np.abs(row).max(), 1e-300):
+                    return k, lacking
+        return None
+
+    dynamics = first(rate) or first(d) or first(v)
+    if dynamics is not None:
+        for c in moving:
+            part = network.tied[str(c.at)]
+            ties = [e for e in network.elements if e.place == "between" and GROUND in e.where]
+            ties = [e for e in ties if network.tied[next(n for n in e.where if n != GROUND)] == part]
+            lacking = dynamics[1]
+            ties = [
+                e for e in ties if e.law is not None or e.bound is not None or any(e.linear()[:2])
+            ] or ties
+            if ties:
+                what = {("displacement", True): "angle", ("velocity", True): "angular velocity"}.get(
+                    (lacking, c.si in TURNING), lacking
+                )
+                raise InputError(
+                    f"input '{c.name}': element '{ties[0].name}' ties '{ties[0].where[0]}' to '{ties[0].where[1]}', and needs "
+                    f"the {what} of '{c.at}', which its {c.spoken.replace('_', ' ')} does not tell: measure that too and "
+                    "give it as the input instead"
+                )
+        raise InputError(f"input '{moving[0].name}': the {dynamics[1]} of '{moving[0].at}' is missing")
+    seen = first(outputs)
+    if seen is not None:
+        every = {k: c for k, c in enumerate(network.outputs)}
+        name = f"output '{every[seen[0]].name}'" if seen[0] in every else "a channel"
+        node = every[seen[0]].at if seen[0] in every else None
+        raise InputError(
+            f"{name}: the {seen[1]} {f'of {node!r} ' if node else ''}against the ground is not told by input "
+            f"'{moving[0].name}', the {moving[0].spoken.replace('_', ' ')} of '{moving[0].at}': measure it \"between\" "
+            "that node and another"
+        )
 
 
 @dataclass(frozen=True)
@@ -316,11 +409,11 @@ def linearise(
             raise InputError(TOO_FAR_APART)
     names: list[str] = []
     keep: list[int] = []
-    moved = [c.name for c in network.inputs if c.quantity == "displacement"]
+    told = {c.name: MOTIONS.index(c.quantity) for c in network.moving}
     groups = [
-        ("r", moved),
-        ("v", [f"{m}'" for m in moved]),
-        ("alpha", [f"{m}''" for m in moved]),
+        ("r", [name if at == 0 else "" for name, at in told.items()]),
+        ("v", [name + "'" * (1 - at) if at < 2 else "" for name, at in told.items()]),
+        ("alpha", [name + "'" * (2 - at) for name, at in told.items()]),
         ("F", [c.name for c in network.inputs if c.quantity == "force"]),
         ("I", [c.name for c in network.inputs if c.quantity == "current"]),
         ("f", [e.name for e in asm.laws] if laws else []),
@@ -328,7 +421,8 @@ def linearise(
     for part, labels in groups:
         for j, label in enumerate(labels):
             column = asm.columns(part).start + j
-            if part not in ("v", "alpha") or np.any(rate[:, column]) or np.any(out[:, column]):
+            derived = label == "" or label.endswith("'")
+            if not derived or np.any(rate[:, column]) or np.any(out[:, column]):
                 names.append(label)
                 keep.append(column)
     return StateSpace(

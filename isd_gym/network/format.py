@@ -15,7 +15,7 @@ from typing import Any
 from .. import elements as el
 from ..errors import InputError, shown
 from ..inputs import parse_json, read_bytes
-from ..units import UNITS, convert
+from ..units import QUANTITIES, si_of
 from .model import ELEMENTS, Channel, Network, check_name
 
 SCHEMA = "isd-model/1"
@@ -56,13 +56,27 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
 
 def from_dict(data: Any) -> Network:
     """The model that a JSON object describes. Raises `InputError` with one line that names the place."""
-    known = {"schema", "name", "description", "masses", "elements", "inputs", "outputs", "uncertainty"}
+    known = {
+        "schema",
+        "name",
+        "description",
+        "masses",
+        "inertias",
+        "elements",
+        "inputs",
+        "outputs",
+        "uncertainty",
+    }
     _check_keys(data, known, {"schema", "elements"}, "the model")
     if data["schema"] != SCHEMA:
         raise InputError(f"schema is {shown(data['schema'])}, expected '{SCHEMA}'")
-    masses = data.get("masses", {})
-    if not isinstance(masses, Mapping):
-        raise InputError("masses must be an object of node: kg")
+    masses, inertias = data.get("masses", {}), data.get("inertias", {})
+    for key, value, unit in (("masses", masses, "kg"), ("inertias", inertias, "kg m^2")):
+        if not isinstance(value, Mapping):
+            raise InputError(f"{key} must be an object of node: {unit}")
+    for node in inertias:
+        if node in masses:
+            raise InputError(f"inertias: '{node}' has a mass already; what turns has an inertia alone")
     for key in ("elements", "inputs", "outputs"):
         if not isinstance(data.get(key, []), list):
             raise InputError(f"{key} must be a list")
@@ -74,7 +88,8 @@ def from_dict(data: Any) -> Network:
     return Network(
         name=_text(data, "name", "model"),
         description=_text(data, "description", ""),
-        masses=dict(masses),
+        masses={**masses, **inertias},
+        turning=frozenset(inertias),
         elements=tuple(read_element(e, i) for i, e in enumerate(data["elements"])),
         inputs=tuple(read_channel(c, "inputs", i) for i, c in enumerate(data.get("inputs", []))),
         outputs=tuple(read_channel(c, "outputs", i) for i, c in enumerate(data.get("outputs", []))),
@@ -87,8 +102,10 @@ def to_dict(network: Network) -> dict[str, Any]:
     out: dict[str, Any] = {"schema": SCHEMA, "name": network.name}
     if network.description:
         out["description"] = network.description
+    out["masses"] = {n: m for n, m in network.masses.items() if n not in network.turning}
+    if network.turning:
+        out["inertias"] = {n: m for n, m in network.masses.items() if n in network.turning}
     return out | {
-        "masses": dict(network.masses),
         "elements": [e.to_dict() for e in network.elements],
         "inputs": [c.to_dict() for c in network.inputs],
         "outputs": [c.to_dict() for c in network.outputs],
@@ -170,12 +187,17 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         where,
     )
     quantity = data["quantity"]
-    if not isinstance(quantity, str) or quantity not in UNITS:
-        raise InputError(f"{where}: unknown quantity {shown(quantity)} (known: {', '.join(UNITS)})")
+    if not isinstance(quantity, str) or quantity not in QUANTITIES:
+        raise InputError(f"{where}: unknown quantity {shown(quantity)} (known: {', '.join(QUANTITIES)})")
+    base, si = QUANTITIES[quantity]
     try:
-        convert(1.0, data["unit"], UNITS[quantity])
+        found = si_of(data["unit"])
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
+    if found != si:
+        other = next((q for q, (_, unit) in QUANTITIES.items() if unit == found), None)
+        hint = f' (that is the unit of "quantity": "{other}")' if other else ""
+        raise InputError(f"{where}: unit '{data['unit']}' cannot be turned into '{si}'{hint}")
     noise = data.get("noise")
     if noise is not None and (
         isinstance(noise, bool) or not isinstance(noise, int | float) or not 0 < noise < math.inf
@@ -201,7 +223,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         )
     return Channel(
         name=name,
-        quantity=quantity,
+        quantity=base,
         unit=data["unit"],
         at=data.get("at"),
         element=element,

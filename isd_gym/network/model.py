@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any
 from .. import elements as el
 from ..errors import InputError, harmless, shown
 from ..inputs import number
+from ..units import QUANTITIES, TURNING, UNITS, about_axis, si_of
 
 if TYPE_CHECKING:
     from .assembly import Assembly
 
 GROUND = "ground"
+#: inputs of these quantities move a node
+MOTIONS = ("displacement", "velocity", "acceleration")
 #: what a model may ask for: longer names, more parts or larger numbers are refused, not tried
 NAME_LENGTH, NODES, ELEMENTS, CHANNELS = 200, 250, 1000, 1000
 MASSES = (1e-9, 1e9)  # [kg]
@@ -35,6 +38,8 @@ def check_name(name: Any, what: str) -> str:
 class Channel:
     """An input or output: a quantity `at` a node, `between` two nodes, or of an `element`.
 
+    `quantity`: what it is to the equations (a key of `UNITS`); `unit` says whether it turns (an angle in deg is a
+    displacement, a torque in N m a force) and whether a drive is commanded by a current or a voltage.
     `factor` turns the channel's own unit into SI; `offset` is true where an unknown constant rides on it;
     `noise`: its RMS in the channel's unit, where the owner of the sensor knows it.
 
@@ -51,13 +56,24 @@ class Channel:
     noise: float | None = None  # RMS in the channel's unit, from the sensor's sheet
 
     @property
+    def si(self) -> str:
+        """The SI unit in which the equations have it."""
+        return si_of(self.unit)
+
+    @property
+    def spoken(self) -> str:
+        """Its quantity as a model file has it: 'angle' for a displacement in deg."""
+        si = self.si
+        return next((q for q, is_ in QUANTITIES.items() if is_ == (self.quantity, si)), self.quantity)
+
+    @property
     def elements(self) -> tuple[str, ...]:
         """The elements the channel belongs to."""
         return (self.element,) if isinstance(self.element, str) else self.element or ()
 
     def to_dict(self) -> dict[str, Any]:
         """As the model file has it (`isd-model/1`)."""
-        out: dict[str, Any] = {"name": self.name, "quantity": self.quantity}
+        out: dict[str, Any] = {"name": self.name, "quantity": self.spoken}
         if self.at is not None:
             out["at"] = self.at
         if self.between is not None:
@@ -76,6 +92,8 @@ class Channel:
 class Network:
     """A suspension model: `masses` [kg] by node, `elements`, `inputs`, `outputs`, `uncertainty` (relative sigma).
 
+    Of the nodes in `turning` the mass is a moment of inertia [kg m^2]: they, and what is tied to them, turn.
+
     Immutable and validated on construction; `with_parameters` and `with_element` return changed copies.
     Raises `InputError` with one line that names the place.
 
@@ -89,6 +107,7 @@ class Network:
     outputs: tuple[Channel, ...] = ()
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     description: str = ""
+    turning: frozenset[str] = frozenset()
 
     # ------------------------------------------------------------------------------------ the file
 
@@ -147,6 +166,9 @@ class Network:
         for c in self.inputs + self.outputs:
             check_name(c.name, "channel")
         self._check_masses()
+        for node in self.turning:
+            if node not in self.masses:
+                raise InputError(f"inertias: '{node}' has none")
         _unique([e.name for e in self.elements], "element")
         _unique([c.name for c in self.inputs + self.outputs], "channel")
         if "time" in {c.name for c in self.inputs + self.outputs}:
@@ -176,7 +198,7 @@ class Network:
             self._check_input(c, motors)
         for c in self.outputs:
             self._check_output(c, by_name)
-        _unique([c.at for c in self.inputs if c.quantity == "displacement"], "moved node")
+        _unique(list(self.moved_nodes), "moved node")
         known = self.parameters
         for key, sigma in self.uncertainty.items():
             if key not in known:
@@ -186,6 +208,7 @@ class Network:
                     f"uncertainty: '{key}' must be a relative sigma of 0 to 100, not {shown(sigma)}"
                 )
         self._check_connected()
+        self._check_turning()
 
     def _check_masses(self) -> None:
         for node, mass in self.masses.items():
@@ -194,20 +217,17 @@ class Network:
             low, high = MASSES
             if isinstance(mass, bool) or not isinstance(mass, int | float) or not low <= mass <= high:
                 raise InputError(
-                    f"masses: '{node}' must be a positive number of kg, {low:g} to {high:g}, not {shown(mass)}"
+                    f"{'inertias' if node in self.turning else 'masses'}: '{node}' must be a positive number of "
+                    f"{'kg m^2' if node in self.turning else 'kg'}, {low:g} to {high:g}, not {shown(mass)}"
                 )
 
     def _check_input(self, c: Channel, motors: set[str]) -> None:
         if c.quantity == "current":
             if c.element not in motors:
                 raise InputError(f"input '{c.name}': a current needs \"element\": the name of a motor")
-        elif c.quantity in ("displacement", "force"):
-            if c.at is None:
-                raise InputError(f"input '{c.name}': a {c.quantity} needs \"at\": a node")
-        else:
-            raise InputError(
-                f"input '{c.name}': a {c.quantity} cannot be an input (displacement, force, current)"
-            )
+        elif c.at is None:
+            hint = " (of that one node: a distance between two cannot be moved)" if c.between else ""
+            raise InputError(f"input '{c.name}': a {c.quantity} needs \"at\": a node{hint}")
         if c.offset:
             raise InputError(f"input '{c.name}': only outputs have an offset")
         if c.noise is not None:
@@ -254,6 +274,30 @@ class Network:
                     f"node '{node}' floats: nothing ties it to a mass, a moved node or the ground"
                 )
 
+    def _check_turning(self) -> None:
+        """What is tied together turns, or moves along a line: nothing here turns the one into the other."""
+        if not self.rotating:
+            return
+        for node in self.masses:
+            if node in self.rotating and node not in self.turning:
+                raise InputError(
+                    f"masses: '{node}' is tied to what turns, and so turns too: it needs one of \"inertias\" [kg m^2] "
+                    "in place of its mass"
+                )
+        for kind, channels in (("input", self.inputs), ("output", self.outputs)):
+            for c in channels:
+                nodes = [n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND]
+                if c.quantity == "force":
+                    ties = [self.element(n) for n in c.elements]
+                    nodes += [n for e in ties for n in e.where if n != GROUND]
+                elif c.quantity == "current":
+                    continue
+                turns = c.si in TURNING
+                for n in nodes:
+                    if (n in self.rotating) != turns:
+                        so = "turns" if n in self.rotating else "moves along a line"
+                        raise InputError(f"{kind} '{c.name}': '{n}' {so}, and cannot be measured in {c.unit}")
+
     # ------------------------------------------------------------------------------------- access
 
     @cached_property
@@ -268,7 +312,63 @@ class Network:
 
     @cached_property
     def moved_nodes(self) -> tuple[str, ...]:
-        return tuple(str(c.at) for c in self.inputs if c.quantity == "displacement")
+        return tuple(str(c.at) for c in self.moving)
+
+    @property
+    def moving(self) -> tuple[Channel, ...]:
+        """The inputs that move a node: by its displacement, its velocity or its acceleration."""
+        return tuple(c for c in self.inputs if c.quantity in MOTIONS)
+
+    @cached_property
+    def tied(self) -> dict[str, int]:
+        """Number of the part of the network that each node belongs to: what elements tie together, the ground left out."""
+        links: dict[str, set[str]] = {n: set() for n in self.nodes}
+        for e in self.elements:
+            if e.place == "between" and GROUND not in e.where:
+                links[e.where[0]].add(e.where[1])
+                links[e.where[1]].add(e.where[0])
+        out: dict[str, int] = {}
+        for number_, root in enumerate(links):
+            frontier = [root]
+            while frontier:
+                node = frontier.pop()
+                if node not in out:
+                    out[node] = number_
+                    frontier += links[node]
+        return out
+
+    def probe(
+        self,
+        name: str,
+        quantity: str,
+        *,
+        at: str | None = None,
+        between: tuple[str, str] | None = None,
+        element: str | None = None,
+    ) -> Channel:
+        """A channel in SI units that would see a node, two of them, or an element, whether they turn or not.
+
+        name: of the channel. quantity: displacement, velocity, acceleration or force. at, between, element: what it sees.
+        """
+        if element is not None:
+            between = self.element(element).between
+        nodes = [n for n in (at, *(between or ())) if n is not None and n != GROUND]
+        unit = UNITS[quantity]
+        if any(n in self.rotating for n in nodes):
+            unit = about_axis(unit)
+        if element is not None:
+            return Channel(name, quantity, unit, element=element)
+        return Channel(name, quantity, unit, at=at, between=between)
+
+    @cached_property
+    def rotating(self) -> frozenset[str]:
+        """Nodes that turn: by their inertia, by a channel in units of rotation, or tied to one that does."""
+        seeds = set(self.turning)
+        for c in self.inputs + self.outputs:
+            if c.quantity != "current" and c.si in TURNING:
+                seeds |= {n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND}
+        parts = {self.tied[n] for n in seeds if n in self.tied} if seeds else set()
+        return frozenset(n for n, part in self.tied.items() if part in parts)
 
     @cached_property
     def _assembly(self) -> Assembly:
@@ -279,11 +379,15 @@ class Network:
     @cached_property
     def parameters(self) -> dict[str, float]:
         """Every number of the model by its path: 'body.mass', 'oil.stiffness', ..."""
-        out = {f"{node}.mass": float(m) for node, m in self.masses.items()}
+        out = {self.mass_path(node): float(m) for node, m in self.masses.items()}
         for e in self.elements:
             for f in el.parameter_fields(type(e)):
                 out[f"{e.name}.{f.name}"] = getattr(e, f.name)
         return out
+
+    def mass_path(self, node: str) -> str:
+        """Path of a node's mass: 'body.mass', or 'arm.inertia' where it turns."""
+        return f"{node}.{'inertia' if node in self.turning else 'mass'}"
 
     def unit_of(self, path: str) -> str:
         """Unit of a parameter path."""
@@ -294,10 +398,17 @@ class Network:
                     if f.name == name:
                         if isinstance(e, el.SensorBias):
                             return next(c.unit for c in self.outputs if c.name == e.where[0])
-                        return f.metadata["unit"]
-        if name == "mass" and owner in self.masses:
-            return "kg"
+                        return self._unit(e, f.metadata["unit"])
+        if owner in self.masses and path == self.mass_path(owner):
+            return "kg m^2" if owner in self.turning else "kg"
         raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
+
+    def _unit(self, e: el.Element, unit: str) -> str:
+        """The unit of a parameter of an element where it stands."""
+        if isinstance(e, el.Motor) and any(e.name in c.elements and c.si == "V" for c in self.inputs):
+            unit = unit.replace("A", "V")
+        turns = e.place == "between" and any(n in self.rotating for n in e.where)
+        return about_axis(unit) if turns else unit
 
     def element(self, name: str) -> el.Element:
         """The element of that `name`; `InputError` where there is none."""

@@ -323,7 +323,9 @@ class _Sheet:
 
     def mass_text(self, n: str) -> str:
         mass = self.net.masses[n]
-        return f"{channel_text(n)}  {number(mass, _digits(mass))} kg"
+        return (
+            f"{channel_text(n)}  {number(mass, _digits(mass))} {'kg m²' if n in self.net.turning else 'kg'}"
+        )
 
     def height(self, p: Piece) -> float:
         if p.element is not None:

@@ -19,6 +19,8 @@ from ..errors import InputError
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 NAMES = ("isd-model-1", "isd-score-1", "isd-diagnosis-1")
 
+MOTION = ("displacement", "velocity", "acceleration", "angle", "angular_velocity", "angular_acceleration")
+
 
 def load(name: str) -> dict[str, Any]:
     """A shipped schema by its name ('isd-model/1' or 'isd-model-1'). Raises `InputError` for another name."""
@@ -49,6 +51,12 @@ def model_schema() -> dict[str, Any]:
             "description": {"type": "string"},
             "masses": {
                 "description": "mass [kg] of each node that has one",
+                "type": "object",
+                "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
+                "additionalProperties": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1]},
+            },
+            "inertias": {
+                "description": "moment of inertia [kg m^2] of each node that turns and has one",
                 "type": "object",
                 "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
                 "additionalProperties": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1]},
@@ -136,10 +144,9 @@ def _element(cls: type) -> dict[str, Any]:
 
 def _units(quantity: str) -> list[str]:
     """Every spelling of the units that `quantity` is accepted in."""
-    from ..network import UNITS
-    from ..units import _SPELLINGS, TABLE
+    from ..units import _SPELLINGS, QUANTITIES, TABLE
 
-    si = UNITS[quantity]
+    si = QUANTITIES[quantity][1]
     own = [unit for unit, (base, _) in TABLE.items() if base == si]
     return own + [spelling for spelling, unit in _SPELLINGS.items() if unit in own]
 
@@ -170,10 +177,11 @@ def _channel(place: dict[str, Any], quantities: tuple[str, ...], more: dict[str,
 def _input() -> dict[str, Any]:
     name, no_offset = {"$ref": "#/$defs/name"}, {"offset": {"const": "none"}}
     return {
-        "description": "a displacement moves its node; a force acts at it; a current drives a motor",
+        "description": "a displacement, velocity or acceleration moves its node (angles where it turns); a force or torque "
+        "acts at it; a current or voltage drives a motor",
         "oneOf": [
-            _channel({"at": name}, ("displacement", "force"), no_offset),
-            _channel({"element": name}, ("current",), no_offset),
+            _channel({"at": name}, (*MOTION, "force", "torque"), no_offset),
+            _channel({"element": name}, ("current", "voltage"), no_offset),
         ],
     }
 
@@ -189,13 +197,12 @@ def _output() -> dict[str, Any]:
             "description": "RMS in the channel's unit, from the sensor's sheet",
         },
     }
-    motion = ("displacement", "velocity", "acceleration")
     return {
         "description": "motion at a node or between two; force of an element (or the sum of several), or at a moved node",
         "oneOf": [
-            _channel({"at": name}, (*motion, "force"), offset),
-            _channel({"between": {"$ref": "#/$defs/pair"}}, motion, offset),
-            _channel({"element": several}, ("force",), offset),
+            _channel({"at": name}, (*MOTION, "force", "torque"), offset),
+            _channel({"between": {"$ref": "#/$defs/pair"}}, MOTION, offset),
+            _channel({"element": several}, ("force", "torque"), offset),
         ],
     }
 

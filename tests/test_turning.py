@@ -1,0 +1,170 @@
+"""What turns: inertias, angles, torques and volts in a model, and the laws that pendulums and drives need."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from isd_gym import simulate
+from isd_gym.discrepancy.structure import base_structure
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.units import about_axis, convert
+
+J, G, C = 0.0033, 0.21, 4e-4
+PENDULUM = {
+    "schema": "isd-model/1",
+    "name": "arm",
+    "inertias": {"arm": J},
+    "elements": [
+        {"name": "gravity", "type": "gravity_sine", "between": ["arm", "ground"], "torque": G},
+        {"name": "bearing", "type": "linear_damping", "between": ["arm", "ground"], "damping": C},
+        {"name": "drive", "type": "motor", "between": ["arm", "ground"], "thrust_constant": 0.02},
+    ],
+    "inputs": [{"name": "command", "quantity": "voltage", "element": "drive", "unit": "mV"}],
+    "outputs": [
+        {"name": "angle", "quantity": "angle", "at": "arm", "unit": "deg"},
+        {"name": "speed", "quantity": "angular_velocity", "at": "arm", "unit": "rpm"},
+        {"name": "torque", "quantity": "torque", "element": "gravity", "unit": "mN m"},
+    ],
+    "uncertainty": {"arm.inertia": 0.05, "gravity.torque": 0.05},
+}
+
+
+def test_a_pendulum_swings_as_its_equation_says():
+    t = np.arange(0, 3, 1e-3)
+    volts = np.where(t < 1.0, 3.0, 0.0)  # held over each sample
+    out = simulate(PENDULUM, t, {"command": 1e3 * volts})
+
+    def rate(volt):  # the motor pulls its terminals together
+        return lambda _, x: [x[1], (-G * math.sin(x[0]) - C * x[1] - 0.02 * volt) / J]
+
+    first = solve_ivp(rate(3.0), (0, 1.0), [0, 0], rtol=1e-10, atol=1e-12, t_eval=t[t < 1.0])
+    begin = solve_ivp(rate(3.0), (0, 1.0), [0, 0], rtol=1e-10, atol=1e-12).y[:, -1]
+    second = solve_ivp(rate(0.0), (1.0, 3.0), begin, rtol=1e-10, atol=1e-12, t_eval=t[t >= 1.0])
+    angle, speed = np.hstack([first.y, second.y])
+    assert np.ptp(angle) > 0.4  # the sine matters
+    assert np.allclose(np.radians(out["angle"]), angle, atol=1e-4)
+    assert np.allclose(out["speed"] * math.pi / 30, speed, atol=2e-3)
+    assert np.allclose(out["torque"], 1e3 * G * np.sin(angle), atol=0.05)
+
+
+def test_a_model_that_turns_is_written_as_it_was_read():
+    net = Network.load(PENDULUM)
+    again = net.to_dict()
+    assert again["inertias"] == {"arm": J} and again["masses"] == {}
+    assert [c["quantity"] for c in again["inputs"] + again["outputs"]] == [
+        "voltage",
+        "angle",
+        "angular_velocity",
+        "torque",
+    ]
+    assert Network.load(json.loads(net.dumps())) == net
+    assert net.unit_of("arm.inertia") == "kg m^2"
+    assert net.unit_of("bearing.damping") == "N m s/rad"
+    assert net.unit_of("gravity.torque") == "N m"
+    assert net.unit_of("drive.thrust_constant") == "N m/V"
+    assert net.with_parameters({"arm.inertia": 0.004}).masses["arm"] == 0.004
+
+
+def test_units_of_rotation():
+    assert convert(90.0, "deg", "rad") == pytest.approx(math.pi / 2)
+    assert convert(60.0, "rpm", "rad/s") == pytest.approx(2 * math.pi)
+    assert (
+        about_axis("N s^2/m^2") == "N m s^2/rad^2" and about_axis("m/s") == "rad/s" and about_axis("-") == "-"
+    )
+
+
+def changed(**more):
+    return {**PENDULUM, **more}
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (changed(outputs=[{"name": "x", "quantity": "displacement", "at": "arm", "unit": "mm"}]), "'arm' turns, and cannot be"),
+        (changed(outputs=[{"name": "x", "quantity": "displacement", "at": "arm", "unit": "deg"}]), 'quantity": "angle"'),
+        (changed(masses={"arm": 1.0}), "has a mass already"),
+        (changed(inertias={"arm": -1.0}), "positive number of kg m.2"),
+        (
+            changed(masses={"car": 1.0}, elements=[
+                *PENDULUM["elements"],
+                {"name": "rod", "type": "linear_stiffness", "between": ["car", "arm"], "stiffness": 1.0},
+            ]),
+            "'car' is tied to what turns",
+        ),
+    ],
+)  # fmt: skip
+def test_what_turns_is_not_mixed_with_what_moves_along_a_line(model, words):
+    with pytest.raises(InputError, match=words):
+        Network.load(model)
+
+
+def cart(*elements, outputs="force"):
+    return {
+        "schema": "isd-model/1",
+        "name": "cart",
+        "masses": {"m": 2.0},
+        "elements": list(elements),
+        "inputs": [{"name": "push", "quantity": "force", "at": "m", "unit": "N"}],
+        "outputs": [{"name": "v", "quantity": "velocity", "at": "m", "unit": "m/s"}],
+    }
+
+
+def test_a_constant_force_accelerates_evenly():
+    t = np.arange(0, 1, 1e-3)
+    out = simulate(
+        cart({"name": "slope", "type": "constant_force", "between": ["m", "ground"], "force": -3.0}),
+        t,
+        {"push": 0 * t},
+    )
+    assert np.allclose(out["v"][1:], 1.5 * t[1:], atol=2e-3)
+
+
+def test_a_friction_that_differs_by_direction_holds_and_slides_at_its_own_level_either_way():
+    rub = {
+        "name": "rub",
+        "type": "asymmetric_friction",
+        "between": ["m", "ground"],
+        "extension": 6.0,
+        "compression": 2.0,
+    }
+    t = np.arange(0, 4, 1e-3)
+    for push, speed in ((5.9, 0.0), (-1.9, 0.0), (8.0, 1.0), (-4.0, -1.0)):  # net force / mass over a second
+        v = simulate(cart(rub), t, {"push": np.full(len(t), push)})["v"]
+        assert v[1000] == pytest.approx(speed, abs=2e-3)
+
+
+def test_asymmetric_friction_dissipates_what_the_push_puts_in():
+    rub = {
+        "name": "rub",
+        "type": "asymmetric_friction",
+        "between": ["m", "ground"],
+        "extension": 6.0,
+        "compression": 2.0,
+    }
+    t = np.arange(0, 10, 1e-3)
+    push = 12.0 * np.sin(2 * np.pi * 0.7 * t)
+    v = simulate(cart(rub), t, {"push": push})["v"]
+    work = np.sum(push * v) * 1e-3
+    lost = np.sum(np.where(v > 0, 6.0, 2.0) * np.abs(v)) * 1e-3
+    assert work == pytest.approx(lost + v[-1] ** 2, rel=5e-3)  # m v^2 / 2, m = 2
+
+
+def test_a_damping_that_starts_at_zero_may_be_fitted():
+    model = {**PENDULUM, "uncertainty": {"bearing.damping": 0.1}}
+    model["elements"] = [
+        {"name": "gravity", "type": "linear_stiffness", "between": ["arm", "ground"], "stiffness": G},
+        {"name": "bearing", "type": "linear_damping", "between": ["arm", "ground"], "damping": 0.0},
+        PENDULUM["elements"][2],
+    ]
+    (free,) = base_structure(Network.load({**model, "outputs": model["outputs"][:2]})).free
+    assert free.low == 0.0 and free.sigma == pytest.approx(0.1 * 2 * math.sqrt(G * J))
+
+
+def test_what_starts_at_zero_with_nothing_to_measure_it_by_is_said_in_a_line():
+    free = cart({"name": "c", "type": "linear_damping", "between": ["m", "ground"], "damping": 0.0})
+    with pytest.raises(InputError, match=r"'c\.damping' is zero, and nothing in the model says"):
+        base_structure(Network.load({**free, "uncertainty": {"c.damping": 0.5}}))
