@@ -19,15 +19,9 @@ from scipy.linalg import expm
 
 from . import elements as el
 from .errors import InputError
-<<<<<<< HEAD
 from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
-from .network import Assembly, Channel, Network, assemble
-from .units import UNITS, convert
-=======
-from .layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
 from .units import convert
->>>>>>> ca4b35e (Inputs that are a node's velocity or acceleration; models that turn, with torques and volts; constant force, gravity's sine, friction that differs by direction)
 
 PHYSICS_STEP = 1e-3  # s
 #: parts of the base vector that are the motion of a node, each the derivative of the one before

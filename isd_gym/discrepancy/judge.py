@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import elements as el
 from ..errors import InputError
-from ..network import Channel, Network
+from ..network import Network
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
 from .fit import Fit, Fitter, residuals
