@@ -35,6 +35,13 @@ def element(rng, name, kind, pair, passive):
         out[f.name] = number(rng, f, passive)
     for key, options in cls.choices.items():
         out[key] = str(rng.choice(options))
+    if kind == "tabulated_force":
+        knots = np.linspace(-0.3, 0.3, int(rng.integers(2, 6)))
+        out |= {
+            "rate": knots.tolist(),
+            "force": (3e3 * knots + rng.normal(0.0, 200.0, len(knots))).tolist(),
+            "scale": 1.0,
+        }
     if kind == "stribeck_friction":
         out["static_level"] = out["level"] * float(rng.uniform(1.0, 2.0))
     return out

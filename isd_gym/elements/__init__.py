@@ -54,6 +54,7 @@ from .laws import (
 )
 from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
 from .sensors import SensorBias, SensorDelay, SensorGain
+from .table import TabulatedForce
 
 __all__ = [
     "DRIVE_ORDER",
@@ -87,6 +88,7 @@ __all__ = [
     "Setting",
     "Start",
     "StribeckFriction",
+    "TabulatedForce",
     "TerminalInertia",
     "ThrustSaturation",
     "TyreLiftOff",

@@ -442,6 +442,18 @@ class Network:
         out._check_masses()
         return out
 
+    def with_table(self, name: str, force: Any) -> Network:
+        """A copy in which the `tabulated_force` of that name has other forces.
+
+        name: of the element; force [N]: as it has them.
+        """
+        out = copy(self)
+        for key in ("parameters", "_assembly"):
+            out.__dict__.pop(key, None)
+        elements = tuple(replace(e, force=force) if e.name == name else e for e in self.elements)  # type: ignore[call-arg]
+        out.__dict__.update(elements=elements)
+        return out
+
     def with_element(self, element: el.Element | Mapping[str, Any], *, at: int | None = None) -> Network:
         """A copy with one more element, appended (or at a position in the list)."""
         if not isinstance(element, el.Element):

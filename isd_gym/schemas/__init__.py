@@ -126,11 +126,17 @@ def _element(cls: type) -> dict[str, Any]:
             else:
                 spec["minimum"] = -f.metadata["maximum"]
             spec["maximum"] = f.metadata["maximum"]
+        elif "knots" in f.metadata:
+            row = {"type": "array", "items": {"type": "number"}}
+            spec = {"description": f"[{f.metadata['knots']}]", **row}
+            if f.metadata["knots"] == "N":
+                spec = {"description": "[N]", "type": "array", "items": {"anyOf": [{"type": "number"}, row]}}
+                required.append(f.name)
         else:
             spec = {"enum": list(cls.choices[f.name])}  # type: ignore[attr-defined]
         if f.default is MISSING:
             required.append(f.name)
-        else:
+        elif "knots" not in f.metadata:
             spec["default"] = f.default
         properties[f.name] = spec
     return {
