@@ -1,4 +1,9 @@
-"""A law given by numbers: force over elongation, over rate, or over both."""
+"""A law given by numbers: force over elongation, over rate, or over both.
+
+`elongation` [m] and `rate` [m/s] are its knots, rising, one of them or both; `force` [N] is given at each knot, or for both as a
+row of forces by rate for each elongation. `interpolation`: lines between the knots, or a smooth curve through them;
+`beyond`: past its ends the last force is held, or its last slope.
+"""
 
 from __future__ import annotations
 
@@ -68,12 +73,6 @@ def _tabulated(p, d, v, d_last, z, h):
 
 @register
 class TabulatedForce(Element):
-    """`elongation` [m] and `rate` [m/s]: knots, rising, one of them or both; `force` [N]: at each knot, or for both a row of
-    forces by rate for each elongation.
-
-    `interpolation`: lines between knots, or a smooth curve through them; `beyond`: the last force is held, or its last slope.
-    """
-
     type = "tabulated_force"
     equation = "F = scale * table(d, v)"
     source = "a measured law, or the one that a diagnosis found without a name for it"
