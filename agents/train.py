@@ -11,7 +11,6 @@ import math
 import os
 import platform
 import shlex
-import shutil
 import time
 import warnings
 from collections.abc import Callable, Mapping
@@ -24,14 +23,15 @@ from typing import Any
 import numpy as np
 
 from baselines.controller import steps_ahead
-from isd_gym.errors import InputError
-from isd_gym.files import claim_folder, write_text
+from isd_gym.errors import InputError, shown
+from isd_gym.files import claim_folder, held, write_text
 from isd_gym.inputs import read_json
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
 from isd_gym.road import road as find_road
 from isd_gym.scoring import Entry, drive, score
 
+from . import checkpoint
 from .memory import Memory
 from .policy import Policy
 from .settings import RANDOMIZE, SETTINGS, PPOSettings, SACSettings
@@ -155,51 +155,26 @@ class Run:
 
     def _claim(self) -> Path | None:
         """Make the folder this run's; the newest checkpoint in it, if any."""
-        claim_folder(self.out, *FOLDER)
         note = self.out / FOLDER[1]
         if note.exists():
-            held = read_json(note, f"'{note}' cannot be read; train into another folder")
-            if not (isinstance(held, dict) and isinstance(held.get("settings"), dict)):
+            noted = read_json(note, f"'{note}' cannot be read; train into another folder")
+            if not (isinstance(noted, dict) and isinstance(noted.get("settings"), dict)):
                 raise InputError(f"'{note}' describes no training run; train into another folder")
             for key in ("algorithm", "seed", "road", "speed", "randomize", "network"):
-                if held.get(key) != self.asked[key]:
-                    what = "" if key == "network" else f": {held.get(key)}, not {self.asked[key]}"
+                if noted.get(key) != self.asked[key]:
+                    what = "" if key == "network" else f": {shown(noted.get(key))}, not {self.asked[key]}"
                     raise InputError(
                         f"'{self.out}' holds a run with another {key}{what}; train into another folder"
                     )
-            same = {k: v for k, v in held["settings"].items() if k != "steps"}
+            same = {k: v for k, v in noted["settings"].items() if k != "steps"}
             if same != {k: v for k, v in self.asked["settings"].items() if k != "steps"}:
                 raise InputError(f"'{self.out}' holds a run with other settings; train into another folder")
         write_text(note, json.dumps(self.asked, indent=1) + "\n")
-        for stale in self.out.glob(".checkpoint-*"):
-            shutil.rmtree(stale)
-        found = sorted(self.out.glob("checkpoint-*"))
-        return found[-1] if found else None
+        return checkpoint.newest(self.out)
 
     def save(self, model: Any) -> None:
         """A checkpoint under its own name once it is whole; older ones go after that."""
-        name = f"checkpoint-{model.num_timesteps:012d}"
-        if (self.out / name).exists():
-            return
-        temporary = self.out / f".{name}"
-        temporary.mkdir()
-        model.save(temporary / "model.zip")
-        arrays: dict[str, Any] = dict(self.average)
-        np.savez(temporary / "average.npz", **arrays)
-        if hasattr(model, "replay_buffer"):
-            buffer = model.replay_buffer
-            held = buffer.buffer_size if buffer.full else buffer.pos
-            for key in BUFFER:
-                np.save(temporary / f"{key}.npy", getattr(buffer, key)[:held])
-            self.state["buffer"] = [int(buffer.pos), bool(buffer.full)]
-        (temporary / "state.json").write_text(json.dumps(self.state))
-        for file in temporary.iterdir():
-            with file.open("rb") as handle:
-                os.fsync(handle.fileno())
-        older = list(self.out.glob("checkpoint-*"))
-        temporary.rename(self.out / name)
-        for old in older:
-            shutil.rmtree(old)
+        checkpoint.write(self.out, model, self.average, self.state)
 
     # -------------------------------------------------------------------------------------- training
 
@@ -227,41 +202,39 @@ class Run:
         return Remember(inner, self.memory, s.head, s.reward_scale, s.reward_offset, group, points)
 
     def go(self) -> dict[str, Any]:
+        """Train, and score what came of it; the folder is this process's meanwhile."""
+        with held(claim_folder(self.out, *FOLDER), FOLDER[0]):
+            return self._go()
+
+    def _go(self) -> dict[str, Any]:
         import torch
         from stable_baselines3 import PPO
 
         from .sac import GroupSAC
 
         s = self.settings
-        checkpoint = self._claim()
+        there = self._claim()
         self.progress("preparing", 0.0)
         torch.set_num_threads(1)  # nets this small lose more to threads than they gain
         env = self._environment(s.cars)
         kind: Any = {"ppo": PPO, "sac": GroupSAC}[self.algorithm]
         tensorboard = str(self.out / "tensorboard") if find_spec("tensorboard") else None
-        if checkpoint is not None:
-            self.state = json.loads((checkpoint / "state.json").read_text())
-            done = int(checkpoint.name.removeprefix("checkpoint-"))
-            model = kind.load(checkpoint / "model.zip", env=env, device="cpu", tensorboard_log=tensorboard)
-            with np.load(checkpoint / "average.npz", allow_pickle=False) as held:
-                self.average = {k: held[k] for k in held.files}
-            if self.algorithm == "sac":
-                restore_buffer(model.replay_buffer, checkpoint, self.state["buffer"])
-            # fresh roads: those of the seed and the steps done, never those already driven
-            model.set_random_seed(self._seed(done))
+        # fresh roads: those of the seed and the steps done, never those already driven
+        done = checkpoint.steps(there) if there else 0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # SB3 on batch sizes that do not divide a rollout
+            model = kind(
+                env=env,
+                seed=self._seed(done),
+                device="cpu",
+                tensorboard_log=tensorboard,
+                **s.algorithm(env.seen, env.core),
+            )
+        if there is not None:
+            self.average, self.state = checkpoint.read(there, model)
             self.say(f"resuming '{self.out}' at {done / 1e6:.2f} of {s.steps / 1e6:.2f} million steps")
-        else:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # SB3 on batch sizes that do not divide a rollout
-                model = kind(
-                    env=env,
-                    seed=self._seed(0),
-                    device="cpu",
-                    tensorboard_log=tensorboard,
-                    **s.algorithm(env.seen, env.core),
-                )
-            if s.teacher is not None:
-                self._imitate(model)
+        elif s.teacher is not None:
+            self._imitate(model)
         if "references" not in self.state:
             self.state["references"] = self._references()
         self.progress("preparing", 1.0)
@@ -531,17 +504,6 @@ def _callback(run: Run, env: Any) -> Any:
             return True
 
     return Watch()
-
-
-BUFFER = ("explored", "observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-def restore_buffer(buffer: Any, folder: Path, place: list[Any]) -> None:
-    """Fill a replay buffer from a checkpoint."""
-    for key in BUFFER:
-        saved = np.load(folder / f"{key}.npy", allow_pickle=False)
-        getattr(buffer, key)[: len(saved)] = saved
-    buffer.pos, buffer.full = int(place[0]), bool(place[1])
 
 
 def describe(settings: PPOSettings | SACSettings) -> dict[str, Any]:

@@ -103,6 +103,19 @@ def claim_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -
     return path
 
 
+@contextmanager
+def held(folder: Path, kind: str) -> Iterator[None]:
+    """Keep the folder of a `kind` that grows for this process alone; raises `InputError` where another has it."""
+    handle = _lock(folder)
+    if handle is None and fcntl is not None:
+        raise InputError(f"another process is writing the {kind} in '{folder}'")
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
 def check_file(path: str | Path) -> None:
     """Raise `InputError` where no file can be written: before long work, not after it."""
     path = Path(path)

@@ -535,6 +535,102 @@ def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
 
 
 @needs_sb3
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
+    sb3, brief, algorithm, tmp_path, monkeypatch
+):
+    """Weights, moments, counts and buffer to the last bit; what does not fit, or holds code, is one line."""
+    import pickle
+    from operator import attrgetter
+
+    import torch
+
+    import agents.train as module
+
+    settings, out = brief[algorithm], tmp_path / "run"
+    models = []
+
+    class Seen(module.Run):
+        def save(self, model):
+            models.append(model)
+            super().save(model)
+
+    monkeypatch.setattr(module, "Run", Seen)
+    module.train(algorithm, out, settings=settings, say=lambda line: None)
+    (kept,) = out.glob("checkpoint-*")
+    assert {p.suffix for p in kept.iterdir()} <= {".safetensors", ".json", ".npz", ".npy"}
+
+    def fails(*args, **kwargs):
+        raise AssertionError("a pickle was opened")
+
+    for name in ("load", "loads", "Unpickler"):
+        monkeypatch.setattr(pickle, name, fails)
+    monkeypatch.setattr(torch, "load", fails)
+    longer = replace(settings, steps=2 * settings.steps)
+    lines: list[str] = []
+
+    def stop(line):
+        lines.append(line)
+        raise Killed
+
+    old = models[-1]
+    read = {}
+
+    def remember(place, model, read_=module.checkpoint.read):
+        out = read_(place, model)
+        read["model"] = model
+        return out
+
+    monkeypatch.setattr(module.checkpoint, "read", remember)
+    with pytest.raises(Killed):
+        module.train(algorithm, out, settings=longer, say=stop)
+    new = read["model"]
+    assert lines[0].startswith("resuming") and new is not old
+    for name in old._get_torch_save_params()[0]:
+        a, b = (attrgetter(name)(m).state_dict() for m in (old, new))
+        if name.endswith("optimizer"):
+            assert a["state"].keys() == b["state"].keys() and len(a["state"]) > 0
+            a, b = ({f"{i}{k}": v for i, s in d["state"].items() for k, v in s.items()} for d in (a, b))
+        assert a.keys() == b.keys() and all(torch.equal(a[k], b[k]) for k in a)
+    assert (old.num_timesteps, old._n_updates) == (new.num_timesteps, new._n_updates)
+    if algorithm == "sac":
+        assert np.array_equal(old.replay_buffer.observations, new.replay_buffer.observations)
+        assert old.replay_buffer.pos == new.replay_buffer.pos
+    whole = {p.name: p.read_bytes() for p in kept.iterdir()}
+    state = json.loads(whole["state.json"])
+    for name, data, says in (
+        (
+            "state.json",
+            json.dumps({k: v for k, v in state.items() if k != "schema"}).encode(),
+            "another version",
+        ),
+        ("state.json", json.dumps(state | {"curve": [{"steps": "x"}]}).encode(), "KeyError|something else"),
+        ("state.json", json.dumps(state | {"learner": {"updates": 1e300}}).encode(), "cannot be"),
+        ("state.json", b"[" * 5000, "levels"),
+        ("learner.safetensors", whole["learner.safetensors"][:-5], "no checkpoint"),
+        ("learner.safetensors", b"\x80\x04cos\nsystem\n", "no checkpoint"),
+        ("average.npz", b"\x80\x04cos\nsystem\n", "no checkpoint"),
+    ):
+        (kept / name).write_bytes(data)
+        with pytest.raises(InputError, match=says) as error:
+            module.train(algorithm, out, settings=longer, say=lambda line: None)
+        assert str(error.value).isprintable()
+        (kept / name).write_bytes(whole[name])
+
+
+@needs_sb3
+def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
+    from agents.train import FOLDER, train
+    from isd_gym.files import claim_folder, held
+
+    taken = held(claim_folder(tmp_path / "run", *FOLDER), "training run")
+    with taken, pytest.raises(InputError, match="another process"):
+        train("ppo", tmp_path / "run")
+    assert not list((tmp_path / "run").iterdir())
+
+
+@needs_sb3
 def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
     from agents.train import train
 
