@@ -6,6 +6,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Annotated, Any
@@ -441,7 +442,13 @@ def diagnose(
             help="Measured records: CSV, Parquet, .mat, .mf4, with time and the model's channels."
         ),
     ],
-    model: Annotated[str, typer.Option(help="The model as you believe it: a file or a built-in network.")],
+    model: Annotated[
+        str,
+        typer.Option(
+            help="The model as you believe it: a file, a built-in network, or a unit for co-simulation (.fmu).",
+            autocompletion=_offer(_networks),
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="Folder for the result.", metavar="DIR")],
     validate: Annotated[
         list[Path] | None,
@@ -469,13 +476,24 @@ def diagnose(
         list[Path] | None,
         typer.Option(help="A Python file of yours that registers elements: it is run.", metavar="FILE.py"),
     ] = None,
+    uncertain: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Relative one-sigma of a parameter, which may be refitted then, before what the model file states.",
+            metavar="PARAMETER=SHARE",
+        ),
+    ] = None,
+    trust_fmu: Annotated[
+        bool, typer.Option("--trust-fmu", help="Run the compiled code in an .fmu, with your rights.")
+    ] = False,
     seed: Annotated[int, typer.Option(help="Of the resampling that gives the confidence.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Find where a model and measurements disagree, and which physical effect is missing.
 
     Writes DIR/diagnosis.json, DIR/model.json (the model with what was found), DIR/report.html and its figures. Without
-    --validate whole records of DATA are held out to judge by, or the last third of a single one.
+    --validate whole records of DATA are held out to judge by, or the last third of a single one. An .fmu is compared and
+    its parameters refitted (DIR/parameters.ssv); it shows no inside, so no effect and no place is named.
 
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found --validate test3.csv
     """
@@ -487,9 +505,29 @@ def diagnose(
 
     check_target(out)
     check_file(json_file)
+    shares = _shares(uncertain)
+    _check_records(data, validate or [])
+    about = {
+        "Model": model,
+        "Data": ", ".join(map(str, data)),
+        **({"Validation": ", ".join(map(str, validate))} if validate else {}),
+    }
+    if Path(model).suffix.lower() == ".fmu":
+        if elements:
+            raise InputError("--elements: an FMU has no place for an effect; a network has (isd-model/1)")
+        named = {
+            "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
+            "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
+        }
+        result = _diagnose_unit(model, trust_fmu, data, validate or [], accept or [], named, shares)
+        page = write_report(result, out, about=about)
+        _print_diagnosis(result, json_file, page)
+        return
     for file in elements or ():
         el.register_file(file)
     network = Network.load(model)
+    if shares:
+        network = replace(network, uncertainty={**network.uncertainty, **shares})
     options: dict[str, Any] = {
         "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
         "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
@@ -498,24 +536,49 @@ def diagnose(
     channels = ["time", *options["expected"]]
     _check_channels(options["rename"].values(), channels, "--rename")
     _check_channels(options["units"], [*channels, *options["rename"]], "--unit")
-    _check_records(data, validate or [])
     with lines() as say:
         fitted, held = ([read_table(f, **options) for f in files] for files in (data, validate or []))
         result = run(fitted, network, validate=held, accept=accept or (), progress=say, seed=seed)
         say("writing the report")
-        about = {
-            "Model": model,
-            "Data": ", ".join(map(str, data)),
-            **({"Validation": ", ".join(map(str, validate))} if validate else {}),
-            "Seed": str(seed),
-        }
-        page = write_report(result, out, about=about)
-    write_json(json_file, result.to_dict())
-    _print_diagnosis(result)
-    typer.echo(f"report: {page}", err=True)
+        page = write_report(result, out, about=about | {"Seed": str(seed)})
+    _print_diagnosis(result, json_file, page)
 
 
-def _print_diagnosis(result: Any) -> None:
+def _shares(pairs: list[str] | None) -> dict[str, float]:
+    """The values of --uncertain as numbers."""
+    out = {}
+    for name, text in _pairs(pairs, "--uncertain", "PARAMETER=SHARE").items():
+        try:
+            out[name] = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        except ValueError:
+            raise InputError(f"--uncertain {name}: wants a share such as 0.05, not {shown(text)}") from None
+    return out
+
+
+def _diagnose_unit(
+    model: str,
+    trust: bool,
+    data: list[Path],
+    validate: list[Path],
+    accept: list[str],
+    named: dict[str, Any],
+    shares: dict[str, float],
+) -> Any:
+    """The diagnosis of a unit for co-simulation, with the warning that its code asks for."""
+    from .cosimulation import WHY_TRUST, Unit
+    from .discrepancy import diagnose_unit
+
+    if trust:
+        typer.echo(f"isd-gym: warning: {model}: {WHY_TRUST}", err=True)
+    with lines() as say, Unit(model, trust=trust) as unit:
+        known = [p.name for p in (*unit.model.inputs, *unit.model.outputs)]
+        _check_channels(named["rename"].values(), ["time", *known], "--rename")
+        return diagnose_unit(
+            data, unit, validate=validate, accept=accept, uncertainty=shares, progress=say, **named
+        )
+
+
+def _print_diagnosis(result: Any, json_file: Path | None, page: Path) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -536,6 +599,8 @@ def _print_diagnosis(result: Any) -> None:
         console.print(
             f"{100 * result.closed:.1f} % of the gap that can be closed is closed.", highlight=False
         )
+    write_json(json_file, result.to_dict())
+    typer.echo(f"report: {page}", err=True)
 
 
 @app.command()

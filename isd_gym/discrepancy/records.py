@@ -26,6 +26,13 @@ LEAST_STRETCH = 40.0
 UNACCEPTABLE = ("time", "finite")
 
 
+def known_check(name: str) -> None:
+    """Raise `InputError` where `name` is no check whose errors can be accepted."""
+    if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
+        known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
+        raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
+
+
 def read(
     source: Table | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
 ) -> Record:
@@ -34,9 +41,7 @@ def read(
     accept: names of checks (or 'all') whose errors are only warnings here.
     """
     for name in accept:
-        if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
-            known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
-            raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
+        known_check(name)
     expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
     table = source if isinstance(source, Table) else read_table(source, expected=expected)
     for name in expected:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..cosimulation import UnitModel
 from ..files import claim_folder, write_text
 from ..network import Network
 from .criteria import Criteria, Gate
@@ -20,7 +21,11 @@ from .settings import SearchSettings
 
 SCHEMA = "isd-diagnosis/1"
 #: kind, mark and parts of the folder of a diagnosis, with its report
-FOLDER = ("diagnosis", "diagnosis.json", ("report.html", "diagnosis.json", "model.json", "*.png"))
+FOLDER = (
+    "diagnosis",
+    "diagnosis.json",
+    ("report.html", "diagnosis.json", "model.json", "parameters.ssv", "*.png"),
+)
 
 
 @dataclass(frozen=True)
@@ -155,7 +160,7 @@ class Diagnosis:
     verdict: the contract's word. effects: what was found; contenders: what else was tried. where: the gap lives.
     parameters: of the owner's model, refitted. closed: share of the gap. gates: what had to hold.
     next_experiment: what would decide, where something would. base, refitted, model: the owner's network, the
-    same refitted, the new one. traces and laws: for pictures. notes: in words. seconds: of work. units: of the
+    same refitted, the new one (of a unit for co-simulation, what its description says). traces and laws: for pictures. notes: in words. seconds: of work. units: of the
     channels. evidence, criteria, settings: what was weighed, by which limits, and how it was searched.
     """
 
@@ -169,9 +174,9 @@ class Diagnosis:
     closed: float | None
     gates: tuple[Gate, ...]
     next_experiment: dict[str, Any] | None
-    base: Network
-    refitted: Network
-    model: Network
+    base: Network | UnitModel
+    refitted: Network | UnitModel
+    model: Network | UnitModel
     traces: tuple[Trace, ...]
     laws: tuple[Law, ...] = ()
     notes: tuple[str, ...] = ()
@@ -208,13 +213,13 @@ class Diagnosis:
         )
 
     def save(self, folder: str | Path) -> None:
-        """Write diagnosis.json and model.json into `folder`, each whole or not at all.
+        """Write diagnosis.json and model.json (of a unit its parameters.ssv) into `folder`, each whole or not at all.
 
         The folder is new, empty or an earlier diagnosis; raises `InputError` for any other.
         """
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
-        self.model.save(folder / "model.json")
+        self.model.save(folder / ("parameters.ssv" if isinstance(self.model, UnitModel) else "model.json"))
 
 
 def _plain(value: Any) -> Any:

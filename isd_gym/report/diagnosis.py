@@ -129,6 +129,7 @@ class View:
         self.stages = [s for s in STAGES if s in d.gap and (s != "after" or self.named)]
         self.clouds = clouds(self) if self.trace is not None else []
         self.laws = list(d.laws)
+        self.inside = isinstance(d.base, Network)
 
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
@@ -143,6 +144,8 @@ class View:
 
     def drawings(self) -> list[tuple[str, str]]:
         """The network as SVG with a title each: as given, and with what was found in colour."""
+        if not isinstance(self.d.base, Network) or not isinstance(self.d.model, Network):
+            return []
         found = {e.element for e in self.d.effects}
         pairs: list[tuple[str, Network, set[str]]] = [("The model as given", self.d.base, set())]
         if self.named:
@@ -154,6 +157,8 @@ class View:
 
     def lights(self, c: Contender) -> str:
         """What of the drawing lights up for a rival, as JSON."""
+        if not isinstance(self.d.base, Network):
+            return "[]"
         return json.dumps([part for where in c.where for part in place_parts(self.d.base, where)])
 
     @property
@@ -298,6 +303,8 @@ def _cloud(
     view: View, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[str]
 ) -> Cloud | None:
     d = view.d
+    if not isinstance(d.refitted, Network) or not isinstance(d.model, Network):
+        return None
     if not set(pair) <= {*d.refitted.nodes, "ground"}:
         return None
     names = [c.name for c in d.refitted.outputs if c.name in trace.refit]

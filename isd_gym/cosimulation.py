@@ -1,0 +1,269 @@
+"""A functional mock-up unit (FMU) of somebody's own as a model: what goes in and out of it, and what it says.
+
+A unit is compiled code of whoever made it. It is opened where its user says that it is trusted, and runs in a process of its
+own (`_unit`, with FMPy): that keeps its faults apart, not its intents. FMI 2 and 3, co-simulation and model exchange.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError, shown
+from .files import write_text
+from .inputs import memory_limit, plain_file, too_large
+from .units import UNITS, convert
+
+Array = NDArray[np.float64]
+SECONDS = 600.0  # that one run, or the loading, may take
+NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+
+WHY_TRUST = "a unit is compiled code of whoever made it and runs with your rights: it can read, change and send what you can"
+
+
+@dataclass(frozen=True)
+class Port:
+    """A real variable of a unit: its name, its `unit` as the unit writes it, and the `quantity` that this is, where known."""
+
+    name: str
+    unit: str
+    causality: str
+
+    @property
+    def quantity(self) -> str:
+        """A key of `units.UNITS`, or '' where the unit is none of theirs."""
+        for quantity, si in UNITS.items():
+            with suppress(InputError):
+                convert(1.0, self.unit, si)
+                return quantity
+        return ""
+
+
+@dataclass(frozen=True)
+class UnitModel:
+    """What a unit's description says, with values of its parameters.
+
+    inputs, outputs: its real variables, those `outputs` that are no more than local after the others. parameters: start
+    value of each real parameter, in `units` of it; limits: (least, largest), infinite where none is stated. uncertainty:
+    relative one-sigma of those that may be refitted.
+    """
+
+    name: str
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    parameters: Mapping[str, float]
+    units: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
+
+    def unit_of(self, path: str) -> str:
+        return self.units.get(path, "")
+
+    def with_parameters(self, values: Mapping[str, float]) -> UnitModel:
+        """The same with other values of some parameters. Raises `InputError` for one that it does not have."""
+        for name in values:
+            if name not in self.parameters:
+                raise InputError(f"unit {shown(self.name)} has no parameter {shown(name)}")
+        return replace(self, parameters={**self.parameters, **values})
+
+    def save(self, path: str | Path) -> None:
+        """Write the parameters' values as a parameter set of the SSP standard (.ssv), which simulators of units read."""
+        from xml.sax.saxutils import quoteattr
+
+        rows = [
+            f"    <ssv:Parameter name={quoteattr(k)}><ssv:Real value={quoteattr(repr(float(v)))}/></ssv:Parameter>"
+            for k, v in self.parameters.items()
+        ]
+        head = f'<ssv:ParameterSet xmlns:ssv="{NAMESPACE}" version="1.0" name={quoteattr(self.name)}>'
+        lines = ['<?xml version="1.0" encoding="UTF-8"?>', head, "  <ssv:Parameters>"]
+        write_text(path, "\n".join([*lines, *rows, "  </ssv:Parameters>", "</ssv:ParameterSet>", ""]))
+
+
+class Unit:
+    """A unit that runs: `model` is what its description says.
+
+    trust: that its code may run here; without it `InputError` is raised and nothing is unpacked. A context manager: the
+    process and the unpacked files go with it. Raises `InputError` with one line for what is no unit, or one that cannot run.
+    """
+
+    def __init__(self, path: str | Path, *, trust: bool = False) -> None:
+        self.path = Path(path)
+        plain_file(self.path)
+        if not trust:
+            raise InputError(f"{path}: {WHY_TRUST}; --trust-fmu opens it (trust=True in Python)")
+        self._folder = tempfile.TemporaryDirectory(prefix="isd-gym-fmu-")
+        self._process: subprocess.Popen[bytes] | None = None
+        self._afresh = False  # a process for every run: the unit does not forget the run before
+        self.runs = 0
+        try:
+            self._unpack()
+            about, _ = self._ask({"do": "describe"})
+            self.model = _model(about)
+        except BaseException:
+            self.close()
+            raise
+        self.about = {"FMI": about["fmi"], "kind": about["kind"]}
+
+    def __enter__(self) -> Unit:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End its process and remove what was unpacked."""
+        self._stop()
+        self._folder.cleanup()
+
+    def _unpack(self) -> None:
+        limit = memory_limit()
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                members = archive.infolist()
+                size = sum(m.file_size for m in members)
+                if size > limit:
+                    raise too_large(str(self.path), size, limit)
+                if "modelDescription.xml" not in archive.namelist():
+                    raise InputError(f"{self.path}: is no FMU (there is no modelDescription.xml in it)")
+                archive.extractall(self._folder.name)  # keeps within the folder
+        except (
+            zipfile.BadZipFile,
+            NotImplementedError,
+            RuntimeError,
+            EOFError,
+            OSError,
+            ValueError,
+        ) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{self.path}: is no FMU, or a broken one ({error})") from None
+
+    def run(
+        self,
+        inputs: Mapping[str, Array],
+        rows: int,
+        step: float,
+        outputs: list[str],
+        start: Mapping[str, float],
+    ) -> Array:
+        """Outputs (rows, outputs) every `step` [s] from rest; inputs (rows,) by name, each set at the beginning of a step.
+
+        start: values of parameters that differ from the unit's own. All in the unit's own units. Raises `InputError`.
+        """
+        names = list(inputs)
+        values = np.stack([inputs[n] for n in names], axis=1) if names else np.zeros((rows, 1))
+        request = {"do": "run", "step": step, "start": dict(start), "inputs": names, "outputs": outputs}
+        if self._afresh:
+            self._stop()
+        self.runs += 1
+        _, found = self._ask(request, np.ascontiguousarray(values, dtype=np.float64))
+        assert found is not None
+        if not np.isfinite(found).all():
+            raise InputError(f"{self.path}: the simulation broke down: an output is not finite")
+        return found
+
+    def forgets(self, *arguments: Any) -> None:
+        """Run twice; where the second differs from the first, every run from here on gets a process of its own."""
+        first, second = self.run(*arguments), self.run(*arguments)
+        scale = np.maximum(np.abs(first).max(axis=0), 1e-300)
+        if np.any(np.abs(first - second).max(axis=0) > 1e-9 * scale):
+            self._afresh = True
+
+    # -- the process --------------------------------------------------------------------------------------
+    def _ask(
+        self, request: dict[str, Any], array: Array | None = None
+    ) -> tuple[dict[str, Any], Array | None]:
+        process = self._process or self._begin()
+        asked, told = process.stdin, process.stdout
+        assert asked is not None and told is not None
+        shape = None if array is None else list(array.shape)
+        watch = threading.Timer(SECONDS, process.kill)
+        watch.daemon = True
+        watch.start()
+        try:
+            asked.write(json.dumps(request | {"folder": self._folder.name, "shape": shape}).encode() + b"\n")
+            if array is not None:
+                asked.write(array.tobytes())
+            asked.flush()
+            line = told.readline()
+            head = json.loads(line) if line else {}
+            size = head.get("shape")
+            data = told.read(8 * size[0] * size[1]) if size else b""
+            broken = not line or bool(size and len(data) < 8 * size[0] * size[1])
+        except (OSError, ValueError):
+            broken = True
+        finally:
+            watch.cancel()
+        if broken:
+            self._stop()
+            raise InputError(f"{self.path}: its code broke down, or took more than {SECONDS:.0f} s")
+        if "lacks" in head:
+            raise InputError(
+                f'{self.path}: running it needs FMPy: pip install ".[fmu]" in a clone of the repository'
+            )
+        if "refused" in head:
+            raise InputError(f"{self.path}: {head['refused']}")
+        return head, np.frombuffer(data).reshape(size) if size else None
+
+    def _begin(self) -> subprocess.Popen[bytes]:
+        program = (resources.files("isd_gym") / "_unit.py").read_text(encoding="utf-8")
+        env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+        env |= {f"{k}_NUM_THREADS": "1" for k in ("OMP", "OPENBLAS", "MKL")}
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", program],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env=env,
+                cwd=self._folder.name,
+            )
+        except OSError as error:
+            raise InputError(
+                f"{self.path}: no process can be started to run it in ({error.strerror})"
+            ) from None
+        return self._process
+
+    def _stop(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    with suppress(OSError):
+                        pipe.close()
+            process.kill()
+            process.wait()
+
+
+def _model(about: Mapping[str, Any]) -> UnitModel:
+    ports: dict[str, list[Port]] = {"input": [], "output": [], "local": []}
+    parameters: dict[str, float] = {}
+    units: dict[str, str] = {}
+    limits: dict[str, tuple[float, float]] = {}
+    for name, causality, variability, unit, start, low, high, _ in about["variables"]:
+        if causality in ports and variability != "constant":
+            ports[causality].append(Port(name, unit, causality))
+        elif causality == "parameter" and variability in ("fixed", "tunable") and start is not None:
+            parameters[name], units[name] = start, unit
+            limits[name] = (-np.inf if low is None else low, np.inf if high is None else high)
+    name = str(about["name"] or "unit")
+    return UnitModel(
+        name, tuple(ports["input"]), (*ports["output"], *ports["local"]), parameters, units, limits
+    )
