@@ -91,6 +91,16 @@ JsonOption = Annotated[
 ]
 
 
+MapOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        help="Which column is which channel: a file that isd-gym inspect --out wrote.",
+        metavar="FILE",
+    ),
+]
+
+
 class _SeveralValues(TyperCommand):
     """An option that may be repeated also takes several values at once: ``--validate a.csv b.csv``."""
 
@@ -136,10 +146,14 @@ def _check_channels(names: Iterable[str], known: Iterable[str], option: str) -> 
 
 def _check_records(data: list[Path], validate: list[Path]) -> None:
     """No record counts twice, and none is judged by that took part in fitting."""
+    from .loggers import files_of
+
     seen: set[Path] = set()
-    for file in (*data, *validate):
+    fitted = [f for word in data for f in files_of(word)]
+    held = [f for word in validate for f in files_of(word)]
+    for file in (*fitted, *held):
         if (own := file.resolve()) in seen:
-            both = file in validate and own in {f.resolve() for f in data}
+            both = file in held and own in {f.resolve() for f in fitted}
             raise InputError(
                 f"{file}: is among the records to fit; --validate wants others"
                 if both
@@ -402,12 +416,16 @@ def simulate(
         ),
     ],
     data: Annotated[
-        Path, typer.Argument(help="A table with time and the model's inputs: CSV, Parquet, .mat, .mf4.")
+        Path,
+        typer.Argument(
+            help="A table with time and the model's inputs (CSV, Parquet, .mat, .mf4), or several loggers' files: a.csv+b.mf4."
+        ),
     ],
     out: Annotated[
         Path, typer.Option("--out", help="Where the outputs go; the suffix says the format.", metavar="FILE")
     ],
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
+    map_file: MapOption = None,
 ) -> None:
     """Simulate a model for the inputs of a table; writes its outputs at the same times.
 
@@ -415,13 +433,28 @@ def simulate(
     """
     import numpy as np
 
-    from .data import Table, read_table, write_table
+    from .data import Table, write_table
+    from .loggers import ChannelMap
+    from .loggers.grid import inputs_of
+    from .loggers.records import records_of
     from .network import Network
     from .simulate import simulate as run
+    from .units import UNITS, convert
 
     check_file(out)
     network = Network.load(model)
-    table = read_table(data, expected={c.name: c.unit for c in network.inputs})
+    by = None if map_file is None else ChannelMap.load(map_file)
+    pieces = records_of(data, network, network.inputs, by=by)
+    if len(pieces) > 1:
+        raise InputError(f"{data}: there are gaps in time ({pieces[0].notes[0]}): simulate a piece at a time")  # type: ignore[union-attr]
+    table = pieces[0]
+    if not isinstance(table, Table):
+        notes = list(table.notes)
+        time, inputs = inputs_of(table, network.inputs, notes)
+        own = {c.name: convert(inputs[c.name], UNITS[c.quantity], c.unit) for c in network.inputs}
+        table = Table(time, own, table.name)
+        for note in notes:
+            typer.echo(note, err=True)
     outputs = run(network, table.time, table.columns, step=step)
     for name, values in outputs.items():
         if not np.isfinite(values).all():
@@ -439,7 +472,8 @@ def diagnose(
     data: Annotated[
         list[Path],
         typer.Argument(
-            help="Measured records: CSV, Parquet, .mat, .mf4, with time and the model's channels."
+            help="Measured records: CSV, Parquet, .mat, .mf4, with time and the model's channels; several loggers' files of "
+            "one run joined by +: body.csv+wheel.mf4."
         ),
     ],
     model: Annotated[
@@ -465,6 +499,7 @@ def diagnose(
         list[str] | None,
         typer.Option(help="The unit a channel has in the files.", metavar="CHANNEL=UNIT"),
     ] = None,
+    map_file: MapOption = None,
     accept: Annotated[
         list[str] | None,
         typer.Option(
@@ -498,8 +533,9 @@ def diagnose(
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found --validate test3.csv
     """
     from . import elements as el
-    from .data import read_table
     from .discrepancy import diagnose as run
+    from .loggers import ChannelMap
+    from .loggers.records import records_of
     from .network import Network
     from .report import check_target, write_report
 
@@ -531,13 +567,21 @@ def diagnose(
     options: dict[str, Any] = {
         "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
         "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
-        "expected": {c.name: c.unit for c in (*network.inputs, *network.outputs)},
     }
-    channels = ["time", *options["expected"]]
+    channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
     _check_channels(options["rename"].values(), channels, "--rename")
     _check_channels(options["units"], [*channels, *options["rename"]], "--unit")
+    if map_file is not None:
+        if rename or unit:
+            raise InputError("--map says it all: write what --rename and --unit would say into it")
+        options = {"by": ChannelMap.load(map_file)}
+        network = options["by"].measured(network)
+    wanted = (*network.inputs, *network.outputs)
     with lines() as say:
-        fitted, held = ([read_table(f, **options) for f in files] for files in (data, validate or []))
+        fitted, held = (
+            [r for f in files for r in records_of(f, network, wanted, **options)]
+            for files in (data, validate or [])
+        )
         result = run(fitted, network, validate=held, accept=accept or (), progress=say, seed=seed)
         say("writing the report")
         page = write_report(result, out, about=about | {"Seed": str(seed)})

@@ -138,6 +138,24 @@ def read_mat(path, wanted, axis, resample, limit):
 MDF_CONVERSIONS = {4: {0, 1, 2, 4, 5}, 3: {0, 1, 2, 6, 7, 8, 9, 65535}}
 
 
+#: instead of "resample": every channel over the stamps of its own group
+OWN = "own"
+
+
+def own_stamps(found):
+    """The stamps of every raster under its number, then the channels as "number name"."""
+    rasters, columns = [stamps for stamps, _ in list(found.values())[:1]], []
+    for name, (stamps, values) in found.items():
+        number = next(
+            (k for k, t in enumerate(rasters) if len(t) == len(stamps) and (t == stamps).all()), None
+        )
+        if number is None:
+            number = len(rasters)
+            rasters.append(stamps)
+        columns.append((f"{number} {name}", values))
+    return [(str(k), t) for k, t in enumerate(rasters)] + columns
+
+
 def read_mdf(path, wanted, axis, resample, limit):
     import asammdf
     import numpy as np
@@ -158,17 +176,20 @@ def read_mdf(path, wanted, axis, resample, limit):
                 if not wanted:
                     continue
                 return None, [n for n in list(mdf.channels_db)[:1000] if isinstance(n, str)], name
+            if resample == OWN:
+                places = places[:1]  # the same name again: the first group's
             if len(places) > 1:
                 raise Refused(
                     f"holds channel {name!r} {len(places)} times, in groups {[p[0] for p in places][:20]}"
                 )
             group, index = places[0]
-            for i in {index, mdf.masters_db.get(group, index)}:
-                conversion = mdf.groups[group].channels[i].conversion
-                if conversion is not None and conversion.conversion_type not in allowed:
-                    raise Refused(
-                        f"channel {name!r} needs a formula or text conversion; export it as numbers"
-                    )
+            conversions = (
+                mdf.groups[group].channels[i].conversion for i in {index, mdf.masters_db.get(group, index)}
+            )
+            if any(c is not None and c.conversion_type not in allowed for c in conversions):
+                if resample == OWN and not wanted:
+                    continue
+                raise Refused(f"channel {name!r} needs a formula or text conversion; export it as numbers")
             total += 16 * mdf.groups[group].channel_group.cycles_nr
             bearable(total, limit)
             item = mdf.get(group=group, index=index)
@@ -179,6 +200,8 @@ def read_mdf(path, wanted, axis, resample, limit):
                 raise Refused(f"channel {name!r} does not hold plain numbers")
     if not found:
         raise Refused("holds no numeric channel")
+    if resample == OWN:
+        return own_stamps(found), {n: u for n, u in units.items() if u}, []
     base = min((t for t, _ in found.values()), key=lambda t: (t[-1] - t[0]) / max(len(t) - 1, 1))
     same = all(len(t) == len(base) and np.allclose(t, base, rtol=0, atol=1e-9) for t, _ in found.values())
     if not same:

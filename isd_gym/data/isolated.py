@@ -113,7 +113,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def read(
-    kind: str, path: Path, wanted: list[str] | None, axis: str, resample: bool
+    kind: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
     """What `_tables` answers for the file: its header and the columns. Raises `InputError`."""
     global _helper

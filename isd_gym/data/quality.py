@@ -222,6 +222,14 @@ def _grain(x: np.ndarray) -> tuple[float, float]:
     return (noise if noise > 3e-4 * np.std(x) else 0.0), resolution
 
 
+def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
+    """Clipping, frozen stretches and slow sampling of a column x (n,) at even `time` [s] of which nothing else is known.
+
+    name: for the messages.
+    """
+    return _check_held(name, "force", x, time, *_grain(x), False) if np.ptp(x) > 0 else []
+
+
 def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) -> bool:
     """Whether a channel rests at many levels, and so perhaps at its extremes, and leaves each from where it rested.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import datetime as dt
 import difflib
 import io
 import math
@@ -139,6 +140,30 @@ def read_columns(
         raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
 
 
+def read_rasters(path: str | Path) -> list[Columns]:
+    """What a file holds, every raster by itself: an MDF's groups over their own stamps (named 'time' [s]); others have one.
+
+    path: the file. Raises `InputError` as `read_columns` does.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".mf4", ".mdf"):
+        return [read_columns(path)]
+    from . import isolated
+
+    plain_file(path)
+    head, arrays = isolated.read("mdf", path, None, TIME, "own")
+    rasters: dict[str, Columns] = {}
+    for (full, _), values in zip(head["columns"], arrays, strict=True):
+        number, _, name = full.partition(" ")
+        if not name:
+            rasters[number] = Columns({TIME: values}, {TIME: "s"})
+            continue
+        rasters[number].values[name] = values
+        if name in head["units"]:
+            rasters[number].units[name] = head["units"][name]
+    return list(rasters.values())
+
+
 def read_table(
     path: str | Path,
     *,
@@ -232,7 +257,21 @@ def _number(text: str, comma: bool) -> float | None:
     try:
         return float(text.replace(",", ".") if comma else text)
     except ValueError:
+        return _stamp(text.replace(",", "."))
+
+
+def _stamp(text: str) -> float | None:
+    """Seconds of a date and time, or a time of day, as ISO 8601 writes them; those of a date count from 1970 on."""
+    if not text[:1].isdigit() or ":" not in text or len(text) > 40:
         return None
+    try:
+        if "-" not in text[:9]:
+            t = dt.time.fromisoformat(text)
+            return 3600.0 * t.hour + 60.0 * t.minute + t.second + 1e-6 * t.microsecond
+        then = dt.datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return (then if then.tzinfo else then.replace(tzinfo=dt.UTC)).timestamp()
 
 
 def _text_of(path: Path) -> str:

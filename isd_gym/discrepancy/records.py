@@ -13,6 +13,7 @@ import numpy as np
 from ..data import Table, check, read_table
 from ..data.quality import CHECKS
 from ..errors import InputError, shown
+from ..loggers.recording import Recording
 from ..network import Channel, Network
 from ..units import convert
 from .problem import Array, Record, Role, low_pass
@@ -34,7 +35,7 @@ def known_check(name: str) -> None:
 
 
 def read(
-    source: Table | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
+    source: Table | Recording | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
 ) -> Record:
     """A checked record, inputs in SI, outputs in the channels' units. Raises `InputError` where it cannot be used.
 
@@ -43,6 +44,12 @@ def read(
     for name in accept:
         known_check(name)
     expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
+    if isinstance(source, Recording):
+        notes += source.notes
+        made = source.table()
+        if made is None:
+            raise InputError(f"{source.name}: its channels have stamps of their own")
+        source = made
     table = source if isinstance(source, Table) else read_table(source, expected=expected)
     for name in expected:
         table[name]  # raises with the nearest name

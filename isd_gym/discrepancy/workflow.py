@@ -13,6 +13,7 @@ import numpy as np
 
 from ..data import Table
 from ..errors import InputError
+from ..loggers.recording import Recording
 from ..network import Network, assemble
 from .candidate import BROKEN, Candidate, reckoned
 from .criteria import CRITERIA, Criteria, Decision, decide
@@ -36,10 +37,10 @@ from .words import sentence
 
 
 def diagnose(
-    data: Sequence[Table | str | Path],
+    data: Sequence[Table | Recording | str | Path],
     model: Network | str | Path | Mapping[str, Any],
     *,
-    validate: Sequence[Table | str | Path] = (),
+    validate: Sequence[Table | Recording | str | Path] = (),
     accept: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
     seed: int = 0,
@@ -48,7 +49,7 @@ def diagnose(
 ) -> Diagnosis:
     """Find where simulation and measurement disagree, and name the physical effect that is missing.
 
-    data: records to fit by (tables or files). model: the owner's model. validate: records that take no part in fitting:
+    data: records to fit by (tables, recordings of loggers, or files). model: the owner's model. validate: records that take no part in fitting:
     some of their stretches choose between explanations, the figures reported are of the others; without them whole
     records of `data`, or the later part of a single one, are held out. accept: checks of the data gate that only warn
     (their names, or 'all'). progress: called with a line now and then. seed: of the bootstrap. settings: what steers the
@@ -75,7 +76,7 @@ def diagnose(
 
 
 def _several(data: Any, name: str) -> list[Any]:
-    out = [data] if isinstance(data, Table | str | Path) else list(data)
+    out = [data] if isinstance(data, Table | Recording | str | Path) else list(data)
     if not out:
         raise InputError(f"{name}: no records")
     return out

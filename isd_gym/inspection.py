@@ -1,0 +1,351 @@
+"""`isd-gym inspect`: what loggers' files hold, what is odd in them, and which column is which channel of a model."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from .console import check_file, write_json
+from .errors import InputError, plain, shown
+from .files import write_text
+from .loggers.facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
+from .loggers.mapping import files_of
+from .loggers.recording import EPOCH, Raster, rasters
+
+if TYPE_CHECKING:
+    from .loggers.match import Suggestion
+    from .network import Network
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What `inspect` found: the rasters of every file, facts of their columns, oddities, and the columns for a model's channels."""
+
+    files: list[list[Raster]]
+    facts: list[Facts]
+    oddities: list[Oddity]
+    network: Network | None = None
+    suggestion: Suggestion | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain data, what is not finite as null."""
+        columns = [
+            {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(f).items()}
+            | {"file": self.files[f.file][f.raster].source}
+            for f in self.facts
+        ]
+        out: dict[str, Any] = {
+            "schema": "isd-inspection/1",
+            "columns": columns,
+            "oddities": [asdict(o) for o in self.oddities],
+        }
+        if self.suggestion is not None:
+            out["map"] = self.suggestion.map(self.files, self.network.name if self.network else "").to_dict()
+            out["missing"], out["remarks"] = self.suggestion.missing, self.suggestion.remarks
+        return out
+
+
+def inspect(
+    paths: list[Path],
+    network: Network | None = None,
+    *,
+    units: dict[str, str] | None = None,
+    stamps: str | None = None,
+) -> Inspection:
+    """Look at loggers' files of one run, and for a `network` at which column is which channel.
+
+    paths: the files. units: column -> unit, before what the files say. stamps: the column that holds the time. Raises
+    `InputError` for what cannot be read.
+    """
+    units = dict(units or {})
+    groups = [rasters(p, stamp=stamps, unit=units.get(stamps or "time")) for p in paths]
+    known = {n for group in groups for r in group for n in (*r.columns, r.stamp)} | {"time"}
+    for name in units:
+        if name not in known:
+            raise InputError(
+                f"--unit: no column {shown(name)} (there are {', '.join(sorted(map(plain, known))[:12])})"
+            )
+    groups = [
+        [replace(r, units={**r.units, **{k: v for k, v in units.items() if k in r.columns}}) for r in group]
+        for group in groups
+    ]
+    facts, odd = [], []
+    for i, group in enumerate(groups):
+        for k, raster in enumerate(group):
+            odd += odd_stamps(raster)
+            for f in facts_of(raster, i, k):
+                facts.append(f)
+                odd += odd_values(raster, f)
+    odd += _twins(groups, facts)
+    found = None
+    if network is not None:
+        from .loggers.match import suggest
+
+        found = suggest(groups, facts, network)
+    return Inspection(groups, facts, odd, network, found)
+
+
+def _twins(groups: list[list[Raster]], facts: list[Facts]) -> list[Oddity]:
+    out: list[Oddity] = []
+    seen: dict[bytes, str] = {}
+    for f in facts:
+        if f.constant:
+            continue
+        raster = groups[f.file][f.raster]
+        key = raster.columns[f.name].tobytes()
+        if key in seen:
+            out.append(Oddity(raster.name, f.name, f"is the same column as {seen[key]}"))
+        seen.setdefault(key, f.name)
+    return out
+
+
+# ------------------------------------------------------------------------------------------------ the terminal
+
+
+def _number(x: float) -> str:
+    if not math.isfinite(x):
+        return "-"
+    return f"{x:.3g}" if abs(x) < 1e5 else f"{x:.1e}"
+
+
+def _cut(text: str, width: int) -> str:
+    text = plain(text, 200)
+    return text if len(text) <= width else text[: width - 1] + "…"
+
+
+def head(raster: Raster) -> str:
+    """A raster in a line: file, samples, span, rate."""
+    t = raster.time[np.isfinite(raster.time)]
+    if not len(t):
+        return f"{raster.name}: no stamps"
+    span = t.max() - t.min()
+    begin = f"from {t[0]:.6g} s"
+    if t[0] > EPOCH:
+        from datetime import UTC, datetime
+
+        begin = f"from {datetime.fromtimestamp(float(t[0]), UTC):%Y-%m-%d %H:%M:%S} UTC"
+    rate = f"{1 / raster.step:.5g} Hz" if raster.step > 0 else "no rate"
+    return f"{raster.name}: {len(raster)} samples, {rate}, {span:.5g} s {begin}"
+
+
+def lines(found: Inspection, width: int = 80) -> list[str]:
+    """All that was found as lines of a terminal of `width` characters."""
+    pictures = _unicode()
+    name = min(max((len(f.name) for f in found.facts), default=6), 26, width - 54)
+    wide = max(width - name - 43, 10)
+    out: list[str] = []
+    for i, group in enumerate(found.files):
+        for k, raster in enumerate(group):
+            out.append(head(raster))
+            out.append(f"  {'column':<{name}} {'unit':<6} {'least':>8} {'largest':>8} {'RMS':>7} {'Hz':>6}")
+            for f in found.facts:
+                if (f.file, f.raster) == (i, k):
+                    picture = sparkline(raster.columns[f.name], wide) if pictures else ""
+                    out.append(
+                        f"  {_cut(f.name, name):<{name}} {_cut(f.unit or '-', 6):<6} {_number(f.least):>8} "
+                        f"{_number(f.largest):>8} {_number(f.deviation):>7} {_number(f.band):>6} {picture}".rstrip()
+                    )
+            out.append("")
+    if found.facts:
+        out.append("RMS: about the mean. Hz: half of the power lies below.")
+    if found.oddities:
+        out += ["", "Odd:"]
+        for o in found.oddities:
+            where = f"{o.where}, " if len(found.files) > 1 or not o.column else ""
+            out += _folded(f"{where}{o}", width)
+    if found.suggestion is not None and found.network is not None:
+        out += ["", *_matched(found, width)]
+    return out
+
+
+def _folded(text: str, width: int) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(plain(text, 600), width, initial_indent="  ", subsequent_indent="    ")
+
+
+def _matched(found: Inspection, width: int) -> list[str]:
+    made, network = found.suggestion, found.network
+    assert made is not None and network is not None
+    channels = [*network.inputs, *network.outputs]
+    name = min(max(len(c.name) for c in channels), 24)
+    picks = [pick for pick, _ in made.channels.values()]
+    wide = min(max([len(p.facts.name) + (p.sign < 0) for p in picks] + [12]), 22)
+    out = [
+        f"Columns for {plain(network.name, 40)}:",
+        f"  {'channel':<{name}} {'column':<{wide}} {'unit':<6} {'sure':>6}  why",
+    ]
+    for c in channels:
+        if c.name not in made.channels:
+            out.append(f"  {_cut(c.name, name):<{name}} {'(none found)':<{wide}} {c.unit:<6}")
+            continue
+        pick, sure = made.channels[c.name]
+        column = ("-" if pick.sign < 0 else "") + pick.facts.name
+        why = "; ".join(pick.why)
+        row = f"  {_cut(c.name, name):<{name}} {_cut(column, wide):<{wide}} {_cut(pick.unit, 6):<6} {_percent(sure):>6}  "
+        out += _hang(row, why, width)
+    for remark in made.remarks:
+        out += _folded(remark, width)
+    return out
+
+
+def _hang(row: str, text: str, width: int) -> list[str]:
+    import textwrap
+
+    if width - len(row) < 16:
+        return [
+            row.rstrip(),
+            *textwrap.wrap(text, width - 6, initial_indent=" " * 6, subsequent_indent=" " * 6),
+        ]
+    parts = textwrap.wrap(text, width - len(row)) or [""]
+    return [(row + parts[0]).rstrip(), *(" " * len(row) + p for p in parts[1:])]
+
+
+def _percent(sure: float) -> str:
+    return ">99 %" if sure > 0.995 else f"{100 * sure:.0f} %"
+
+
+def _unicode() -> bool:
+    return (getattr(sys.stdout, "encoding", "") or "").lower().replace("-", "") in ("utf8", "utf16")
+
+
+# ---------------------------------------------------------------------------------------------------- the page
+
+
+def page(found: Inspection) -> str:
+    """All that was found as one HTML page that fetches nothing."""
+    from .report.plots import page as fill
+
+    rows = []
+    for f in found.facts:
+        raster = found.files[f.file][f.raster]
+        odd = [
+            str(replace(o, column="")) for o in found.oddities if (o.where, o.column) == (raster.name, f.name)
+        ]
+        rows.append({"facts": f, "file": raster.name, "odd": odd, "path": _path(raster.columns[f.name])})
+    heads = [
+        {"text": head(r), "odd": [str(o) for o in found.oddities if o.where == r.name and not o.column]}
+        for group in found.files
+        for r in group
+    ]
+    made, matched = found.suggestion, []
+    if made is not None and found.network is not None:
+        for c in (*found.network.inputs, *found.network.outputs):
+            pick, sure = made.channels.get(c.name, (None, 0.0))
+            matched.append({"channel": c, "pick": pick, "sure": _percent(sure)})
+    return fill(
+        "inspection.html",
+        rows=rows,
+        heads=heads,
+        matched=matched,
+        remarks=made.remarks if made else [],
+        network=found.network.name if found.network else "",
+        text=_number,
+    )
+
+
+def _path(x: np.ndarray, width: int = 600, height: int = 60) -> str:
+    """A column as an SVG path: from its least to its largest value in every pixel's time."""
+    if not np.isfinite(x).any():
+        return ""
+    lo, hi = float(np.nanmin(x)), float(np.nanmax(x))
+    span = (hi - lo) or 1.0
+    edges = np.linspace(0, len(x), min(width, len(x)) + 1).astype(int)
+    out, pen = [], "M"
+    for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        part = x[a:b]
+        part = part[np.isfinite(part)]
+        if not len(part):
+            pen = "M"
+            continue
+        at = k * width / (len(edges) - 1)
+        for v in dict.fromkeys((float(part[0]), float(part.max()), float(part.min()), float(part[-1]))):
+            out.append(f"{pen}{at:.1f} {height * (hi - v) / span:.1f}")
+            pen = "L"
+    return "".join(out)
+
+
+# ------------------------------------------------------------------------------------------------- the command
+
+
+def command(
+    data: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Files of one run, one a logger: CSV, TSV, .mat, Parquet, MDF.", metavar="FILE..."
+        ),
+    ],
+    model: Annotated[
+        str | None, typer.Option(help="Whose channels are sought: a model file or a built-in network.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Write the columns found for the model's channels: a file for --map.",
+            metavar="FILE",
+        ),
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write a page with all pictures.", metavar="FILE")
+    ] = None,
+    unit: Annotated[
+        list[str] | None, typer.Option(help="The unit of a column; may be repeated.", metavar="COLUMN=UNIT")
+    ] = None,
+    stamps: Annotated[
+        str | None, typer.Option(help="The column that holds the time.", metavar="COLUMN")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
+    ] = None,
+) -> None:
+    """Look into loggers' files: columns, units, rates, gaps, ranges, oddities; and which column is which channel of a model.
+
+    The map that --out writes is taken by --map of diagnose and simulate. Read it before: every channel says how sure it is, and why.
+
+    Example: isd-gym inspect body.csv wheel.mf4 --model quarter-car-isd --out map.json
+    """
+    from .network import Network
+
+    for file in (out, html, json_file):
+        check_file(file)
+    if out is not None and model is None:
+        raise InputError("--out writes the columns of a model's channels: --model says which model")
+    given: dict[str, str] = {}
+    for word in unit or []:
+        name, joined, value = word.rpartition("=")
+        if not (name and joined and value):
+            raise InputError(f"--unit wants COLUMN=UNIT, not {shown(word)}")
+        from .units import convert
+
+        convert(1.0, value, value)
+        given[name] = value
+    network = None if model is None else Network.load(model)
+    files = [file for word in data for file in files_of(word)]
+    found = inspect(files, network, units=given, stamps=stamps)
+    width = _width()
+    for line in lines(found, width):
+        typer.echo(line)
+    if html is not None:
+        write_text(html, page(found))
+        typer.echo(f"page: {html}", err=True)
+    write_json(json_file, found.to_dict())
+    if out is not None and found.suggestion is not None:
+        made = found.suggestion
+        if not made.channels:
+            raise InputError(f"no column was found for any channel of '{model}': nothing to write to {out}")
+        made.map(found.files, str(model)).save(out)
+        doubt = [n for n, (_, sure) in made.channels.items() if sure < 0.9]
+        typer.echo(f"map: {out}" + (f" (look at {', '.join(doubt)})" if doubt else ""), err=True)
+
+
+def _width() -> int:
+    import shutil
+
+    return max(60, min(shutil.get_terminal_size((80, 24)).columns, 140)) if sys.stdout.isatty() else 80

@@ -1,0 +1,237 @@
+"""What a column of a logger's file is like: its rate, range and band, and what is odd about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import welch
+
+from ..quality import QUANTITIES, held_samples
+from ..units import TABLE, UNITS, convert, spelled
+from .recording import GAP, Raster, even
+
+FEW = 5.0  # samples a period: below that a picture of the motion is poor
+
+
+@dataclass(frozen=True)
+class Oddity:
+    """Something about a column (or about the stamps, `column` '') that a person should see. `where`: file; `advice`: what helps."""
+
+    where: str
+    column: str
+    text: str
+    advice: str = ""
+
+    def __str__(self) -> str:
+        name = f"{self.column}: " if self.column else ""
+        return f"{name}{self.text}{'; ' + self.advice if self.advice else ''}"
+
+
+@dataclass(frozen=True)
+class Facts:
+    """A column: `rate` [Hz], least and largest value and RMS about the mean in its own unit, `band` [Hz] half of whose power lies below."""
+
+    file: int
+    raster: int
+    name: str
+    unit: str
+    rate: float
+    samples: int
+    missing: int
+    least: float
+    largest: float
+    mean: float
+    deviation: float
+    band: float
+
+    @property
+    def constant(self) -> bool:
+        """Whether it never changes."""
+        return not self.deviation > 1e-12 * max(abs(self.largest), abs(self.least), 1e-300)
+
+
+def facts_of(raster: Raster, file: int, number: int) -> list[Facts]:
+    """Facts of every column of a raster."""
+    out = []
+    for name, x in raster.columns.items():
+        good = x[np.isfinite(x)]
+        lo, hi, mean, sd = (
+            (float(good.min()), float(good.max()), float(good.mean()), float(good.std()))
+            if len(good)
+            else (math.nan, math.nan, math.nan, 0.0)
+        )
+        rate = 1.0 / raster.step if raster.step > 0 else math.nan
+        band = _band(good, rate) if len(good) > 63 and sd > 0 and math.isfinite(rate) else math.nan
+        missing = len(x) - len(good)
+        unit = raster.units.get(name, "")
+        out.append(Facts(file, number, name, unit, rate, len(x), missing, lo, hi, mean, sd, band))
+    return out
+
+
+def _band(x: np.ndarray, rate: float) -> float:
+    f, s = welch(x - x.mean(), rate, nperseg=min(len(x), 4096))
+    total = np.cumsum(s)
+    return float(np.interp(0.5 * total[-1], total, f)) if total[-1] > 0 else math.nan
+
+
+# ------------------------------------------------------------------------------------------------- oddities
+
+
+def odd_stamps(raster: Raster) -> list[Oddity]:
+    """Gaps, repeats, stamps that run backwards or stray, a unit of time that cannot be."""
+    out: list[Oddity] = []
+    t = raster.time[np.isfinite(raster.time)]
+
+    def say(text: str, advice: str = "") -> None:
+        out.append(Oddity(raster.name, "", text, advice))
+
+    if len(t) < len(raster):
+        say(f"{len(raster) - len(t)} samples have no stamp")
+    if len(t) < 3:
+        say(f"{len(t)} samples only")
+        return out
+    d = np.diff(t)
+    begin = t[0]
+    if (back := d < 0).any():
+        k = int(np.argmax(back))
+        say(
+            f"stamps run backwards {back.sum()} times, first {t[k] - begin:.6g} s after the begin",
+            "cut the file there",
+        )
+    if (again := d == 0).any():
+        say(
+            f"{again.sum()} stamps occur twice, first {t[int(np.argmax(again))] - begin:.6g} s after the begin"
+        )
+    step = raster.step
+    gaps = np.flatnonzero(d > GAP * step)
+    if 0 < len(gaps) <= 0.2 * len(d):
+        told = ", ".join(f"{d[g]:.3g} s at {t[g] - begin:.6g} s" for g in gaps[:3])
+        say(f"{len(gaps)} gaps: {told}{' ...' if len(gaps) > 3 else ''}", "the record is split there")
+    elif not back.any() and not again.any() and not even(t):
+        say(
+            f"uneven stamps: steps from {d.min():.3g} to {d.max():.3g} s",
+            "each sample is compared at its own instant",
+        )
+    if not 1e-6 <= step <= 0.25:
+        say(f"a step of {step:.4g} s: is {raster.stamp} in another unit?", f"--unit {raster.stamp}=ms")
+    return out
+
+
+def quantity_of(unit: str) -> str | None:
+    """The quantity that a unit measures; None for one that is not known."""
+    name = spelled(unit)
+    if name not in TABLE:
+        return None
+    si = TABLE[name][0]
+    return next((q for q, u in UNITS.items() if u == si), None)
+
+
+def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
+    """Dead, frozen and stepped columns, ones a factor of 1000 off, and rates that are too slow for what they show."""
+    x = raster.columns[facts.name]
+    out: list[Oddity] = []
+
+    def say(text: str, advice: str = "") -> None:
+        out.append(Oddity(raster.name, facts.name, text, advice))
+
+    if facts.missing:
+        say(f"{facts.missing} samples are missing or not finite")
+    if facts.constant:
+        say(f"is constant ({facts.mean:.6g})" if facts.missing < facts.samples else "holds no number")
+        return out
+    good = np.isfinite(x)
+    quantity = quantity_of(facts.unit)
+    # commands of a current are held by design
+    if quantity != "current" and good.all() and len(x) >= 64 and not (np.diff(raster.time) <= 0).any():
+        for f in held_samples(facts.name, x, raster.time):
+            say(f.message)
+    if quantity is not None:
+        out += _odd_scale(raster, facts, x[good], quantity)
+    if facts.band > facts.rate / FEW and _smooth(x[good]):
+        say(
+            f"{facts.rate / facts.band:.1f} samples a period: too slow for the motion, which half of lies above {facts.band:.3g} Hz",
+            "log it faster",
+        )
+    return out
+
+
+def _smooth(x: np.ndarray) -> bool:
+    """Whether a column is a motion and not white noise: its neighbours tell of each other."""
+    x = x - x.mean()
+    return bool(abs(np.dot(x[1:], x[:-1])) > 0.2 * np.dot(x, x))
+
+
+def _odd_scale(raster: Raster, facts: Facts, x: np.ndarray, quantity: str) -> list[Oddity]:
+    si, doubtful, impossible, least = QUANTITIES[quantity]
+    factor = convert(1.0, facts.unit, si)
+    spread = factor * float(np.quantile(np.abs(x - np.median(x)), 0.995))
+    speed = 0.0
+    if quantity == "displacement":
+        lag = min(max(1, round(0.02 / raster.step)), len(x) - 1)
+        speed = factor * float(np.std(x[lag:] - x[:-lag])) / (lag * raster.step)
+    big, small = spread > doubtful or speed > 15.0, spread < 2 * least
+    if not big and not small:
+        return []
+    wanted = [
+        unit
+        for unit, (s, k) in TABLE.items()
+        if s == si
+        and any(abs(k / factor / r - 1) < 0.2 for r in ((1e-3, 1e-6, 1 / 9.81) if big else (1e3, 1e6, 9.81)))
+        and 2 * least < spread * k / factor < doubtful
+        and speed * k / factor < 15.0
+    ]
+    text = f"reaches {spread:.4g} {si}{f' at {speed:.3g} m/s' if speed > 15.0 else ''} as {facts.unit}"
+    advice = (
+        f"in {' or '.join(wanted)} it would be plausible: --unit {facts.name}={wanted[0]}"
+        if wanted
+        else "which is implausible"
+    )
+    return [Oddity(raster.name, facts.name, text, advice)]
+
+
+def factor_hint(gain: float) -> str:
+    """Words for a factor between a measured and an expected signal: 1000, g, a sign; '' near one."""
+    size = abs(gain)
+    for k, text in (
+        (1e3, "a factor of 1000 too large"),
+        (1e-3, "a factor of 1000 too small"),
+        (9.81, "a factor of g too large"),
+        (1 / 9.81, "a factor of g too small"),
+    ):
+        if 0.6 < size / k < 1.6:
+            return text
+    return ""
+
+
+# ------------------------------------------------------------------------------------------------- pictures
+
+_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+
+
+def sparkline(x: Sequence[float] | np.ndarray, width: int = 20) -> str:
+    """A column as one line of `width` characters: between its least and largest value in every dot's time, four dots high."""
+    x = np.asarray(x, float)
+    if not np.isfinite(x).any():
+        return " " * width
+    lo, hi = np.nanmin(x), np.nanmax(x)
+    span = hi - lo or 1.0
+    edges = np.linspace(0, len(x), 2 * width + 1).astype(int)
+    cells = [0] * width
+    previous: tuple[int, int] | None = None
+    for k in range(2 * width):
+        part = x[edges[k] : max(edges[k + 1], edges[k] + 1)]
+        part = part[np.isfinite(part)]
+        if not len(part):
+            previous = None
+            continue
+        top = round(3 * (hi - part.max()) / span)
+        bottom = round(3 * (hi - part.min()) / span)
+        if previous is not None:  # a line that is not broken
+            top, bottom = min(top, previous[1]), max(bottom, previous[0])
+        previous = round(3 * (hi - part.max()) / span), round(3 * (hi - part.min()) / span)
+        for row in range(top, bottom + 1):
+            cells[k // 2] |= _DOTS[k % 2][row]
+    return "".join(chr(0x2800 + c) for c in cells)

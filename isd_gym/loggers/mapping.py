@@ -1,0 +1,365 @@
+"""Which column of which logger's file is which channel of a model: the file that `isd-gym inspect --out` writes (`isd-map/1`).
+
+    {"schema": "isd-map/1", "model": "car.json",
+     "loggers": [{"file": "body.csv", "stamps": {"column": "Zeit", "unit": "ms"}}, {"file": "wheel.mf4", "lag": 0.004}],
+     "channels": {"body_acceleration": {"logger": 1, "column": "az_body", "unit": "g", "sign": -1, "sure": 0.97}}}
+
+`logger` counts from 1, in the order in which the files of a run are named (``body.csv+wheel.mf4``). `lag` [s]: by how much
+a logger's stamps are known to be late; without it that is fitted. `sure` and `why` are for people.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping as Dict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError, plain, shown
+from ..files import write_text
+from ..inputs import number, read_json
+from ..network import Channel, Network
+from ..units import UNITS, convert
+from .recording import EPOCH, Raster, Recording, Signal, mended, rasters, spans
+
+SCHEMA = "isd-map/1"
+JOIN = "+"  # between the files of one run
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where a channel is: `column` of the file of `logger` (from 1 on), in `unit` (the file's own where None), times `sign`.
+
+    `sure` [0 to 1] and `why`: how it was found.
+    """
+
+    column: str
+    logger: int = 1
+    unit: str | None = None
+    sign: int = 1
+    sure: float | None = None
+    why: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the file has it."""
+        out: dict[str, Any] = {"logger": self.logger, "column": self.column}
+        if self.unit:
+            out["unit"] = self.unit
+        if self.sign != 1:
+            out["sign"] = self.sign
+        if self.sure is not None:
+            out["sure"] = round(self.sure, 3)
+        return out | ({"why": self.why} if self.why else {})
+
+
+@dataclass(frozen=True)
+class Logger:
+    """A logger: its `file` (for people), the column and unit of its stamps, and its `lag` [s] where that is known."""
+
+    file: str = ""
+    stamp: str | None = None
+    unit: str | None = None
+    lag: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the file has it."""
+        out: dict[str, Any] = {"file": self.file}
+        stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit)) if v}
+        return out | ({"stamps": stamps} if stamps else {}) | ({} if self.lag is None else {"lag": self.lag})
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """What `isd-gym inspect` suggests, and `--map` takes. `source`: the file it was read from, for messages."""
+
+    channels: Dict[str, Column]
+    loggers: tuple[Logger, ...] = ()
+    model: str = ""
+    source: str = "the map"
+
+    @classmethod
+    def load(cls, path: str | Path) -> ChannelMap:
+        """Read a map file; `InputError` with the place for whatever is wrong in it."""
+        return cls.from_dict(read_json(path), str(path))
+
+    @classmethod
+    def from_dict(cls, data: Any, source: str = "the map") -> ChannelMap:
+        """A map of plain data."""
+        _keys(data, {"schema", "model", "loggers", "channels"}, source)
+        if data.get("schema") != SCHEMA:
+            raise InputError(f"{source}: its schema is not '{SCHEMA}'")
+        rows, given = data.get("loggers", []), data.get("channels", {})
+        if not isinstance(rows, list) or not isinstance(given, dict):
+            raise InputError(f"{source}: loggers must be a list and channels an object")
+        loggers = []
+        for i, row in enumerate(rows, 1):
+            where = f"{source}: logger {i}"
+            _keys(row, {"file", "stamps", "lag"}, where)
+            stamps = row.get("stamps", {})
+            _keys(stamps, {"column", "unit"}, f"{where}, stamps")
+            lag = None if row.get("lag") is None else number(row["lag"], f"{where}: lag")
+            loggers.append(
+                Logger(
+                    _text(row.get("file", ""), f"{where}: file"),
+                    _text(stamps.get("column"), f"{where}: stamps"),
+                    _text(stamps.get("unit"), f"{where}: stamps"),
+                    lag,
+                )
+            )
+        channels = {}
+        for name, row in given.items():
+            where = f"{source}: channel {shown(name)}"
+            _keys(row, {"logger", "column", "unit", "sign", "sure", "why"}, where)
+            column, logger, sign = _text(row.get("column"), where), row.get("logger", 1), row.get("sign", 1)
+            if not column:
+                raise InputError(f"{where}: no column")
+            if isinstance(logger, bool) or not isinstance(logger, int) or logger < 1:
+                raise InputError(f"{where}: logger must be a whole number from 1 on, not {shown(logger)}")
+            if isinstance(sign, bool) or sign not in (1, -1):
+                raise InputError(f"{where}: sign must be 1 or -1, not {shown(sign)}")
+            unit = _text(row.get("unit"), f"{where}: unit")
+            if unit:
+                try:
+                    convert(1.0, unit, unit)
+                except InputError as error:
+                    raise InputError(f"{where}: {error}") from None
+            sure = None if row.get("sure") is None else number(row["sure"], f"{where}: sure")
+            channels[name] = Column(column, logger, unit, int(sign), sure, str(row.get("why", ""))[:400])
+        if not channels:
+            raise InputError(f"{source}: it maps no channel")
+        return cls(channels, tuple(loggers), _text(data.get("model", ""), f"{source}: model") or "", source)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the file has it (`isd-map/1`)."""
+        return {
+            "schema": SCHEMA,
+            "model": self.model,
+            "loggers": [x.to_dict() for x in self.loggers],
+            "channels": {n: c.to_dict() for n, c in self.channels.items()},
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the file, whole or not at all, a channel a line."""
+        data = self.to_dict()
+        rows = {k: [json.dumps(v, ensure_ascii=False) for v in data[k]] for k in ("loggers",)}
+        channels = [
+            f"  {json.dumps(n, ensure_ascii=False)}: {json.dumps(c, ensure_ascii=False)}"
+            for n, c in data["channels"].items()
+        ]
+        text = (
+            f'{{"schema": "{SCHEMA}", "model": {json.dumps(self.model)},\n "loggers": [\n  '
+            + ",\n  ".join(rows["loggers"])
+            + '],\n "channels": {\n'
+            + ",\n".join(channels)
+            + "}}\n"
+        )
+        write_text(path, text)
+
+    def check(self, network: Network) -> None:
+        """Raise `InputError` where the map names channels that the model lacks, or lacks an input."""
+        known = [c.name for c in (*network.inputs, *network.outputs)]
+        for name in self.channels:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, 1)
+                hint = f"did you mean '{near[0]}'?" if near else f"it has: {', '.join(known)}"
+                raise InputError(f"{self.source}: the model has no channel {shown(name)}; {hint}")
+        missing = [c.name for c in network.inputs if c.name not in self.channels]
+        if missing:
+            raise InputError(
+                f"{self.source}: no column for the input{'s' * (len(missing) > 1)} {', '.join(missing)} of the model"
+            )
+
+    def measured(self, network: Network) -> Network:
+        """The model with those of its outputs that the map has a column for. Raises `InputError` where there is none."""
+        self.check(network)
+        outputs = tuple(c for c in network.outputs if c.name in self.channels)
+        if not outputs:
+            raise InputError(
+                f"{self.source}: it maps none of the model's outputs ({', '.join(c.name for c in network.outputs)})"
+            )
+        gone = {c.name for c in network.outputs} - {c.name for c in outputs}
+        elements = tuple(e for e in network.elements if e.place != "channel" or e.where[0] not in gone)
+        return replace(network, outputs=outputs, elements=elements) if gone else network
+
+
+def _keys(data: Any, known: set[str], where: str) -> None:
+    if not isinstance(data, dict):
+        raise InputError(f"{where}: must be an object, not {shown(data)}")
+    for key in data:
+        if key not in known:
+            raise InputError(f"{where}: no key {shown(key)} (there are {', '.join(sorted(known))})")
+
+
+def _text(value: Any, where: str) -> Any:
+    if value is not None and not isinstance(value, str):
+        raise InputError(f"{where} must be a text, not {shown(value)}")
+    return value
+
+
+# ------------------------------------------------------------------------------------------------ a run's files
+
+
+def files_of(text: str | Path) -> list[Path]:
+    """The files of one run: ``body.csv+wheel.mf4``; a name that is there as it stands is that file."""
+    whole = Path(text)
+    if JOIN not in str(text) or whole.exists():
+        return [whole]
+    out = [Path(p) for p in str(text).split(JOIN) if p]
+    if len({p.resolve() for p in out}) < len(out):
+        raise InputError(f"{text}: a file is named twice")
+    return out
+
+
+def runs(
+    text: str | Path,
+    network: Network,
+    wanted: Sequence[Channel],
+    *,
+    by: ChannelMap | None = None,
+    rename: Dict[str, str] | None = None,
+    units: Dict[str, str] | None = None,
+) -> list[Recording]:
+    """The run of one or several loggers' files, in pieces between the gaps that the loggers left.
+
+    network: the model; wanted: those of its channels that are needed. by: which column is which channel; without it columns
+    have the channels' names, after `rename` (column -> channel), and `units` (channel or column -> unit). Raises
+    `InputError` with one line for a column that is not there, stamps that overlap or run backwards, and the rest.
+    """
+    files = files_of(text)
+    loggers = by.loggers if by else ()
+    found: list[list[Raster]] = []
+    renamed = {c: n for n, c in (rename or {}).items()}
+    for i, file in enumerate(files):
+        own = loggers[i] if i < len(loggers) else Logger(stamp=renamed.get("time"))
+        there = own.stamp if by is None or i < len(loggers) else None
+        found.append(rasters(file, stamp=there, unit=own.unit or (units or {}).get("time")))
+    notes: list[str] = []
+    _common_origin(found, notes)
+    if by is None:
+        by = _by_name(wanted, files, found, renamed, units or {})
+    else:
+        by.check(network)
+        if lost := [c.name for c in wanted if c.name not in by.channels]:
+            raise InputError(f"{by.source}: no column for {', '.join(lost)}")
+    place = {c.name: _find(c, by, files, found) for c in wanted}
+    # only what is used is cut at its gaps
+    cut: dict[tuple[int, int], list[Raster]] = {}
+    for _, at in place.values():
+        if at not in cut:
+            i, k = at
+            used = [by.channels[n].column for n, (_, other) in place.items() if other == at]
+            raster = found[i][k]
+            thin = Raster(
+                raster.source, raster.time, {c: raster.columns[c] for c in used}, raster.units, raster.stamp
+            )
+            cut[at] = mended(thin, notes)
+    whole = spans([[(float(p.time[0]), float(p.time[-1])) for p in pieces] for pieces in cut.values()])
+    if not whole:
+        raise InputError(
+            f"{text}: the loggers have no time in common ("
+            + "; ".join(f"{p[0].name} {p[0].time[0]:.6g} to {p[-1].time[-1]:.6g} s" for p in cut.values())
+            + ")"
+        )
+    lags = {
+        f"{i + 1} {plain(f.name, 40)}": x.lag
+        for i, (f, x) in enumerate(zip(files, loggers, strict=False))
+        if x.lag is not None
+    }
+    name = JOIN.join(f.stem for f in files)
+    out = []
+    for k, (start, stop) in enumerate(whole, 1):
+        signals = {}
+        for channel in wanted:
+            (column, at), source = place[channel.name], by.channels[channel.name]
+            piece = next(
+                (p for p in cut[at] if p.time[0] <= start + 1e-9 and p.time[-1] >= stop - 1e-9), None
+            )
+            if piece is None:
+                break
+            unit = source.unit or piece.units.get(column) or channel.unit
+            try:
+                factor = convert(1.0, unit, UNITS[channel.quantity])
+            except InputError as error:
+                raise InputError(
+                    f"{piece.source}: column {shown(column)} as {channel.name}: {error}"
+                ) from None
+            values = source.sign * factor * piece.columns[column]
+            margin = 2 * piece.step
+            clock = f"{at[0] + 1} {plain(files[at[0]].name, 40)}"
+            signals[channel.name] = Signal(piece.time, values, UNITS[channel.quantity], clock, column).within(
+                start - margin, stop + margin
+            )
+        if len(signals) == len(wanted):
+            title = name if len(whole) == 1 else f"{name} [{k}]"
+            out.append(Recording(title, signals, lags, tuple(notes)))
+    long = [r for r in out if min(len(s.time) for s in r.signals.values()) >= 32]
+    if not long:
+        raise InputError(
+            f"{text}: no piece of the run is long enough: {'; '.join(notes) or 'too few samples'}"
+        )
+    return long
+
+
+def _common_origin(found: list[list[Raster]], notes: list[str]) -> None:
+    """Absolute stamps count from the first of them on; a logger whose stamps are not absolute, from its own first."""
+    starts = [min(r.time[0] for r in group) for group in found]
+    absolute = [bool(s > EPOCH) for s in starts]
+    first = min((s for s, a in zip(starts, absolute, strict=True) if a), default=0.0)
+    for group, start, own in zip(found, starts, absolute, strict=True):
+        origin = first if own else start if any(absolute) else 0.0
+        if any(absolute) and not own:
+            notes.append(
+                f"{group[0].name}: its stamps are not absolute; taken to begin with the other logger's"
+            )
+        if origin:
+            group[:] = [Raster(r.source, r.time - origin, r.columns, r.units, r.stamp) for r in group]
+
+
+def _by_name(
+    wanted: Sequence[Channel],
+    files: Sequence[Path],
+    found: Sequence[Sequence[Raster]],
+    renamed: Dict[str, str],
+    units: Dict[str, str],
+) -> ChannelMap:
+    channels = {}
+    for c in wanted:
+        column = renamed.get(c.name, c.name)
+        holders = [i for i, group in enumerate(found, 1) if any(column in r.columns for r in group)]
+        if len(holders) > 1:
+            names = " and ".join(str(files[i - 1]) for i in holders)
+            raise InputError(f"column {shown(column)} is in {names}: --map FILE says which is meant")
+        channels[c.name] = Column(column, (holders or [1])[0], units.get(c.name) or units.get(column))
+    return ChannelMap(channels, source="by name")
+
+
+def _find(
+    channel: Channel, by: ChannelMap, files: Sequence[Path], found: Sequence[Sequence[Raster]]
+) -> tuple[str, tuple[int, int]]:
+    """(column, (file, raster)) of a channel: in the logger that the map names, or in the only one that has it."""
+    source = by.channels[channel.name]
+    holders = [
+        (i, k) for i, group in enumerate(found) for k, r in enumerate(group) if source.column in r.columns
+    ]
+    own = [at for at in holders if at[0] == source.logger - 1]
+    if own or len(holders) == 1:
+        return source.column, (own or holders)[0]
+    names = [n for group in found for r in group for n in r.columns]
+    near = difflib.get_close_matches(source.column, names, 1, 0.5)
+    hint = (
+        f"; did you mean {shown(near[0])}?"
+        if near
+        else f"; it has: {', '.join(plain(n, 40) for n in names[:12])}"
+    )
+    told = JOIN.join(map(str, files))
+    if by.source == "by name":
+        raise InputError(
+            f"{told}: no column {shown(source.column)}{hint} (--map FILE or --rename COLUMN={channel.name} says which it is; "
+            "isd-gym inspect suggests a map)"
+        )
+    raise InputError(
+        f"{told}: no column {shown(source.column)}, which {by.source} names for {channel.name}{hint} (isd-gym inspect makes a map)"
+    )

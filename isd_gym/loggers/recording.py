@@ -1,0 +1,290 @@
+"""Records as loggers write them: every channel over its own stamps, of one file or several.
+
+A `Raster` is what a file holds over one row of stamps; `mended` takes repeats out and splits at gaps, and says where. A
+`Recording` is a run: the model's channels, each a `Signal` with its own stamps and the clock that wrote them. Nothing here
+is resampled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ..data import Columns, Table, read_rasters
+from ..errors import InputError, plain, shown
+from ..units import convert
+
+#: names of a column of stamps, and what its name may begin with
+STAMPS = (
+    "time",
+    "t",
+    "zeit",
+    "timestamp",
+    "timestamps",
+    "stamp",
+    "datetime",
+    "date",
+    "clock",
+    "utc",
+    "seconds",
+    "sec",
+)
+BEGINS = ("time", "zeit", "stamp", "date")
+EPOCH = 1e8  # [s] later stamps count from 1970: absolute ones
+LEAST = 200  # samples of a piece between two gaps; shorter ones are left out
+GAP = 1.7  # steps
+UNEVEN = 0.1  # of a step: beyond, stamps are no uniform grid
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Columns of a file over one row of stamps: `time` (n,) [s]; `units` where the file tells them; `stamp`: their column."""
+
+    source: str
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str] = field(default_factory=dict)
+    stamp: str = "time"
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @cached_property
+    def step(self) -> float:
+        """Median step [s]."""
+        d = np.diff(self.time)
+        return float(np.median(d[d > 0])) if (d > 0).any() else math.nan
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return plain(Path(self.source).name, 60)
+
+    def rows(self, keep: np.ndarray | slice) -> Raster:
+        """The same with some of its samples."""
+        return replace(self, time=self.time[keep], columns={k: v[keep] for k, v in self.columns.items()})
+
+
+def stamps_of(found: Columns, path: str | Path, wanted: str | None = None) -> str:
+    """The column that holds the stamps: `wanted`, one of a usual name, or the only one that rises evenly."""
+    if wanted is not None:
+        if wanted not in found.values:
+            raise InputError(f"{path}: no column {shown(wanted)} of stamps (it has: {_listed(found)})")
+        return wanted
+    lower = {n.lower().strip(): n for n in found.values}
+    for name in STAMPS:
+        if name in lower:
+            return lower[name]
+    begins = [n for low, n in lower.items() if low.startswith(BEGINS)]
+    rising = [n for n in found.values if _rises(found.values[n])]
+    for names in (begins, rising):
+        if len(names) == 1 or (names and names[0] == next(iter(found.values))):
+            return names[0]
+    raise InputError(
+        f"{path}: no column 'time' [s]: --rename COLUMN=time says which it is (it has: {_listed(found)})"
+    )
+
+
+def _rises(values: np.ndarray) -> bool:
+    if values.dtype.kind not in "fiu" or len(values) < 3:
+        return False
+    d = np.diff(values.astype(float))
+    return bool((d > 0).all() and np.quantile(d, 0.9) < 1.5 * np.median(d))
+
+
+def _listed(found: Columns) -> str:
+    names = [plain(n, 40) for n in found.values]
+    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+
+
+def rasters(path: str | Path, *, stamp: str | None = None, unit: str | None = None) -> list[Raster]:
+    """All rasters of a file, in seconds; absolute stamps stay absolute (from 1970 on).
+
+    stamp: the column that holds the stamps; unit: theirs, else what the file says, else s. Raises `InputError`.
+    """
+    out = []
+    for found in read_rasters(path):
+        name = stamps_of(found, path, stamp)
+        try:
+            time = convert(np.asarray(found.values[name], float), unit or found.units.get(name) or "s", "s")
+        except InputError as error:
+            raise InputError(f"{path}: column {shown(name)}: {error}") from None
+        columns = {
+            n: np.asarray(v, float)
+            for n, v in found.values.items()
+            if n != name and v.dtype.kind in "fiub" and v.ndim == 1 and len(v) == len(time)
+        }
+        if len(time) == 0:
+            raise InputError(f"{path}: no samples")
+        out.append(
+            Raster(str(path), time, columns, {n: u for n, u in found.units.items() if n in columns}, name)
+        )
+    return out
+
+
+# ------------------------------------------------------------------------------------------------ stamps
+
+
+def mended(raster: Raster, notes: list[str]) -> list[Raster]:
+    """The pieces of a raster between its gaps, doubled samples taken out; what was done is told in `notes`, and where.
+
+    Raises `InputError` where stamps run backwards or overlap: nobody can say what belongs where.
+    """
+    where = raster.name
+    good = np.isfinite(raster.time)
+    if not good.all():
+        notes.append(
+            f"{where}: {(~good).sum()} samples without a stamp left out, first sample {int(np.argmin(good)) + 1}"
+        )
+        raster = raster.rows(good)
+    if len(raster) < 3:
+        return [raster]
+    d = np.diff(raster.time)
+    if (d < 0).any():
+        k = int(np.argmax(d < 0))
+        raise InputError(
+            f"{raster.source}: stamps run backwards after sample {k + 1}, from {_at(raster.time[k])} to {_at(raster.time[k + 1])}: "
+            "overlapping or reversed pieces; cut the file there and name the pieces as records of their own"
+        )
+    if (d == 0).any():
+        raster = _without_repeats(raster, notes)
+    return _split(raster, notes)
+
+
+def _at(t: float) -> str:
+    return f"{t:.6f} s" if abs(t) < EPOCH else f"{t:.3f} s since 1970"
+
+
+def _without_repeats(raster: Raster, notes: list[str]) -> Raster:
+    d, where = np.diff(raster.time), raster.name
+    at = np.flatnonzero(d == 0)
+    same = np.ones(len(at), bool)
+    for values in raster.columns.values():
+        a, b = values[at], values[at + 1]
+        same &= (a == b) | (np.isnan(a) & np.isnan(b))
+    first = _at(float(raster.time[at[0]] - raster.time[0]))
+    if same.all():
+        keep = np.ones(len(raster), bool)
+        keep[at + 1] = False
+        notes.append(f"{where}: {len(at)} samples are there twice, first {first} after its begin; taken once")
+        return raster.rows(keep)
+    even = np.linspace(raster.time[0], raster.time[-1], len(raster))
+    grain = float(np.min(d[d > 0])) if (d > 0).any() else 0.0
+    if np.abs(raster.time - even).max() <= 1.01 * grain:  # a clock coarser than the sampling
+        notes.append(
+            f"{where}: stamps of {grain:.3g} s for a step of {even[1] - even[0]:.3g} s; taken as evenly sampled"
+        )
+        return replace(raster, time=even)
+    raise InputError(
+        f"{raster.source}: {len(at)} stamps occur twice with other values, first {first} after its begin: two pieces overlap; "
+        "cut the file and name the pieces as records of their own"
+    )
+
+
+def _split(raster: Raster, notes: list[str]) -> list[Raster]:
+    d, step = np.diff(raster.time), raster.step
+    gaps = np.flatnonzero(d > GAP * step)
+    if not len(gaps) or len(gaps) > 0.2 * len(d):  # uneven sampling is no gap
+        return [raster]
+    edges = np.r_[0, gaps + 1, len(raster)]
+    pieces = [raster.rows(slice(a, b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    kept = [p for p in pieces if len(p) >= LEAST]
+    begin = raster.time[0]
+    told = ", ".join(f"{d[g]:.3g} s at {raster.time[g] - begin:.6g} s" for g in gaps[:3])
+    more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
+    left = (
+        f"; {len(pieces) - len(kept)} of {len(pieces)} pieces are shorter than {LEAST} samples and left out"
+    )
+    notes.append(
+        f"{raster.name}: split at {len(gaps)} gap{'s' * (len(gaps) > 1)} ({told}{more})"
+        + (left if len(kept) < len(pieces) else "")
+    )
+    if not kept:
+        raise InputError(f"{raster.source}: no piece of {LEAST} samples between its {len(gaps)} gaps")
+    return kept
+
+
+def even(time: np.ndarray) -> bool:
+    """Whether stamps (n,) lie on a uniform grid, within a tenth of a step."""
+    if len(time) < 3:
+        return True
+    grid = np.linspace(time[0], time[-1], len(time))
+    return bool(np.abs(time - grid).max() <= UNEVEN * (grid[1] - grid[0]))
+
+
+# ------------------------------------------------------------------------------------------------ a run
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A channel as it was logged: `values` (n,) in `unit` at its own stamps `time` (n,) [s] of the clock `clock`."""
+
+    time: np.ndarray
+    values: np.ndarray
+    unit: str
+    clock: str
+    column: str = ""
+
+    def __post_init__(self) -> None:
+        if self.time.ndim != 1 or self.time.shape != self.values.shape:
+            raise InputError(
+                f"channel {shown(self.column)}: {self.values.shape} values at {self.time.shape} stamps"
+            )
+
+    @property
+    def step(self) -> float:
+        """Mean step [s]."""
+        return float(self.time[-1] - self.time[0]) / max(len(self.time) - 1, 1)
+
+    def within(self, start: float, stop: float) -> Signal:
+        """Its samples from `start` to `stop` [s]."""
+        keep = (self.time >= start) & (self.time <= stop)
+        return replace(self, time=self.time[keep], values=self.values[keep])
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run: the model's channels by name, each over its own stamps.
+
+    `lags`: clock -> seconds that its stamps are known to be late; a clock that is not named is off by an unknown time.
+    `notes`: what was done to the files.
+    """
+
+    name: str
+    signals: Mapping[str, Signal]
+    lags: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def clocks(self) -> list[str]:
+        """The clocks of its channels, as they come."""
+        return list(dict.fromkeys(s.clock for s in self.signals.values()))
+
+    def table(self) -> Table | None:
+        """The run as a table, where all channels have the same even stamps of one clock; None elsewhere."""
+        first = next(iter(self.signals.values()))
+        same = all(
+            len(s.time) == len(first.time) and (s.time is first.time or np.array_equal(s.time, first.time))
+            for s in self.signals.values()
+        )
+        if not same or len(self.clocks) > 1 or not even(first.time):
+            return None
+        units = {n: s.unit for n, s in self.signals.items() if s.unit}
+        return Table(first.time, {n: s.values for n, s in self.signals.items()}, self.name, units)
+
+    def together(self) -> tuple[float, float]:
+        """From when to when [s] every channel is there."""
+        return max(s.time[0] for s in self.signals.values()), min(s.time[-1] for s in self.signals.values())
+
+
+def spans(pieces: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[float, float]]:
+    """Where all of several rows of spans [s] overlap."""
+    out = list(pieces[0])
+    for row in pieces[1:]:
+        out = [(max(a, c), min(b, d)) for a, b in out for c, d in row if min(b, d) > max(a, c)]
+    return out
