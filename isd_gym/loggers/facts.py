@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import welch
 
-from ..quality import QUANTITIES, held_samples
+from ..data.quality import QUANTITIES, held_samples
 from ..units import TABLE, UNITS, convert, spelled
 from .recording import GAP, Raster, even
 
@@ -109,7 +109,10 @@ def odd_stamps(raster: Raster) -> list[Oddity]:
     gaps = np.flatnonzero(d > GAP * step)
     if 0 < len(gaps) <= 0.2 * len(d):
         told = ", ".join(f"{d[g]:.3g} s at {t[g] - begin:.6g} s" for g in gaps[:3])
-        say(f"{len(gaps)} gaps: {told}{' ...' if len(gaps) > 3 else ''}", "the record is split there")
+        say(
+            f"{f'{len(gaps)} gaps' if len(gaps) > 1 else 'a gap'}: {told}{' ...' if len(gaps) > 3 else ''}",
+            "the record is split there",
+        )
     elif not back.any() and not again.any() and not even(t):
         say(
             f"uneven stamps: steps from {d.min():.3g} to {d.max():.3g} s",

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
+from ..data.signals import integral_consistency
 from ..errors import InputError
 from ..network import Channel, Network
-from ..signals import integral_consistency
 from ..simulate import simulate
 from ..units import TABLE, UNITS, convert
 from .facts import Facts, factor_hint, quantity_of
@@ -246,7 +246,7 @@ def _units(f: Facts, c: Channel) -> list[tuple[str, float]]:
     """Units that a column may be in as this channel, and what each costs."""
     if f.unit and quantity_of(f.unit) is not None:
         return [(f.unit, 0.0)]
-    from ..quality import QUANTITIES
+    from ..data.quality import QUANTITIES
 
     si, doubtful, _, least = QUANTITIES.get(c.quantity, (UNITS[c.quantity], 1e9, 1e9, 0.0))
     out = []

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..data import Columns, Table, read_rasters
+from ..data import Table
+from ..data.table import Columns, read_rasters
 from ..errors import InputError, plain, shown
 from ..units import convert
 

@@ -1,0 +1,314 @@
+"""Loggers' files looked into: what is odd is told, columns find their channels, and bad maps are one line."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from isd_gym import cli
+from isd_gym.data import Table, write_table
+from isd_gym.errors import InputError
+from isd_gym.inspection import command, inspect, lines, page
+from isd_gym.loggers import ChannelMap, mended, rasters, runs
+from isd_gym.loggers.facts import sparkline
+from isd_gym.network import Network
+from isd_gym.simulate import simulate
+
+CAR = {
+    "schema": "isd-model/1",
+    "name": "quarter",
+    "masses": {"body": 345.0, "wheel": 45.0},
+    "elements": [
+        {"name": "spring", "type": "linear_stiffness", "between": ["body", "wheel"], "stiffness": 22000.0},
+        {"name": "damper", "type": "linear_damping", "between": ["body", "wheel"], "damping": 1500.0},
+        {"name": "tyre", "type": "linear_stiffness", "between": ["wheel", "road"], "stiffness": 192000.0},
+    ],
+    "inputs": [{"name": "road", "quantity": "displacement", "at": "road", "unit": "m"}],
+    "outputs": [
+        {"name": "body_acceleration", "quantity": "acceleration", "at": "body", "unit": "m/s^2"},
+        {"name": "wheel_acceleration", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"},
+        {"name": "travel", "quantity": "displacement", "between": ["body", "wheel"], "unit": "m"},
+    ],
+}
+
+
+def drive(step=2.5e-3, seconds=12.0, seed=0):
+    rng = np.random.default_rng(seed)
+    time = step * np.arange(round(seconds / step))
+    f = np.geomspace(0.3, 15, 50)
+    heights = sum(
+        2e-3 / k * np.sin(2 * np.pi * k * time + p) for k, p in zip(f, rng.uniform(0, 6.3, 50), strict=True)
+    )
+    said = simulate(CAR, time, {"road": heights})
+    return time, {"road": heights} | {
+        k: y + 0.02 * y.std() * rng.standard_normal(len(y)) for k, y in said.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def run():
+    return drive()
+
+
+def found(tmp_path, run, names, units=None, suffix=".csv", factors=None):
+    """What is suggested for columns of these names."""
+    time, columns = run
+    factors = factors or {}
+    data = {n: columns[c] * factors.get(c, 1.0) for c, n in names.items()}
+    head = ",".join(["time", *(f"{n} [{units[c]}]" if units else n for c, n in names.items())])
+    file = tmp_path / f"rec{suffix}"
+    if suffix == ".csv":
+        np.savetxt(file, np.column_stack([time, *data.values()]), delimiter=",", header=head, comments="")
+    else:
+        write_table(file, Table(time, data, units={n: units[c] for c, n in names.items()} if units else {}))
+    return file, inspect([file], Network.load(CAR))
+
+
+def chosen(made):
+    return {name: pick.facts.name for name, (pick, _) in made.suggestion.channels.items()}
+
+
+def test_names_that_say_nothing_are_told_by_physics_alone(tmp_path, run):
+    names = {"travel": "ch3", "road": "ch1", "wheel_acceleration": "ch4", "body_acceleration": "ch2"}
+    units = {"travel": "mm", "road": "mm", "wheel_acceleration": "g", "body_acceleration": "g"}
+    factors = {
+        "travel": 1e3,
+        "road": 1e3,
+        "wheel_acceleration": 1 / 9.80665,
+        "body_acceleration": 1 / 9.80665,
+    }
+    _, made = found(tmp_path, run, names, units, factors=factors)
+    assert chosen(made) == names
+    assert all(sure > 0.9 for _, sure in made.suggestion.channels.values())
+
+
+def test_a_column_without_a_unit_gets_the_one_that_fits_the_model_and_a_sign(tmp_path, run):
+    names = {
+        "road": "road",
+        "body_acceleration": "acc_body",
+        "wheel_acceleration": "acc_hub",
+        "travel": "spring_pot",
+    }
+    _, made = found(tmp_path, run, names, factors={"travel": -1e3})
+    pick, _ = made.suggestion.channels["travel"]
+    assert (pick.facts.name, pick.unit, pick.sign) == ("spring_pot", "mm", -1)
+    assert chosen(made) == names
+
+
+def test_two_columns_that_could_be_it_are_not_called_sure(tmp_path, run):
+    time, columns = run
+    twin = columns["travel"] + 1e-5 * np.random.default_rng(1).standard_normal(len(time))
+    file = tmp_path / "rec.csv"
+    write_table(
+        file,
+        Table(time, {**columns, "travel_2": twin, "travel": twin[::-1]} | {"travel_1": columns["travel"]}),
+    )
+    made = inspect([file], Network.load(CAR)).suggestion.channels["travel"]
+    assert made[0].facts.name in ("travel_1", "travel_2")
+    assert made[1] < 0.9
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".mat", ".parquet", ".mf4"])
+def test_every_format_makes_a_map_that_leads_back_to_the_numbers(tmp_path, run, suffix):
+    names = {
+        "road": "base",
+        "body_acceleration": "az_body",
+        "wheel_acceleration": "az_wheel",
+        "travel": "stroke",
+    }
+    time, columns = run
+    file = tmp_path / f"rec{suffix}"
+    write_table(file, Table(time, {n: columns[c] for c, n in names.items()}))
+    network = Network.load(CAR)
+    made = inspect([file], network)
+    assert chosen(made) == names
+    made.suggestion.map(made.files, "car.json").save(tmp_path / "map.json")
+    by = ChannelMap.load(tmp_path / "map.json")
+    (back,) = runs(file, network, (*network.inputs, *network.outputs), by=by)
+    for name, column in columns.items():
+        np.testing.assert_allclose(back.signals[name].values, column, rtol=1e-12)
+
+
+def test_what_is_odd_is_told(tmp_path, run):
+    time, columns = run
+    frozen = columns["travel"].copy()
+    frozen[2000:2100] = frozen[2000]
+    keep = np.r_[0:1000, 1400 : len(time)]
+    file = tmp_path / "rec.csv"
+    data = {"frozen [m]": frozen, "road [m]": 1e3 * columns["road"], "dead [V]": 0 * time}
+    np.savetxt(
+        file,
+        np.column_stack([time, *data.values()])[keep],
+        delimiter=",",
+        header=",".join(["time", *data]),
+        comments="",
+    )
+    told = " ".join(" ".join(lines(inspect([file]))).split())
+    assert "a gap: 1 s at 2.4975 s" in told
+    assert "frozen: " in told and "frozen, dropped out?" in told
+    assert "it would be plausible: --unit road=mm" in told
+    assert "dead: is constant (0)" in told
+
+
+def test_a_rate_that_is_too_slow_is_told(tmp_path):
+    time = 0.1 * np.arange(600)
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(time, {"x": np.sin(2 * np.pi * 3.7 * time)}))
+    assert "too slow for the motion" in " ".join(" ".join(lines(inspect([file]))).split())
+
+
+def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, run):
+    names = {c: f"a_rather_long_name_of_a_column_{c}" for c in run[1]}
+    _, made = found(tmp_path, run, names)
+    assert max(map(len, lines(made, 80))) <= 80
+    text = page(made)
+    assert text.count("<path d=") == 4 and "src=" not in text.split("<main>")[1]
+
+
+def test_a_picture_shows_the_extremes():
+    x = np.zeros(1000)
+    x[500] = 1.0
+    picture = sparkline(x, 10)
+    assert len(picture) == 10
+    tops = [ord(c) & 0x09 for c in picture]  # the upper row of dots
+    assert [k for k, dots in enumerate(tops) if dots] == [5]
+
+
+# ------------------------------------------------------------------------------------------------- stamps
+
+
+def raster(time, **columns):
+    from isd_gym.loggers import Raster
+
+    return Raster("rec.csv", np.asarray(time, float), {k: np.asarray(v, float) for k, v in columns.items()})
+
+
+def test_gaps_split_a_record_and_say_where():
+    time = np.r_[0:500, 800:1200, 1300:1310] * 0.01
+    notes = []
+    pieces = mended(raster(time, x=np.sin(time)), notes)
+    assert [len(p) for p in pieces] == [500, 400]
+    assert "split at 2 gaps (3.01 s at 4.99 s" in notes[0] and "1 of 3 pieces" in notes[0]
+
+
+def test_samples_that_are_there_twice_are_taken_once():
+    time, x = 0.01 * np.arange(600), np.random.default_rng(0).standard_normal(600)
+    order = np.sort(np.r_[0:600, 100:150])
+    notes = []
+    (piece,) = mended(raster(time[order], x=x[order]), notes)
+    np.testing.assert_array_equal(piece.columns["x"], x)
+    assert "50 samples are there twice, first 1.000000 s" in notes[0]
+
+
+def test_stamps_coarser_than_the_sampling_are_evenly_spread():
+    time = np.floor(0.0025 * np.arange(2000) * 100) / 100
+    notes = []
+    (piece,) = mended(raster(time, x=np.arange(2000)), notes)
+    assert np.ptp(np.diff(piece.time)) < 1e-12 and "taken as evenly sampled" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        (np.r_[0:300, 250:400], "run backwards after sample 300"),
+        (np.r_[399:-1:-1], "run backwards after sample 1"),
+    ],
+)
+def test_overlapping_and_reversed_stamps_are_refused(order, words):
+    with pytest.raises(InputError, match=words):
+        mended(raster(0.01 * order, x=np.arange(len(order))), [])
+
+
+def test_iso_stamps_are_seconds(tmp_path):
+    file = tmp_path / "rec.csv"
+    rows = (f"2024-05-01T12:00:{k * 0.01:06.3f}+02:00;{np.sin(k):.6f}" for k in range(500))
+    file.write_text("stamp;x\n" + "\n".join(rows).replace(".", ","))
+    (made,) = rasters(file)
+    assert made.time[0] == 1714557600.0
+    np.testing.assert_allclose(np.diff(made.time), 0.01, atol=1e-6)
+
+
+# --------------------------------------------------------------------------------------------- the command
+
+
+@pytest.fixture(scope="module")
+def program():
+    known = {c.name for c in cli.app.registered_commands}
+    if "inspect" not in known:
+        cli.app.command(name="inspect")(command)
+    return cli.app
+
+
+def refused(program, *words):
+    done = CliRunner().invoke(program, [str(w) for w in words])
+    assert isinstance(done.exception, InputError), done.output
+    return str(done.exception)
+
+
+def test_a_map_drives_a_simulation(tmp_path, run, program):
+    time, columns = run
+    write_table(tmp_path / "rec.csv", Table(time, {"base": 1e3 * columns["road"]}))
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    by = {"schema": "isd-map/1", "channels": {"road": {"column": "base", "unit": "mm"}}}
+    (tmp_path / "map.json").write_text(json.dumps(by))
+    words = ["simulate", tmp_path / "car.json", tmp_path / "rec.csv", "--map", tmp_path / "map.json"]
+    done = CliRunner().invoke(program, [*map(str, words), "--out", str(tmp_path / "out.csv")])
+    assert done.exit_code == 0, done.output
+    said = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)
+    truth = simulate(CAR, time, {"road": columns["road"]})
+    np.testing.assert_allclose(said[:, 1], truth["body_acceleration"], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {"channels": {"road": {"column": "bse"}}},
+            "no column 'bse', which .* names for road; did you mean 'base'",
+        ),
+        ({"channels": {"raod": {"column": "base"}}}, "no channel 'raod'; did you mean 'road'"),
+        ({"channels": {"travel": {"column": "base"}}}, "no column for the input road"),
+        ({"channels": {"road": {"column": "base", "unit": "furlong"}}}, "unknown unit 'furlong'"),
+        ({"channels": {"road": {"column": "base", "sign": 2}}}, "sign must be 1 or -1"),
+        ({"channels": {}}, "maps no channel"),
+        ({"schema": "isd-model/1"}, "schema is not 'isd-map/1'"),
+        ({"chanels": {}}, "no key 'chanels'"),
+    ],
+)
+def test_a_wrong_map_is_one_line_and_nothing_is_written(tmp_path, run, program, change, words):
+    import re
+
+    time, columns = run
+    write_table(tmp_path / "rec.csv", Table(time, {"base": columns["road"]}))
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    good = {"schema": "isd-map/1", "channels": {"road": {"column": "base"}}}
+    (tmp_path / "map.json").write_text(json.dumps(good | change))
+    said = refused(
+        program,
+        "simulate",
+        tmp_path / "car.json",
+        tmp_path / "rec.csv",
+        "--map",
+        tmp_path / "map.json",
+        "--out",
+        tmp_path / "o.csv",
+    )
+    assert re.search(words, said) and "\n" not in said
+    assert not (tmp_path / "o.csv").exists()
+
+
+def test_a_missing_column_names_what_helps(tmp_path, run, program):
+    time, columns = run
+    write_table(tmp_path / "a.csv", Table(time, {"base": columns["road"]}))
+    write_table(tmp_path / "b.csv", Table(time, {"travel": columns["travel"]}))
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    said = refused(
+        program,
+        "simulate",
+        tmp_path / "car.json",
+        f"{tmp_path}/a.csv+{tmp_path}/b.csv",
+        "--out",
+        tmp_path / "o.csv",
+    )
+    assert "--map FILE" in said and "isd-gym inspect" in said
