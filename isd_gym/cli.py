@@ -439,7 +439,7 @@ def simulate(
     from .loggers.records import records_of
     from .network import Network
     from .simulate import simulate as run
-    from .units import UNITS, convert
+    from .units import convert
 
     check_file(out)
     network = Network.load(model)
@@ -451,7 +451,7 @@ def simulate(
     if not isinstance(table, Table):
         notes = list(table.notes)
         time, inputs = inputs_of(table, network.inputs, notes)
-        own = {c.name: convert(inputs[c.name], UNITS[c.quantity], c.unit) for c in network.inputs}
+        own = {c.name: convert(inputs[c.name], c.si, c.unit) for c in network.inputs}
         table = Table(time, own, table.name)
         for note in notes:
             typer.echo(note, err=True)

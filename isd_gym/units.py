@@ -99,11 +99,6 @@ def about_axis(unit: str) -> str:
     return re.sub(r"\b(N|m|kg)\b", lambda part: _ABOUT[part[0]], unit)
 
 
-def spelled(unit: str) -> str:
-    """A unit as `TABLE` spells it."""
-    return _SPELLINGS.get(unit, unit)
-
-
 def convert(value: Value, unit: str, target: str) -> Value:
     """`value` in `unit` as `target`; both must measure the same thing. Raises `InputError`."""
     pair = []

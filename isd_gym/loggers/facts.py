@@ -10,7 +10,8 @@ import numpy as np
 from scipy.signal import welch
 
 from ..data.quality import QUANTITIES, held_samples
-from ..units import TABLE, UNITS, convert, spelled
+from ..errors import InputError
+from ..units import TABLE, UNITS, convert, si_of
 from .recording import GAP, Raster, even
 
 FEW = 5.0  # samples a period: below that a picture of the motion is poor
@@ -123,12 +124,17 @@ def odd_stamps(raster: Raster) -> list[Oddity]:
     return out
 
 
+def si_unit(unit: str) -> str:
+    """The SI unit of what `unit` measures; '' for one that is not known."""
+    try:
+        return si_of(unit)
+    except InputError:
+        return ""
+
+
 def quantity_of(unit: str) -> str | None:
-    """The quantity that a unit measures; None for one that is not known."""
-    name = spelled(unit)
-    if name not in TABLE:
-        return None
-    si = TABLE[name][0]
+    """The quantity along a line that a unit measures; None for any other."""
+    si = si_unit(unit)
     return next((q for q, u in UNITS.items() if u == si), None)
 
 

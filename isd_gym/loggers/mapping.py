@@ -22,7 +22,7 @@ from ..errors import InputError, plain, shown
 from ..files import write_text
 from ..inputs import number, read_json
 from ..network import Channel, Network
-from ..units import UNITS, convert
+from ..units import convert
 from .recording import EPOCH, Raster, Recording, Signal, mended, rasters, spans
 
 SCHEMA = "isd-map/1"
@@ -281,7 +281,7 @@ def runs(
                 break
             unit = source.unit or piece.units.get(column) or channel.unit
             try:
-                factor = convert(1.0, unit, UNITS[channel.quantity])
+                factor = convert(1.0, unit, channel.si)
             except InputError as error:
                 raise InputError(
                     f"{piece.source}: column {shown(column)} as {channel.name}: {error}"
@@ -289,7 +289,7 @@ def runs(
             values = source.sign * factor * piece.columns[column]
             margin = 2 * piece.step
             clock = f"{at[0] + 1} {plain(files[at[0]].name, 40)}"
-            signals[channel.name] = Signal(piece.time, values, UNITS[channel.quantity], clock, column).within(
+            signals[channel.name] = Signal(piece.time, values, channel.si, clock, column).within(
                 start - margin, stop + margin
             )
         if len(signals) == len(wanted):

@@ -15,8 +15,8 @@ from ..data.signals import integral_consistency
 from ..errors import InputError
 from ..network import Channel, Network
 from ..simulate import simulate
-from ..units import TABLE, UNITS, convert
-from .facts import Facts, factor_hint, quantity_of
+from ..units import TABLE, convert
+from .facts import Facts, factor_hint, si_unit
 from .mapping import ChannelMap, Column, Logger
 from .recording import Raster
 from .words import alike
@@ -127,9 +127,8 @@ def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: 
 def _prior(f: Facts, c: Channel, network: Network) -> float:
     """What name and unit of a column say for a channel."""
     score = alike(f.name, c, network)
-    quantity = quantity_of(f.unit) if f.unit else None
-    if quantity is not None:
-        return score + 2.0 if quantity == c.quantity else -20.0
+    if known := si_unit(f.unit):
+        return score + 2.0 if known == c.si else -20.0
     return score - (4.0 if f.unit and f.unit not in ("-", "1") else 0.0)  # a unit of nothing that moves
 
 
@@ -244,11 +243,12 @@ def _choices(
 
 def _units(f: Facts, c: Channel) -> list[tuple[str, float]]:
     """Units that a column may be in as this channel, and what each costs."""
-    if f.unit and quantity_of(f.unit) is not None:
+    if si_unit(f.unit):
         return [(f.unit, 0.0)]
     from ..data.quality import QUANTITIES
 
-    si, doubtful, _, least = QUANTITIES.get(c.quantity, (UNITS[c.quantity], 1e9, 1e9, 0.0))
+    si = c.si
+    _, doubtful, _, least = QUANTITIES[c.quantity]
     out = []
     for unit in dict.fromkeys([c.unit, si, *(u for u, (s, _) in TABLE.items() if s == si)]):
         factor = convert(1.0, unit, si)
@@ -398,6 +398,6 @@ def _reasons(f: Facts, c: Channel, network: Network) -> tuple[str, ...]:
         out.append("its name")
     elif alike(f.name, c, network) > 1:
         out.append("like its name")
-    if f.unit and quantity_of(f.unit) == c.quantity:
+    if si_unit(f.unit) == c.si:
         out.append("its unit")
     return tuple(out)

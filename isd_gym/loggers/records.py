@@ -8,7 +8,7 @@ from pathlib import Path
 from ..data import Table, read_table
 from ..errors import InputError
 from ..network import Channel, Network
-from ..units import UNITS, convert
+from ..units import convert
 from .mapping import ChannelMap, files_of, runs
 from .recording import Raster, Recording, Signal, mended
 
@@ -50,12 +50,10 @@ def _pieces(table: Table, wanted: Sequence[Channel]) -> list[Table | Recording]:
         signals = {}
         for c in wanted:
             try:
-                factor = convert(1.0, table.units.get(c.name) or c.unit, UNITS[c.quantity])
+                factor = convert(1.0, table.units.get(c.name) or c.unit, c.si)
             except InputError as error:
                 raise InputError(f"{table.source}: column '{c.name}': {error}") from None
-            signals[c.name] = Signal(
-                part.time, factor * part.columns[c.name], UNITS[c.quantity], stem, c.name
-            )
+            signals[c.name] = Signal(part.time, factor * part.columns[c.name], c.si, stem, c.name)
         name = stem if len(parts) == 1 else f"{stem} [{k}]"
         out.append(Recording(name, signals, {}, tuple(notes) if k == 1 else ()))
     return out
