@@ -132,7 +132,7 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
     fitter = Fitter(problem, Whitener(tuple(np.ones(1) for _ in net.outputs)))
     rest = np.zeros(7)
     whole = fitter.simulate_point(structure, structure.start, 0, rest)
-    (state,) = along(problem, structure, structure.start, 0, rest, [1000])
+    (state,) = along(problem, structure, structure.start, {0: rest}, [1000])[0]
     piece = fitter.simulate_point(structure, structure.start, 1, state)
     error = np.sqrt(np.mean((piece - whole[1000:2000]) ** 2, axis=0)) / whole.std(axis=0)
     assert error.max() < 0.01

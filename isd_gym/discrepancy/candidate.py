@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,6 +93,34 @@ def settled(
         W = whitener(residuals(problem, f), least)
     assert best is not None
     return best
+
+
+def transferred(problem: Problem, fit: Fit, floors: Array) -> Fit:
+    """A fit as it stands, on other samples of the same records."""
+    return Fitter(problem, plain(floors)).fit(
+        fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
+    )
+
+
+def begun_again(
+    problem: Problem, r: Candidate, shape: int | None, factor: float, floors: Array, least: Array
+) -> Candidate | None:
+    """A candidate fitted once more with free number `shape` begun at `factor` times its value; None where that leads
+    back to where it was, or nowhere. Where it leads is seen on as few samples as the motion needs."""
+    rough, x = Fitter(problem.rough, plain(least)), r.fit.x.copy()
+    if shape is None:
+        return None
+    x[shape] += math.log(factor)
+    try:
+        there = rough.cost(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, problem.estimation)
+        begun = rough.fit(r.fit.structure, x, r.fit.initial, r.fit.offset, iterations=6)
+        back = abs(begun.x[shape] - r.fit.x[shape]) < 0.3 * abs(math.log(factor))
+        if back or begun.cost + begun.prior > 1.5 * there + r.fit.prior:
+            return None
+        f = begun if problem.rough is problem else transferred(problem, begun, floors)
+        return settled(problem, f.structure, f.x, floors, f, iterations=4, least=least)
+    except BROKEN:
+        return None
 
 
 def level(problem: Problem, candidate: Candidate, best: Candidate, floors: Array) -> float:

@@ -45,9 +45,8 @@ def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
     for first in range(0, len(trials), 41):
         chunk = trials[first : first + 41]
         nets = [fit.structure.at(x) for x in chunk]
-        for i in problem.estimation:
-            x0 = np.repeat(fit.initial[i][:, None], len(nets), axis=1)
-            y = short.simulate(nets, i, x0, like=net)
+        begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
+        for i, y in short.simulate_all(nets, problem.estimation, begun, like=net).items():
             r = window[i].measured[:, :, None] - y - fit.offset[i][None, :, None]
             r = r - np.where(problem.free_offset[:, None], r.mean(axis=0), 0.0)
             costs[first : first + len(nets)] += np.sum(fitter.weights(r) ** 2, axis=(0, 1))

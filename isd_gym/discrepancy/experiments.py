@@ -91,7 +91,7 @@ def next_experiment(problem: Problem, rivals: Sequence[Candidate], floor: Array)
     for text, inputs, step in experiments(problem.network, first):
         n = len(next(iter(inputs.values())))
         blank = Record("experiment", step, inputs, np.zeros((n, len(problem.channels))))
-        trial = Problem(problem.network, [blank], ["fit"], problem.step)
+        trial = Problem(problem.network, [blank], ["fit"], problem.step, problem.time)
         try:
             a, b = (trial.simulate([r.fit.network], 0)[:, :, 0] for r in rivals[:2])
         except (InputError, np.linalg.LinAlgError):

@@ -1,24 +1,32 @@
 """Simulation-error fit: Gauss-Newton with the stated uncertainty of the base parameters as prior (MAP).
 
-The Jacobian comes from lanes: the base point and one variant a parameter run in the same call of the kernel. Initial
-states and free offsets of every record are fitted along.
+Initial states and free offsets of every record are fitted along, and eliminated from the normal equations. A slope that
+was had is used again while it still leads down: it costs many simulations, and a step of it one.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..network import Network, assemble
-from .initial import along, guess, state_scale
+from .initial import along, guess, motion_rows
 from .least_squares import bounded_step
 from .noise import Whitener
 from .problem import Array, Problem, bare
 from .structure import Structure
+from .tangent import tangents
+
+#: steps that a slope is used for again
+CHORDS = 2
+#: how much dearer a sample than usual a record must be for what its forerunner says of its beginning to be tried, in how
+#: many rounds; and by which factor that may be dearer, as it stands, than what was fitted
+UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
 
 
 @dataclass
@@ -30,7 +38,7 @@ class Fit:
     initial: dict[int, Array]
     offset: dict[int, Array]
     outputs: dict[int, Array]  # record -> (n, channels), offsets included
-    cost: float  # sum of squares of whitened residuals over estimation records
+    cost: float  # sum of squares of whitened residuals over its records
     prior: float
     hessian: Array | None = None  # of the structure's parameters, initial states and offsets eliminated
 
@@ -39,45 +47,301 @@ class Fit:
         return self.structure.at(self.x)
 
 
+@dataclass
+class Point:
+    """Where a fit is: parameters, initial states, offsets; what that says of each record, and what it costs."""
+
+    x: Array
+    initial: dict[int, Array]
+    offset: dict[int, Array]
+    outputs: dict[int, Array] = field(default_factory=dict)  # offsets included
+    costs: dict[int, float] = field(
+        default_factory=dict
+    )  # whitened squares and the initial state's prior, by record
+    squares: float = math.inf
+    prior: float = 0.0  # of the parameters
+
+    @property
+    def total(self) -> float:
+        return sum(self.costs.values()) + self.prior if self.costs else math.inf
+
+
+@dataclass
+class Slope:
+    """A record's whitened derivatives (rows, parameters + nuisances), and what of the normal equations they give."""
+
+    by: Array
+    gram: Array
+    own: Array  # of the nuisances (initial state, offsets), prior included
+    known: Array  # the prior of the initial state (states, states)
+
+
 class Fitter:
     def __init__(self, problem: Problem, weights: Whitener):
         self.problem = problem
         self.weights = weights
-        self._known: dict[tuple[int, int], tuple[Structure, tuple[Array, Array]]] = {}
+        self._rows: dict[int, tuple[Structure, Array]] = {}
 
     def simulate_point(self, structure: Structure, x: Array, index: int, initial: Array) -> Array:
         net = structure.at(x)
         return self.problem.simulate([net], index, initial[:, None], like=net)[:, :, 0]
 
-    def lanes(self, structure: Structure, x: Array, index: int, initial: Array, with_parameters: bool = True):
-        """(outputs at the point (n, ny), derivatives (n, ny, parameters), by initial state (n, ny, states))."""
-        p = len(x) if with_parameters else 0
-        n0 = len(initial)
-        nets = [structure.at(x)]
-        steps = np.empty(p)
-        for k in range(p):
-            f = structure.free[k]
-            h = 2e-3 if f.log else 1e-3 * max(abs(x[k]), 0.03 * f.sigma, 1e-12)
-            if x[k] + h > f.high:
-                h = -h
-            steps[k] = h
-            shifted = x.copy()
-            shifted[k] += h
-            nets.append(structure.at(shifted))
-        rows, scale = state_scale(self.problem, nets[0], index)
-        state_step = np.array(
-            [1e-3 * float(scale[0]) / max(np.abs(rows[:, i]).max(), 1e-9) for i in range(n0)]
+    # -- costs ------------------------------------------------------------------------------------------
+    def _information(self, structure: Structure, index: int) -> Array:
+        """Of the initial state beforehand (states, states); that of the start values will do."""
+        if id(structure) not in self._rows:
+            rows = motion_rows(self.problem, structure.network)
+            self._rows[id(structure)] = structure, rows.T @ rows
+        return self._rows[id(structure)][1] / self.problem.span(index) ** 2
+
+    def price(self, structure: Structure, at: Point, outputs: Mapping[int, Array]) -> Point:
+        """The same point with what it says of each record, and its costs; infinite where it breaks down."""
+        for i, y in outputs.items():
+            at.outputs[i] = y + at.offset[i]
+            square = math.inf
+            if np.isfinite(y).all() and np.abs(y).max() <= 1e12:
+                square = float(np.sum(self.weights(self.problem.records[i].measured - at.outputs[i]) ** 2))
+            x0 = at.initial[i]
+            at.costs[i] = square + (float(x0 @ self._information(structure, i) @ x0) if len(x0) else 0.0)
+        return at
+
+    def seen(self, structure: Structure, at: Point, records: Sequence[int]) -> Point:
+        """The same, simulated."""
+        net = structure.at(at.x)
+        try:
+            begun = {i: at.initial[i][:, None] for i in records}
+            found = self.problem.simulate_all([net], records, begun, like=net)
+        except (InputError, np.linalg.LinAlgError):
+            at.costs = dict.fromkeys(records, math.inf)
+            return at
+        return self.price(structure, at, {i: y[:, :, 0] for i, y in found.items()})
+
+    def cost(
+        self,
+        structure: Structure,
+        x: Array,
+        initial: dict[int, Array],
+        offset: dict[int, Array],
+        records: Sequence[int],
+    ) -> float:
+        """Sum of squares of the whitened residuals over `records`, with the initial states' prior; infinite where the
+        simulation breaks down."""
+        return self.seen(structure, Point(x, initial, offset), records).total
+
+    # -- slopes -----------------------------------------------------------------------------------------
+    def slopes(
+        self, structure: Structure, at: Point, records: Sequence[int], moves: bool
+    ) -> dict[int, Slope] | None:
+        """Derivatives at a point, whose outputs and costs are filled in; None where the simulation breaks down."""
+        try:
+            found = tangents(self.problem, structure, at.x, {i: at.initial[i] for i in records}, moves=moves)
+        except (InputError, np.linalg.LinAlgError):
+            return None
+        self.price(structure, at, {i: t.outputs for i, t in found.items()})
+        out = {}
+        for i, t in found.items():
+            stack = np.concatenate([t.by_parameter, t.by_state, self.problem.constants(i)], axis=2)
+            if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
+                return None
+            by = self.weights(stack).reshape(-1, stack.shape[2])
+            gram = by.T @ by
+            p, n0 = t.by_parameter.shape[2], t.by_state.shape[2]
+            own = gram[p:, p:].copy()
+            known = self._information(structure, i) if n0 else np.zeros((0, 0))
+            own[:n0, :n0] += known
+            own[np.arange(len(own)), np.arange(len(own))] *= 1 + 1e-9
+            out[i] = Slope(by, gram, own, known)
+        return out
+
+    def _downhill(self, at: Point, i: int, slope: Slope) -> Array:
+        """Half the cost's descent by all numbers of a record (parameters, nuisances)."""
+        left = self.weights(self.problem.records[i].measured - at.outputs[i]).ravel()
+        down = slope.by.T @ left
+        p, n0 = len(down) - len(slope.own), len(slope.known)
+        down[p : p + n0] -= slope.known @ at.initial[i]
+        return np.asarray(down, dtype=np.float64)
+
+    def _moved(self, at: Point, x: Array, moves: Mapping[int, NDArray[np.floating]]) -> Point:
+        """Another point: parameters `x`, and each record's nuisances moved."""
+        initial, offset = dict(at.initial), {i: o.copy() for i, o in at.offset.items()}
+        for i, move in moves.items():
+            n0 = len(at.initial[i])
+            initial[i] = at.initial[i] + move[:n0]
+            offset[i][self.problem.free_offset] += move[n0:]
+        return Point(x, initial, offset)
+
+    # -- fitting ----------------------------------------------------------------------------------------
+    def begin(
+        self,
+        structure: Structure,
+        x: Array,
+        initial: Mapping[int, Array] | None,
+        offset: Mapping[int, Array] | None,
+        records: Sequence[int],
+    ) -> Point:
+        net = structure.at(x)
+        n0, ny = assemble(bare(net)).size[0], len(self.problem.channels)
+        given, known = initial or {}, offset or {}
+        return Point(
+            x.copy(),
+            {
+                i: given[i].copy() if i in given and len(given[i]) == n0 else guess(self.problem, net, i)
+                for i in records
+            },
+            {i: known[i].copy() if i in known else np.zeros(ny) for i in records},
         )
-        start = np.repeat(initial[:, None], 1 + p + n0, axis=1)
-        for i in range(n0):
-            nets.append(nets[0])
-            start[i, 1 + p + i] += state_step[i]
-        out = self.problem.simulate(nets, index, start, like=nets[0])
-        point = out[:, :, 0]
-        with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is seen by who asked
-            dp = (out[:, :, 1 : 1 + p] - point[:, :, None]) / steps
-            ds = (out[:, :, 1 + p :] - point[:, :, None]) / state_step
-        return point, dp, ds
+
+    def fit(
+        self,
+        structure: Structure,
+        x: Array | None = None,
+        initial: Mapping[int, Array] | None = None,
+        offset: Mapping[int, Array] | None = None,
+        *,
+        iterations: int = 8,
+        records: list[int] | None = None,
+        tolerance: float = 1e-4,
+        frozen: bool = False,
+    ) -> Fit:
+        """Fit the structure to the given records (the estimation records by default).
+
+        `frozen`: only initial states and offsets move.
+        """
+        records = self.problem.estimation if records is None else records
+        at = self.begin(structure, structure.start if x is None else x, initial, offset, records)
+        if frozen:
+            return self._result(structure, self._states(structure, at, records, iterations, tolerance))
+        mean = np.array([f.mean for f in structure.free])
+        sigma = np.array([f.sigma for f in structure.free])
+        slopes = self.slopes(structure, at, records, True)
+        if slopes is None:
+            raise InputError("the simulation breaks down at the start values")
+        at.prior = float(np.sum(((at.x - mean) / sigma) ** 2))
+        hessian, damping = self._hessian(slopes), 1e-4
+        for turn in range(iterations):
+            fresh = slopes if turn == 0 else self.slopes(structure, at, records, True)
+            if fresh is None:
+                break
+            slopes, hessian = fresh, self._hessian(fresh)
+            before, there = at.total, False
+            for again in range(1 + CHORDS):
+                then, damping = self._step(structure, at, slopes, hessian, records, damping, again > 0)
+                if then is None:
+                    break
+                gain, at = 1.0 - then.total / at.total, then
+                # after a long way the slope is another one
+                there = gain < 0.1 * tolerance and at.total > 0.8 * before
+                if gain < tolerance:
+                    break
+            if there or at.total > (1.0 - tolerance) * before:
+                break
+        return self._result(structure, at, hessian)
+
+    def _hessian(self, slopes: Mapping[int, Slope]) -> Array:
+        """Of half the cost by the parameters, the records' nuisances eliminated; no prior."""
+        total: Array | float = 0.0
+        for s in slopes.values():
+            p = len(s.gram) - len(s.own)
+            H = s.gram[:p, :p]
+            if len(s.own):
+                H = H - s.gram[:p, p:] @ np.linalg.solve(s.own, s.gram[p:, :p])
+            total = total + H
+        return np.asarray(total, dtype=np.float64)
+
+    def _step(
+        self,
+        structure: Structure,
+        at: Point,
+        slopes: Mapping[int, Slope],
+        hessian: Array,
+        records: Sequence[int],
+        damping: float,
+        chord: bool,
+    ) -> tuple[Point | None, float]:
+        """(a cheaper point or None, the damping from there on).
+
+        chord: the slopes are those of an earlier point, and one try is enough.
+        """
+        free = structure.free
+        p = len(free)
+        mean, sigma = (np.array([getattr(f, key) for f in free]) for key in ("mean", "sigma"))
+        low, high = (np.array([getattr(f, key) for f in free]) for key in ("low", "high"))
+        stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
+        wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma))
+        down = {i: self._downhill(at, i, s) for i, s in slopes.items()}
+        g = (mean - at.x) / sigma**2
+        for i, s in slopes.items():
+            g = g + down[i][:p]
+            if len(s.own):
+                g = g - s.gram[:p, p:] @ np.linalg.solve(s.own, down[i][p:])
+        H = hessian + np.diag(1.0 / sigma**2)
+        for _ in range(1 if chord else 6):
+            step = bounded_step(H, g, at.x, low, high, wide, damping) if p else np.zeros(0)
+            moves = {}
+            for i, s in slopes.items():
+                moves[i] = np.linalg.solve(s.own, down[i][p:] - s.gram[p:, :p] @ step)
+            then = self._moved(at, at.x + step, moves)
+            then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
+            total = self.seen(structure, then, records).total
+            if np.isfinite(total) and total < at.total:
+                return then, max(damping * 0.2, 1e-6)
+            if chord:
+                break
+            damping = max(damping * 10, 1e-3)
+            if not np.isfinite(total) or damping > 1e4:
+                damping = max(damping, 1.0)
+        return None, damping
+
+    def _states(
+        self, structure: Structure, at: Point, records: Sequence[int], iterations: int, tolerance: float
+    ) -> Point:
+        """Initial states and offsets of each record for itself, the parameters as they are."""
+        left = list(records)
+        for turn in range(max(iterations, 1)):
+            slopes = self.slopes(structure, at, left, False)
+            if slopes is None and turn == 0:
+                raise InputError("the simulation breaks down at the start values")
+            if slopes is None or not iterations or not any(len(s.own) for s in slopes.values()):
+                break
+            before, there = dict(at.costs), dict.fromkeys(left, False)
+            going, share = left, 1.0
+            for _ in range(1 + CHORDS):
+                moves = {
+                    i: share * np.linalg.solve(slopes[i].own, self._downhill(at, i, slopes[i])) for i in going
+                }
+                then = self.seen(structure, self._moved(at, at.x, moves), going)
+                gains = {i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going}
+                better = [i for i in going if gains[i] > 0]
+                for i in better:
+                    at.initial[i], at.offset[i] = then.initial[i], then.offset[i]
+                    at.outputs[i], at.costs[i] = then.outputs[i], then.costs[i]
+                    there[i] = gains[i] < 0.1 * tolerance
+                onward = [i for i in better if gains[i] > tolerance]
+                if not onward:  # those that the whole step led uphill take a part of it
+                    onward = [i for i in going if i not in better and at.costs[i] == before[i]]
+                    share *= 0.3
+                going = onward
+                if not going:
+                    break
+            left = [i for i in left if not there[i] and at.costs[i] < (1.0 - tolerance) * before[i]]
+            if not left:
+                break
+        return at
+
+    def _result(self, structure: Structure, at: Point, hessian: Array | None = None) -> Fit:
+        known = sum(
+            float(x0 @ self._information(structure, i) @ x0) for i, x0 in at.initial.items() if len(x0)
+        )
+        return Fit(
+            structure,
+            at.x,
+            at.initial,
+            at.offset,
+            at.outputs,
+            sum(at.costs.values()) - known,
+            at.prior,
+            hessian if len(at.x) else None,
+        )
 
     def follow(
         self,
@@ -89,131 +353,54 @@ class Fitter:
         *,
         iterations: int = 4,
     ) -> Fit:
-        """Initial states and offsets of `records` with the parameters as they are, one record after the other.
+        """Initial states and offsets of `records` with the parameters as they are.
 
-        `initial`: where to begin. Else the cheapest of a guess, of `about`, and, for a record that goes on where the one
+        `initial`: where to begin. Else the cheaper of a guess and of `about`; and, for a record that goes on where the one
         before it ended, of where the simulation of that one ended.
         """
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
-        fits: list[Fit] = []
-        last: tuple[int, Fit] | None = None
-        for i in records:
-            starts = []
-            if initial and i in initial and len(initial[i]) == n0:
-                starts = [initial[i]]
-            elif n0:
-                starts = [guess(problem, net, i)]
-                if last is not None and problem.records[i].follows(problem.records[last[0]]):
-                    k, end = last[0], len(problem.records[last[0]]) - 1
-                    before, now = along(problem, structure, x, k, last[1].initial[k], (end - 1, end))
-                    ahead = 2 * now - before
-                    starts = [guess(problem, net, i, ahead), ahead, *starts]
-                if about and len(about.get(i, ())) == n0:
-                    starts.append(about[i])
-                if len(starts) > 1:
-                    zero = {i: np.zeros(len(problem.channels))}
-                    costs = [self.cost(structure, x, {i: s}, zero, [i]) for s in starts]
-                    starts = [starts[int(np.argmin(costs))]]
-            f = self.fit(
-                structure,
-                x,
-                {i: starts[0]} if starts else None,
-                records=[i],
-                frozen=True,
-                iterations=iterations,
+        given = {i: v for i, v in (initial or {}).items() if len(v) == n0}
+        begun = {i: [given[i] if i in given else guess(problem, net, i)] for i in records}
+        for i, v in (about or {}).items():
+            if i in begun and i not in given and len(v) == n0:
+                begun[i].append(v)
+        at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
+        before = {j: i for i in records for j in records if j not in given and _goes_on(problem, i, j)}
+        # one that fits like the others is where it belongs
+        usual = float(np.median([at.costs[i] / len(problem.records[i]) for i in records]))
+        before = {j: i for j, i in before.items() if at.costs[j] > UNUSUAL * usual * len(problem.records[j])}
+        for _ in range(ROUNDS if n0 and before else 0):
+            ends = along(problem, structure, x, {i: at.initial[i] for i in before.values()}, (-2, -1))
+            ahead = {j: 2 * ends[i][1] - ends[i][0] for j, i in before.items()}
+            from_there = self._cheapest(
+                structure, x, {j: [guess(problem, net, j, s), s] for j, s in ahead.items()}
             )
-            last = (i, f)
-            fits.append(f)
-        total = fits[0]
-        for f in fits[1:]:
-            total.initial |= f.initial
-            total.offset |= f.offset
-            total.outputs |= f.outputs
-            total.cost += f.cost
-        return total
+            near = [j for j in before if from_there.costs[j] < NEAR * at.costs[j]]
+            if not near:
+                break
+            other = self._states(structure, from_there, near, iterations, tolerance=1e-4)
+            better = [j for j in near if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
+            for j in better:
+                at.initial[j], at.offset[j] = other.initial[j], other.offset[j]
+                at.outputs[j], at.costs[j] = other.outputs[j], other.costs[j]
+            before = {j: i for j, i in before.items() if i in better}
+            if not before:
+                break
+        return self._result(structure, at)
 
-    # -- fitting ----------------------------------------------------------------------------------------
-    def fit(
-        self,
-        structure: Structure,
-        x: Array | None = None,
-        initial: dict[int, Array] | None = None,
-        offset: dict[int, Array] | None = None,
-        *,
-        iterations: int = 8,
-        records: list[int] | None = None,
-        tolerance: float = 1e-4,
-        frozen: bool = False,
-    ) -> Fit:
-        """Fit the structure to the given records (the estimation records by default).
-
-        `frozen`: only initial states and offsets move.
-        """
-        problem = self.problem
-        records = problem.estimation if records is None else records
-        x = structure.start if x is None else x.copy()
-        net = structure.at(x)
-        n0 = assemble(bare(net)).size[0]
-        initial = {
-            i: initial[i].copy()
-            if initial and i in initial and len(initial[i]) == n0
-            else guess(problem, net, i)
-            for i in records
-        }
-        ny = len(problem.channels)
-        offset = {i: (offset[i].copy() if offset and i in offset else np.zeros(ny)) for i in records}
-        mean = np.array([f.mean for f in structure.free])
-        sigma = np.array([f.sigma for f in structure.free])
-        low = np.array([f.low for f in structure.free])
-        high = np.array([f.high for f in structure.free])
-        p = 0 if frozen else len(x)
-        stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in structure.free])
-        damping = 1e-4
-        point = self._linearise(structure, x, initial, offset, records, p)
-        cost = point[0] + self._prior(structure, x, initial, mean, sigma)
-        if not math.isfinite(cost):
-            raise InputError("the simulation breaks down at the start values")
-        for _ in range(iterations):
-            _, H, g, nuisance, _ = point
-            H, g = H.copy(), g.copy()
-            H[np.arange(p), np.arange(p)] += 1.0 / sigma[:p] ** 2
-            g[:p] += (mean[:p] - x[:p]) / sigma[:p] ** 2
-            wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(x), sigma))
-            improved = False
-            for _ in range(6):
-                step = bounded_step(H, g, x, low, high, wide, damping) if p else np.zeros(0)
-                trial = x + step if p else x
-                ti, to = {}, {}
-                for i in records:
-                    B, C, rhs = nuisance[i]
-                    move = np.linalg.solve(C, rhs - B @ step)
-                    ti[i] = initial[i] + move[:n0]
-                    to[i] = offset[i].copy()
-                    to[i][problem.free_offset] += move[n0:]
-                new_cost = self.cost(structure, trial, ti, to, records) + self._prior(
-                    structure, trial, ti, mean, sigma
-                )
-                if np.isfinite(new_cost) and new_cost < cost:
-                    improved = True
-                    break
-                damping = max(damping * 10, 1e-3)
-                if not np.isfinite(new_cost) or damping > 1e4:
-                    damping = max(damping, 1.0)
-            if not improved:
-                break
-            gain = (cost - new_cost) / max(cost, 1e-300)
-            x, initial, offset, cost = trial, ti, to, new_cost
-            damping = max(damping * 0.2, 1e-6)
-            new = self._linearise(structure, x, initial, offset, records, p)
-            if not math.isfinite(new[0]):
-                break
-            point = new
-            if gain < tolerance:
-                break
-        total, H, g, nuisance, outs = point
-        prior = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
-        return Fit(structure, x, initial, offset, outs, total, prior, H if p else None)
+    def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
+        """Of several initial states a record, the one that errs least as it stands, whatever the free offsets."""
+        zero = np.zeros(len(self.problem.channels))
+        best = Point(x.copy(), {}, {})
+        for k in range(max(map(len, begun.values()), default=0)):
+            those = {i: s[k] for i, s in begun.items() if k < len(s)}
+            at = self.seen(structure, Point(x, those, dict.fromkeys(those, zero)), list(those))
+            for i in those:
+                if i not in best.costs or at.costs[i] < best.costs[i]:
+                    best.initial[i], best.offset[i] = those[i].copy(), zero.copy()
+                    best.costs[i] = at.costs[i]
+        return best
 
     def refit(self, fit: Fit, responses: dict[int, Array]) -> tuple[Array, dict[int, Array]]:
         """What a fit would make of `responses` (n, channels, m) in the records, to first order.
@@ -227,10 +414,10 @@ class Fitter:
         m = next(iter(responses.values())).shape[2]
         g = np.zeros((p, m))
         parts = {}
-        for i, s in responses.items():
-            y, dp, ds = self.lanes(structure, fit.x, i, fit.initial[i])
-            const = problem.constants(i)
-            W = self.weights(np.concatenate([dp, ds, const, s], axis=2)).reshape(len(y) * y.shape[1], -1)
+        for i, t in tangents(problem, structure, fit.x, {i: fit.initial[i] for i in responses}).items():
+            s = responses[i]
+            stack = np.concatenate([t.by_parameter, t.by_state, problem.constants(i), s], axis=2)
+            W = self.weights(stack).reshape(-1, stack.shape[2])
             a, b, c = W[:, :p], W[:, p : W.shape[1] - m], W[:, W.shape[1] - m :]
             if b.shape[1]:
                 Q, _ = np.linalg.qr(b)
@@ -243,82 +430,9 @@ class Fitter:
             i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
         }
 
-    def cost(
-        self,
-        structure: Structure,
-        x: Array,
-        initial: dict[int, Array],
-        offset: dict[int, Array],
-        records: Sequence[int],
-    ) -> float:
-        """Sum of squares of the whitened residuals over `records`; infinite where the simulation breaks down."""
-        total = 0.0
-        for i in records:
-            try:
-                y = self.simulate_point(structure, x, i, initial[i]) + offset[i]
-            except (InputError, np.linalg.LinAlgError):
-                return math.inf
-            if not np.isfinite(y).all() or np.abs(y).max() > 1e12:
-                return math.inf
-            total += float(np.sum(self.weights(self.problem.records[i].measured - y) ** 2))
-        return total
 
-    def _prior(
-        self, structure: Structure, x: Array, initial: dict[int, Array], mean: Array, sigma: Array
-    ) -> float:
-        out = float(np.sum(((x - mean) / sigma) ** 2)) if len(x) else 0.0
-        for i, x0 in initial.items():
-            if len(x0):
-                rows, scale = self._scales(structure, x, i)
-                out += float(np.sum((rows @ x0 / scale) ** 2))
-        return out
-
-    def _scales(self, structure: Structure, x: Array, index: int) -> tuple[Array, Array]:
-        key = (id(structure), index)
-        if key not in self._known:  # the prior of the initial state: that of the start values will do
-            self._known[key] = (structure, state_scale(self.problem, structure.network, index))
-        return self._known[key][1]
-
-    def _linearise(self, structure, x, initial, offset, records, p):
-        """Normal equations with the per-record nuisances (initial state, offsets) eliminated."""
-        problem = self.problem
-        H, g, total = np.zeros((p, p)), np.zeros(p), 0.0
-        nuisance, outs = {}, {}
-        for i in records:
-            record = problem.records[i]
-            try:
-                y, dp, ds = self.lanes(structure, x, i, initial[i], with_parameters=p > 0)
-            except (InputError, np.linalg.LinAlgError):
-                return math.inf, H, g, {}, {}
-            y = y + offset[i]
-            outs[i] = y
-            if not (np.isfinite(y).all() and np.isfinite(dp).all() and np.isfinite(ds).all()):
-                return math.inf, H, g, {}, {}
-            const = problem.constants(i)
-            stack = np.concatenate([(record.measured - y)[:, :, None], dp, ds, const], axis=2)
-            W = self.weights(stack).reshape(-1, stack.shape[2])
-            G = W.T @ W
-            total += G[0, 0]
-            a, b = slice(1, 1 + p), slice(1 + p, None)
-            C = G[b, b].copy()
-            rhs = G[b, 0].copy()
-            n0 = len(initial[i])
-            if n0:
-                rows, scale = self._scales(structure, x, i)
-                R = rows / scale[:, None]
-                C[:n0, :n0] += R.T @ R
-                rhs[:n0] -= R.T @ R @ initial[i]
-            C[np.arange(len(C)), np.arange(len(C))] *= 1 + 1e-9
-            B = G[b, a]
-            if len(C):
-                S = np.linalg.solve(C, np.column_stack([B, rhs]))
-                H += G[a, a] - B.T @ S[:, :p]
-                g += G[a, 0] - B.T @ S[:, p]
-            else:
-                H += G[a, a]
-                g += G[a, 0]
-            nuisance[i] = (B, C if len(C) else np.zeros((0, 0)), rhs)
-        return total, H, g, nuisance, outs
+def _goes_on(problem: Problem, first: int, second: int) -> bool:
+    return problem.records[second].follows(problem.records[first])
 
 
 def residuals(problem: Problem, fit: Fit) -> list[Array]:

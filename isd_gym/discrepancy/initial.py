@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,19 +13,9 @@ from .problem import Array, Problem, bare, led, motion_rows_of
 from .structure import Structure, twin
 
 
-def state_scale(problem: Problem, network: Network, index: int) -> tuple[Array, Array]:
-    """(reference rows over the states, prior standard deviation of each row): wide, from the data's own motion."""
-    asm = assemble(bare(network))
-    rows = motion_rows_of(asm, problem.time)
-    record, time = problem.records[index], problem.time
-    spans = [0.0]
-    lengths = {"displacement": 1.0, "velocity": time, "acceleration": time**2}
-    for c in network.moving:
-        spans.append(float(np.ptp(record.inputs[c.name])) * lengths[c.quantity])
-    for j, c in enumerate(network.outputs):
-        if c.quantity in lengths:
-            spans.append(float(np.ptp(record.measured[:, j])) / problem.factors[j] * lengths[c.quantity])
-    return rows, np.full(len(rows), 2.0 * (max(spans) or 0.01))
+def motion_rows(problem: Problem, network: Network) -> Array:
+    """What an initial state means physically: displacements, and velocities times the rig's time, over the states."""
+    return motion_rows_of(assemble(bare(network)), problem.time)
 
 
 def guess(problem: Problem, network: Network, index: int, about: Array | None = None) -> Array:
@@ -42,11 +32,10 @@ def guess(problem: Problem, network: Network, index: int, about: Array | None = 
     n0 = asm.size[0]
     if not n0:
         return np.zeros(0)
-    rows, scale = state_scale(problem, network, index)
-    if about is not None:
-        scale = 0.05 * scale
+    rows = motion_rows_of(asm, problem.time)
+    scale = problem.span(index) * (1.0 if about is None else 0.05)
     centre = np.zeros(n0) if about is None else about
-    A, b = [rows / scale[:, None]], [rows @ centre / scale]
+    A, b = [rows / scale], [rows @ centre / scale]
     # over a fifth of the time in which the motion changes it is a line
     count = min(max(5, int(0.2 * problem.time / record.rate)), len(record))
     t = np.arange(count) * record.rate
@@ -71,38 +60,40 @@ def guess(problem: Problem, network: Network, index: int, about: Array | None = 
 
 
 def along(
-    problem: Problem, structure: Structure, x: Array, index: int, initial: Array, at: Sequence[int]
-) -> list[Array]:
-    """States (states,) that the simulation from `initial` has at the compared samples `at`.
+    problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], at: Sequence[int]
+) -> dict[int, list[Array]]:
+    """States (states,) that the simulation of each record from its `initial` has at the compared samples `at`.
 
-    They are read off the motion of the nodes, so that records can be cut and joined anywhere.
+    Negative ones count from the record's end. They are read off the motion of the nodes, so that records can be cut and
+    joined anywhere.
     """
-    net = structure.at(x)
+    net, time = structure.at(x), problem.time
     pure = bare(net)
     nodes = [n for n in pure.nodes if n not in pure.moved_nodes]
-    record, time = problem.records[index], problem.time
     watched = replace(pure, outputs=tuple(_seen(pure, n) for n in nodes))
-    probe = Problem(watched, [replace(record, taps=None, thin=1)], ["fit"], problem.step)
+    probe = problem.watching(watched)
     network = replace(
         net, outputs=watched.outputs, elements=tuple(e for e in net.elements if e.place != "channel")
     )
-    y = probe.simulate([network], 0, initial[:, None], like=net)[:, :, 0]
-    v = np.gradient(y, record.step, axis=0)
     asm = assemble(pure)
-    r, rate = led(pure, record)
     cols = {part: asm.columns(part) for part in ("x", "r", "v")}
     position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
     if any(c.quantity != "displacement" for c in pure.moving):  # seen from a frame that moves with them
         position, velocity = position.copy(), velocity.copy()
         for m in (position, velocity):
             m[:, cols["r"]] = m[:, cols["v"]] = 0.0
-    rows = np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]])
-    out = []
-    for k in at:
-        k = min(k * record.thin, len(y) - 1)
-        rest = [m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k] for m in (position, velocity)]
-        seen = np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])])
-        out.append(np.linalg.lstsq(rows, seen, rcond=None)[0])
+    inverse = np.linalg.pinv(np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]]))
+    begun = {i: x0[:, None] for i, x0 in initial.items()}
+    out: dict[int, list[Array]] = {}
+    for i, y in probe.simulate_all([network], list(initial), begun, like=net).items():
+        record, y = problem.records[i], y[:, :, 0]
+        v = np.gradient(y, record.step, axis=0)
+        r, rate = led(pure, record)
+        out[i] = []
+        for k in at:
+            k = min((k if k >= 0 else len(record) + k) * record.thin, len(y) - 1)
+            rest = [m[:, cols["r"]] @ r[k] + m[:, cols["v"]] @ rate[k] for m in (position, velocity)]
+            out[i].append(inverse @ np.concatenate([y[k] - rest[0], time * (v[k] - rest[1])]))
     return out
 
 

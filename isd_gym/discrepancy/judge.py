@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -61,6 +61,11 @@ class Judge:
     @cached_property
     def plain(self) -> Fitter:
         return Fitter(self.problem, plain(self.floors))
+
+    @cached_property
+    def rough(self) -> Fitter:
+        """With no more samples than the motion needs."""
+        return Fitter(self.problem.rough, plain(self.floors))
 
     def weights(self, candidate: Candidate) -> Whitener:
         """Filters from what a candidate leaves of the records it was fitted to."""
@@ -168,16 +173,12 @@ def share_at_place(problem: Problem, fit: Fit, name: str) -> float:
     here = [x for x in net.elements if x.place == "between" and set(x.where) == pair]
     extra = tuple(net.probe(f"_{x.name}", "force", element=x.name) for x in here)
     watched = watching(net, extra)
-    records = [replace(problem.records[i], taps=None, thin=1) for i in problem.estimation]
-    probe = Problem(watched, records, ["fit"] * len(records), problem.step)
+    begun = {i: fit.initial[i][:, None] for i in problem.estimation}
     try:
-        parts = [
-            probe.simulate([watched], k, fit.initial[i][:, None], like=net)[:, :, 0]
-            for k, i in enumerate(problem.estimation)
-        ]
+        seen = problem.watching(watched).simulate_all([watched], problem.estimation, begun, like=net)
     except InputError:
         return 1.0
-    y = np.concatenate(parts)
+    y = np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
     sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
     own = y[:, [x.name for x in here].index(name)] * e.own_share(here)
     return _rms(own) / max(_rms(y @ sign), _reaction(problem, net, e), 1e-300)

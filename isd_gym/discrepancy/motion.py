@@ -26,14 +26,13 @@ def motions(
     net = fit.network
     where = [*pairs(net), *(p for p in also if p not in pairs(net))]
     extra = tuple(net.probe(f"_{k}", "displacement", between=p) for k, p in enumerate(where))
-    steps = []
+    probe = problem.watching(watching(net, extra))
+    begun = {i: fit.initial[i][:, None] for i in problem.estimation}
+    seen = probe.simulate_all([probe.network], problem.estimation, begun, like=net)
     for i in problem.estimation:
-        record = problem.records[i]
-        probe = Problem(watching(net, extra), [replace(record, taps=None, thin=1)], ["fit"], problem.step)
-        y = probe.simulate([probe.network], 0, fit.initial[i][:, None], like=net)[:, :, 0]
         for k, p in enumerate(where):
-            out.setdefault(p, []).append(y[:, k])
-        steps.append(record.step)
+            out.setdefault(p, []).append(seen[i][:, k, 0])
+    steps = [problem.records[i].step for i in problem.estimation]
     motion = {}
     for p, parts in out.items():
         v = [np.gradient(d, h) for d, h in zip(parts, steps, strict=True)]
@@ -110,12 +109,13 @@ def together(
         for begin in range(0, len(members), LANES):
             chunk = members[begin : begin + LANES]
             nets = [networks[k] for k in chunk]
-            for i in problem.estimation:
-                x0 = np.repeat(fit.initial[i][:, None], len(nets), axis=1)
-                try:
-                    yield chunk, i, problem.simulate(nets, i, x0, like=fit.network)
-                except (InputError, np.linalg.LinAlgError):
-                    continue
+            begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
+            try:
+                seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
+            except (InputError, np.linalg.LinAlgError):
+                continue
+            for i, y in seen.items():
+                yield chunk, i, y
 
 
 def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:

@@ -7,15 +7,17 @@ in a single call of the kernel (one lane each).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from threading import Lock
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.signal import oaconvolve, welch
+from scipy.signal import firwin, oaconvolve, welch
 
 from ..network import Assembly, Network, assemble
 from ..simulate import Plant, effective_current, upsample
@@ -90,6 +92,27 @@ class Record:
         )
 
 
+def thinned(record: Record, by: int, held: Collection[str]) -> Record:
+    """A record with every `by`-th sample, inputs passing a low-pass before (of those that are `held`, means are held)."""
+    if record.taps is not None:  # its inputs have passed one
+        taps = record.taps[(len(record.taps) // 2) % by :: by]
+        return replace(
+            record,
+            step=record.step * by,
+            thin=record.thin // by,
+            taps=taps / taps.sum(),
+            inputs={k: v[::by] for k, v in record.inputs.items()},
+            slopes={k: (v[::by], a[::by]) for k, (v, a) in record.slopes.items()},
+        )
+    taps, n = firwin(8 * by + 1, 0.9 / by, window=("kaiser", 5.0)), len(record)
+    edges = np.arange(0, n, by)
+    inputs = {
+        k: np.add.reduceat(v, edges) / np.diff(np.append(edges, n)) if k in held else low_pass(v, taps, by)
+        for k, v in record.inputs.items()
+    }
+    return replace(record, step=record.step * by, inputs=inputs, measured=record.measured[::by])
+
+
 def pace(values: Array, step: float) -> float:
     """One over the circular frequency [s] below which half of the power of `values` (n,) lies."""
     f, s = welch(values - values.mean(), 1.0 / step, nperseg=min(len(values), 4096))
@@ -117,7 +140,11 @@ def bare(network: Network) -> Network:
     return network if len(kept) == len(network.elements) else replace(network, elements=kept)
 
 
+#: steps of the physics, in the time in which the motion changes: in fits (some forty a period), and in searches
+FINE, COARSE = 0.15, 0.3
 FINEST = 20  # physics steps a sample at most
+MOST, LEAST = 4, 500  # by how much a record is thinned at most, and how many samples it keeps
+LARGEST = 2_000_000  # samples of all lanes that run side by side
 
 
 def _through(values: Array, every: int) -> Array:
@@ -128,15 +155,46 @@ def _through(values: Array, every: int) -> Array:
     )
 
 
+class Memory:
+    """What was simulated last, to be had again without simulating: no more than `limit` bytes of it."""
+
+    def __init__(self, limit: int = 200_000_000):
+        self.limit, self.size = limit, 0
+        self._kept: OrderedDict[tuple[object, ...], tuple[object, tuple[Array, ...]]] = OrderedDict()
+        self._lock = Lock()
+
+    def get(self, key: tuple[object, ...]) -> tuple[Array, ...] | None:
+        with self._lock:
+            found = self._kept.get(key)
+            if found is not None:
+                self._kept.move_to_end(key)
+            return found[1] if found else None
+
+    def put(self, key: tuple[object, ...], of: object, values: tuple[Array, ...]) -> None:
+        """`of`: what the key names by its identity, which must live as long."""
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = of, values
+                self.size += sum(v.nbytes for v in values)
+            while self.size > self.limit and len(self._kept) > 1:
+                _, (_, gone) = self._kept.popitem(last=False)
+                self.size -= sum(v.nbytes for v in gone)
+
+
 class Problem:
     """A base model and records to judge it by.
 
-    network: the owner's model. records: with the `roles` that they have, those to fit by first. step [s]: the largest of
-    the physics.
+    network: the owner's model. records: with the `roles` that they have, those to fit by first. step: the largest of the
+    physics, in the time in which the motion changes. time [s]: the rig's own, where it is known from other records.
     """
 
     def __init__(
-        self, network: Network, records: Sequence[Record], roles: Sequence[Role], step: float = 2e-3
+        self,
+        network: Network,
+        records: Sequence[Record],
+        roles: Sequence[Role],
+        step: float = FINE,
+        time: float | None = None,
     ):
         self.network = network
         self.records = list(records)
@@ -145,6 +203,9 @@ class Problem:
         self.channels = [c.name for c in network.outputs]
         self.factors = np.array([convert(1.0, c.si, c.unit) for c in network.outputs])
         self.free_offset = np.array([c.offset for c in network.outputs])
+        self._time = time
+        self._spans: dict[int, float] = {}
+        self.memory = Memory()
 
     def _of(self, *roles: Role) -> list[int]:
         return [i for i, r in enumerate(self.roles) if r in roles]
@@ -170,7 +231,29 @@ class Problem:
     @cached_property
     def time(self) -> float:
         """The rig's own time scale [s]."""
-        return float(np.median([r.pace for r in self.records]))
+        return self._time or float(np.median([r.pace for r in self.records]))
+
+    def scale(self, record: Record) -> float:
+        """The time in which the motion of a record changes [s], and no more than the rig's own."""
+        return min(self.time, record.pace)
+
+    def every(self, record: Record) -> int:
+        """Steps of the physics between two samples of the inputs."""
+        return min(max(1, math.ceil(record.step / (self.step * self.scale(record)) - 1e-9)), FINEST)
+
+    def span(self, index: int) -> float:
+        """One sigma of what is known beforehand of a record's first motion [m]: wide, from its own motion."""
+        if index not in self._spans:
+            record, spans = self.records[index], [0.0]
+            lengths = {"displacement": 1.0, "velocity": self.time, "acceleration": self.time**2}
+            for c in self.network.moving:
+                spans.append(float(np.ptp(record.inputs[c.name])) * lengths[c.quantity])
+            for j, c in enumerate(self.network.outputs):
+                if c.quantity in lengths:
+                    reach = float(np.ptp(record.measured[:, j])) / self.factors[j]
+                    spans.append(reach * lengths[c.quantity])
+            self._spans[index] = 2.0 * (max(spans) or 0.01)
+        return self._spans[index]
 
     def measured(self, records: Sequence[int] | None = None) -> Array:
         """Outputs (samples, channels) of the records (those to fit by), one after the other."""
@@ -179,8 +262,30 @@ class Problem:
         )
 
     def with_records(self, records: Sequence[Record]) -> Problem:
-        """The same with other records in the same roles."""
-        return Problem(self.network, records, self.roles, self.step)
+        """The same with other records, cut from these, in the same roles."""
+        return Problem(self.network, records, self.roles, self.step, self.time)
+
+    @cached_property
+    def rough(self) -> Problem:
+        """The same with no more samples than the motion needs, to search by; itself where there are not more."""
+        by = [self._spare(r) for r in self.records]
+        if max(by, default=1) < 2:
+            return self
+        held = {c.name for c in self.network.inputs if c.quantity == "current"}
+        records = [thinned(r, k, held) if k > 1 else r for r, k in zip(self.records, by, strict=True)]
+        return Problem(self.network, records, self.roles, 1.01 * COARSE, self.time)
+
+    def _spare(self, record: Record) -> int:
+        """By how much a record may be thinned."""
+        most = int(min(COARSE * self.scale(record) / record.step, record.samples / LEAST, MOST))
+        if record.taps is None:
+            return max(most, 1)
+        return max((k for k in range(1, most + 1) if record.thin % k == 0), default=1)
+
+    def watching(self, network: Network) -> Problem:
+        """The same motion seen by other outputs, those of `network`, at every sample of the inputs."""
+        raw = [replace(r, taps=None, thin=1) for r in self.records]
+        return Problem(network, raw, self.roles, self.step, self.time)
 
     def constants(self, index: int) -> Array:
         """What a free offset does to record `index`: (samples, channels, free offsets), one where the channel is its own."""
@@ -196,63 +301,98 @@ class Problem:
         initial: Array | None = None,
         *,
         like: Network | None = None,
-        substeps: int | None = None,
     ) -> Array:
         """Outputs (n, channels, lanes) in the channels' units of networks of one structure over record `index`.
 
         `initial` (states, lanes): initial state in the coordinates of the assembly of `like`, mapped to each lane's own
         coordinates by the motion of the nodes. Without it everything starts at rest at the first sample.
         """
-        record = self.records[index]
-        # a third of the time in which the motion changes (the linear part is exact), and not more than the problem's own
-        every = substeps or min(
-            max(1, math.ceil(record.step / min(self.step, 0.3 * self.time) - 1e-9)), FINEST
-        )
-        sparse = every > 1 and record.step > 0.3 * self.time
+        begun = None if initial is None else {index: initial}
+        return self.simulate_all(networks, [index], begun, like=like)[index]
+
+    def simulate_all(
+        self,
+        networks: Sequence[Network],
+        records: Sequence[int],
+        initial: Mapping[int, Array] | None = None,
+        *,
+        like: Network | None = None,
+    ) -> dict[int, Array]:
+        """The same over several records, those of one length side by side in one call of the kernel."""
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for i in records:
+            r = self.records[i]
+            groups.setdefault((r.samples, r.step, self.every(r), *r.slopes), []).append(i)
+        out: dict[int, Array] = {}
+        for (samples, *_), members in groups.items():
+            size = max(1, LARGEST // (int(str(samples)) * len(networks)))
+            for k in range(0, len(members), size):
+                out |= self._side_by_side(networks, members[k : k + size], initial, like)
+        return {i: out[i] for i in records}
+
+    def _side_by_side(
+        self,
+        networks: Sequence[Network],
+        members: Sequence[int],
+        initial: Mapping[int, Array] | None,
+        like: Network | None,
+    ) -> dict[int, Array]:
+        """Every network over every record of `members`, which are equally long: one lane each, record by record."""
+        records = [self.records[i] for i in members]
+        record, wide = records[0], len(networks)
+        every = self.every(record)
+        sparse = every > 1 and record.step > COARSE * self.scale(record)
         first = networks[0]
         motored = any(e.place == "element" for e in first.elements)
         pure = {id(n): bare(n) for n in networks}  # lanes that differ in their initial state share a network
-        plant = Plant([pure[id(n)] for n in networks], record.step / every)
         h = record.step / every
+        plant = Plant([pure[id(n)] for n in networks] * len(records), h)
+
+        def finer(values: Array, held: bool) -> Array:
+            # lines between so few samples would lack a part of the amplitude
+            return _through(values, every) if sparse and not held else upsample(values, every, hold=held)
+
+        def lanes(columns: Sequence[Array]) -> Array:
+            """A column a record, for all of its lanes."""
+            if len(columns) == 1 and not motored:
+                return columns[0]
+            return np.repeat(np.stack(columns, axis=1), wide, axis=1)
+
         inputs: dict[str, Array] = {}
         for c in first.inputs:
-            fine = upsample(record.inputs[c.name], every, hold=c.quantity == "current")
-            if (
-                sparse and c.quantity != "current"
-            ):  # lines between so few samples would lack a part of the amplitude
-                fine = _through(record.inputs[c.name], every)
-            if motored and c.quantity == "current":
-                columns = []
-                for n in networks:
-                    columns.append(effective_current(n, c.elements[0], fine[:, None], h)[:, 0])
-                fine = np.stack(columns, axis=1)
-            inputs[c.name] = fine
-        if motored:
-            width = len(networks)
-            inputs = {
-                k: v if v.ndim == 2 else np.repeat(v[:, None], width, axis=1) for k, v in inputs.items()
-            }
+            held = c.quantity == "current"
+            fine = [finer(r.inputs[c.name], held) for r in records]
+            if motored and held:
+                made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
+                inputs[c.name] = np.concatenate(made, axis=1)
+            else:
+                inputs[c.name] = lanes(fine)
         slopes = {}
         for name in plant.differentiated:
-            pair = record.slopes.get(name)
-            if pair is not None:
-                slopes[name] = (upsample(pair[0], every), upsample(pair[1], every))
+            if name in record.slopes:
+                v, a = ([upsample(r.slopes[name][k], every) for r in records] for k in (0, 1))
+                slopes[name] = lanes(v), lanes(a)
         start = None
         if plant.n:
-            start = self._start(plant, initial, like, record)
+            given = None
+            if initial is not None:
+                given = np.concatenate([initial[i] for i in members], axis=1)
+            start = self._start(plant, given, like)
         out = plant.run(inputs, every=every, samples=record.samples, initial=start, derivatives=slopes)
         out = out * self.factors[:, None]
         if any(e.place == "channel" for e in first.elements):
-            for lane, n in enumerate(networks):
-                for e in n.elements:
+            for lane in range(out.shape[2]):
+                for e in networks[lane % wide].elements:
                     if e.place == "channel":
                         j = self.channels.index(e.where[0])
                         out[:, j, lane] = e.apply(out[:, j, lane], record.step)
-        if record.taps is not None:
-            out = record.seen(low_pass(out, record.taps))
-        return out
+        found = {i: out[:, :, k * wide : (k + 1) * wide] for k, i in enumerate(members)}
+        return {
+            i: y if r.taps is None else r.seen(low_pass(y, r.taps))
+            for r, (i, y) in zip(records, found.items(), strict=True)
+        }
 
-    def _start(self, plant: Plant, initial: Array | None, like: Network | None, record: Record) -> Array:
+    def _start(self, plant: Plant, initial: Array | None, like: Network | None) -> Array:
         lanes = len(plant.networks)
         if initial is None or like is None:
             return np.zeros((plant.n, lanes))

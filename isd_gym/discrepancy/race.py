@@ -12,7 +12,17 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError
-from .candidate import BROKEN, Candidate, likelihood, reckoned, settled, simplest_first, with_fit
+from .candidate import (
+    BROKEN,
+    Candidate,
+    begun_again,
+    likelihood,
+    reckoned,
+    settled,
+    simplest_first,
+    transferred,
+    with_fit,
+)
 from .detents import comb
 from .fit import Fit, Fitter, gap, residuals
 from .hypotheses import hypotheses
@@ -105,7 +115,7 @@ class Race:
             if w.first == 0:
                 out[i] = now.initial[i]
             else:
-                there = along(p, now.structure, now.x, i, now.initial[i], [w.first])[0]
+                there = along(p, now.structure, now.x, {i: now.initial[i]}, [w.first])[i][0]
                 out[i] = guess(self.short, now.network, i, there)
         return out
 
@@ -181,32 +191,42 @@ class Race:
 
     def elsewhere(self, r: Candidate, factor: float, cold: Array) -> Candidate:
         """The fit begun again with another shape, where that is better: from one start it may end in a place of its own."""
-        x = r.fit.x.copy()
-        x[shape_of(r)] += math.log(factor)
-        try:
-            begun = Fitter(self.problem, plain(cold)).fit(
-                r.fit.structure, x, r.fit.initial, r.fit.offset, iterations=5
-            )
-            again = settled(
-                self.problem, r.fit.structure, begun.x, self.floors, begun, iterations=4, least=cold
-            )
-        except BROKEN:
-            return r
-        return min(r, again, key=lambda c: c.likelihood)
+        return begun_again(self.problem, r, shape_of(r), factor, self.floors, cold) or r
+
+    @cached_property
+    def rough(self) -> Race:
+        """The same race with no more samples than the motion needs."""
+        p, few = self.problem, self.problem.rough
+        if few is p:
+            return self
+        share = sum(len(few.records[i]) for i in few.estimation) / sum(
+            len(p.records[i]) for i in p.estimation
+        )
+        settings = replace(self.settings, least_window=math.ceil(share * self.settings.least_window))
+        return replace(
+            self, problem=few, current=transferred(few, self.current, self.floors), settings=settings
+        )
+
+    def heats(self) -> list[Candidate]:
+        """The foremost of all hypotheses, fitted to all of the records."""
+        groups, _ = self.shortlist(), (self.heat, self.begin)
+        with ThreadPoolExecutor(THREADS) as pool:
+            came = _came_in(pool.map(self.try_out, groups))
+            ranked = came[: self.settings.finals]
+            # a likelihood under coloured noise may miss who closes most of the gap
+            closest = min(came, key=lambda r: gap(self.short, r.fit), default=None)
+            ranked += [closest] if closest is not None and closest not in ranked else []
+            return _came_in(pool.map(self.lengthen, ranked))
 
     def run(self) -> Finish:
-        finals, groups, _ = self.settings.finals, self.shortlist(), (self.heat, self.begin)
+        ranked = self.rough.heats()
+        if self.rough is not self:
+            ranked = _came_in(map(self.transferred, ranked))
+        if not ranked:
+            return Finish((), self.hot)
+        # what the best of them leaves is what is trusted now
+        cold = np.min([reckoned(self.problem, r.fit, self.floors) for r in ranked], axis=0)
         with ThreadPoolExecutor(THREADS) as pool:
-            heats = _came_in(pool.map(self.try_out, groups))
-            ranked = heats[:finals]
-            # a likelihood under coloured noise may miss who closes most of the gap
-            closest = min(heats, key=lambda r: gap(self.short, r.fit), default=None)
-            ranked += [closest] if closest is not None and closest not in ranked else []
-            ranked = _came_in(pool.map(self.lengthen, ranked))
-            if not ranked:
-                return Finish((), self.hot)
-            # what the best of them leaves is what is trusted now
-            cold = np.min([reckoned(self.problem, r.fit, self.floors) for r in ranked], axis=0)
             ranked = _came_in(pool.map(lambda r: self.polish(r, cold), ranked))
             again = [(r, k) for r in ranked[:2] if shape_of(r) is not None for k in (0.5, 2.0)]
             for r, other in zip(
@@ -216,6 +236,12 @@ class Race:
             ):
                 ranked = [other if q is r and other.likelihood < q.likelihood else q for q in ranked]
         return Finish(tuple(self.order(ranked)), cold)
+
+    def transferred(self, r: Candidate) -> Candidate | None:
+        try:
+            return self._candidate(self.problem, transferred(self.problem, r.fit, self.floors))
+        except BROKEN:
+            return None
 
     def order(self, ranked: Sequence[Candidate]) -> list[Candidate]:
         """By likelihood; one that closes half of the gap, where the likeliest does not, goes first."""
@@ -278,14 +304,15 @@ def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
 
 def _misfit(race: Race, tries: Sequence[Structure]) -> Array | None:
     """Sum over channels of the logarithm of the residual's variance, as they stand: one that drifts does not drown others."""
-    problem, current = race.problem, race.current
+    problem, current = race.short, race.current
     scores, nets = np.zeros(len(tries)), [t.network for t in tries]
-    begun = [carried(problem, current.network, current.initial, t) for t in tries]
-    for i in problem.estimation:
-        try:
-            y = problem.simulate(nets, i, np.stack([b[i] for b in begun], axis=1), like=nets[0])
-        except BROKEN:
-            return None
+    begun = [carried(problem, current.network, race.begin, t) for t in tries]
+    at = {i: np.stack([b[i] for b in begun], axis=1) for i in problem.estimation}
+    try:
+        seen = problem.simulate_all(nets, problem.estimation, at, like=nets[0])
+    except BROKEN:
+        return None
+    for i, y in seen.items():
         with np.errstate(over="ignore", invalid="ignore"):
             v = np.var(problem.records[i].measured[:, :, None] - y, axis=0) + race.floors[:, None] ** 2
         whole = np.isfinite(v).all(axis=0)

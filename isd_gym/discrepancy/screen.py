@@ -14,6 +14,7 @@ from .fit import Fit, Fitter
 from .motion import force_scale, motions, setting, together
 from .problem import Array, Problem, bare
 from .structure import Hypothesis, Structure, add
+from .tangent import tangents
 
 
 @dataclass(frozen=True)
@@ -56,12 +57,11 @@ class Residual:
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     structure, p = fit.structure, len(fit.x)
     parts, columns = [], p
-    for i in problem.estimation:
-        y, dp, ds = fitter.lanes(structure, fit.x, i, fit.initial[i])
-        const = problem.constants(i)
-        r = problem.records[i].measured - y - fit.offset[i]
-        W = fitter.weights(np.concatenate([r[:, :, None], dp, ds, const], axis=2))
-        parts.append((i, y, W.reshape(-1, W.shape[2])))
+    begun = {i: fit.initial[i] for i in problem.estimation}
+    for i, t in tangents(problem, structure, fit.x, begun).items():
+        r = (problem.records[i].measured - t.outputs - fit.offset[i])[:, :, None]
+        W = fitter.weights(np.concatenate([r, t.by_parameter, t.by_state, problem.constants(i)], axis=2))
+        parts.append((i, t.outputs, W.reshape(-1, W.shape[2])))
         columns += W.shape[2] - 1 - p
     rows = sum(len(w) for _, _, w in parts)
     J, r = np.zeros((rows + p, columns)), np.zeros(rows + p)

@@ -11,11 +11,13 @@ import numpy as np
 from .candidate import (
     BROKEN,
     Candidate,
+    begun_again,
     level,
     reckoned,
     relative,
     settled,
     simpler,
+    transferred,
     with_fit,
 )
 from .criteria import Criteria
@@ -206,18 +208,13 @@ class Search:
         shapes = [f"{e.name}.{e.shaped_by}" for e in chosen.elements if e.shaped_by]
         for k in [free.index(path) for path in shapes if path in free]:
             for factor in self.settings.shapes:
-                x = chosen.fit.x.copy()
-                x[k] += math.log(factor)
+                again = begun_again(p, chosen, k, factor, self.floors, least)
                 try:
-                    f = self.judge.plain.fit(
-                        chosen.fit.structure, x, chosen.fit.initial, chosen.fit.offset, iterations=6
-                    )
-                    again = settled(p, f.structure, f.x, self.floors, f, iterations=4, least=least)
-                    trial.of(again)
+                    if again is not None and again.likelihood < level(p, found, chosen, self.floors) - 2.0:
+                        trial.of(again)
+                        found = again
                 except BROKEN:
                     continue
-                if again.likelihood < level(p, found, chosen, self.floors) - 2.0:
-                    found = again
         return found
 
     def earns(self, trial: Trial, last: Candidate, now: Candidate) -> bool:
@@ -257,7 +254,8 @@ class Search:
         found: list[Candidate] = []
         try:  # from where it is, and, where that ends far off, from what the owner believes
             begun = carried(p, like.fit.network, like.fit.initial, structure)
-            f = self.judge.plain.fit(structure, there, begun, like.fit.offset)
+            f = self.judge.rough.fit(structure, there, begun, like.fit.offset)
+            f = f if p.rough is p else transferred(p, f, self.floors)
             found.append(settled(p, structure, f.x, self.floors, f, rounds=2, least=least))
         except BROKEN:
             pass

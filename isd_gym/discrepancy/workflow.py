@@ -163,7 +163,7 @@ class Workflow:
             kept = own[:: max(1, math.ceil(len(own) / self.settings.pieces))]
             records += kept
             roles += [role] * len(kept)
-        return Problem(self.network, records, roles, p.step), seconds
+        return Problem(self.network, records, roles, p.step, p.time), seconds
 
     def briefly(self, notes: list[str], begun: float, *, named_only: bool) -> Diagnosis | None:
         """The search over brief stretches; None where it comes to nothing.
