@@ -75,7 +75,8 @@ def train(
     `preview` [s]: how much of the road ahead the policy sees. `randomize`: True for `settings.RANDOMIZE`, or ranges as the environment takes them. The policy kept is the one of
     least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
 
-    seed: of everything that is drawn. steps: of all cars together. network, speed [m/s]: what it is trained on.
+    seed: of everything that is drawn. steps: of all cars together. network, road, speed [m/s]: what it is trained on.
+    settings: those of the algorithm; the tuned ones unless given.
     """
     if not (find_spec("stable_baselines3") and find_spec("torch")):
         raise InputError('training needs Stable-Baselines3 and torch: pip install "isd-gym[agents]"')

@@ -134,7 +134,7 @@ def make(
     `options` replace single settings (``make("mpc", solver="daqp", horizon=30)``). Raises `InputError` for a name or an
     option that is not there.
 
-    cost: what it minimises, the environment's stage cost by default. control_step [s].
+    name: a key of `CONTROLLERS`. cost: what it minimises, the environment's stage cost by default. control_step [s].
     """
     if name not in CONTROLLERS:
         raise InputError(f"no controller '{name}': there are {', '.join(CONTROLLERS)}")

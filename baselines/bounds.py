@@ -213,7 +213,7 @@ def lq_bound(
     Without `effort` the force between body and wheel is free: the bound. With it, the network's own motor must do,
     and `effort` [1/A^2] weighs the square of its current (the friction and all limits are still left out).
 
-    speed [m/s] and road: what excites the car.
+    network: the plant. speed [m/s] and road: what excites the car.
     """
     base = reference(network, speed=speed, road=road)
     w = np.asarray(weights, float)

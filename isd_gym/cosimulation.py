@@ -38,7 +38,7 @@ WHY_TRUST = "a unit is compiled code of whoever made it and runs with your right
 
 @dataclass(frozen=True)
 class Port:
-    """A real variable of a unit: its name, its `unit` as the unit writes it, and the `quantity` that this is, where known."""
+    """A real variable of a unit: its `name`, its `unit` as the unit writes it, its `causality` (input, output or local)."""
 
     name: str
     unit: str
@@ -59,7 +59,7 @@ class UnitModel:
     """What a unit's description says, with values of its parameters.
 
     inputs, outputs: its real variables, those `outputs` that are no more than local after the others. parameters: start
-    value of each real parameter, in `units` of it; limits: (least, largest), infinite where none is stated. uncertainty:
+    value of each real parameter, in `units` of it; name: as the unit calls itself; limits: (least, largest), infinite where none is stated. uncertainty:
     relative one-sigma of those that may be refitted.
     """
 
@@ -72,17 +72,18 @@ class UnitModel:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
 
     def unit_of(self, path: str) -> str:
+        """Unit of the parameter `path`, '' where it has none."""
         return self.units.get(path, "")
 
     def with_parameters(self, values: Mapping[str, float]) -> UnitModel:
-        """The same with other values of some parameters. Raises `InputError` for one that it does not have."""
+        """The same with other `values` of some parameters. Raises `InputError` for one that it does not have."""
         for name in values:
             if name not in self.parameters:
                 raise InputError(f"unit {shown(self.name)} has no parameter {shown(name)}")
         return replace(self, parameters={**self.parameters, **values})
 
     def save(self, path: str | Path) -> None:
-        """Write the parameters' values as a parameter set of the SSP standard (.ssv), which simulators of units read."""
+        """Write the parameters' values to `path` as a parameter set of the SSP standard (.ssv), which simulators of units read."""
         from xml.sax.saxutils import quoteattr
 
         rows = [
@@ -97,7 +98,7 @@ class UnitModel:
 class Unit:
     """A unit that runs: `model` is what its description says.
 
-    trust: that its code may run here; without it `InputError` is raised and nothing is unpacked. A context manager: the
+    path: of the .fmu. trust: that its code may run here; without it `InputError` is raised and nothing is unpacked. A context manager: the
     process and the unpacked files go with it. Raises `InputError` with one line for what is no unit, or one that cannot run.
     """
 
@@ -163,9 +164,9 @@ class Unit:
         outputs: list[str],
         start: Mapping[str, float],
     ) -> Array:
-        """Outputs (rows, outputs) every `step` [s] from rest; inputs (rows,) by name, each set at the beginning of a step.
+        """Outputs (rows, outputs) every `step` [s] from rest; each input is set at the beginning of a step.
 
-        start: values of parameters that differ from the unit's own. All in the unit's own units. Raises `InputError`.
+        inputs: (rows,) by name. rows: how many samples. outputs: their names. start: values of parameters that differ from the unit's own. All in the unit's own units. Raises `InputError`.
         """
         names = list(inputs)
         values = np.stack([inputs[n] for n in names], axis=1) if names else np.zeros((rows, 1))
@@ -180,7 +181,7 @@ class Unit:
         return found
 
     def forgets(self, *arguments: Any) -> None:
-        """Run twice; where the second differs from the first, every run from here on gets a process of its own."""
+        """Run twice with the `arguments` of `run`; where the second differs from the first, every run from here on gets a process of its own."""
         first, second = self.run(*arguments), self.run(*arguments)
         scale = np.maximum(np.abs(first).max(axis=0), 1e-300)
         if np.any(np.abs(first - second).max(axis=0) > 1e-9 * scale):

@@ -55,7 +55,7 @@ def find(
     `model` is what a controller believes in, by default the plant `network`. A .zip holds pickles and is opened only with
     `trust_zip`. Raises `InputError` listing what there is.
 
-    cost: what it minimises. control_step [s].
+    name: one that `available` lists, or a path. network: the plant that it will drive. cost: what it minimises. control_step [s].
     """
     if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
         raise InputError(

@@ -42,7 +42,7 @@ def write_dataset(
     float32 (steps + 1, n), actions float32 (steps, 1), the commanded current [A]. The data set knows its environment with the
     whole network, `recover_environment()` makes it. Nothing is left behind when it fails. Raises `InputError`.
 
-    episodes: how many. road: a name, as the environment takes it. progress(share): told now and then.
+    network: the plant. episodes: how many. road: a name, as the environment takes it. progress(share): told now and then.
     """
     try:
         import h5py  # noqa: F401

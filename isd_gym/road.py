@@ -80,7 +80,7 @@ class Road:
     ) -> np.ndarray:
         """Heights [m] at 0, step, ..., duration; the road an environment with this generator would drive.
 
-        speed [m/s]. rng: what an environment would draw from.
+        duration, step: [s]. speed [m/s]. rng: what an environment would draw from.
         """
         from .kernel.cars import road_noise
 

@@ -114,7 +114,7 @@ def drive(
 
     `corrupt(observations, step)` may alter what the controller sees (sensor noise, delay).
 
-    entry: the policy, on its own plant where it has one, else on `network`. road, randomize, speed [m/s],
+    entry: the policy, on its own plant where it has one, else on `network`. network: the plant. road, randomize, speed [m/s],
     duration [s]: as the environment takes them. episodes: how many. cost: of the reward. progress(share): told
     now and then.
     """
@@ -263,7 +263,8 @@ def score(
     reachable gain. `ceiling(preview)`: the bound for controllers that know so many seconds of road (its `change`), for the
     share of the causal gain.
 
-    network: the plant. road, randomize, speed [m/s], duration [s], seed: as those of `drive`. progress(name,
+    policies: names as `isd-gym policies` lists them, folders, or entries. network: the plant. episodes: how many roads, the
+    same for all. cost: of the reward. road, randomize, speed [m/s], duration [s], seed: as those of `drive`. progress(name,
     share): told now and then.
     """
     if episodes < 1:

@@ -514,7 +514,7 @@ def simulate(
     Raises `InputError` for a missing channel, a time that is not uniform, and a simulation that breaks down: it names the
     time, and the law that could not be solved for.
 
-    extra: output channels after the network's own.
+    model: a network, a built-in one's name, a file or its content. time: (n,) [s]. inputs: (n,) by channel. step [s]. extra: output channels after the network's own.
     """
     network = Network.load(model)
     time = np.asarray(time, float)

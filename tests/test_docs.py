@@ -134,6 +134,13 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert physics.count("<math") > 20 and "arithmatex" not in physics
     assert "coulomb_friction" in (tmp_path / "site" / "reference" / "elements" / "index.html").read_text()
     assert (tmp_path / "site" / "schemas" / "isd-model-1.json").is_file()
+    api = (tmp_path / "site" / "reference" / "api-control" / "index.html").read_text(encoding="utf-8")
+    rows = [
+        re.sub(r"<[^>]+>", " ", row).split()
+        for row in re.findall(r"<tr class=.doc-section.*?</tr>", api, re.DOTALL)
+    ]
+    assert any(row[0] == "speed" and "[m/s]" in row and "float" in row for row in rows)
+    assert api.count("Raises:") >= 3
 
 
 @pytest.mark.parametrize("path", cases(NOTEBOOKS, slow=SLOW))

@@ -394,7 +394,7 @@ def diagnose_unit(
 ) -> Diagnosis:
     """Compare a unit for co-simulation with records, and refit its parameters.
 
-    data: records to fit by; validate: records that take no part in fitting (without them the last third of `data` is held
+    unit: as it was opened. data: records to fit by; validate: records that take no part in fitting (without them the last third of `data` is held
     out). Columns are named as the unit's variables: every input, and at least one output; rename: column -> variable;
     units: unit of a column. accept: checks of the data gate that only warn. uncertainty: relative one-sigma of the
     parameters that may be refitted; each of them by 0.2 where nothing is stated. progress: called with a line now and

@@ -49,6 +49,7 @@ def parameter(
     a value is plausible at all (one sigma, where a car's range says nothing about other rigs). `stride`: how far a
     single step of a fit may go.
 
+    unit: as in `units.TABLE`, or '-'. low, high: where a fit begins to look. default: in a model file that does not say.
     minimum: the hard lower limit, itself out of bounds with `open_end`.
     """
     meta = {

@@ -72,6 +72,8 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
 
     Raises `InputError` where the massless part is singular or an output asks for what the network does not define
     (the acceleration of a massless node).
+
+    network: as it is, masses and all.
     """
     return _assemble(network, extra) if extra else network._assembly
 
@@ -389,6 +391,8 @@ def linearise(
     [N s/m] (statistical linearisation of friction, equation 9), else by its slope at rest; with `laws=True` its
     force is an input of that name instead. Velocities and accelerations of moved nodes appear as inputs
     ``road'`` and ``road''`` where something acts through them.
+
+    network: a network, a built-in one's name, a file or its content.
     """
     network = Network.load(network)
     asm = assemble(network, outputs)
