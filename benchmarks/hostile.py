@@ -590,15 +590,15 @@ KINDS: dict[str, Callable[[Rng, Path], None]] = {
 }
 #: of a thousand tries: what is read by own code more often than what a library reads in another process
 SHARES = {
-    "models": 200,
-    "csv": 180,
-    "parquet": 30,
-    "mat": 50,
-    "mf4": 20,
+    "models": 210,
+    "csv": 200,
+    "parquet": 25,
+    "mat": 25,
+    "mf4": 5,
     "policies": 100,
-    "zips": 120,
+    "zips": 130,
     "actions": 120,
-    "networks": 60,
+    "networks": 65,
     "writes": 40,
     "grids": 40,
     "records": 20,
