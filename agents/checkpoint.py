@@ -42,14 +42,14 @@ def steps(checkpoint: Path) -> int:
 
 def write(folder: Path, model: Any, average: dict[str, np.ndarray], state: dict[str, Any]) -> None:
     """Keep `model` in `folder` under a name that it gets once it is whole; older checkpoints go after that."""
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
     place = folder / f"checkpoint-{model.num_timesteps:012d}"
     if place.exists():
         return
     temporary = folder / f".{place.name}"
     temporary.mkdir()
-    save_file(_tensors(model), temporary / LEARNER)
+    (temporary / LEARNER).write_bytes(save(_tensors(model)))  # its own writer has errors of its own
     arrays: dict[str, Any] = average
     np.savez(temporary / AVERAGE, **arrays)
     held = {"updates": int(model._n_updates), "episodes": int(model._episode_num)}

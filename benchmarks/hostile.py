@@ -59,12 +59,14 @@ def pick(rng: Rng, values: Any) -> Any:
     return values[int(rng.integers(len(values)))]
 
 
-def spoil_bytes(rng: Rng, data: bytes) -> bytes:
-    """`data` with a few bytes changed, cut out, doubled or put in."""
+def spoil_bytes(rng: Rng, data: bytes, text: bool = False) -> bytes:
+    """`data` with a few bytes changed, cut out, doubled or put in; a `text` with what stands in texts."""
     out = bytearray(data)
     for _ in range(1 if rng.random() < 0.4 else int(rng.integers(2, 7))):
         at = int(rng.integers(len(out) + 1))
         way = int(rng.integers(7))
+        if text and way in (1, 5):  # a binary number would end it at the first gate
+            way = 4
         if way == 0 and at < len(out):
             out[at] = int(rng.integers(256))
         elif way == 1:
@@ -112,7 +114,7 @@ def spoil_tree(rng: Rng, tree: Any) -> Any:
 
 def spoil_json(rng: Rng, tree: Any) -> bytes:
     text = json.dumps(spoil_tree(rng, tree) if rng.random() < 0.8 else tree).encode()
-    return spoil_bytes(rng, text) if rng.random() < 0.3 else text
+    return spoil_bytes(rng, text, text=True) if rng.random() < 0.3 else text
 
 
 # ------------------------------------------------------------------------------------------------ kinds
@@ -155,8 +157,8 @@ def csv_tables(rng: Rng, folder: Path) -> None:
         cells = [f"{0.01 * k:.6g}", f"{rng.standard_normal():.6g}", "ok"][: len(head)]
         lines.append(sep.join(c.replace(".", ",") if comma else c for c in cells))
     text = "\n".join(lines).encode()
-    (folder / "t.csv").write_bytes(spoil_bytes(rng, text) if rng.random() < 0.75 else text)
-    if rng.random() < 0.5:
+    (folder / "t.csv").write_bytes(spoil_bytes(rng, text, text=True) if rng.random() < 0.75 else text)
+    if head[1].startswith("height") or rng.random() < 0.1:
         road(folder / "t.csv")
     else:
         table = read_table(folder / "t.csv", expected=pick(rng, (None, {"x": "m"}, {})))
@@ -500,7 +502,7 @@ def grids(rng: Rng, folder: Path) -> None:
             '[[conditions]]\nname = "heavy"\nfactors = { "body.mass" = 1.2 }\n'
         )
         path = folder / "g.toml"
-        path.write_bytes(spoil_bytes(rng, text.encode()))
+        path.write_bytes(spoil_bytes(rng, text.encode(), text=True))
     else:
         path = folder / "g.json"
         path.write_bytes(spoil_json(rng, tree))

@@ -11,7 +11,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -114,6 +114,22 @@ def held(folder: Path, kind: str) -> Iterator[None]:
     finally:
         if handle is not None:
             os.close(handle)
+
+
+def reserve(folder: Path, size: int) -> None:
+    """Raise `InputError` where `size` bytes more cannot be written in `folder`: for libraries that do not survive it."""
+    path = folder / ".room"
+    try:
+        with path.open("wb") as stream:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(stream.fileno(), 0, size)
+    except OSError as error:
+        raise InputError(
+            f"cannot write {size / 1e6:.3g} MB in '{folder.parent.parent}' ({error.strerror})"
+        ) from None
+    finally:
+        with suppress(OSError):
+            path.unlink()
 
 
 def check_file(path: str | Path) -> None:

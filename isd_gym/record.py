@@ -12,12 +12,14 @@ import typer
 
 from .console import TrustOption
 from .errors import InputError
-from .files import whole_folder
+from .files import reserve, whole_folder
 
 if TYPE_CHECKING:
     from .driving import Entry
     from .network import Network
 
+#: [bytes] that an episode, and a data set, may take beside their numbers
+EPISODE_ROOM, DATASET_ROOM = 32_768, 2**20
 #: a Minari id: (namespace/)name-vN; everything else is a folder
 ID = re.compile(r"(?:[-\w]+/)*[-\w]+-v\d+")
 
@@ -95,6 +97,9 @@ def write_dataset(
             create_namespace(namespace)
         data = folder / "data"
     with whole_folder(folder, "data set") as temporary:
+        # HDF5 takes the process down where the disk takes no more
+        size = observations.nbytes + actions.nbytes + rewards.nbytes + 2 * rewards.size
+        reserve(temporary, int(1.1 * size) + episodes * EPISODE_ROOM + DATASET_ROOM)
         storage = MinariStorage.new(
             temporary / data.relative_to(folder),
             env.single_observation_space,
