@@ -204,7 +204,7 @@ def begin(run: Callable[[], None], folder: Path, log: Path, before: Callable[[],
     try:
         os.chdir(folder)
         os.dup2(out, 1), os.dup2(out, 2)
-        sys.stdout, sys.stderr = (open(fd, "w", buffering=1, closefd=False) for fd in (1, 2))
+        sys.stdout, sys.stderr = (os.fdopen(fd, "w", buffering=1, closefd=False) for fd in (1, 2))
         before()
         run()
         code = 0
