@@ -250,10 +250,48 @@ def show() -> None:
     Image.fromarray(frame).save(HERE / "show.png", optimize=True)
 
 
+#: film -> what `isd-gym show` is told; the gallery says the same
+FILMS = {
+    "pair-bump": ("mpc-friction", "lqg", {"road": "C+bump", "seconds": 4.0}, {}),
+    "preview": (
+        "mpc-friction-preview",
+        "mpc-friction",
+        {"road": "C+pothole", "seconds": 4.0},
+        {"preview": 0.2},
+    ),
+}
+
+
+def films() -> None:
+    """Two controllers side by side, and one that sees the road beside one that does not: small enough for a repository."""
+    import subprocess
+
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    from isd_gym.show import film
+
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (one, other, drive, options) in FILMS.items():
+            raw = Path(folder) / f"{name}.mp4"
+            film([find(one, CAR, **options), find(other, CAR)], CAR, raw, **drive)
+            small = ["-vf", "scale=800:-2", "-r", "25", "-crf", "33", "-preset", "veryslow", "-an"]
+            args = [
+                get_ffmpeg_exe(),
+                "-y",
+                "-loglevel",
+                "error",
+                "-i",
+                str(raw),
+                *small,
+                str(HERE / f"{name}.mp4"),
+            ]
+            subprocess.run(args, check=True)
+
+
 if __name__ == "__main__":
     HERE.mkdir(exist_ok=True)
     road("paper")
-    every = (network, law, force_test, sticking, roads, response, projection, show, reports)
+    every = (network, law, force_test, sticking, roads, response, projection, show, films, reports)
     for make in every:
         if not sys.argv[1:] or make.__name__ in sys.argv[1:]:
             make()

@@ -669,6 +669,10 @@ def show(
     speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
     seconds: Annotated[float, typer.Option(help="How long to drive [s].")] = 10.0,
     seed: Annotated[int, typer.Option(help="Of the road, as in score.", min=0)] = 0,
+    preview: Annotated[
+        float | None,
+        typer.Option(help="Road ahead [s] for those that look at it (mpc-friction-preview, ...).", min=0.0),
+    ] = None,
     network: Annotated[
         str,
         typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
@@ -688,7 +692,9 @@ def show(
     if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)
-    entries = [find(name, plant, trust_zip=trust_zip) for name in (policy, against) if name is not None]
+    ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    names = [name for name in (policy, against) if name is not None]
+    entries = [find(name, plant, trust_zip=trust_zip, **ahead) for name in names]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()

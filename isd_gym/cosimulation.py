@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from .errors import InputError, shown
 from .files import write_text
 from .inputs import memory_limit, plain_file, too_large
-from .units import UNITS, convert
+from .units import QUANTITIES, convert
 
 Array = NDArray[np.float64]
 SECONDS = 600.0  # that one run, or the loading, may take
@@ -46,8 +46,8 @@ class Port:
 
     @property
     def quantity(self) -> str:
-        """A key of `units.UNITS`, or '' where the unit is none of theirs."""
-        for quantity, si in UNITS.items():
+        """A key of `units.QUANTITIES`, or '' where the unit is none of theirs."""
+        for quantity, (_, si) in QUANTITIES.items():
             with suppress(InputError):
                 convert(1.0, self.unit, si)
                 return quantity

@@ -28,7 +28,7 @@ from .errors import InputError
 from .files import check_file, whole
 from .network import Network
 from .simulate import PHYSICS_STEP, Plant, effective_current, sense
-from .units import convert
+from .units import TABLE, convert
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -38,12 +38,26 @@ else:
     Slave = __import__("pythonfmu").Fmi2Slave if find_spec("pythonfmu") else object
 
 MEMORY = 2.0  # [s] of commands and readings that drives and sensors with a memory are given
-#: exponents of kg, m, s, A in a unit, for what reads the unit definitions
-BASE = {
-    "m": (0, 1, 0, 0), "mm": (0, 1, 0, 0), "s": (0, 0, 1, 0), "kg": (1, 0, 0, 0), "A": (0, 0, 0, 1), "N": (1, 1, -2, 0),
-    "kN": (1, 1, -2, 0), "m/s": (0, 1, -1, 0), "m/s^2": (0, 1, -2, 0), "N/m": (1, 0, -2, 0), "N s/m": (1, 0, -1, 0),
-    "N/A": (1, 1, -2, -1), "N/m^3": (1, -2, -2, 0), "N s^2/m^2": (1, -1, 0, 0),
+#: exponents of kg, m, s, A, rad in a unit, for what reads the unit definitions
+POWERS = {
+    "kg": (1, 0, 0, 0, 0), "m": (0, 1, 0, 0, 0), "s": (0, 0, 1, 0, 0), "A": (0, 0, 0, 1, 0), "rad": (0, 0, 0, 0, 1),
+    "N": (1, 1, -2, 0, 0), "V": (1, 2, -3, -1, 0),
 }  # fmt: skip
+
+
+def base_units(unit: str) -> dict[str, str] | None:
+    """The attributes of a unit's `BaseUnit` in FMI; None for one that is none of ours."""
+    si, factor = TABLE.get(unit, (unit, 1.0))
+    total = [0] * 5
+    for k, side in enumerate(si.split("/")):
+        for word in side.split():
+            name, _, power = word.partition("^")
+            if name not in POWERS or not (power or "1").isdigit():
+                return None
+            sign = (1 if k == 0 else -1) * int(power or 1)
+            total = [t + sign * p for t, p in zip(total, POWERS[name], strict=True)]
+    out = {n: str(p) for n, p in zip(("kg", "m", "s", "A", "rad"), total, strict=True) if p}
+    return out | ({} if factor == 1.0 else {"factor": repr(factor)})
 
 
 class Running:
@@ -243,10 +257,8 @@ class NetworkSlave(Slave):  # type: ignore[misc]
         units = Element("UnitDefinitions")
         for unit in sorted({u for u in self.units.values() if u and u != "-"}):
             made = SubElement(units, "Unit", name=unit)
-            if unit in BASE:
-                powers = {k: str(v) for k, v in zip(("kg", "m", "s", "A"), BASE[unit], strict=True) if v}
-                factor = {"mm": 1e-3, "kN": 1e3}.get(unit)
-                SubElement(made, "BaseUnit", powers | ({"factor": repr(factor)} if factor else {}))
+            if (base := base_units(unit)) is not None:
+                SubElement(made, "BaseUnit", base)
         if len(units):
             at = [e.tag for e in root].index("CoSimulation") + 1
             root.insert(at, units)

@@ -78,7 +78,15 @@ _SPELLINGS |= {
     "deg/s²": "deg/s^2",
     "°/s²": "deg/s^2",
 }
-_SPELLINGS |= {"Nm": "N m", "N*m": "N m", "N·m": "N m", "mNm": "mN m", "kNm": "kN m", "volt": "V"}
+_SPELLINGS |= {
+    "Nm": "N m",
+    "N.m": "N m",
+    "N*m": "N m",
+    "N·m": "N m",
+    "mNm": "mN m",
+    "kNm": "kN m",
+    "volt": "V",
+}
 _SPELLINGS |= {"sec": "s", "µm": "um", "kph": "km/h", "newton": "N", "G": "g", "µs": "us"}
 
 

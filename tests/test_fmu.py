@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from isd_gym import cli
 from isd_gym.elements import ActuatorLag, SensorGain
 from isd_gym.errors import InputError
-from isd_gym.fmu import Running, export_fmu, identifier
+from isd_gym.fmu import Running, base_units, export_fmu, identifier
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
 
@@ -67,6 +67,21 @@ def test_bad_inputs_are_one_line():
         running.start({})
     with pytest.raises(InputError, match="not finite"):
         running.start({"road": float("nan")})
+
+
+@pytest.mark.parametrize(
+    ("unit", "base"),
+    [
+        ("N s/m", {"kg": "1", "s": "-1"}),
+        ("mm", {"m": "1", "factor": "0.001"}),
+        ("N m s/rad", {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}),
+        ("V", {"kg": "1", "m": "2", "s": "-3", "A": "-1"}),
+        ("rpm", {"s": "-1", "rad": "1", "factor": repr(np.pi / 30)}),
+        ("furlong", None),
+    ],
+)
+def test_units_in_base_units(unit, base):
+    assert base_units(unit) == base
 
 
 def test_names_become_identifiers():
