@@ -128,9 +128,41 @@ def use_network(net: Network) -> None:
     assert Network.from_dict(json.loads(net.dumps())) == net
 
 
+#: what the models that come with the package have not: what turns, tables, rates as inputs, a drive with a voltage, noise
+TURNS: dict[str, Any] = {
+    "schema": "isd-model/1",
+    "masses": {"m": 2.0},
+    "inertias": {"arm": 0.1},
+    "elements": [
+        {"name": "k", "type": "linear_stiffness", "between": ["m", "base"], "stiffness": 800.0},
+        {"name": "t", "type": "tabulated_force", "between": ["m", "ground"], "elongation": [-0.1, 0.0, 0.1], "force": [-3.0, 0.0, 4.0],
+         "interpolation": "smooth", "beyond": "slope"},
+        {"name": "v", "type": "tabulated_force", "between": ["m", "base"], "elongation": [-0.1, 0.1], "rate": [-1.0, 0.0, 1.0],
+         "force": [[-1.0, 0.0, 1.0], [-2.0, 0.0, 2.0]]},
+        {"name": "g", "type": "gravity_sine", "between": ["arm", "ground"], "torque": 1.5},
+        {"name": "d", "type": "linear_damping", "between": ["arm", "ground"], "damping": 0.01},
+    ],
+    "inputs": [
+        {"name": "shaker", "quantity": "acceleration", "at": "base", "unit": "m/s^2"},
+        {"name": "twist", "quantity": "torque", "at": "arm", "unit": "N m"},
+    ],
+    "outputs": [
+        {"name": "a", "quantity": "acceleration", "at": "m", "unit": "g", "noise": 0.01, "offset": "free"},
+        {"name": "w", "quantity": "angle", "at": "arm", "unit": "deg"},
+    ],
+    "uncertainty": {"k.stiffness": 0.05},
+}  # fmt: skip
+
+
 @cache
 def _models() -> list[str]:
-    return [Network.load(name).dumps() for name in builtin_networks()]
+    try:
+        return [
+            *(Network.load(name).dumps() for name in builtin_networks()),
+            Network.from_dict(TURNS).dumps(),
+        ]
+    except InputError as error:  # else every try would be refused
+        raise AssertionError("what the tries begin with is refused") from error
 
 
 def models(rng: Rng, folder: Path) -> None:
@@ -575,6 +607,62 @@ def roads(rng: Rng, folder: Path) -> None:
     assert found.profile is None or np.isfinite(found.profile).all()
 
 
+def inspections(rng: Rng, folder: Path) -> None:
+    """Loggers' files, with stamps of all sorts, gaps and repeats, looked at as `isd-gym inspect` does."""
+    from isd_gym.inspection import inspect, lines
+
+    n = int(rng.integers(2, 80))
+    way = int(rng.integers(4))
+    t = np.cumsum(rng.choice([0.01, 0.01, 0.01, 0.0, 0.5, -0.02], n, p=[0.5, 0.2, 0.2, 0.04, 0.04, 0.02]))
+    stamps = [
+        [f"{x:.4f}" for x in t],
+        [f"2024-05-01T12:00:{x % 60:06.3f}" for x in t],
+        [f"{1.7e9 + x:.3f}" for x in t],
+        [f"12:00:{x % 60:06.3f}" for x in t],
+    ][way]
+    head = pick(rng, ("time,x [mm],y", "Zeit [s],x,y", "timestamp,acc_z (g),y [N]", "clock,x,x"))
+    rows = [
+        f"{s},{v:.5g},{w:.5g}"
+        for s, v, w in zip(stamps, rng.standard_normal(n), np.cumsum(rng.standard_normal(n)), strict=True)
+    ]
+    text = "\n".join([head, *rows]).encode()
+    (folder / "l.csv").write_bytes(spoil_bytes(rng, text, text=True) if rng.random() < 0.8 else text)
+    with np.errstate(all="ignore"):
+        found = inspect([folder / "l.csv"])
+        json.dumps(found.to_dict(), allow_nan=False)
+        assert all(line.isprintable() for line in lines(found))
+
+
+@cache
+def _car() -> Network:
+    return Network.load("quarter-car-isd")
+
+
+def maps(rng: Rng, folder: Path) -> None:
+    """Files that say which column is which channel."""
+    from isd_gym.loggers import ChannelMap
+
+    tree = {
+        "schema": "isd-map/1",
+        "model": "rig",
+        "loggers": [
+            {"file": "a.csv", "stamps": {"column": "t", "unit": "ms"}, "lag": 0.01},
+            {"file": "b.csv"},
+        ],
+        "channels": {
+            "road": {"logger": 1, "column": "base", "unit": "mm", "sign": -1, "sure": 0.9, "why": "its name"},
+            "current": {"logger": 1, "column": "i", "unit": "A"},
+            "suspension_travel": {"logger": 2, "column": "x"},
+        },
+    }
+    (folder / "map.json").write_bytes(spoil_json(rng, tree))
+    made = ChannelMap.load(folder / "map.json")
+    assert (
+        ChannelMap.from_dict(json.loads(json.dumps(made.to_dict()))).channels.keys() == made.channels.keys()
+    )
+    made.check(_car())
+
+
 KINDS: dict[str, Callable[[Rng, Path], None]] = {
     "models": models,
     "csv": csv_tables,
@@ -589,11 +677,13 @@ KINDS: dict[str, Callable[[Rng, Path], None]] = {
     "grids": grids,
     "records": records,
     "roads": roads,
+    "inspections": inspections,
+    "maps": maps,
 }
 #: of a thousand tries: what is read by own code more often than what a library reads in another process
 SHARES = {
-    "models": 210,
-    "csv": 200,
+    "models": 200,
+    "csv": 180,
     "parquet": 25,
     "mat": 25,
     "mf4": 5,
@@ -605,4 +695,6 @@ SHARES = {
     "grids": 40,
     "records": 20,
     "roads": 20,
+    "inspections": 20,
+    "maps": 10,
 }

@@ -26,6 +26,8 @@ SHARE = {
     "grids": 150,
     "records": 40,
     "roads": 150,
+    "inspections": 60,
+    "maps": 150,
 }
 
 

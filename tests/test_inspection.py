@@ -166,6 +166,19 @@ def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, ru
     assert text.count("<path d=") == 4 and "src=" not in text.split("<main>")[1]
 
 
+def test_a_picture_of_whatever_a_column_holds():
+    for x in (
+        [1.0, np.inf, 2.0],
+        [1e308, -1e308, 0.0],
+        [np.nan, 3.0],
+        [0.0, 0.0],
+        [-np.inf, np.inf],
+        [5e-324, 0.0],
+    ):
+        assert len(sparkline(np.array(x), 10)) == 10
+    assert sparkline(np.array([1.0, np.inf, 2.0, 1.0]), 2) != sparkline(np.array([1.0, 1.0, 1.0, 1.0]), 2)
+
+
 def test_a_picture_shows_the_extremes():
     x = np.zeros(1000)
     x[500] = 1.0

@@ -223,9 +223,12 @@ _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 def sparkline(x: Sequence[float] | np.ndarray, width: int = 20) -> str:
     """A column as one line of `width` characters: between its least and largest value in every dot's time, four dots high."""
     x = np.asarray(x, float)
-    if not np.isfinite(x).any():
+    good = x[np.isfinite(x)]
+    if not len(good):
         return " " * width
-    lo, hi = np.nanmin(x), np.nanmax(x)
+    size = np.abs(good).max() or 1.0  # so that no difference is beyond what a float holds
+    x = x / size
+    lo, hi = good.min() / size, good.max() / size
     span = hi - lo or 1.0
     edges = np.linspace(0, len(x), 2 * width + 1).astype(int)
     cells = [0] * width
