@@ -175,7 +175,7 @@ class Search:
         runners = trial.stages[len(chosen.hypotheses) - 1]
         best = chosen
         for structure in imitations(self.problem, chosen):
-            r = self.anew(trial, structure, chosen)
+            r = self.anew(trial, structure, chosen, self.settings.outrun)
             if r is None:
                 continue
             try:
@@ -245,8 +245,13 @@ class Search:
         gain = level(p, chosen, chosen, self.floors) - level(p, again, chosen, self.floors)
         return with_fit(chosen, again.fit, chosen.likelihood - gain) if gain > 0 else chosen
 
-    def anew(self, trial: Trial, structure: Structure, like: Candidate) -> Candidate | None:
-        """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down."""
+    def anew(
+        self, trial: Trial, structure: Structure, like: Candidate, outrun: float = math.inf
+    ) -> Candidate | None:
+        """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down.
+
+        `outrun`: or where, seen roughly, it errs so many times as much (in power).
+        """
         p, least = self.problem, reckoned(self.problem, like.fit, self.floors)
         near = level(p, like, like, self.floors) + self.criteria.significant
         known = dict(zip((f.path for f in like.fit.structure.free), like.fit.x, strict=True))
@@ -255,6 +260,8 @@ class Search:
         try:  # from where it is, and, where that ends far off, from what the owner believes
             begun = carried(p, like.fit.network, like.fit.initial, structure)
             f = self.judge.rough.fit(structure, there, begun, like.fit.offset)
+            if outrun < math.inf and f.cost > outrun * self.roughly(like):
+                return None
             f = f if p.rough is p else transferred(p, f, self.floors)
             found.append(settled(p, structure, f.x, self.floors, f, rounds=2, least=least))
         except BROKEN:
@@ -267,6 +274,11 @@ class Search:
             return replace(best, about=carried(p, like.fit.network, trial.of(like).start, structure))
         except (*BROKEN, ValueError):
             return None
+
+    def roughly(self, candidate: Candidate) -> float:
+        """What a candidate costs on no more samples than the motion needs."""
+        fit = candidate.fit
+        return self.judge.rough.cost(fit.structure, fit.x, fit.initial, fit.offset, self.problem.estimation)
 
     def prune(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""

@@ -16,7 +16,8 @@ class SearchSettings:
     that no input ties to the record has lost its phase. astray: error of the refitted model (share of the deviation,
     mean over channels) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale,
     least_brief: and in that of its slowest channel;
-    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. shapes: multiples of a law's shape from which its fit begins again.
+    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. shapes: multiples of a law's shape from which its fit begins again. outrun: power of the error, as a multiple
+    of the chosen one's, from which on another law for the same force is not followed any further.
     """
 
     heats: int = 8
@@ -30,6 +31,7 @@ class SearchSettings:
     lost: float = 0.5
     shortest: int = 80
     shapes: tuple[float, ...] = (0.6, 0.85, 1.2, 1.7)
+    outrun: float = 1.5
     astray: float = 0.5
     brief: float = 16.0
     least_brief: float = 4.0

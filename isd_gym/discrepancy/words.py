@@ -39,15 +39,16 @@ def sentence(
     gap: dict[str, dict[str, float]],
     evidence: Evidence,
     material: float,
+    remainder: str = "",
 ) -> str:
-    """What was found, with the figures of the channel that tells most."""
+    """What was found, with the figures of the channel that tells most; `remainder`: what is left beside it."""
     # the channel that gains most, or, where nothing is named, the one that is off most
     worst = max(gap["refit"], key=lambda c: gap["refit"][c] ** 2 - (gap["after"][c] ** 2 if effects else 0.0))
 
     def percent(row: str) -> str:
         return f"{100 * gap[row][worst]:.1f} %"
 
-    text = _core(verdict, effects, contenders, where, worst, percent, gap, material)
+    text = _core(verdict, effects, contenders, where, worst, percent, gap, material) + remainder
     if small:
         shares = " and ".join(f"{x.share:.1%} of the force" for x in evidence.effects)
         text += f" Too small to be named: {' and '.join(described(e) for e in small)}, {shares}."
@@ -56,6 +57,17 @@ def sentence(
         text += f" How much of {', '.join(unknown)} is noise cannot be told from these data."
     if evidence.limits:
         text += f" The data ask for {', '.join(evidence.limits)} outside of what the model allows."
+    return text
+
+
+def remaining(place: Place, after: float, floor: float, further: str, then: float) -> str:
+    """What is left beside what was named, with where it lives; `further`: what would explain most of it, and how far."""
+    text = (
+        f" It is not all: {after:.0%} of {place.channel} is left (noise {floor:.1%}), {place.when}; "
+        "something else is missing beside it."
+    )
+    if further:
+        text += f" Of what was tried, {further.replace('_', ' ')} comes closest ({then:.0%} left), and does not earn a name."
     return text
 
 

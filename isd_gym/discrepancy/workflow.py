@@ -33,7 +33,7 @@ from .search import Say, Search
 from .settings import SearchSettings
 from .structure import base_structure, owner_pair
 from .trial import Trial
-from .words import sentence
+from .words import remaining, sentence
 
 
 def diagnose(
@@ -257,6 +257,21 @@ class Workflow:
             )
         return out
 
+    def remainder(self, trial: Trial, floor: np.ndarray, rows: Mapping[str, np.ndarray]) -> str:
+        """What is left beside what was named, in words; empty where it is no more than rigs of known make leave."""
+        found, richest = trial.foremost, trial.richest
+        beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
+        j = int(np.argmax(beyond))
+        if beyond[j] < self.criteria.misses**2:
+            return ""
+        channel, further, then = self.problem.channels[j], "", math.nan
+        place = next(x for x in places(self.problem, found.fit, floor) if x.channel == channel)
+        if set(found.hypotheses) < set(richest.hypotheses):
+            more = [h.label for h in richest.hypotheses if h not in found.hypotheses]
+            then = float(trial.of(richest).reported[j])
+            further = " and ".join(more) if then < rows["after"][j] else ""
+        return remaining(place, float(rows["after"][j]), float(rows["noise_floor"][j]), further, then)
+
     def report(
         self,
         trial: Trial,
@@ -294,12 +309,13 @@ class Workflow:
         where = places(p, base.fit, floor) if verdict not in ("no_discrepancy",) else ()
         if not named:
             quantities = intervals(self.search, base)
+        left = self.remainder(trial, floor, rows) if named else ""
         drawn = [law(p, final.fit, e.element, e.parameters) for e in found]
         contenders = [trial.foremost, *abreast]
         material = self.criteria.material
         return Diagnosis(
             verdict=verdict,
-            summary=sentence(verdict, found, small, contenders, where, gap, evidence, material),
+            summary=sentence(verdict, found, small, contenders, where, gap, evidence, material, left),
             effects=tuple(found),
             small_effects=tuple(small),
             contenders=tuple(self.contenders(trial, abreast, ambiguous)),
