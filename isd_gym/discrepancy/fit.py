@@ -143,7 +143,8 @@ class Fitter:
             stack = np.concatenate([t.by_parameter, t.by_state, self.problem.constants(i)], axis=2)
             if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
                 return None
-            by = self.weights(stack).reshape(-1, stack.shape[2])
+            rows, columns = stack.shape[0] * stack.shape[1], stack.shape[2]
+            by = self.weights(stack).reshape(rows, columns) if columns else np.zeros((rows, 0))
             gram = by.T @ by
             p, n0 = t.by_parameter.shape[2], t.by_state.shape[2]
             own = gram[p:, p:].copy()

@@ -9,6 +9,7 @@ import numpy as np
 from .. import elements as el
 from ..errors import InputError
 from .candidate import BROKEN, Candidate, level, reckoned
+from .criteria import Criteria
 from .evidence import EffectEvidence, Evidence
 from .fit import Fitter, gap, residuals
 from .judge import replication
@@ -172,8 +173,8 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
     return evidence, quantities, abreast
 
 
-def confidence(trial: Trial, others: list[Candidate], half: float, rng: np.random.Generator) -> float:
-    """Share of block resamplings of the held-out records in which the choice stays what it is, never quite 1."""
+def confidence(trial: Trial, others: list[Candidate], c: Criteria, rng: np.random.Generator) -> float:
+    """Share of block resamplings of the held-out records in which the choice stays what it is, less what they cannot see."""
     best, refit = trial.of(trial.foremost), trial.of(trial.base)
     blocks: list[Array] = []
     for r in others:
@@ -185,5 +186,7 @@ def confidence(trial: Trial, others: list[Candidate], half: float, rng: np.rando
     for _ in range(rounds):
         pick = rng.integers(0, count, count)
         b, r0 = best.blocks[pick].mean(), refit.blocks[pick].mean()
-        hits += bool(r0 - b >= half * max(r0 - trial.quiet, 0.0) and all(o[pick].mean() > b for o in blocks))
-    return (hits + 0.5) / (rounds + 1.0)
+        hits += bool(
+            r0 - b >= c.half * max(r0 - trial.quiet, 0.0) and all(o[pick].mean() > b for o in blocks)
+        )
+    return (1.0 - c.mistaken) * (hits + 0.5) / (rounds + 1.0)

@@ -291,7 +291,7 @@ class Workflow:
             if not self.search.same(r, trial.foremost)
             and not self.search.outclassed(trial, r, trial.foremost)
         ]
-        sure = confidence(trial, others, self.criteria.half, np.random.default_rng(self.seed))
+        sure = confidence(trial, others, self.criteria, np.random.default_rng(self.seed))
         found = self.effects(trial.foremost, quantities, sure) if named else []
         small = self.effects(trial.foremost, quantities, sure) if decision.small else []
         _, before = self.search.judge.owner()

@@ -1,0 +1,114 @@
+"""The diagnosis' fitter: records side by side, slopes used again, fewer samples to search by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from isd_gym.discrepancy.fit import Fitter
+from isd_gym.discrepancy.noise import plain
+from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.tangent import tangents
+from isd_gym.network import Network
+
+STEP = 2e-3
+
+
+def shaken(stiffness: float = 4000.0, **more: object) -> Network:
+    return Network.load(
+        {
+            "schema": "isd-model/1",
+            "name": "shaken",
+            "masses": {"mass": 2.0},
+            "elements": [
+                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": stiffness},
+                {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 12.0},
+                {"name": "rub", "type": "coulomb_friction", "between": ["mass", "base"], "level": 2.0},
+            ],
+            "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
+            "outputs": [{"name": "mass", "quantity": "displacement", "at": "mass", "unit": "m"}],
+            "uncertainty": {"spring.stiffness": 0.1, "damper.damping": 0.1},
+            **more,
+        }
+    )  # fmt: skip
+
+
+def record(network: Network, samples: int = 2400, seed: int = 3) -> Record:
+    """Made with the steps that the fit takes: what the steps make of dry friction is not what is tested here."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) * STEP
+    base = sum(
+        0.004 / k * np.sin(2 * np.pi * k * t + p)
+        for k, p in zip((2, 5, 9), rng.uniform(0, 6, 3), strict=True)
+    )
+    blank = Record("run", STEP, {"base": base}, base[:, None])
+    seen = Problem(network, [blank], ["fit"]).simulate([network], 0)[:, :, 0]
+    return Record("run", STEP, {"base": base}, seen + 1e-5 * rng.standard_normal((samples, 1)))
+
+
+def test_records_side_by_side_say_what_each_says_alone() -> None:
+    net = shaken()
+    whole = record(net)
+    parts = [whole.part(k * 600, (k + 1) * 600, f"part {k}") for k in range(4)]
+    problem = Problem(net, [*parts, whole], ["fit"] * 5)
+    nets = [net, net.with_parameters({"spring.stiffness": 4200.0})]
+    begun = {i: np.full((2, 2), 1e-3 * i) for i in range(5)}
+    together = problem.simulate_all(nets, range(5), begun, like=net)
+    assert list(together) == list(range(5))
+    for i in range(5):
+        np.testing.assert_array_equal(together[i], problem.simulate(nets, i, begun[i], like=net))
+
+
+def test_a_fit_finds_the_values_that_made_the_record() -> None:
+    problem = Problem(shaken(), [record(shaken(4400.0))], ["fit"])
+    fitter = Fitter(problem, plain(np.array([1e-5])))
+    structure = base_structure(problem.network)
+    fit = fitter.fit(structure)
+    assert fit.network.parameters["spring.stiffness"] == pytest.approx(4400.0, rel=1e-3)
+    assert fit.network.parameters["damper.damping"] == pytest.approx(12.0, rel=0.02)
+    # the slope there is level: a fresh one leads no further
+    again = fitter.fit(structure, fit.x, fit.initial, fit.offset)
+    assert again.cost + again.prior == pytest.approx(fit.cost + fit.prior, rel=3e-4)
+
+
+def test_what_was_simulated_last_is_not_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = Problem(shaken(), [record(shaken())], ["fit"])
+    structure = base_structure(problem.network)
+    first = tangents(problem, structure, structure.start, {0: np.zeros(2)})[0]
+    monkeypatch.setattr(problem, "simulate_all", lambda *a, **k: pytest.fail("simulated again"))
+    second = tangents(problem, structure, structure.start, {0: np.zeros(2)})[0]
+    np.testing.assert_array_equal(first.by_state, second.by_state)
+    still = tangents(problem, structure, structure.start, {0: np.zeros(2)}, moves=False)[0]
+    assert still.by_parameter.shape == (2400, 1, 0)
+
+
+def test_of_many_records_each_finds_its_own_beginning() -> None:
+    net = shaken()
+    whole = record(net, 3000)
+    parts = [whole.part(k * 600, (k + 1) * 600, "run") for k in range(5)]
+    problem = Problem(net, parts, ["fit"] * 5)
+    structure = base_structure(net)
+    fit = Fitter(problem, plain(np.array([1e-5]))).follow(structure, structure.start, range(5))
+    for i, part in enumerate(parts):
+        assert np.sqrt(np.mean((part.measured - fit.outputs[i]) ** 2)) < 0.02 * part.measured.std()
+
+
+def test_fewer_samples_tell_the_same_where_they_lie_far_above_the_motion() -> None:
+    net = shaken().without_element("rub")  # of first order in the step
+    problem = Problem(net, [record(net)], ["fit"])
+    few = problem.rough
+    assert few is not problem
+    assert len(few.records[0]) == len(problem.records[0].measured[:: round(few.records[0].step / STEP)])
+    said = few.simulate([net], 0)[:, 0, 0]
+    seen = few.records[0].measured[:, 0]
+    assert np.sqrt(np.mean((said - seen) ** 2)) < 0.01 * seen.std()
+
+
+def test_nothing_to_fit_is_a_fit_too() -> None:
+    net = shaken(uncertainty={}, masses={}, elements=[{"name": "gas", "type": "linear_stiffness", "between": ["rod", "ground"], "stiffness": 3e3}], inputs=[{"name": "base", "quantity": "displacement", "at": "rod", "unit": "m"}], outputs=[{"name": "mass", "quantity": "force", "at": "rod", "unit": "N"}])  # fmt: skip
+    t = np.arange(800) * STEP
+    base = 0.01 * np.sin(9 * t)
+    problem = Problem(net, [Record("dyno", STEP, {"base": base}, 3e3 * base[:, None])], ["fit"])
+    fit = Fitter(problem, plain(np.ones(1))).fit(base_structure(net))
+    assert fit.cost == pytest.approx(0.0, abs=1e-9)
