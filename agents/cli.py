@@ -34,11 +34,21 @@ def train(
     road: Annotated[str, typer.Option(help="paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
     speed: Annotated[float, typer.Option(help="Speed [m/s].")] = 20.0,
     randomize: Annotated[
-        bool, typer.Option("--randomize", help="Vary mass, friction, thrust constant, road and speed.")
+        bool,
+        typer.Option(
+            "--randomize",
+            help="Vary mass, friction, thrust constant, road, speed and noise as the robust track does.",
+        ),
     ] = False,
     preview: Annotated[
         float, typer.Option(help="Road ahead that the policy sees [s], e.g. 0.1; none unless given.", min=0.0)
     ] = 0.0,
+    sensors: Annotated[
+        str,
+        typer.Option(
+            help="How imperfect they are: noise=1 (or 0:2),delay=1,road_error=0.001,road_lag=0.01,road_range=3."
+        ),
+    ] = "",
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
@@ -67,6 +77,7 @@ def train(
             speed=speed,
             randomize=randomize,
             preview=preview,
+            sensors=sensors,
             say=say,
             progress=progress,
         )

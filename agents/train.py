@@ -30,11 +30,12 @@ from isd_gym.network import Network
 from isd_gym.policies import find, passive
 from isd_gym.road import road as find_road
 from isd_gym.scoring import Entry, drive, score
+from isd_gym.sensors import Sensors
 
 from . import checkpoint
 from .memory import Memory
 from .policy import Policy
-from .settings import RANDOMIZE, SETTINGS, PPOSettings, SACSettings
+from .settings import SETTINGS, PPOSettings, SACSettings, robust, with_preview
 
 SCHEMA = "isd-training/1"
 #: kind, mark and parts of the folder of a run
@@ -64,6 +65,7 @@ def train(
     speed: float = 20.0,
     randomize: bool | Mapping[str, Any] = False,
     preview: float = 0.0,
+    sensors: Sensors | Mapping[str, Any] | str | None = None,
     settings: PPOSettings | SACSettings | None = None,
     say: Callable[[str], None] = print,
     progress: Callable[[str, float], None] = lambda task, share: None,
@@ -72,7 +74,8 @@ def train(
 
     `say` is given lines of progress, `progress` (task, share of it done); Ctrl-C saves where it is before it leaves.
 
-    `preview` [s]: how much of the road ahead the policy sees. `randomize`: True for `settings.RANDOMIZE`, or ranges as the environment takes them. The policy kept is the one of
+    `preview` [s]: how much of the road ahead the policy sees. `randomize`: True for the cars, roads and
+    sensors of the robust track, or ranges as the environment takes them. `sensors`: what it sees by. The policy kept is the one of
     least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
 
     seed: of everything that is drawn. steps: of all cars together. network, road, speed [m/s]: what it is trained on.
@@ -82,18 +85,25 @@ def train(
         raise InputError('training needs Stable-Baselines3 and torch: pip install "isd-gym[agents]"')
     if algorithm not in SETTINGS:
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
-    settings = settings or SETTINGS[algorithm]()
-    if preview:
-        steps_ahead(preview, settings.memory.step)
+    if settings is None:
+        settings = with_preview(SETTINGS[algorithm](), preview)
+    elif preview:
         settings = replace(settings, ahead=preview)
+    steps_ahead(preview, settings.memory.step)
     if steps is not None:
         if steps < 1:
             raise InputError(f"steps must be at least 1, not {steps}")
         settings = replace(settings, steps=steps)
     plant = Network.load(network)
     find_road(road)
-    spread: dict[str, Any] | None = dict(RANDOMIZE) if randomize is True else dict(randomize or {}) or None
-    run = Run(Path(out), algorithm, seed, plant, road, float(speed), spread, settings, say, progress)
+    senses = Sensors.of(sensors)
+    spread: dict[str, Any] | None
+    if randomize is True:
+        spread, seen = robust()
+        senses = seen if senses.perfect else senses
+    else:
+        spread = dict(randomize or {}) or None
+    run = Run(Path(out), algorithm, seed, plant, road, float(speed), spread, senses, settings, say, progress)
     return run.go()
 
 
@@ -109,13 +119,14 @@ class Run:
         road: str,
         speed: float,
         spread: dict[str, Any] | None,
+        sensors: Sensors,
         settings: PPOSettings | SACSettings,
         say: Callable[[str], None],
         progress: Callable[[str, float], None] = lambda task, share: None,
     ) -> None:
         self.out, self.algorithm, self.seed, self.plant = out, algorithm, seed, plant
         self.road, self.speed, self.spread, self.settings, self.say = road, speed, spread, settings, say
-        self.progress = progress
+        self.progress, self.sensors = progress, sensors
         self.memory = self._memory()
         self.asked = {
             "schema": SCHEMA,
@@ -124,6 +135,7 @@ class Run:
             "road": road,
             "speed": speed,
             "randomize": json.loads(json.dumps(spread)),
+            "sensors": sensors.to_dict(),
             "settings": describe(settings),
             "network": plant.to_dict(),
         }
@@ -136,7 +148,8 @@ class Run:
     def name(self) -> str:
         """What the policy is called."""
         ahead = self.settings.ahead
-        return f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
+        name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
+        return f"{name}-robust" if self.spread else name
 
     def _memory(self) -> Memory:
         """What the policy sees: the settings' memory, with the filter of this network if it is asked for and exists."""
@@ -161,7 +174,8 @@ class Run:
             noted = read_json(note, f"'{note}' cannot be read; train into another folder")
             if not (isinstance(noted, dict) and isinstance(noted.get("settings"), dict)):
                 raise InputError(f"'{note}' describes no training run; train into another folder")
-            for key in ("algorithm", "seed", "road", "speed", "randomize", "network"):
+            noted.setdefault("sensors", {})
+            for key in ("algorithm", "seed", "road", "speed", "randomize", "sensors", "network"):
                 if noted.get(key) != self.asked[key]:
                     what = "" if key == "network" else f": {shown(noted.get(key))}, not {self.asked[key]}"
                     raise InputError(
@@ -195,6 +209,7 @@ class Run:
             road=self.road,
             speed=self.speed,
             randomize=self.spread,
+            sensors=self.sensors,
             observation="preview" if preview else "measured",
             preview=preview or 0.25,
         )
@@ -327,6 +342,7 @@ class Run:
             road=self.road,
             speed=self.speed,
             randomize=self.spread,
+            sensors=self.sensors,
             episodes=VALIDATION_EPISODES,
             seed=VALIDATION_SEED,
         )
@@ -334,7 +350,7 @@ class Run:
 
     def _references(self) -> dict[str, float]:
         """Cost of the passive car and of the baselines there are, on the validation roads, once in a process."""
-        same = [self.asked[k] for k in ("network", "road", "speed", "randomize")]
+        same = [self.asked[k] for k in ("network", "road", "speed", "randomize", "sensors")]
         key = json.dumps([same, self.settings.ahead, VALIDATION_EPISODES, BASELINES], sort_keys=True)
         if key in _REFERENCES:
             return dict(_REFERENCES[key])
@@ -379,8 +395,8 @@ class Run:
 
     def command(self, out: Path | str = "DIR") -> str:
         """What to type for this run, or how it differs from what can be typed."""
-        s, usual = self.settings, SETTINGS[self.algorithm]()
-        if describe(replace(s, steps=usual.steps, ahead=usual.ahead)) != describe(usual):
+        s, usual = self.settings, with_preview(SETTINGS[self.algorithm](), self.settings.ahead)
+        if describe(replace(s, steps=usual.steps)) != describe(usual):
             return "agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
         if s.steps != usual.steps:
@@ -393,6 +409,13 @@ class Run:
             words.append(f"--speed {self.speed:g}")
         if self.spread:
             words.append("--randomize")
+        usual_sensors = robust()[1] if self.spread else Sensors()
+        if self.sensors != usual_sensors:
+            values = {
+                k: ":".join(map(str, v)) if isinstance(v, list) else v
+                for k, v in self.sensors.to_dict().items()
+            }
+            words.append("--sensors " + ",".join(f"{k}={v}" for k, v in values.items()))
         if self.settings.ahead:
             words.append(f"--preview {self.settings.ahead:g}")
         return " ".join(words)
@@ -405,6 +428,7 @@ class Run:
                 "road": self.road,
                 "speed": {"value": self.speed, "unit": "m/s"},
                 "randomize": self.asked["randomize"],
+                "sensors": self.asked["sensors"],
                 "preview": {"value": self.settings.ahead, "unit": "s"},
             },
             "training": {
@@ -434,6 +458,7 @@ class Run:
             road=self.road,
             speed=self.speed,
             episodes=SCORE_EPISODES,
+            sensors=None if self.spread else self.sensors,
         )
         row = next(r for r in result.policies if r["policy"] == policy.name)
         row = {"road": result.road, "episodes": result.episodes, "seed": result.seed, **row}

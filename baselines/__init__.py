@@ -75,6 +75,16 @@ def _friction(
     return FrictionMpc(model, cost, control_step, **_settings("friction", base, options), name=name)
 
 
+def noisy(share: float) -> Any:
+    """What an estimate is to take sensors for that have `share` of the robust track's noise (`isd_gym.sensors.NOISE`)."""
+    from isd_gym.sensors import NOISE
+
+    from .model import Sensors
+
+    clean = Sensors()
+    return Sensors(**{k: (getattr(clean, k) ** 2 + (share * v) ** 2) ** 0.5 for k, v in NOISE.items()})
+
+
 def _settings(module: str, base: Any, options: Mapping[str, Any]) -> dict[str, Any]:
     """Keyword `settings` of a controller with single fields replaced; `InputError` for a field that is not there."""
     import dataclasses

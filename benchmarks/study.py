@@ -2,7 +2,7 @@
 
     python benchmarks/study.py train --out runs/study --seeds 5          # resumes; half an hour on one core
     python benchmarks/study.py ship runs/study                           # the best seed of each algorithm, into agents/policies
-    python benchmarks/study.py collect RUN... --out benchmarks/study.json   # runs of `isd-gym train`, any seeds
+    python benchmarks/study.py collect RUN... --out benchmarks/study.json --items runs/study/items   # any seeds; resumes
     python benchmarks/study.py table benchmarks/study.json
     python benchmarks/study.py draw benchmarks/study.json --out docs/figures
 
@@ -15,36 +15,36 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agents.policy import SHIPPED, Policy
-from isd_gym.cost import StageCost
+from isd_gym import engine
 from isd_gym.errors import InputError
 from isd_gym.files import write_text
+from isd_gym.grid import Condition, Grid
 from isd_gym.network import Network
-from isd_gym.policies import conventional, find
-from isd_gym.scoring import Entry, drive
 
 SCHEMA = "isd-study/2"
 #: of the MPCs the best (`isd-gym score` has all of them)
 BASELINES = ("passive", "isd-passive", "lqg", "mpc-friction")
-#: name -> road, speed [m/s], factors on the plant's parameters; every controller keeps believing in the nominal car
-CONDITIONS: dict[str, tuple[str, float, dict[str, float]]] = {
-    "training road": ("paper", 20.0, {}),
-    "ISO A": ("A", 20.0, {}),
-    "ISO C": ("C", 20.0, {}),
-    "slow": ("paper", 12.0, {}),
-    "fast": ("paper", 30.0, {}),
-    "body 20 % heavier": ("paper", 20.0, {"body.mass": 1.2}),
-    "body 20 % lighter": ("paper", 20.0, {"body.mass": 0.8}),
-    "friction 50 % higher": ("paper", 20.0, {"seal.level": 1.5}),
-    "friction 50 % lower": ("paper", 20.0, {"seal.level": 0.5}),
-}
-#: on the training road more roads, to tell policies apart that differ by a tenth of a per cent
-TIMES = {"training road": 8}
+#: every controller keeps believing in the nominal car; on the training road eight times as many roads, to tell policies
+#: apart that differ by a tenth of a per cent
+CONDITIONS = (
+    Condition("training road"),
+    Condition("ISO A", road="A"),
+    Condition("ISO C", road="C"),
+    Condition("slow", speed=12.0),
+    Condition("fast", speed=30.0),
+    Condition("body 20 % heavier", factors={"body.mass": 1.2}),
+    Condition("body 20 % lighter", factors={"body.mass": 0.8}),
+    Condition("friction 50 % higher", factors={"seal.level": 1.5}),
+    Condition("friction 50 % lower", factors={"seal.level": 0.5}),
+)
+MORE = 8
 RESAMPLES = 4000
 
 
@@ -52,56 +52,55 @@ def collect(
     runs: list[Path],
     episodes: int,
     seed: int,
-    baselines: tuple[str, ...] = BASELINES,
-    known: dict[str, Any] | None = None,
+    items: Path,
+    *,
+    jobs: int = 1,
+    preview: float | None = None,
+    conditions: tuple[Condition, ...] = CONDITIONS,
 ) -> dict[str, Any]:
     """Cost and RMS tyre load [N] (episodes,) of every policy in every condition, and the learning curves of the runs.
 
-    `known`: an earlier collection on the same roads, from which the baselines need not be driven again.
+    Items lie in the folder `items`: what is in it is not driven again. preview [s]: baselines that see so much of the road.
     """
-    nominal, cost = Network.load("quarter-car-isd"), StageCost()
-    same = ("schema", "episodes", "seed")
-    old = known if known and [known[k] for k in same] == [SCHEMA, episodes, seed] else {"costs": {}}
-    entries: dict[str, Entry] = {}
-    for name in baselines:
-        try:
-            entries[name] = find(name, nominal)
-        except InputError:
-            print(f"no baseline '{name}', left out")
-    curves: dict[str, Any] = {}
+    baselines = (*BASELINES[:2], *(f"{n}-preview" for n in BASELINES[2:])) if preview else BASELINES
+    curves, names = {}, dict.fromkeys(baselines)
+    keys = {name: name for name in baselines}
     for folder in runs:
-        policy = Policy.load(folder / "policy" if (folder / "policy").is_dir() else folder)
-        key = f"{policy.info['algorithm']}/{policy.info['training']['seed']}"
-        if key in entries:
+        folder = folder / "policy" if (folder / "policy").is_dir() else folder
+        info = Policy.load(folder).info
+        key = f"{info['algorithm']}/{info['training']['seed']}"
+        if key in keys.values():
             raise InputError(f"two runs of {key}")
-        entries[key] = Entry(key, policy.copy)
-        curves[key] = policy.info["training"]
+        names[str(folder)] = None
+        keys[str(folder)] = key
+        curves[key] = info["training"]
+    times = [
+        replace(c, preview=preview, episodes=episodes * (1 if i else MORE)) for i, c in enumerate(conditions)
+    ]
+    grid = Grid(tuple(names), tuple(times), episodes=episodes, seed=seed, batch=32)
+    outcome = engine.run(grid.tasks(), items, jobs=jobs, say=print)
     costs: dict[str, dict[str, list[float]]] = {}
     tyre: dict[str, dict[str, list[float]]] = {}
-    for condition, (road, speed, factors) in CONDITIONS.items():
-        plant = nominal.with_parameters({k: nominal.parameters[k] * f for k, f in factors.items()})
-        costs[condition], tyre[condition] = {}, {}
-        count = episodes * TIMES.get(condition, 1)
-        for key, entry in entries.items():
-            if key in baselines and len(old["costs"].get(condition, {}).get(key, ())) == count:
-                costs[condition][key] = old["costs"][condition][key]
-                tyre[condition][key] = old["tyre_load"][condition][key]
+    for c in grid.conditions:
+        costs[c.name], tyre[c.name] = {}, {}
+        for name, key in keys.items():
+            found = [outcome.results.get(t.key) for t in grid.items(c, name)]
+            if None in found:
+                print(f"{c.name}: {key} is missing")
                 continue
-            own = Entry(key, entry.make, conventional(plant) if key == "passive" else None)
-            run = drive(own, plant, road=road, speed=speed, episodes=count, seed=seed)
-            costs[condition][key] = [round(float(j), 6) for j in run.cost(cost)]
-            load = np.sqrt(np.mean(run.tyre_load**2, axis=0))
-            tyre[condition][key] = [round(float(x), 2) for x in load]
-            print(f"{condition:<22} {key:<14} J {np.mean(costs[condition][key]):.4f}", flush=True)
+            costs[c.name][key] = [round(j, 6) for part in found for j in part["measures"]["cost"]]
+            load = [q for part in found for q in part["measures"]["tyre_load_rms"]]  # mean squares
+            tyre[c.name][key] = [round(q**0.5, 2) for q in load]
     return {
         "schema": SCHEMA,
-        "network": nominal.name,
+        "network": "quarter-car-isd",
         "episodes": episodes,
         "seed": seed,
-        "conditions": {k: {"road": r, "speed": s, "factors": f} for k, (r, s, f) in CONDITIONS.items()},
+        "preview": preview or 0.0,
+        "conditions": {c.name: c.to_dict() for c in conditions},
         "costs": costs,
         "tyre_load": tyre,
-        "clairvoyant": least(nominal, seed, episodes * max(TIMES.values())),
+        "clairvoyant": least(Network.load("quarter-car-isd"), seed, episodes * MORE),
         "training": curves,
     }
 
@@ -285,6 +284,12 @@ def main() -> None:
     one = commands.add_parser("collect")
     one.add_argument("runs", nargs="*", type=Path)
     one.add_argument("--out", type=Path, required=True)
+    one.add_argument(
+        "--items", type=Path, required=True, help="folder of what was driven; it is not driven again"
+    )
+    one.add_argument("--jobs", type=int, default=1)
+    one.add_argument("--preview", type=float)
+    one.add_argument("--training-road", action="store_true", help="that condition alone")
     one.add_argument("--episodes", type=int, default=16)
     one.add_argument("--seed", type=int, default=0)
     runs = commands.add_parser("train")
@@ -299,8 +304,16 @@ def main() -> None:
             other.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     if given.command == "collect":
-        known = json.loads(given.out.read_text()) if given.out.is_file() else None
-        found = collect(given.runs, given.episodes, given.seed, known=known)
+        where = CONDITIONS[:1] if given.training_road else CONDITIONS
+        found = collect(
+            given.runs,
+            given.episodes,
+            given.seed,
+            given.items,
+            jobs=given.jobs,
+            preview=given.preview,
+            conditions=where,
+        )
         write_text(given.out, json.dumps(found) + "\n")
         return
     if given.command == "train":

@@ -66,17 +66,19 @@ def solvers(found: dict[str, Any]) -> str:
 
 
 def robustness(found: dict[str, Any]) -> str:
-    names = list(found["conditions"][0]["policies"])
-    rows = [
-        [row["condition"], *(_signed(row["policies"][n]["cost"]) for n in names)]
-        for row in found["conditions"]
-    ]
-    commands = sum(c["commands"] for c in found["commands"].values())
-    wrong = sum(v for c in found["commands"].values() for k, v in c.items() if k != "commands")
-    fallbacks = sum(p["fallbacks"] for row in found["conditions"] for p in row["policies"].values())
+    names = [row["policy"] for row in found["conditions"][0]["policies"]]
+    rows, wrong, commands, fallbacks = [], 0, 0, 0
+    for condition in found["conditions"]:
+        by = {row["policy"]: row for row in condition["policies"]}
+        rows.append([condition["name"], *(_signed(by[n]["cost"]["change"]) for n in names)])
+        for row in by.values():
+            counts = dict(row["commands"])
+            commands += counts.pop("given")
+            wrong += sum(counts.values())
+            fallbacks += row["fallbacks"]
     return (
-        f"Change of J against the conventional passive car [%]; {found['episodes']} roads of {found['duration']:g} s, seeds {found['seed']} to "
-        f"{found['seed'] + found['episodes'] - 1} (bump and pothole: one).\n\n"
+        f"Change of J against the conventional passive car [%]; {found['episodes']} roads of {found['duration']['value']:g} s, seeds "
+        f"{found['seed']} to {found['seed'] + found['episodes'] - 1} (bump and pothole: one).\n\n"
         + _table(["", *(f"`{n}`" for n in names)], rows)
         + f"\n\nOf {commands / 1e6:.1f} million commands, {wrong} were not finite, above 5 A or more than 0.5 A from the present current; "
         f"{fallbacks} fallbacks."

@@ -186,6 +186,12 @@ def score(
         float | None,
         typer.Option(help="Road ahead [s] for those that look at it (mpc-friction-preview, ...).", min=0.0),
     ] = None,
+    sensors: Annotated[
+        str,
+        typer.Option(
+            help="How imperfect they are: noise=1,delay=1 (control steps),road_error=0.001 (m),road_lag=0.01 (s),road_range=3 (m)."
+        ),
+    ] = "",
     network: Annotated[
         str,
         typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
@@ -210,8 +216,10 @@ def score(
     from .policies import find, passive
     from .road import road as find_road
     from .scoring import score as run
+    from .sensors import Sensors
 
     check_file(json_file)
+    senses = Sensors.of(sensors)
     if report is not None:
         from .report import check_report
 
@@ -234,6 +242,7 @@ def score(
             episodes=episodes,
             seed=seed,
             duration=duration,
+            sensors=senses,
             clairvoyant=known,
             ceiling=ceilings,
             progress=update,

@@ -144,20 +144,18 @@ def travel(
     *,
     seed: int = 0,
     dtype: DTypeLike = float,
-    corrupt: Callable[[np.ndarray, int], np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Leg]:
     """Drive all cars of `env` from their start for a number of steps; episode i has the road of seed ``seed + i``.
 
-    dtype: of the commands, which are limited to the action space. corrupt(observations, step): alters what the policy
-    sees. progress(share): told now and then. Raises `InputError` where a car breaks.
+    dtype: of the commands, which are limited to the action space. progress(share): told now and then. Raises `InputError` where a car breaks.
 
     crew: who drives. env: with as many cars. steps: how many.
     """
     crew.reset()
     obs, _ = env.reset(seed=seed)
     for k in range(steps):
-        seen = obs if corrupt is None else corrupt(obs, k)
+        seen = obs
         actions = np.asarray(crew.act(seen), dtype).reshape(crew.cars, 1).clip(-CURRENT_LIMIT, CURRENT_LIMIT)
         obs, rewards, terminated, _, _ = env.step(actions)
         if terminated.any():

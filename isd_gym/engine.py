@@ -12,6 +12,7 @@ import importlib
 import json
 import logging
 import multiprocessing
+import os
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -112,6 +113,7 @@ def run(
     if progress is not None:
         progress(len(out.results), total)
     source = _local(todo, jobs) if engine == "local" else _ray(todo, address)
+    told: set[str] = set()
     for task, answer in source:
         if answer.error is None:
             out.results[task.key] = answer.result
@@ -125,7 +127,9 @@ def run(
             write_text(folder / f"{task.key}.json", json.dumps({**head, "result": answer.result}) + "\n")
         else:
             out.failed[task.key] = answer.error
-            say(f"{_words(task)}: {answer.error}")
+            if answer.error not in told:  # once, however many items it costs
+                told.add(answer.error)
+                say(f"{_words(task)}: {answer.error}")
         if progress is not None:
             progress(len(out.results), total)
     return out
@@ -145,10 +149,15 @@ class Answer:
     host: str = ""
 
 
-def answer(function: str, arguments: Mapping[str, Any]) -> Answer:
-    """Do a task, in whatever process this is; no error gets out."""
+def answer(function: str, arguments: Mapping[str, Any], folder: str | None = None) -> Answer:
+    """Do a task, in whatever process this is; no error gets out.
+
+    folder: where the names of files in `arguments` begin, if there is such a folder on this machine.
+    """
     begin = time.perf_counter()
     try:
+        if folder is not None and os.path.isdir(folder):
+            os.chdir(folder)
         result = Task(function, arguments).call()
         json.dumps(result, allow_nan=False)
     except Exception as error:  # one task's error is its own
@@ -240,22 +249,44 @@ def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answ
         raise InputError('the Ray engine needs Ray: pip install "isd-gym[scale]"') from None
     own = not ray.is_initialized()
     if own:
+        _reach(address)
         try:
             ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
         except Exception as error:  # a cluster can be missing in many ways
             text = str(error).splitlines()[0]
             raise InputError(f"no Ray cluster at '{address or 'auto'}': {text}") from None
+    pending: dict[Any, Task] = {}
     try:
         # a node that is lost takes its tasks along, and others get them
-        remote = ray.remote(num_cpus=1, max_retries=TRIES)(answer)
-        pending = {remote.remote(t.function, dict(t.arguments)): t for t in todo}
-        while pending:
+        remote = ray.remote(num_cpus=1, max_retries=TRIES - 1)(answer)
+        here, waiting = os.getcwd(), list(reversed(todo))
+        resources: Callable[[], dict[str, float]] = ray.cluster_resources
+        while waiting or pending:
+            # a few for every core: a driver that dies leaves no queue behind, and a long grid needs no memory there
+            while waiting and len(pending) < max(8, 4 * int(resources().get("CPU", 1))):
+                task = waiting.pop()
+                pending[remote.remote(task.function, dict(task.arguments), here)] = task
             ready, _ = ray.wait(list(pending), num_returns=1)
             task = pending.pop(ready[0])
             try:
                 yield task, ray.get(ready[0])
             except ray.exceptions.RayError as error:
-                yield task, Answer(error=f"its worker died ({type(error).__name__})")
+                yield task, Answer(error=f"its worker died {TRIES} times ({type(error).__name__})")
     finally:
+        for left in pending:  # Ctrl-C: what is under way is not waited for
+            with suppress(Exception):
+                ray.cancel(left, force=True)
         if own:
             ray.shutdown()
+
+
+def _reach(address: str | None) -> None:
+    """Raise `InputError` where nobody answers at host:port; Ray itself would ask for minutes."""
+    host, colon, port = (address or "").rpartition(":")
+    if not (colon and port.isdigit()) or "://" in host:
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
+    except (OSError, OverflowError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"no Ray cluster at '{address}': {why}") from None

@@ -24,6 +24,7 @@ from .cost import StageCost
 from .errors import InputError, plain
 from .network import Network
 from .road import Road
+from .sensors import Sensors, Sight
 
 if TYPE_CHECKING:
     from .rendering import Renderer, Snapshot
@@ -66,6 +67,7 @@ class Task:
         control_step: float,
         preview: float,
         duration: float,
+        sensors: Sensors | Mapping[str, Any] | str | None = None,
         picture: bool = False,
         threads: int = 1,
     ) -> None:
@@ -117,25 +119,35 @@ class Task:
         names = [name for name, _, _ in MEASURED]
         self._sensors = [e for e in net.elements if e.place == "channel" and e.where[0] in names]
         self._histories: dict[str, np.ndarray] = {}
+        self.sensors = Sensors.of(sensors)
+        self._sight = (
+            None
+            if self.sensors.perfect
+            else Sight(self.sensors, count, N_MEASURED, self.points, control_step)
+        )
+        #: whether a policy sees anything else than what is
+        self.faulty = bool(self._sensors) or self._sight is not None
 
     def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Observations (cars, width) of the cars `which`, at rest at the start of their roads."""
         obs = np.zeros((self.batch.count, self.width), np.float32)[which]
         if self.observation == "preview":
             obs[:, N_MEASURED:] = self.batch.road_ahead(self.points)[which]
-        return self._sense(obs, which) if self._sensors else obs
+        return self._sense(obs, which, first=True) if self.faulty else obs
 
     def observe(self) -> np.ndarray:
         """Observations (count, width) float32 after a step; those of cars that broke are cut off at their bounds."""
         obs = self.batch.seen.copy()
-        if self._sensors:
+        if self.faulty:
             obs = self._sense(obs)
         if self.batch.broken:
             obs = np.clip(np.nan_to_num(obs), -self.high, self.high)
         return obs
 
-    def _sense(self, obs: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Sensor faults of the model: what a faulty channel reports (the physics and the reward do not see it)."""
+    def _sense(
+        self, obs: np.ndarray, which: np.ndarray | slice = slice(None), *, first: bool = False
+    ) -> np.ndarray:
+        """Faults of channels of the model, then `sensors`: what is reported (the physics and the reward do not see it)."""
         names = [name for name, _, _ in MEASURED]
         step = self.batch.control_step
         for e in self._sensors:
@@ -148,9 +160,14 @@ class Task:
                 obs[:, j] = (1 - part) * past[low, which] + part * past[low + 1, which]
             else:
                 obs[:, j] = e.apply(obs[:, j], step)
+        if self._sight is not None:
+            obs = self._sight.see(obs, self.batch.speeds[which], which, first=first)
         return np.clip(obs, -self.high, self.high)
 
-    def forget(self, i: int) -> None:
+    def forget(self, i: int, rng: np.random.Generator) -> None:
+        """Car i starts on a new road; `rng` has drawn it."""
+        if self._sight is not None:
+            self._sight.begin(i, rng)
         for past in self._histories.values():
             past[:, i] = 0.0
 
@@ -207,7 +224,8 @@ class ISDSuspensionEnv(gym.Env):
     ## Versions
     v0: first release. `ISDSuspensionEq8-v0` is the same with the paper's equation (8) as printed.
 
-    `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`.
+    `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`. `sensors`: how imperfect
+    they are, see `isd_gym.sensors.Sensors`, e.g. {"noise": 1.0, "road_error": 0.001}.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
@@ -223,6 +241,7 @@ class ISDSuspensionEnv(gym.Env):
         control_step: float = CONTROL_STEP,
         preview: float = 0.25,
         duration: float = 20.0,
+        sensors: Sensors | Mapping[str, Any] | str | None = None,
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
@@ -238,6 +257,7 @@ class ISDSuspensionEnv(gym.Env):
             control_step=control_step,
             preview=preview,
             duration=duration,
+            sensors=sensors,
             picture=render_mode is not None,
         )
         self.action_space = self.task.action_space
@@ -247,7 +267,6 @@ class ISDSuspensionEnv(gym.Env):
             **self.metadata,
             "render_fps": round(1 / control_step),
         }  # one picture a step: real time
-        self._faulty = bool(self.task._sensors)
         self._renderer: Renderer | None = None
         self._ready = False
         self._steps = 0
@@ -265,7 +284,7 @@ class ISDSuspensionEnv(gym.Env):
         super().reset(seed=seed)
         batch = self.task.batch
         batch.reset(0, self.np_random)
-        self.task.forget(0)
+        self.task.forget(0, self.np_random)
         self._ready = True
         self._steps = 0
         self._total_cost = 0.0
@@ -298,7 +317,7 @@ class ISDSuspensionEnv(gym.Env):
         batch.step()
         self._steps += 1
         broken = batch.broken > 0
-        obs = self.task.observe()[0] if broken or self._faulty else batch.seen[0].copy()
+        obs = self.task.observe()[0] if broken or self.task.faulty else batch.seen[0].copy()
         reward, by_acceleration, by_travel, by_load, by_current = batch.judged[:, 0].tolist()
         info = {
             "speed": self._speed,
@@ -385,6 +404,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         duration: float = 20.0,
         max_episode_steps: int = 4000,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        sensors: Sensors | Mapping[str, Any] | str | None = None,
         render_mode: str | None = None,
         threads: int | None = None,
     ) -> None:
@@ -415,6 +435,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             control_step=control_step,
             preview=preview,
             duration=duration,
+            sensors=sensors,
             picture=render_mode is not None,
             threads=_threads(num_envs) if threads is None else threads,
         )
@@ -488,7 +509,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         batch = self.task.batch
         for i in which:
             batch.reset(int(i), self._rngs[i])
-            self.task.forget(int(i))
+            self.task.forget(int(i), self._rngs[i])
         batch.out[:, which] = batch.judged[:, which] = 0.0
         self._speeds = batch.speeds.copy()
         self._speeds.setflags(write=False)  # one array is handed out until a car starts again

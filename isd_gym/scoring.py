@@ -15,6 +15,7 @@ from .driving import Controller, Crew, Entry, Idle, travel
 from .errors import InputError
 from .network import Network
 from .policies import find, passive
+from .sensors import Sensors
 
 __all__ = [
     "LIMITS",
@@ -107,15 +108,13 @@ def drive(
     duration: float = 20.0,
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
+    sensors: Sensors | None = None,
     progress: Callable[[float], None] | None = None,
-    corrupt: Callable[[np.ndarray, int], np.ndarray] | None = None,
 ) -> Run:
     """Drive one policy over all episodes; episode i has the road of environment seed ``seed + i``.
 
-    `corrupt(observations, step)` may alter what the controller sees (sensor noise, delay).
-
-    entry: the policy, on its own plant where it has one, else on `network`. network: the plant. road, randomize, speed [m/s],
-    duration [s]: as the environment takes them. episodes: how many. cost: of the reward. progress(share): told
+    entry: the policy, on its own plant where it has one, else on `network`. road, randomize, speed [m/s],
+    duration [s], sensors: as the environment takes them. episodes: how many. cost: of the reward. progress(share): told
     now and then.
     """
     from .env import CONTROL_STEP, ISDSuspensionVectorEnv
@@ -132,12 +131,13 @@ def drive(
         cost=cost,
         randomize=randomize,
         duration=duration,
+        sensors=sensors,
         autoreset_mode="disabled",
     )
     steps = round(duration / CONTROL_STEP)
     signals = np.empty((5, steps, episodes))
     seen = []
-    for leg in travel(crew, env, steps, seed=seed, corrupt=corrupt, progress=progress):
+    for leg in travel(crew, env, steps, seed=seed, progress=progress):
         out, k = env.task.batch.out, leg.step
         signals[0, k], signals[1, k], signals[2, k], signals[3, k] = out[0], out[1], out[5], out[4]
         signals[4, k] = env.task.batch.current
@@ -212,7 +212,7 @@ class Score:
     """The outcome of `score`; `to_dict` is `isd-score/1`. `runs` keeps the signals for reports.
 
     road, network: their names. speed [m/s], duration [s]. episodes: how many, seeds from `seed` on. policies: a
-    row each, as the contract has it. references: what puts them in place.
+    row each, as the contract has it. sensors: what they saw by. references: what puts them in place.
     """
 
     road: str
@@ -222,6 +222,7 @@ class Score:
     duration: float
     seed: int
     policies: list[dict[str, Any]]
+    sensors: Sensors = field(default_factory=Sensors)
     runs: dict[str, Run] = field(repr=False, default_factory=dict)
     references: dict[str, Any] = field(default_factory=dict)
 
@@ -235,6 +236,7 @@ class Score:
             "episodes": self.episodes,
             "duration": {"value": self.duration, "unit": "s"},
             "seed": self.seed,
+            **({} if self.sensors.perfect else {"sensors": self.sensors.to_dict()}),
             "policies": self.policies,
             "references": self.references,
         }
@@ -252,6 +254,7 @@ def score(
     duration: float = 20.0,
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
+    sensors: Sensors | None = None,
     clairvoyant: np.ndarray | None = None,
     ceiling: Callable[[float], dict[str, Any] | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -263,8 +266,7 @@ def score(
     reachable gain. `ceiling(preview)`: the bound for controllers that know so many seconds of road (its `change`), for the
     share of the causal gain.
 
-    policies: names as `isd-gym policies` lists them, folders, or entries. network: the plant. episodes: how many roads, the
-    same for all. cost: of the reward. road, randomize, speed [m/s], duration [s], seed: as those of `drive`. progress(name,
+    network: the plant. road, randomize, sensors, speed [m/s], duration [s], seed: as those of `drive`. progress(name,
     share): told now and then.
     """
     if episodes < 1:
@@ -292,6 +294,7 @@ def score(
             duration=duration,
             cost=cost,
             randomize=randomize,
+            sensors=sensors,
             progress=None if progress is None else (lambda share, n=entry.name: progress(n, share)),  # type: ignore[misc]
         )
     base = measures(runs[reference.name], cost)
@@ -330,5 +333,6 @@ def score(
         duration=duration,
         seed=seed,
         policies=kept,
+        sensors=sensors or Sensors(),
         runs=runs,
     )

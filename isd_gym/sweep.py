@@ -1,346 +1,157 @@
-"""Sweeps: policies x conditions x roads from one readable file, done by `engine`, merged to paired intervals.
-
-A grid (TOML or JSON):
-
-    policies = ["isd-passive", "lqg", "mpc-friction", "runs/ppo/policy"]
-    episodes = 32          # roads of a condition, seeds from `seed`
-    batch = 8              # of them in one item: what is lost when a worker dies
-    duration = 20.0        # s
-
-    [axes]                 # every combination is a condition
-    speed = [10.0, 20.0]   # m/s
-    road = ["paper", "C"]
-
-    [[conditions]]         # and these, under their own names
-    name = "body 20 % heavier"
-    factors = { "body.mass" = 1.2 }
-
-A condition may name `network`, `road`, `speed` [m/s], `factors` (on parameters of the plant), `model` (what controllers
-believe in, the unaltered network unless given), `preview` [s], `noise` (standard deviations of the sensors' white noise, as
-a multiple of `NOISE`) and `delay` (control steps by which signals come late). The conventional passive car of each condition
-is driven as well: changes are paired with it.
-"""
+"""Sweeps: the items of a `Grid` done by `engine`, merged to paired intervals (`isd-sweep/1`)."""
 
 from __future__ import annotations
 
-import itertools
 import json
-import math
-import os
-import tomllib
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from .engine import Outcome, Task, shard, stored
+from .engine import Outcome, shard, stored
 from .engine import run as run_tasks
-from .errors import InputError, shown
-from .inputs import parse_json, read_bytes
+from .errors import InputError
+from .grid import SCHEMA, Condition, Grid, belongings
 from .network import Network
 
-SCHEMA = "isd-sweep/1"
-#: conditions and items of a grid, and the size of any number in it
-CONDITIONS, ITEMS, LARGEST = 10_000, 1_000_000, 1e100
-#: one sigma of white noise on each measured signal; the current is the controller's own and is known
-NOISE = {
-    "body_acceleration": 0.1,  # m/s^2
-    "suspension_travel": 5e-4,  # m
-    "suspension_travel_rate": 0.02,  # m/s
-    "device_travel": 1e-4,  # m
-    "device_travel_rate": 0.01,  # m/s
-}
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What is driven, see the module."""
-
-    name: str = ""
-    network: str = "quarter-car-isd"
-    road: str = "paper"
-    speed: float = 20.0  # m/s
-    factors: Mapping[str, float] = field(default_factory=dict)
-    model: str | None = None
-    preview: float | None = None  # s
-    noise: float = 0.0
-    delay: int = 0  # control steps
-
-    def __post_init__(self) -> None:
-        where = f"condition {shown(self.name)}" if self.name else "a condition"
-        if not (_number(self.speed) and self.speed > 0):
-            raise InputError(f"{where}: speed must be a positive number of m/s, not {self.speed!r}")
-        if not (_number(self.noise) and self.noise >= 0):
-            raise InputError(f"{where}: noise must be 0 or more, not {self.noise!r}")
-        if not (isinstance(self.delay, int) and 0 <= self.delay <= 100):
-            raise InputError(f"{where}: delay must be 0 to 100 whole control steps, not {self.delay!r}")
-        if self.preview is not None and not (_number(self.preview) and self.preview >= 0):
-            raise InputError(f"{where}: preview must be 0 s or more, not {self.preview!r}")
-        try:
-            for key, value in (("network", self.network), ("road", self.road), ("model", self.model or "")):
-                if not isinstance(value, str):
-                    raise InputError(f"{key} must be a name, not {shown(value)}")
-            _check_road(self.road, _changed(self.road))
-            self.plant()
-            _network(self.model or self.network, _changed(self.model or self.network))
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
-
-    def plant(self) -> Network:
-        """The car that is driven."""
-        nominal = _network(self.network, _changed(self.network))
-        if not isinstance(self.factors, Mapping) or not all(
-            _number(f) and f > 0 for f in self.factors.values()
-        ):
-            raise InputError("factors must be parameters of the network and positive numbers")
-        known = nominal.parameters
-        for key in self.factors:
-            if key not in known:
-                raise InputError(f"no parameter '{key}' (there are {', '.join(known)})")
-        return nominal.with_parameters({k: known[k] * f for k, f in self.factors.items()})
-
-
-def _number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < LARGEST  # neither infinite nor nan, nor a whole number that no float holds
-
-
-@lru_cache(maxsize=256)
-def _network(source: str, changed: float) -> Network:
-    return Network.load(source)
-
-
-@lru_cache(maxsize=256)
-def _check_road(source: str, changed: float) -> None:
-    from .road import road
-
-    road(source)
-
-
-def _changed(source: str) -> float:
-    """When the file of that name was last changed, so that it is read once for all conditions; 0 for what is no file."""
-    try:
-        return os.path.getmtime(source)
-    except (OSError, ValueError):
-        return 0.0
-
-
-@dataclass(frozen=True)
-class Grid:
-    """A sweep: all `policies` in all `conditions` on the roads of seeds `seed` to ``seed + episodes - 1``."""
-
-    policies: tuple[str, ...]
-    conditions: tuple[Condition, ...]
-    episodes: int = 32
-    seed: int = 0
-    batch: int = 8
-    duration: float = 20.0  # s
-
-    def __post_init__(self) -> None:
-        for name, least in (("episodes", 1), ("seed", 0), ("batch", 1)):
-            value = getattr(self, name)
-            if not (isinstance(value, int) and not isinstance(value, bool) and least <= value < 2**53):
-                raise InputError(f"{name} must be a whole number from {least} on, not {shown(value)}")
-        if not (_number(self.duration) and self.duration > 0):
-            raise InputError(f"duration must be a positive number of seconds, not {self.duration!r}")
-        if not self.policies or not all(isinstance(p, str) for p in self.policies):
-            raise InputError("policies must be a list of names, at least one")
-        if len(set(self.policies)) != len(self.policies):
-            raise InputError("a policy is named twice")
-        name, count = Counter(c.name for c in self.conditions).most_common(1)[0]
-        if count > 1:
-            raise InputError(f"two conditions are called {shown(name)}")
-        items = len(self.conditions) * (len(self.policies) + 1) * -(-self.episodes // self.batch)
-        if items > ITEMS:
-            raise InputError(f"it has more than {ITEMS} items")
-
-    @classmethod
-    def load(cls, path: str | Path) -> Grid:
-        """Read a grid; `InputError` with the file and the key for whatever is wrong in it."""
-        path = Path(path)
-        data = read_bytes(path)
-        try:
-            if path.suffix == ".json":
-                return cls.from_dict(parse_json(data, "it is"))
-            return cls.from_dict(tomllib.loads(data.decode("utf-8-sig")))
-        except (ValueError, RecursionError) as error:  # InputError among them
-            why = (
-                "not UTF-8" if isinstance(error, UnicodeDecodeError) else (str(error).splitlines() or [""])[0]
-            )
-            raise InputError(f"grid '{path}': {why}") from None
-
-    @classmethod
-    def from_dict(cls, data: Any) -> Grid:
-        """A grid from plain data, see the module."""
-        if not isinstance(data, dict):
-            raise InputError("it must be a table of keys")
-        own = {f.name for f in fields(cls)} | {"axes", "schema"}
-        _known(data, own, "")
-        if data.get("schema", SCHEMA) != SCHEMA:
-            raise InputError(f"its schema is not '{SCHEMA}'")
-        keys = {f.name for f in fields(Condition)}
-        made: list[Condition] = []
-        axes = data.get("axes", {})
-        if not isinstance(axes, dict):
-            raise InputError("axes must be a table of lists")
-        _known(axes, keys - {"name"}, "axes: ")
-        for key, values in axes.items():
-            if not isinstance(values, list) or not values:
-                raise InputError(f"axes: '{key}' must be a list of values, at least one")
-        conditions = data.get("conditions", [])
-        if not isinstance(conditions, list):
-            raise InputError("conditions must be a list of tables")
-        count = math.prod(len(values) for values in axes.values()) + len(conditions)
-        if count > CONDITIONS:
-            raise InputError(f"it has {count:.4g} conditions, at most {CONDITIONS} are handled")
-        if axes or not conditions:
-            for values in itertools.product(*axes.values()):
-                chosen = dict(zip(axes, values, strict=True))
-                name = ", ".join(f"{k} {_short(v)}" for k, v in chosen.items()) or "nominal"
-                made.append(Condition(**chosen, name=name))
-        for i, given in enumerate(conditions):
-            if not isinstance(given, dict) or not isinstance(given.get("name"), str):
-                raise InputError(f"conditions[{i}] must be a table with a name")
-            _known(given, keys, f"condition {shown(given['name'])}: ")
-            made.append(Condition(**given))
-        rest = {k: v for k, v in data.items() if k in own - {"axes", "schema", "conditions", "policies"}}
-        policies = data.get("policies", [])
-        if not isinstance(policies, list):
-            raise InputError("policies must be a list of names, at least one")
-        return cls(tuple(policies), tuple(made), **rest)
-
-    def tasks(self) -> list[Task]:
-        """Every item; the passive car of each condition first."""
-        out = []
-        for condition in self.conditions:
-            for policy in dict.fromkeys(("passive", *self.policies)):
-                for first in range(self.seed, self.seed + self.episodes, self.batch):
-                    count = min(self.batch, self.seed + self.episodes - first)
-                    out.append(self._task(condition, policy, first, count))
-        return out
-
-    def _task(self, condition: Condition, policy: str, seed: int, episodes: int) -> Task:
-        given = {k: v for k, v in asdict(condition).items() if k != "name" and v not in (None, {})}
-        roads = {"seed": seed, "episodes": episodes, "duration": self.duration}
-        return Task("isd_gym.sweep:drive_item", {"policy": policy, **roads, "condition": given})
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, dict):
-        return "; ".join(f"{k} x {v:g}" for k, v in value.items())
-    return f"{value:g}" if _number(value) else str(value)
-
-
-def _known(data: Mapping[str, Any], known: set[str], where: str) -> None:
-    from difflib import get_close_matches
-
-    for key in data:
-        if key not in known:
-            near = get_close_matches(str(key), sorted(known), 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(sorted(known))}"
-            raise InputError(f"{where}no key '{key}'; {hint}")
-
-
-class Sensors:
-    """What the controller sees of clean observations (cars, n): late by `delay` control steps, and with white noise."""
-
-    def __init__(self, noise: float, delay: int, seed: int) -> None:
-        self.sigma = noise * np.array([*NOISE.values()])
-        self.delay = delay
-        self.rng = np.random.default_rng(seed)
-        self.past: list[np.ndarray] = []
-
-    def __call__(self, observations: np.ndarray, step: int) -> np.ndarray:
-        out = observations.copy()
-        signals = len(self.sigma)
-        self.past = [*self.past[-self.delay :], observations[:, :signals].copy()] if self.delay else []
-        if self.delay:
-            out[:, :signals] = self.past[0]
-        if self.sigma.any():
-            out[:, :signals] += self.sigma * self.rng.standard_normal((len(out), signals))
-        return out
+RESAMPLES = 4000
+COMMANDS = ("given", "not_finite", "above_limit", "above_slew")
 
 
 def drive_item(
-    policy: str, seed: int, episodes: int, duration: float, condition: dict[str, Any]
+    policy: str,
+    seed: int,
+    episodes: int,
+    duration: float,
+    condition: dict[str, Any],
+    files: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """One item of a sweep: what `isd_gym.scoring.measures` says of each episode, and the fallbacks. No signals: it is small."""
+    """One item of a sweep: what `isd_gym.scoring.measures` says of each episode, the fallbacks, and a count of the commands.
+
+    No signals: it is small. `files`: digests of what the grid's machine read; `InputError` where this one has others.
+    """
     from .cost import StageCost
     from .policies import find
     from .scoring import drive, measures
 
+    for name, digest in (files or {}).items():
+        if belongings([name]).get(name) != digest:
+            raise InputError(f"'{name}' is not here, or another than when the grid was read")
     c = Condition(**condition)
     plant = c.plant()
     ahead: dict[str, Any] = {} if c.preview is None else {"preview": c.preview}
     entry = find(policy, plant, model=Network.load(c.model or c.network), **ahead)
-    sensors = Sensors(c.noise, c.delay, seed) if c.noise or c.delay else None
+    counts: Counter[str] = Counter()
     run = drive(
-        entry,
+        _watched(entry, counts),
         plant,
         road=c.road,
         speed=c.speed,
         episodes=episodes,
         seed=seed,
         duration=duration,
-        corrupt=sensors,
+        sensors=c.sensors,
     )
     found = measures(run, StageCost())
     return {
         "measures": {name: [float(v) for v in values] for name, (values, _) in found.items()},
         "units": {name: unit for name, (_, unit) in found.items()},
         "fallbacks": run.fallbacks,
+        "commands": {name: counts[name] for name in COMMANDS},
     }
+
+
+def _watched(entry: Any, counts: Counter[str]) -> Any:
+    """The same policy, its commands counted: how many, and how many were not finite or not what Table 5 allows."""
+    from .batch import CURRENT_LIMIT, SLEW_LIMIT
+    from .driving import Entry
+
+    def make() -> Any:
+        controller: Any = entry.make()
+        name = "act_batch" if hasattr(controller, "act_batch") else "act"
+        act = getattr(controller, name)
+
+        def watched(observation: np.ndarray) -> Any:
+            command = act(observation)
+            present = np.atleast_2d(observation)[:, 5]
+            wanted = np.broadcast_to(command, present.shape)
+            counts["given"] += len(wanted)
+            counts["not_finite"] += int(np.sum(~np.isfinite(wanted)))
+            counts["above_limit"] += int(np.sum(np.abs(wanted) > CURRENT_LIMIT + 1e-6))
+            counts["above_slew"] += int(np.sum(np.abs(wanted - present) > SLEW_LIMIT + 1e-6))
+            return command
+
+        setattr(controller, name, watched)
+        return controller
+
+    return Entry(entry.name, make, entry.network)
 
 
 def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
     """What is there of a sweep (results by the tasks' keys) as `isd-sweep/1`: every quantity with its paired change.
 
-    A policy some of whose items are missing is left out of its condition and counted in `missing`.
+    A policy some of whose items are missing is left out of its condition and counted in `missing`. `overall`: see there.
     """
     from .scoring import compare
 
     conditions, missing = [], 0
     for condition in grid.conditions:
         rows: list[dict[str, Any]] = []
-        whole: dict[str, dict[str, np.ndarray]] = {}
-        for policy in dict.fromkeys(("passive", *grid.policies)):
-            tasks = [
-                t
-                for t in Grid(
-                    (policy,), (condition,), grid.episodes, grid.seed, grid.batch, grid.duration
-                ).tasks()
-                if t.arguments["policy"] == policy
-            ]
-            parts = [results[t.key] for t in tasks if t.key in results]
-            missing += len(tasks) - len(parts)
-            if len(parts) < len(tasks) or (policy != "passive" and "passive" not in whole):
+        ground: dict[str, np.ndarray] = {}
+        for policy in grid.driven:
+            keys = [t.key for t in grid.items(condition, policy)]
+            parts = [results[k] for k in keys if k in results]
+            missing += len(keys) - len(parts)
+            if len(parts) < len(keys) or (policy != "passive" and not ground):
                 continue
-            own = {
-                name: np.concatenate([p["measures"][name] for p in parts]) for name in parts[0]["measures"]
-            }
-            whole[policy] = own
+            own = {n: np.concatenate([p["measures"][n] for p in parts]) for n in parts[0]["measures"]}
+            ground = ground or own
             row: dict[str, Any] = {"policy": policy}
             for name, values in own.items():
-                row[name] = compare(name, values, whole["passive"][name], parts[0]["units"][name])
+                row[name] = compare(name, values, ground[name], parts[0]["units"][name])
             row["fallbacks"] = sum(p["fallbacks"] for p in parts)
+            row["commands"] = {n: sum(p["commands"][n] for p in parts) for n in COMMANDS}
             if policy in grid.policies:
                 rows.append(row)
-        given = {k: v for k, v in asdict(condition).items() if v not in (None, {})}
-        conditions.append({**given, "policies": rows})
+        conditions.append({"name": condition.name, **condition.to_dict(), "policies": rows})
     return {
         "schema": SCHEMA,
         "episodes": grid.episodes,
         "seed": grid.seed,
         "duration": {"value": grid.duration, "unit": "s"},
         "conditions": conditions,
+        "overall": overall(conditions, grid.policies),
         "missing": missing,
     }
+
+
+def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) -> list[dict[str, Any]]:
+    """Policies over all conditions, best first; each condition counts the same, whatever its road.
+
+    Of those that are there in every one: the mean of the `change` of J, the `worst` condition, and `against` each other policy
+    the mean difference of the changes; 95 % intervals over conditions drawn with replacement, the same ones for all.
+    """
+    by = [{row["policy"]: row["cost"].get("change") for row in c["policies"]} for c in conditions]
+    whole = [p for p in policies if p != "passive" and all(c.get(p) is not None for c in by)]
+    if len(conditions) < 2 or not whole:
+        return []
+    changes = {p: np.array([c[p] for c in by]) for p in whole}
+    draws = np.random.default_rng(0).integers(len(by), size=(RESAMPLES, len(by)))
+
+    def mean(values: np.ndarray) -> dict[str, float]:
+        low, high = np.quantile(values[draws].mean(axis=1), [0.025, 0.975])
+        return {"value": float(values.mean()), "low": float(low), "high": float(high)}
+
+    rows = []
+    for p in sorted(whole, key=lambda p: float(changes[p].mean())):
+        k = int(np.argmax(changes[p]))
+        worst = {"condition": conditions[k]["name"], "change": float(changes[p][k])}
+        against = {q: mean(changes[p] - changes[q]) for q in whole if q != p}
+        rows.append({"policy": p, "change": mean(changes[p]), "worst": worst, "against": against})
+    return rows
 
 
 def sweep(
@@ -356,7 +167,8 @@ def sweep(
 ) -> tuple[dict[str, Any], Outcome]:
     """Do what is left of a grid (or of shard `which` of it, "i/n") in folder `out`; the merged sweep, and what came of the items.
 
-    Items are files in ``out/items``; the merged sweep is ``out/sweep.json``, as far as there are items.
+    Items are files in ``out/items``; the merged sweep is ``out/sweep.json``, and for reading ``out/sweep.md``, as far as there
+    are items.
     """
     from .files import write_text
 
@@ -367,11 +179,64 @@ def sweep(
     )
     merged = merge(grid, stored(tasks, folder))
     write_text(Path(out) / "sweep.json", json.dumps(merged, indent=1, allow_nan=False) + "\n")
+    write_text(Path(out) / "sweep.md", table(merged))
     return merged, outcome
 
 
+def _cell(q: Mapping[str, Any] | None, key: str = "change", digits: int = 1) -> str:
+    if q is None or key not in q:
+        return ""
+    text = f"{100 * q[key]:+.{digits}f}"
+    same = q["low"] == q["high"]  # one episode has no interval
+    return text if same else f"{text} [{100 * q['low']:+.{digits}f}, {100 * q['high']:+.{digits}f}]"
+
+
+def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """The table of a merged sweep: its policies, and a row of texts for each condition and for all, change of J [%]."""
+    names = list(dict.fromkeys(row["policy"] for c in merged["conditions"] for row in c["policies"]))
+    names = [n for n in names if n != "passive"]
+    out = []
+    for c in merged["conditions"]:
+        by = {row["policy"]: row["cost"] for row in c["policies"]}
+        out.append([c["name"], *(_cell(by.get(name)) for name in names)])
+    by = {row["policy"]: row for row in merged["overall"]}
+    if by:
+        out.append(
+            [
+                f"all {len(merged['conditions'])}",
+                *(_cell(by[n]["change"], "value") if n in by else "" for n in names),
+            ]
+        )
+        out.append(
+            ["the worst", *(f"{100 * by[n]['worst']['change']:+.1f}" if n in by else "" for n in names)]
+        )
+    return names, out
+
+
+def table(merged: Mapping[str, Any]) -> str:
+    """The merged sweep as Markdown."""
+    names, lines = rows(merged)
+    seeds = f"seeds {merged['seed']} to {merged['seed'] + merged['episodes'] - 1}"
+    text = [
+        f"Change of J against the conventional passive car [%], 95 % paired intervals; {merged['episodes']} roads of "
+        f"{merged['duration']['value']:g} s, {seeds}.",
+        "",
+        "| " + " | ".join(["condition", *(f"`{n}`" for n in names)]) + " |",
+        "|---" + "|---:" * len(names) + "|",
+        *("| " + " | ".join(line).replace("-", "−") + " |" for line in lines),
+    ]
+    if merged["missing"]:
+        text += ["", f"{merged['missing']} items are missing."]
+    return "\n".join(text) + "\n"
+
+
 def command(
-    grid: Annotated[Path, typer.Argument(help="The grid: policies, conditions, roads (TOML or JSON).")],
+    grid: Annotated[
+        str,
+        typer.Argument(
+            help="The grid: policies, conditions, roads (TOML or JSON), or a built-in one: robust."
+        ),
+    ],
     out: Annotated[
         Path,
         typer.Option("--out", help="Folder of the results; what is in it is not done again.", metavar="DIR"),
@@ -391,8 +256,8 @@ def command(
 ) -> None:
     """Drive policies through a grid of conditions, on many cores or machines; called again it goes on where it stopped.
 
-    Prints the change of J against the passive car of every condition with its 95 % paired interval. The exit status is 1
-    where something is missing.
+    Prints the change of J against the passive car of every condition with its 95 % paired interval, and writes it to
+    DIR/sweep.json and DIR/sweep.md. The exit status is 1 where something is missing.
 
     Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
     """
@@ -424,9 +289,7 @@ def command(
         )
     _print(merged)
     if outcome.failed:
-        typer.echo(
-            f"{len(outcome.failed)} items are missing: {next(iter(outcome.failed.values()))}", err=True
-        )
+        typer.echo(f"{len(outcome.failed)} items are missing; the same line again tries them again", err=True)
         raise typer.Exit(1)
     if merged["missing"] and which is None:
         typer.echo(f"{merged['missing']} items are missing", err=True)
@@ -439,26 +302,29 @@ def _print(merged: Mapping[str, Any]) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    names = list(dict.fromkeys(row["policy"] for c in merged["conditions"] for row in c["policies"]))
-    names = [n for n in names if n != "passive"]
-    table = Table(box=box.SIMPLE_HEAD, title="change of J against passive [%]", title_justify="left")
-    table.add_column("condition")
+    from .errors import plain
+
+    names, lines = rows(merged)
+    console = Console(width=None if sys.stdout.isatty() else 118)
+    # a figure is never cut: its interval goes below it where there is no room beside it
+    room = 34 + sum(max(len(line[k + 1]) for line in lines) + 4 for k in range(len(names))) <= console.width
+    made = Table(box=box.SIMPLE_HEAD, title="change of J against passive [%]", title_justify="left")
+    made.add_column("condition", overflow="fold")
     for name in names:
-        table.add_column(name, justify="right", no_wrap=True)
-    for c in merged["conditions"]:
-        by = {row["policy"]: row["cost"] for row in c["policies"]}
-        cells = []
-        for name in names:
-            q = by.get(name)
-            known = q is not None and "change" in q
-            cells.append(
-                f"{100 * q['change']:+.1f} [{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
-                if q and known
-                else ""
+        made.add_column(Text(plain(name, 40)), justify="right", overflow="fold")
+    for first, *cells in lines:
+        made.add_row(Text(plain(first, 60)), *(Text(c if room else c.replace(" [", "\n[")) for c in cells))
+    console.print(made)
+    for row in merged["overall"][:1]:
+        for rival, q in row["against"].items():
+            console.print(
+                f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {_cell(q, 'value', 2)} points of J",
+                style="dim",
+                highlight=False,
+                markup=False,
             )
-        table.add_row(c["name"], *cells)
-    Console(width=None if sys.stdout.isatty() else 118).print(table)
     if merged["missing"]:
         typer.echo(f"{merged['missing']} items are not there yet")
 
@@ -470,11 +336,20 @@ def warm() -> None:
 
     Example: isd-gym warm
     """
+    import time
+
     from .policies import find
     from .scoring import drive
 
     plant = Network.load("quarter-car-isd")
-    for name in ("passive", "mpc-friction", "mpc"):
+    for name in ("passive", "lqg-preview", "mpc-friction", "mpc"):
+        begin = time.perf_counter()
         for episodes in (1, 2):
-            drive(find(name, plant), plant, episodes=episodes, duration=0.05)
-        typer.echo(f"{name}: ready")
+            drive(
+                find(name, plant),
+                plant,
+                episodes=episodes,
+                duration=0.05,
+                sensors=Condition(noise=1.0, road_error=1e-3).sensors,
+            )
+        typer.echo(f"{name}: ready after {time.perf_counter() - begin:.1f} s")

@@ -698,7 +698,7 @@ def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")
 def test_a_spread_of_cars_and_another_road_can_be_trained_on(sb3, brief, tmp_path):
-    from agents.settings import RANDOMIZE
+    from agents.settings import robust
     from agents.train import train
 
     lines: list[str] = []
@@ -706,7 +706,8 @@ def test_a_spread_of_cars_and_another_road_can_be_trained_on(sb3, brief, tmp_pat
     train("ppo", tmp_path / "run", settings=settings, randomize=True, road="C", say=lines.append)
     policy = Policy.load(tmp_path / "run" / "policy")
     assert policy.info["env"]["road"] == "C"
-    assert set(policy.info["env"]["randomize"]) == set(RANDOMIZE)
+    assert set(policy.info["env"]["randomize"]) == set(robust()[0])
+    assert policy.info["env"]["sensors"] == {"noise": [0.0, 2.0]} and policy.name == "ppo-robust"
     assert all("isd-passive" in line for line in lines[:-1])  # compared with the same cars
     with pytest.raises(InputError, match="another randomize"):
         train("ppo", tmp_path / "run", settings=settings, road="C")

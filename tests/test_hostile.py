@@ -62,8 +62,8 @@ def test_names_are_shown_in_one_line_that_steers_nothing():
 )
 def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
     from isd_gym.elements.base import register_file
+    from isd_gym.grid import Grid
     from isd_gym.policies import find
-    from isd_gym.sweep import Grid
 
     for use in (Network.load, Policy.load, read_table, road, Grid.load, register_file):
         refused(lambda use=use: use(name))
@@ -88,7 +88,7 @@ def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
     ],
 )
 def test_a_grid_of_a_sweep_may_hold_anything(grid, says, tmp_path):
-    from isd_gym.sweep import Grid
+    from isd_gym.grid import Grid
 
     path = tmp_path / "grid.json"
     path.write_text(json.dumps({"policies": ["passive"], "batch": 1} | grid))

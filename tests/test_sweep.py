@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 
 from isd_gym import engine
+from isd_gym.driving import Entry
 from isd_gym.engine import Task
 from isd_gym.errors import InputError
+from isd_gym.grid import Condition, Grid
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
 from isd_gym.scoring import score
-from isd_gym.sweep import Condition, Grid, Sensors, drive_item, sweep
+from isd_gym.sweep import _watched, drive_item, overall, sweep
 
 GRID = """
 policies = ["isd-passive", "skyhook"]
@@ -190,15 +192,64 @@ def test_shards_of_a_sweep_merge_to_the_whole(tmp_path):
     assert second == whole
 
 
-def test_sensors_are_late_and_noisy_and_tell_the_present_current():
-    clean = np.arange(24.0).reshape(4, 1, 6)
-    late = Sensors(0.0, 2, 0)
-    seen = [late(obs, k) for k, obs in enumerate(clean)]
-    np.testing.assert_array_equal([s[0, 0] for s in seen], [0, 0, 0, 6])
-    np.testing.assert_array_equal([s[0, 5] for s in seen], clean[:, 0, 5])
-    noisy = Sensors(2.0, 0, 0)
-    errors = np.array([noisy(np.zeros((500, 6)), k) for k in range(20)])[..., :5].std(axis=(0, 1))
-    np.testing.assert_allclose(errors, [0.2, 1e-3, 0.04, 2e-4, 0.02], rtol=0.05)
+def test_a_drawn_grid_is_the_same_everywhere_and_spread_evenly():
+    grid = Grid.load("robust")
+    assert grid.conditions == Grid.load("robust").conditions and len(grid.conditions) == 64
+    assert grid.conditions[0].factors == {  # Halton: a half, a third, ...
+        "body.mass": pytest.approx(0.8 + 0.5 / 5),
+        "seal.level": pytest.approx(0.5 + 1.0 / 7, abs=1e-4),
+        "motor.thrust_constant": pytest.approx(0.85 + 0.3 / 11, abs=1e-4),
+    }
+    assert grid.conditions[0].speed == 22.5
+    roads = [c.road for c in grid.conditions]
+    assert all(14 <= roads.count(name) <= 18 for name in ("A", "B", "C", "paper"))
+    assert np.mean([c.speed for c in grid.conditions]) == pytest.approx(22.5, abs=0.5)
+
+
+def test_what_a_policy_is_made_of_is_part_of_an_item(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "policy.json").write_text("{}")
+    grid = Grid(("mine",), (Condition("a"),), episodes=1, duration=0.1)
+    before = [t.key for t in grid.items(grid.conditions[0], "mine")]
+    item = grid.items(grid.conditions[0], "mine")[0]
+    (tmp_path / "mine" / "policy.json").write_text("{ }")
+    assert before != [t.key for t in grid.items(grid.conditions[0], "mine")]
+    with pytest.raises(InputError, match="'mine' is not here, or another"):
+        item.call()
+
+
+def test_over_all_conditions_each_counts_the_same():
+    rows = [{"a": -0.2, "b": -0.1}, {"a": -0.4, "b": -0.2}, {"a": 0.0, "b": -0.3}]
+    conditions = [
+        {"name": str(i), "policies": [{"policy": p, "cost": {"change": v}} for p, v in row.items()]}
+        for i, row in enumerate(rows)
+    ]
+    first, second = overall(conditions, ("a", "b"))
+    assert first["change"]["value"] == pytest.approx(-0.2) and first["worst"] == {
+        "condition": {"a": "2", "b": "0"}[first["policy"]],
+        "change": {"a": 0.0, "b": -0.1}[first["policy"]],
+    }
+    assert first["against"][second["policy"]]["value"] == pytest.approx(0.0)
+    del conditions[1]["policies"][0]  # a is not there in all
+    assert [r["policy"] for r in overall(conditions, ("a", "b"))] == ["b"]
+
+
+def test_the_watch_sees_what_is_not_allowed():
+    from collections import Counter
+
+    from isd_gym.scoring import drive
+
+    class Wild:
+        name = "wild"
+
+        def reset(self): ...
+        def act(self, observation):
+            return 7.0
+
+    counts = Counter()
+    drive(_watched(Entry("wild", Wild), counts), Network.load("quarter-car-isd"), episodes=2, duration=0.05)
+    assert counts == {"given": 20, "not_finite": 0, "above_limit": 20, "above_slew": 20}
 
 
 @pytest.mark.parametrize(
@@ -220,6 +271,11 @@ def test_sensors_are_late_and_noisy_and_tell_the_present_current():
         ("policies = ['lqg']\n[[conditions]]\nname = 'a'\n[[conditions]]\nname = 'a'", "two conditions"),
         ("policies = [", "grid"),
         ("duration = nan\npolicies = ['lqg']", "duration"),
+        ("policies = ['lqg']\n[random]\nspeed = [1, 2]", "needs a count"),
+        ("policies = ['lqg']\n[random]\ncount = 2\nspeed = [2, 1]", r"'speed' must be \[low, high\]"),
+        ("policies = ['lqg']\n[random]\ncount = 2\nspeeed = [1, 2]", "did you mean 'speed'"),
+        ("policies = ['lqg']\n[axes]\nnoise = [-1]", "noise must be"),
+        ("policies = ['lqg']\n[axes]\nroad_lag = [-1]", "road_lag must be"),
     ],
 )
 def test_a_bad_grid_is_one_line(text, why, tmp_path):
@@ -243,9 +299,10 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path, capsys, m
     assert go(str(tmp_path / "grid.toml"), "--out", str(tmp_path / "out")) == 1
     said = capsys.readouterr()
     assert "heavy" in said.out and "6 items are missing" in said.err
-    assert said.err.count("no policy 'nobody'") >= 6 and "Traceback" not in said.err
+    assert said.err.count("no policy 'nobody'") == 1 and "Traceback" not in said.err
     (tmp_path / "good.toml").write_text(GRID)
     assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out")) == 0
+    assert "| heavy |" in (tmp_path / "out" / "sweep.md").read_text()
     assert go(str(tmp_path / "absent.toml"), "--out", str(tmp_path / "out")) == 2
 
 
@@ -259,36 +316,109 @@ def test_an_item_is_small():
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
 
 
+@pytest.fixture
+def cluster(monkeypatch):
+    """A Ray cluster of two nodes of one core each, processes of their own: (address, kill the second)."""
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("RAY_raylet_start_wait_time_s", "120")
+    small = {"num_cpus": 1, "object_store_memory": 80_000_000}
+    made = Cluster(initialize_head=True, head_node_args={**small, "include_dashboard": False})
+    second = made.add_node(**small)
+    yield made.address, lambda: made.remove_node(second, allow_graceful=False)
+    made.shutdown()
+
+
 @needs_ray
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable):
-    import ray
-    from ray.cluster_utils import Cluster
+def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, cluster):
+    address, kill = cluster
+    tasks, killed = _tasks("slow", tmp_path, 16), []
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    second = cluster.add_node(num_cpus=1)
-    ray.init(address=cluster.address, log_to_driver=False)
-    try:
-        tasks = _tasks("slow", tmp_path, 16)
-        killed = []
+    def progress(done: int, total: int) -> None:
+        if done == 4 and not killed:
+            kill()
+            killed.append(done)
 
-        def kill(done: int, total: int) -> None:
-            if done == 4 and not killed:
-                cluster.remove_node(second, allow_graceful=False)
-                killed.append(done)
+    outcome = engine.run(tasks, tmp_path / "out", engine="ray", address=address, progress=progress)
+    assert killed and not outcome.failed
+    assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(16)]
+    # what the dead node was at was done again; nothing else was
+    assert set(_done(tmp_path)) == set(range(16)) and len(_done(tmp_path)) <= 17
+    again = engine.run(tasks, tmp_path / "out", engine="ray", address=address)
+    assert again.results == outcome.results and len(_done(tmp_path)) <= 17
 
-        outcome = engine.run(tasks, tmp_path / "out", engine="ray", progress=kill)
-        assert killed and not outcome.failed
-        assert [outcome.results[t.key] for t in tasks] == [i**2 for i in range(16)]
-        assert set(_done(tmp_path)) == set(range(16)) and len(_done(tmp_path)) <= 17
-    finally:
-        ray.shutdown()
-        cluster.shutdown()
+
+#: a package that brings a policy, which kills its worker on one of the roads until it is mended
+DEADLY = """
+import os, signal
+from pathlib import Path
+from isd_gym.driving import Entry, Idle
+
+class Deadly(Idle):
+    def __init__(self):
+        super().__init__("deadly")
+        if not (Path(__file__).parent / "mended").exists():
+            os.kill(os.getpid(), signal.SIGKILL)
+
+def open_policy(name, model, cost, control_step, options):
+    return Entry(name, Deadly) if name == "deadly" else None
+"""
+
+
+@pytest.fixture
+def deadly(tmp_path, monkeypatch):
+    """The file that mends the policy `deadly`, which programs started from here know of."""
+    folder = tmp_path / "site"
+    (folder / "deadly-1.0.dist-info").mkdir(parents=True)
+    (folder / "deadly.py").write_text(DEADLY)
+    (folder / "deadly-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n"
+    )
+    (folder / "deadly-1.0.dist-info" / "entry_points.txt").write_text(
+        "[isd_gym.policies]\ndeadly = deadly:open_policy\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+    return folder / "mended"
+
+
+def _command(*words: str) -> subprocess.CompletedProcess[str]:
+    code = f"import sys; sys.argv = ['isd-gym', 'sweep', *{list(words)!r}]; from isd_gym.cli import main\nif __name__ == '__main__': main()"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+
+
+def _twice(folder: Path, deadly: Path, *words: str) -> None:
+    """The command with a policy that dies, and again once it is mended."""
+    (folder / "grid.toml").write_text(GRID.replace("isd-passive", "deadly"))
+    line = (str(folder / "grid.toml"), "--out", str(folder / "out"), *words)
+    first = _command(*line)
+    assert first.returncode == 1, first.stderr
+    assert "6 items are missing" in first.stderr and "worker died 2 times" in first.stderr
+    assert "Traceback" not in first.stderr and "heavy" in first.stdout
+    made = {p: p.stat().st_mtime_ns for p in (folder / "out" / "items").iterdir()}
+    assert len(made) == 12  # the rest went on
+    deadly.touch()
+    second = _command(*line)
+    assert second.returncode == 0, second.stderr
+    assert len(list((folder / "out" / "items").iterdir())) == 18
+    assert all(p.stat().st_mtime_ns == at for p, at in made.items())  # nothing was done twice
+    assert json.loads((folder / "out" / "sweep.json").read_text())["missing"] == 0
+
+
+@pytest.mark.slow
+def test_a_policy_that_kills_its_worker_costs_its_items_alone(tmp_path, deadly):
+    _twice(tmp_path, deadly, "--jobs", "2")
 
 
 @needs_ray
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_same_on_a_ray_cluster(tmp_path, deadly, cluster):
+    _twice(tmp_path, deadly, "--engine", "ray", "--address", cluster[0])
+
+
+@needs_ray
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there_is_one_line(tmp_path):
     with pytest.raises(InputError, match=r"no Ray cluster at '127\.0\.0\.1:1'") as error:

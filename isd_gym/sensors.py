@@ -1,0 +1,188 @@
+"""What stands between a car and what its controller sees: noise, lateness, and a road sensor that is not perfect.
+
+Noise is counted, not drawn one after the other: the error of a channel at a step is a hash of the car's key, the step and
+the channel, so that car i of a batch sees exactly what the single car of its seed sees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numba as nb
+import numpy as np
+
+from .errors import InputError, shown
+
+#: one sigma of white noise on each measured signal at noise 1; the current is the controller's own and is known
+NOISE = {
+    "body_acceleration": 0.1,  # m/s^2
+    "suspension_travel": 5e-4,  # m
+    "suspension_travel_rate": 0.02,  # m/s
+    "device_travel": 1e-4,  # m
+    "device_travel_rate": 0.01,  # m/s
+}
+_SIGMA = np.array([*NOISE.values()])
+MOST_LATE = 100  # control steps
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What a controller sees of a car; without arguments all of it, at once and exactly.
+
+    noise [-]: white noise of the measured signals, as a multiple of `NOISE`; (low, high): drawn anew for every episode.
+    delay: control steps by which they come late. road_error [m]: one sigma of the white error of each height of the road ahead.
+    road_lag [s]: the picture of the road is so old, and nobody has shifted it. road_range [m]: how far it reaches; beyond
+    it, the road seems to go on level. The present current is the controller's own and always known.
+    """
+
+    noise: float | tuple[float, float] = 0.0
+    delay: int = 0
+    road_error: float = 0.0
+    road_lag: float = 0.0
+    road_range: float = math.inf
+
+    def __post_init__(self) -> None:
+        noise = self.noise
+        if isinstance(noise, list | tuple):
+            if not (len(noise) == 2 and all(map(_number, noise)) and 0 <= noise[0] <= noise[1]):
+                raise InputError(f"noise must be 0 or more, or such a (low, high), not {shown(noise)}")
+            object.__setattr__(self, "noise", (float(noise[0]), float(noise[1])))
+        elif not (_number(noise) and noise >= 0):
+            raise InputError(f"noise must be 0 or more, or such a (low, high), not {shown(noise)}")
+        delay = self.delay
+        if isinstance(delay, bool) or not isinstance(delay, int) or not 0 <= delay <= MOST_LATE:
+            raise InputError(f"delay must be 0 to {MOST_LATE} whole control steps, not {shown(delay)}")
+        for name, unit in (("road_error", "m"), ("road_lag", "s")):
+            if not (_number(value := getattr(self, name)) and value >= 0):
+                raise InputError(f"{name} must be 0 {unit} or more, not {shown(value)}")
+        reach = self.road_range
+        if not (reach == math.inf or (_number(reach) and reach >= 0)):
+            raise InputError(f"road_range must be 0 m or more, not {shown(reach)}")
+
+    @classmethod
+    def of(cls, given: Sensors | Mapping[str, Any] | str | None) -> Sensors:
+        """Sensors from themselves, a mapping, or a text such as ``noise=1,road_error=0.001``; None: perfect ones.
+
+        Raises `InputError` for a name or a value that there is none of.
+        """
+        if isinstance(given, Sensors):
+            return given
+        if isinstance(given, str):
+            given = _parse(given)
+        known = [f.name for f in fields(cls)]
+        for key in given or {}:
+            if key not in known:
+                raise InputError(f"sensors: no {shown(key)}, there are {', '.join(known)}")
+        return cls(**(given or {}))
+
+    @property
+    def perfect(self) -> bool:
+        """Whether nothing is hidden."""
+        return self == Sensors()
+
+    def to_dict(self) -> dict[str, Any]:
+        """What is not perfect, as plain JSON."""
+        usual = asdict(Sensors())
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items() if v != usual[k]}
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _parse(text: str) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        key, joined, word = (p.strip() for p in part.partition("="))
+        try:
+            bounds = [float(w) for w in word.split(":")]
+        except ValueError:
+            bounds = []
+        if not (joined and len(bounds) in (1, 2)):
+            raise InputError(f"sensors: {shown(part)} is not such as noise=1, noise=0:2 or road_error=0.001")
+        value: Any = tuple(bounds) if len(bounds) == 2 else bounds[0]
+        out[key] = int(value) if key == "delay" and value == int(value) else value
+    return out
+
+
+@nb.njit(cache=True)
+def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int, sigma: np.ndarray) -> None:
+    """Add Gaussian noise sigma (cars, n) to columns `first` and after of seen (cars, width): hashed (splitmix64), two a pair of hashes."""
+    for i in range(len(seen)):
+        for j in range(0, sigma.shape[1], 2):
+            u = np.empty(2)
+            for k in range(2):
+                x = keys[i] + (steps[i] * np.uint64(4096) + np.uint64(first + j + k + 1)) * np.uint64(
+                    0x9E3779B97F4A7C15
+                )
+                x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+                x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+                x ^= x >> np.uint64(31)
+                u[k] = (float(x >> np.uint64(11)) + 0.5) / 9007199254740992.0
+            size, angle = math.sqrt(-2.0 * math.log(u[0])), 2.0 * math.pi * u[1]
+            seen[i, first + j] += sigma[i, j] * size * math.cos(angle)
+            if j + 1 < sigma.shape[1]:
+                seen[i, first + j + 1] += sigma[i, j + 1] * size * math.sin(angle)
+
+
+class Sight:
+    """`Sensors` at work on `cars` cars with `points` of road ahead, one a control step [s]; the measured signals come first.
+
+    sensors: what they are. signals: measured columns, the last of them the current.
+    """
+
+    def __init__(self, sensors: Sensors, cars: int, signals: int, points: int, control_step: float) -> None:
+        self.sensors, self.signals, self.points, self.step = sensors, signals, points, control_step
+        self.keys, self.count = np.zeros(cars, np.uint64), np.zeros(cars, np.uint64)
+        self.sigma = np.zeros((cars, signals - 1))
+        self._road_sigma = np.full((cars, points), sensors.road_error)
+        late = round(sensors.road_lag / control_step)
+        if abs(late * control_step - sensors.road_lag) > 1e-6 * control_step:
+            raise InputError(
+                f"road_lag of {sensors.road_lag:g} s is no whole number of control steps of {control_step:g} s"
+            )
+        self._past = np.zeros((sensors.delay + 1, cars, signals - 1))
+        self._roads = np.zeros((late + 1, cars, points))
+
+    def begin(self, i: int, rng: np.random.Generator) -> None:
+        """Car i starts on a new road; what is drawn comes from its own generator, once everything else is drawn."""
+        self.count[i] = 0
+        self.keys[i] = rng.integers(2**64, dtype=np.uint64)
+        noise = self.sensors.noise
+        self.sigma[i] = _SIGMA * (rng.uniform(*noise) if isinstance(noise, tuple) else noise)
+
+    def see(
+        self, obs: np.ndarray, speeds: np.ndarray, which: np.ndarray | slice, *, first: bool
+    ) -> np.ndarray:
+        """What is seen of exact observations (of the cars `which`, width), at the start of their roads (`first`) or a step later.
+
+        speeds [m/s]: of these cars.
+        """
+        n, out = self.signals - 1, obs.copy()
+        for past, columns in ((self._past, slice(0, n)), (self._roads, slice(self.signals, None))):
+            if first:  # it stood there all the time
+                past[:, which] = obs[:, columns]
+            elif len(past) > 1:
+                past[1:, which] = past[:-1, which]
+                past[0, which] = obs[:, columns]
+            if len(past) > 1:
+                out[:, columns] = past[-1, which]
+        keys, count = self.keys[which], self.count[which]
+        if self.sigma.any():
+            _add_noise(out, keys, count, 0, self.sigma[which])
+        if self.points:
+            if self.sensors.road_error:
+                _add_noise(out, keys, count, self.signals, self._road_sigma[which])
+            if math.isfinite(self.sensors.road_range):
+                ahead = out[:, self.signals :]
+                reach = (self.sensors.road_range / (speeds * self.step) + 1e-9).astype(int)
+                ahead[reach == 0] = 0.0
+                last = np.clip(reach - 1, 0, self.points - 1)
+                end = ahead[np.arange(len(ahead)), last]
+                beyond = np.arange(self.points) > last[:, None]
+                ahead[beyond] = np.broadcast_to(end[:, None], ahead.shape)[beyond]
+        self.count[which] += np.uint64(1)
+        return out
