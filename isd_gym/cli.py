@@ -530,6 +530,14 @@ def diagnose(
     trust_fmu: Annotated[
         bool, typer.Option("--trust-fmu", help="Run the compiled code in an .fmu, with your rights.")
     ] = False,
+    cut: Annotated[
+        str | None,
+        typer.Option(
+            help="No road measured: a node whose accelerometer drives what stands above it; what lies behind it (tyre, road) "
+            "is left out of the comparison.",
+            metavar="NODE",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of the resampling that gives the confidence.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -540,12 +548,15 @@ def diagnose(
     its parameters refitted (DIR/parameters.ssv); it shows no inside, so no effect and no place is named.
 
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found --validate test3.csv
+
+    A car whose road nobody measured: isd-gym diagnose drive.csv --model car.json --cut wheel --out found
     """
     from . import elements as el
     from .discrepancy import diagnose as run
     from .loggers import ChannelMap
     from .loggers.records import records_of
     from .network import Network
+    from .network import cut as cut_at
     from .report import check_target, write_report
 
     check_target(out)
@@ -585,13 +596,14 @@ def diagnose(
             raise InputError("--map says it all: write what --rename and --unit would say into it")
         options = {"by": ChannelMap.load(map_file)}
         network = options["by"].measured(network)
-    wanted = (*network.inputs, *network.outputs)
+    part = network if cut is None else cut_at(network, cut)
+    wanted = (*part.inputs, *part.outputs)
     with lines() as say:
         fitted, held = (
             [r for f in files for r in records_of(f, network, wanted, **options)]
             for files in (data, validate or [])
         )
-        result = run(fitted, network, validate=held, accept=accept or (), progress=say, seed=seed)
+        result = run(fitted, network, validate=held, accept=accept or (), progress=say, seed=seed, cut=cut)
         say("writing the report")
         page = write_report(result, out, about=about | {"Seed": str(seed)})
     _print_diagnosis(result, json_file, page)

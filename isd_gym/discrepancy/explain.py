@@ -11,7 +11,7 @@ from ..errors import InputError
 from .fit import Fit
 from .motion import motions
 from .problem import Array, Problem
-from .result import Law, Place, Quantity
+from .result import Law, Place, Quantity, Tabulated
 
 
 def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float]]:
@@ -150,3 +150,15 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
         visited[:: max(1, len(visited) // 2000)],
         np.zeros(0),
     )
+
+
+def table_law(problem: Problem, fit: Fit, t: Tabulated) -> Law:
+    """A tabulated force drawn over rate or elongation; over elongation at no rate, where it is of both."""
+    motion = motions(problem, fit, (t.between,))[t.between]
+    rate = t.over == "rate"
+    still = int(np.argmin(np.abs(t.rate))) if t.over == "both" else slice(None)
+    rows = [x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high)]
+    visited = motion.v if rate else motion.d
+    axis = np.array(t.rate if rate else t.elongation)
+    thin = visited[:: max(1, len(visited) // 2000)]
+    return Law(t.element, "rate" if rate else "travel", axis, rows[0], rows[1], rows[2], thin, np.zeros(0))

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from .problem import Array
 from .settings import SearchSettings
 
 SCHEMA = "isd-diagnosis/1"
+#: what a force without a name is a function of
+Over = Literal["rate", "elongation", "both"]
 #: kind, mark and parts of the folder of a diagnosis, with its report
 FOLDER = (
     "diagnosis",
@@ -154,6 +156,42 @@ class Law:
 
 
 @dataclass(frozen=True)
+class Tabulated:
+    """A force without a name: where, over what, its table with the 95 % band, and the known laws that come nearest.
+
+    between: the terminals; over: 'rate', 'elongation' or 'both'; element: its name in the new model; explained: share of the
+    held-out excess that it removes. elongation, rate: knots [m], [m/s] (rad where it turns); force, low, high: at them [N] (N m).
+    nearest: (effect, share of the force's square that the law gives over the measured motion), best first.
+    """
+
+    between: tuple[str, str]
+    over: Over
+    element: str
+    explained: float
+    elongation: tuple[float, ...]
+    rate: tuple[float, ...]
+    force: Array
+    low: Array
+    high: Array
+    nearest: tuple[tuple[str, float], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the JSON of a diagnosis has it."""
+        axes = {k: list(v) for k, v in (("elongation", self.elongation), ("rate", self.rate)) if v}
+        return {
+            "between": list(self.between),
+            "over": self.over,
+            "element": self.element,
+            "explained": self.explained,
+            **axes,
+            "force": self.force.tolist(),
+            "low": self.low.tolist(),
+            "high": self.high.tolist(),
+            "nearest": [{"effect": name, "share": share} for name, share in self.nearest],
+        }
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The outcome of `diagnose`. `summary` says it in a sentence; `to_dict` is the contract's JSON.
 
@@ -161,7 +199,8 @@ class Diagnosis:
     parameters: of the owner's model, refitted. closed: share of the gap. gates: what had to hold.
     next_experiment: what would decide, where something would. base, refitted, model: the owner's network, the
     same refitted, the new one (of a unit for co-simulation, what its description says). traces and laws: for pictures. notes: in words. seconds: of work. units: of the
-    channels. evidence, criteria, settings: what was weighed, by which limits, and how it was searched.
+    channels. evidence, criteria, settings: what was weighed, by which limits, and how it was searched. tabulated: the force that
+    is missing where no known law gives it. whole: the owner's whole model with what was found, where a part of it was diagnosed.
     """
 
     verdict: str
@@ -186,6 +225,8 @@ class Diagnosis:
     evidence: Evidence | None = None
     criteria: Criteria | None = None
     settings: SearchSettings | None = None
+    tabulated: Tabulated | None = None
+    whole: Network | None = None  # where the model was cut: all of it, with what was found
 
     def to_dict(self) -> dict[str, Any]:
         """As the contract has it (`isd-diagnosis/1`)."""
@@ -205,6 +246,7 @@ class Diagnosis:
                     for g in self.gates
                 ],
                 "next_experiment": self.next_experiment,
+                "tabulated": self.tabulated.to_dict() if self.tabulated else None,
                 "evidence": asdict(self.evidence) if self.evidence else None,
                 "criteria": asdict(self.criteria) if self.criteria else None,
                 "search": asdict(self.settings) if self.settings else None,
@@ -219,7 +261,8 @@ class Diagnosis:
         """
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
-        self.model.save(folder / ("parameters.ssv" if isinstance(self.model, UnitModel) else "model.json"))
+        model = self.whole or self.model
+        model.save(folder / ("parameters.ssv" if isinstance(model, UnitModel) else "model.json"))
 
 
 def _plain(value: Any) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from ..elements import TYPES
 from .candidate import Candidate
 from .evidence import Evidence
-from .result import Effect, Place
+from .result import Effect, Place, Tabulated
 
 
 def plain_number(value: float) -> str:
@@ -87,3 +87,19 @@ def _core(verdict, effects, contenders, where, worst, percent, gap, material) ->
         return f"Something is missing, and these data cannot tell which: {names}."
     spot = f"; it lives mostly in {where[0].channel}, {where[0].when}" if where else ""
     return f"Something is missing that no known effect explains{spot}."
+
+
+def unnamed(t: Tabulated | None) -> str:
+    """What is said of a force without a name, or of there being none that can be followed."""
+    if t is None:
+        return (
+            " No force between two nodes that is a function of their rate, their distance or both explains half of it on held-out "
+            "records: it depends on time, on its own past, or on something that was not measured."
+        )
+    over = {"rate": "their rate", "elongation": "their distance", "both": "their distance and rate"}[t.over]
+    near = ", ".join(f"{name.replace('_', ' ')} {share:.0%}" for name, share in t.nearest)
+    said = f" (nearest known laws, by the share of it that they give: {near})" if near else ""
+    return (
+        f" A force between {t.between[0]} and {t.between[1]} that depends on {over} removes {t.explained:.0%} of what is missing on "
+        f"held-out records{said}; it stands in the model as '{t.element}'."
+    )

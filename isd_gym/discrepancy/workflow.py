@@ -14,12 +14,13 @@ import numpy as np
 from ..data import Table
 from ..errors import InputError
 from ..loggers.recording import Recording
-from ..network import Network, assemble
+from ..network import Network, assemble, rejoin
+from ..network import cut as network_cut
 from .candidate import BROKEN, Candidate, reckoned
 from .criteria import CRITERIA, Criteria, Decision, decide
 from .evidence import Evidence
 from .experiments import next_experiment
-from .explain import law, places
+from .explain import law, places, table_law
 from .fit import Fitter, residuals
 from .hypotheses import hypotheses
 from .judge import Judge
@@ -27,13 +28,14 @@ from .measure import confidence, intervals, measure
 from .noise import plain, whitener
 from .problem import Problem, Record, Role, bare, pace
 from .records import dealt, derivatives, read, stretches
-from .result import Contender, Diagnosis, Effect, Quantity, Trace
+from .result import Contender, Diagnosis, Effect, Quantity, Tabulated, Trace
 from .screen import screen
 from .search import Say, Search
 from .settings import SearchSettings
 from .structure import base_structure, owner_pair
+from .tabulate import follow
 from .trial import Trial
-from .words import remaining, sentence
+from .words import remaining, sentence, unnamed
 
 
 def diagnose(
@@ -46,6 +48,7 @@ def diagnose(
     seed: int = 0,
     settings: SearchSettings | None = None,
     criteria: Criteria = CRITERIA,
+    cut: str | None = None,
 ) -> Diagnosis:
     """Find where simulation and measurement disagree, and name the physical effect that is missing.
 
@@ -53,14 +56,19 @@ def diagnose(
     some of their stretches choose between explanations, the figures reported are of the others; without them whole
     records of `data`, or the later part of a single one, are held out. accept: checks of the data gate that only warn
     (their names, or 'all'). progress: called with a line now and then. seed: of the bootstrap. settings: what steers the
-    search; criteria: what decides; both come back with the result. Raises `InputError` with one line for data that cannot
+    search; criteria: what decides; both come back with the result. cut: a node whose motion an output measures: it drives what
+    stands on this side of it, and what lies behind (tyre and road) is left out (`isd_gym.network.cut`). Raises `InputError` with one line for data that cannot
     be used.
     """
     begun = clock.perf_counter()
-    network = Network.load(model)
+    whole_network = network = Network.load(model)
     if not network.outputs:
         raise InputError(f"model '{network.name}' has no outputs to compare with")
     notes: list[str] = []
+    if cut is not None:
+        network = network_cut(network, cut)
+        left = [e.name for e in whole_network.elements if e.name not in {x.name for x in network.elements}]
+        notes.append(f"cut at {cut}, which {network.inputs[0].name} moves; left out: {', '.join(left)}")
     fit = [read(d, network, notes, accept) for d in _several(data, "data")]
     held = [read(d, network, notes, accept) for d in _several(validate, "validate")] if len(validate) else []
     filtered = derivatives([*fit, *held], network)
@@ -72,7 +80,8 @@ def diagnose(
     flow = Workflow(
         problem, whole, progress or (lambda line: None), seed, settings or SearchSettings(), criteria
     )
-    return flow.run(notes, begun)
+    found = flow.run(notes, begun)
+    return replace(found, whole=rejoin(whole_network, found.model)) if cut is not None else found
 
 
 def _several(data: Any, name: str) -> list[Any]:
@@ -235,6 +244,15 @@ class Workflow:
             out.append(Effect(h.effect, owner_pair(self.network, h), channel, sure, own, element))
         return out
 
+    def drawn(self, base: Candidate) -> tuple[Candidate | None, Tabulated | None]:
+        """The missing force as a table, where it can be followed."""
+        self.say("no known law explains it: following the missing force")
+        try:
+            found = follow(self.search.judge, base, self.criteria)
+        except BROKEN:
+            found = None
+        return found if found is not None else (None, None)
+
     def contenders(self, trial: Trial, abreast: Sequence[Candidate], ambiguous: bool) -> list[Contender]:
         refit, best = trial.of(trial.base), trial.foremost
         shown = [best, *abreast] if ambiguous else [r for r in trial.rivals()]
@@ -285,6 +303,8 @@ class Workflow:
         p, verdict, names = self.problem, decision.verdict, self.problem.channels
         named, ambiguous = verdict == "missing_effect", verdict == "ambiguous"
         base, final = trial.base, trial.foremost if named else trial.base
+        drawn, tabulated = self.drawn(base) if verdict == "unknown_effect" else (None, None)
+        final = drawn or final
         others = [
             r
             for r in trial.rivals()
@@ -310,26 +330,29 @@ class Workflow:
         if not named:
             quantities = intervals(self.search, base)
         left = self.remainder(trial, floor, rows) if named else ""
-        drawn = [law(p, final.fit, e.element, e.parameters) for e in found]
+        laws = [law(p, final.fit, e.element, e.parameters) for e in found]
+        laws += [table_law(p, final.fit, tabulated)] if tabulated else []
         contenders = [trial.foremost, *abreast]
         material = self.criteria.material
         return Diagnosis(
             verdict=verdict,
-            summary=sentence(verdict, found, small, contenders, where, gap, evidence, material, left),
+            summary=sentence(verdict, found, small, contenders, where, gap, evidence, material, left)
+            + (unnamed(tabulated) if verdict == "unknown_effect" else ""),
+            tabulated=tabulated,
             effects=tuple(found),
             small_effects=tuple(small),
             contenders=tuple(self.contenders(trial, abreast, ambiguous)),
             where=where,
             parameters={path: q for path, q in quantities.items() if path in self.network.parameters},
             gap=gap,
-            closed=closed(rows) if named else None,
+            closed=closed(rows) if named or tabulated else None,
             gates=decision.gates,
             next_experiment=next_experiment(p, contenders, floor) if ambiguous else None,
             base=self.network,
             refitted=base.fit.network,
             model=final.fit.network,
             traces=self.traces(base, final),
-            laws=tuple(x for x in drawn if x is not None),
+            laws=tuple(x for x in laws if x is not None),
             notes=tuple(notes),
             seconds=clock.perf_counter() - begun,
             units={c.name: c.unit for c in self.network.outputs},

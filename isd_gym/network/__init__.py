@@ -7,6 +7,7 @@ responses (`assembly`).
 
 from ..units import UNITS
 from .assembly import Assembly, StateSpace, assemble, linearise
+from .cut import cut, rejoin
 from .format import SCHEMA, builtin_networks
 from .model import GROUND, MOTIONS, Channel, Network
 
@@ -21,5 +22,7 @@ __all__ = [
     "StateSpace",
     "assemble",
     "builtin_networks",
+    "cut",
     "linearise",
+    "rejoin",
 ]

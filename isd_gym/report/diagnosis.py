@@ -285,13 +285,18 @@ def clouds(view: View) -> list[Cloud]:
         kind = el.TYPES.get(e.effect)
         if e.between is not None and e.element in laws and kind is not None and kind.place == "between":
             pairs.setdefault((e.between[0], e.between[1]), []).append(e)
-    if not d.effects and d.contenders and len(d.contenders[0].where[-1]) == 2:
+    if d.tabulated is not None:
+        pairs[d.tabulated.between] = []
+    elif not d.effects and d.contenders and len(d.contenders[0].where[-1]) == 2:
         a, b = d.contenders[0].where[-1]
         pairs[(a, b)] = []
     out = []
     for pair, effects in pairs.items():
         try:
-            cloud = _cloud(view, trace, pair, [laws[e.element] for e in effects], [e.effect for e in effects])
+            drawn = [laws[e.element] for e in effects]
+            if d.tabulated is not None:
+                drawn = [laws[d.tabulated.element]]
+            cloud = _cloud(view, trace, pair, drawn, [e.effect for e in effects])
         except (InputError, np.linalg.LinAlgError):
             continue
         if cloud is not None:
@@ -313,11 +318,11 @@ def _cloud(
 
     response = Deconvolution.of(d.refitted, pair, trace, names)
     before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
-    after = None
-    if d.effects:
+    after, new = None, bool(d.effects or d.tabulated)
+    if new:
         after, _ = response.force({n: trace.measured[n] - trace.after[n] for n in names}, noise)
-    travel, rate = motion(d.model if d.effects else d.refitted, trace, pair)
-    if not d.effects:  # the old model's motion, and what the missing force adds to it
+    travel, rate = motion(d.model if new else d.refitted, trace, pair)
+    if not new:  # the old model's motion, and what the missing force adds to it
         travel, rate = travel + moved[:, 0], rate + moved[:, 1]
     edge = max(1, len(trace.time) // 20)  # the taper's ends
     keep = slice(edge, -edge)
@@ -696,7 +701,12 @@ def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, A
 
 def draw_law(view: View) -> Chart | None:
     """Every found law with its interval, and how often the measurements were where."""
-    laws = [(law, e) for law in view.laws for e in view.d.effects if e.element == law.element]
+    d = view.d
+    effects = list(d.effects)
+    if d.tabulated is not None:  # a law without a name is drawn like one that has one
+        t = d.tabulated
+        effects.append(Effect("tabulated_force", t.between, None, 0.0, {}, t.element))
+    laws = [(law, e) for law in view.laws for e in effects if e.element == law.element]
     if not laws:
         return None
     columns = min(3, len(laws))

@@ -1,0 +1,382 @@
+"""The law that no list has: the missing force as a smooth function of elongation, of rate or of both, fitted with its band.
+
+The force at the knots of a table is a Gaussian process (Rasmussen and Williams, 2006, chapter 2) that vanishes at rest, written in
+the few directions that carry nearly all of its variance: numbers of unit variance which the simulation-error fit moves like any
+parameter, beside the owner's own. So what the sensors do not resolve stays at zero and is not made up, and the curvature of
+the fit gives the band.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from .. import elements as el
+from ..elements.starts import generic_starts
+from ..errors import InputError
+from ..network import Network, assemble
+from .candidate import BROKEN, Candidate, reckoned, settled
+from .criteria import Criteria
+from .fit import Fit, Fitter, residuals
+from .hypotheses import hypotheses, pairs
+from .judge import Judge, replication
+from .motion import force_scale, motions, setting
+from .noise import Whitener, whitener
+from .problem import Array, Problem, bare
+from .result import Over, Tabulated
+from .structure import Free, Structure
+
+KNOTS = {"rate": 33, "elongation": 33, "both": 13}
+#: correlation lengths, as shares of half the motion's range, that are tried in turn
+LENGTHS = {"rate": (0.7, 0.35), "elongation": (0.7, 0.35), "both": (0.7,)}
+KEPT = 1e-4  # of the variance of the strongest direction
+MOST = {"rate": 12, "elongation": 12, "both": 24}  # directions
+FINALS = 3  # tables that are fitted to the end
+STRONG = 3.0  # times the typical force: one sigma of the force beforehand
+INSIDE = 0.995  # share of the motion that the knots span
+PLANES: tuple[Over, ...] = ("rate", "elongation")
+ENOUGH = 0.9  # share explained by one of them that makes a table over both needless
+BOTH = 2  # pairs at which one over both is fitted
+RICHER = 1.15  # by how much less a table over both, or a rougher one, must leave
+POINTS = 300  # of the motion at which laws are compared
+EFFORT = 60  # evaluations of a law that is fitted to a table
+
+
+@dataclass(frozen=True)
+class Table(Structure):
+    """A network with a `tabulated_force`; the last free numbers are the directions of its prior. `basis` (knots, directions) [N]."""
+
+    element: str = ""
+    over: Over = "rate"
+    shape: tuple[int, ...] = ()
+    basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def _own(self) -> int:
+        return len(self.free) - self.basis.shape[1]
+
+    def at(self, x: Array) -> Network:
+        own = self._own()
+        values = {f.path: f.back(float(v)) for f, v in zip(self.free[:own], x[:own], strict=True)}
+        network = self.network.with_parameters(values) if values else self.network
+        return network.with_table(self.element, self.forces(self.basis @ x[own:]))
+
+    def forces(self, values: Array) -> Any:
+        """Numbers at the knots as the element has them."""
+        return values.reshape(self.shape).tolist()
+
+    @property
+    def start(self) -> Array:
+        known = self.network.parameters
+        own = [f.forward(known[f.path]) for f in self.free[: self._own()]]
+        return np.array([*own, *np.zeros(self.basis.shape[1])])
+
+
+# ---------------------------------------------------------------------------------------------------- the prior
+
+
+def _axis(values: Array, count: int) -> Array:
+    """Knots over a motion, zero among them."""
+    low, high = (float(np.quantile(values, q)) for q in (1 - INSIDE, INSIDE))
+    reach = max(high, -low, 1e-12)
+    low, high = min(low, -0.05 * reach), max(high, 0.05 * reach)
+    below = max(1, round((count - 1) * -low / (high - low)))
+    return np.concatenate([np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, count - below)[1:]])
+
+
+def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -> Array:
+    """Principal directions (knots, directions) [N] of a smooth random force that is zero at rest."""
+    covariance: Any = np.ones((1, 1))
+    for x in axes:
+        scale = length * 0.5 * float(np.ptp(x))
+        covariance = np.kron(covariance, np.exp(-0.5 * ((x[:, None] - x[None, :]) / scale) ** 2))
+    at = int(np.ravel_multi_index([int(np.argmin(np.abs(x))) for x in axes], [len(x) for x in axes]))
+    covariance = covariance - np.outer(covariance[:, at], covariance[at]) / covariance[at, at]
+    values, vectors = np.linalg.eigh(covariance)
+    keep = np.argsort(values)[::-1][:most]
+    keep = keep[values[keep] > KEPT * values[keep[0]]]
+    return np.asarray(sigma * vectors[:, keep] * np.sqrt(values[keep]), dtype=np.float64)
+
+
+def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: float, sigma: float) -> Table:
+    """The owner's model as refitted (`fit`) with a table between two nodes, and the numbers that may move.
+
+    over: what the force is a function of. m: the motion of the pair. length: over
+    which the force changes, as a share of half the range. sigma [N]: how large it may be.
+    """
+    network, base = fit.network, fit.structure
+    knots = {"elongation": m.d, "rate": m.v}
+    axes = [_axis(knots[k], KNOTS[over]) for k in ("elongation", "rate") if over in (k, "both")]
+    basis = _directions(axes, length, sigma, MOST[over])
+    name = network.free_name("missing_force")
+    shape = tuple(len(x) for x in axes)
+    given = dict(
+        zip(
+            [k for k in ("elongation", "rate") if over in (k, "both")],
+            (tuple(x.tolist()) for x in axes),
+            strict=True,
+        )
+    )
+    element = el.TabulatedForce(name, pair, force=np.zeros(shape).tolist(), **given)  # type: ignore[call-arg]
+    outputs = []
+    for c in network.outputs:  # a force cell reads what was put beside its element, too
+        cell = c.elements and all(network.element(n).where == pair for n in c.elements)
+        outputs.append(replace(c, element=(*c.elements, name)) if cell else c)
+    new = [Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0) for k in range(basis.shape[1])]
+    built = replace(network, elements=(*network.elements, element), outputs=tuple(outputs))
+    assemble(bare(built))
+    return Table(built, (*base.free, *new), element=name, over=over, shape=shape, basis=basis)
+
+
+# ------------------------------------------------------------------------------------------------------ the fit
+
+
+def _started(base: Candidate, structure: Table) -> Array:
+    return np.concatenate([base.fit.x, np.zeros(structure.basis.shape[1])])
+
+
+def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) -> float:
+    """What the fit is expected to gain by a table, to first order."""
+    x = _started(base, structure)
+    p, q = len(base.fit.x), len(x)
+    total, slope = np.diag([*(1 / f.sigma**2 for f in structure.free)]), np.zeros(q)
+    for i in problem.estimation:
+        y, dp, ds = fitter.lanes(structure, x, i, base.fit.initial[i])
+        left = problem.records[i].measured - y - base.fit.offset[i]
+        stack = np.concatenate([left[:, :, None], dp, ds, problem.constants(i)], axis=2)
+        W = fitter.weights(stack).reshape(-1, stack.shape[2])
+        r, J, nuisance = W[:, 0], W[:, 1 : 1 + q], W[:, 1 + q :]
+        if nuisance.shape[1]:
+            Q, _ = np.linalg.qr(nuisance)
+            r, J = r - Q @ (Q.T @ r), J - Q @ (Q.T @ J)
+        total, slope = total + J.T @ J, slope + J.T @ r
+    own = slice(0, p)
+    whole = float(slope @ np.linalg.solve(total, slope))
+    return whole - float(slope[own] @ np.linalg.solve(total[own, own], slope[own])) if p else whole
+
+
+def _ranked(problem: Problem, base: Candidate, floors: Array, sigma: float) -> list[Table]:
+    """Tables over rate and over elongation at every pair, the most promising first."""
+    motion = motions(problem, base.fit)
+    fitter = Fitter(problem, whitener(residuals(problem, base.fit), reckoned(problem, base.fit, floors)))
+    ranked: list[tuple[float, Table]] = []
+    for pair in pairs(base.fit.network):
+        m = motion.get(pair)
+        if m is None or el.rms(m.d) <= 1e-9 or el.rms(m.v) <= 1e-9:
+            continue
+        for over in PLANES:
+            try:
+                built = table(base.fit, pair, over, m, LENGTHS[over][0], sigma)
+                ranked.append((gain(problem, fitter, base, built), built))
+            except BROKEN:
+                continue
+    return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
+
+
+def follow(judge: Judge, base: Candidate, criteria: Criteria) -> tuple[Candidate, Tabulated] | None:
+    """The force between two nodes that explains the held-out records best; None where none explains half of what is missing.
+
+    Then what is missing depends on time, on something that nobody measured, or on its own history. judge: of the records. base:
+    the owner's model refitted. criteria: how much is asked for.
+    """
+    problem, floors = judge.problem, judge.floors
+    sigma = STRONG * force_scale(problem)
+    ranked = _ranked(problem, base, floors, sigma)
+    first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
+    finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
+    tried = [c for s in finals if (c := _settled(problem, base, s, floors)) is not None]
+    weighed = _weighed(judge, tried)
+    if (
+        weighed is not None and weighed.share(judge, base)[0] < ENOUGH
+    ):  # a force of both, where one alone is not enough
+        motion = motions(problem, base.fit)
+        for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
+            built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], sigma)
+            c = _settled(problem, base, built, floors)
+            tried += [c] if c is not None else []
+        weighed = _weighed(judge, tried)
+    if weighed is None:
+        return None
+    weighed = _rougher(judge, base, weighed, sigma)
+    explained, moved, again = weighed.share(judge, base)
+    if explained < criteria.half or moved < criteria.material or again < criteria.replicated:
+        return None
+    return weighed.best, _told(problem, floors, weighed.best, explained)
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """The best table so far, and the filters behind which all are compared."""
+
+    best: Candidate
+    filters: Whitener
+
+    def share(self, judge: Judge, base: Candidate) -> tuple[float, float, float]:
+        """(share of the held-out excess that it removes, the most that it moves a channel, standard errors of the gain)."""
+        refit, after = judge.outcome(base, self.filters), judge.outcome(self.best, self.filters)
+        quiet, floor = judge.quiet(after, self.filters), judge.floor(after)
+        weights = 1.0 / np.maximum(floor, 1e-3) ** 2
+        plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
+        plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - floor**2, 0.0) * weights)), 1e-12)
+        whitened = (refit.score - after.score) / max(refit.score - quiet, 1e-12)
+        moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
+        return min(max(whitened, plain), 1.0), moved, replication(refit, after)
+
+
+def _settled(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:
+    try:
+        return settled(
+            problem, structure, _started(base, structure), floors, base.fit, rounds=2, iterations=6
+        )
+    except BROKEN:
+        return None
+
+
+def _weighed(judge: Judge, tried: Sequence[Candidate]) -> Weighed | None:
+    """The one that leaves least of the held-out records, one over both only where it leaves clearly less."""
+    if not tried:
+        return None
+    filters = judge.weights(min(tried, key=lambda c: c.likelihood))
+    scored = []
+    for c in tried:
+        try:
+            score = judge.outcome(c, filters).score
+        except BROKEN:
+            continue
+        richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
+        scored.append((score * richer, c))
+    return Weighed(min(scored, key=lambda t: t[0])[1], filters) if scored else None
+
+
+def _rougher(judge: Judge, base: Candidate, weighed: Weighed, sigma: float) -> Weighed:
+    """The same table with a shorter length, where that leaves clearly less."""
+    old = weighed.best.fit.structure
+    assert isinstance(old, Table)
+    pair = old.network.element(old.element).between
+    m = motions(judge.problem, weighed.best.fit, (pair,))[pair]
+    for length in LENGTHS[old.over][1:]:
+        try:
+            c = _settled(judge.problem, base, table(base.fit, pair, old.over, m, length, sigma), judge.floors)
+            if c is None:
+                continue
+            then = judge.outcome(c, weighed.filters).score
+        except BROKEN:
+            continue
+        if RICHER * then < judge.outcome(weighed.best, weighed.filters).score:
+            weighed = Weighed(c, weighed.filters)
+    return weighed
+
+
+# ------------------------------------------------------------------------------------------------- what is told
+
+
+def _told(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
+    structure = best.fit.structure
+    assert isinstance(structure, Table)
+    W = whitener(residuals(problem, best.fit), reckoned(problem, best.fit, floors))
+    f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
+    sigma = np.array([q.sigma for q in structure.free])
+    assert f.hessian is not None
+    own = len(sigma) - structure.basis.shape[1]
+    covariance = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))[own:, own:]
+    force = structure.basis @ best.fit.x[own:]
+    spread = 1.96 * np.sqrt(
+        np.maximum(np.einsum("ij,jk,ik->i", structure.basis, covariance, structure.basis), 0.0)
+    )
+    e = best.fit.network.element(structure.element)
+    assert isinstance(e, el.TabulatedForce)
+    shape = structure.shape
+    return Tabulated(
+        e.between,
+        structure.over,
+        e.name,
+        explained,
+        e.elongation,
+        e.rate,
+        force.reshape(shape),
+        (force - spread).reshape(shape),
+        (force + spread).reshape(shape),
+        tuple(nearest(problem, best, e)),
+    )
+
+
+def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tuple[str, float]]:
+    """Known laws at the same place, each fitted to the table over the measured motion, with the share of it that they give."""
+    m = motions(problem, best.fit, (e.between,))[e.between]
+    pick = np.linspace(0, len(m.d) - 1, POINTS).astype(int)
+    seen = el.Motion(m.d[pick], m.v[pick], m.a[pick])
+    target = e.at(seen.d, seen.v)
+    size = el.rms(target)
+    out: dict[str, float] = {}
+    base = problem.network
+    for h in hypotheses(base):
+        if (
+            h.place != "between"
+            or h.kind.series
+            or set(h.where) != set(e.between)
+            or h.kind.plane == "time"
+            or h.kind.periodic
+        ):
+            continue
+        at = setting(problem, base, h, seen, size)
+        try:
+            begun = h.kind.starts(at)[:4]
+        except (InputError, StopIteration):
+            begun = generic_starts(h.kind, at)[:4]
+        for start in begun:
+            share = _share(h.kind, start.values, at, target, size)
+            out[h.effect] = max(out.get(h.effect, 0.0), share)
+    ranked = sorted(out.items(), key=lambda t: -t[1])
+    return [(name, share) for name, share in ranked if share > 0.05][:3]
+
+
+def _share(
+    kind: type[el.Element], values: dict[str, float], at: el.Setting, target: Array, size: float
+) -> float:
+    free = [f for f in el.parameter_fields(kind) if not f.metadata["fixed"] and f.name in values]
+    unit = [max(abs(values[f.name]), 1e-12) for f in free]
+    log = [f.metadata["minimum"] >= 0 for f in free]
+
+    def miss(x: Array) -> Array:
+        own = {
+            f.name: u * math.exp(min(v, 50.0)) if lg else u * v
+            for f, u, v, lg in zip(free, unit, x, log, strict=True)
+        }
+        try:
+            e = kind(name="trial", where=at.where, **{**values, **own}, **at.options)
+        except InputError:
+            return np.full(len(target), 1e3)
+        return np.asarray((force_over(e, at.moves) - target) / size, dtype=np.float64)
+
+    signs = (1.0, -1.0) if not all(log) else (1.0,)
+    best = math.inf
+    for sign in signs:
+        x0 = np.array([0.0 if lg else sign for lg in log])
+        try:
+            best = min(best, float(np.mean(least_squares(miss, x0, max_nfev=EFFORT).fun ** 2)))
+        except (*BROKEN, ValueError, OverflowError):
+            continue
+    return max(0.0, 1.0 - best)
+
+
+def force_over(e: el.Element, m: el.Motion) -> Array:
+    """Force [N] of an element over a motion, (n,)."""
+    out = np.zeros(len(m.d))
+    for part in e.parts() or (e,):
+        p = np.array(part.law_parameters())
+        if type(part).bound is not None:
+            out += np.array([part.bound(p, d, v) * np.sign(v) for d, v in zip(m.d, m.v, strict=True)])  # type: ignore[misc]
+        elif type(part).law is not None:
+            z, last = 0.0, m.d[0]
+            for k, (d, v) in enumerate(zip(m.d, m.v, strict=True)):
+                f, z = part.law(p, d, v, last, z, 1e-3)  # type: ignore[misc]
+                out[k] += f
+                last = d
+        else:
+            k_, c, b = part.linear()
+            out += k_ * m.d + c * m.v + b * m.a
+    return out

@@ -1,0 +1,127 @@
+"""A network cut at a node whose motion was measured: that drives what is tied to it, and what lies behind is left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from .. import elements as el
+from ..errors import InputError, shown
+from .model import GROUND, MOTIONS, Channel, Network
+
+
+def cut(network: Network, node: str) -> Network:
+    """What lies on this side of a node, moved by the node's own measured motion.
+
+    Behind it lies all that hangs on a moved node and on nothing else: a car cut at its wheel is what stands above the wheel, and
+    tyre and road, with what was measured of them, are left out. The output that saw the node is the input now; its mass acts on
+    nothing any more. network: the whole model; node: its name. Raises `InputError` with one line where no output sees the
+    motion of the node, or where nothing that moves lies behind it.
+    """
+    if node not in network.nodes:
+        raise InputError(f"cut: no node {shown(node)}; there are {', '.join(network.nodes)}")
+    if node in network.moved_nodes:
+        raise InputError(f"cut: '{node}' is moved by an input already: there is nothing to leave out")
+    seen = [c for c in network.outputs if c.at == node and c.quantity in MOTIONS]
+    if not seen:
+        raise InputError(
+            f"cut: no output measures the motion of '{node}'; its accelerometer would be an output with "
+            f'"quantity": "acceleration", "at": "{node}"'
+        )
+    drive = min(seen, key=lambda c: MOTIONS.index(c.quantity))
+    behind = _behind(network, node)
+    kept = [e for e in network.elements if e.place == "between" and _stays(e, node, behind)]
+    alive = {n for e in kept for n in e.where} | {n for n in network.masses if n not in behind}
+    names = {e.name for e in kept}
+    masses = {n: m for n, m in network.masses.items() if n in alive and n != node}
+    if not masses and not kept:
+        raise InputError(f"cut: nothing is left on this side of '{node}'")
+    inputs = [c for c in network.inputs if _heard(c, alive - {node}, names)]
+    moved = Channel(drive.name, drive.quantity, drive.unit, at=node)
+    fixed = {node, GROUND, *(str(c.at) for c in inputs if c.quantity in MOTIONS)}
+    outputs = [
+        c for c in network.outputs if c is not drive and _heard(c, alive, names) and not _idle(c, fixed)
+    ]
+    outputs = [c for c in outputs if c.quantity != "force" or c.at is None or c.at in fixed - {node}]
+    heard = {c.name for c in outputs}
+    kept += [e for e in network.elements if e.place == "element" and e.where[0] in names]
+    kept += [e for e in network.elements if e.place == "channel" and e.where[0] in heard]
+    order = {e.name: k for k, e in enumerate(network.elements)}
+    kept.sort(key=lambda e: order[e.name])
+    owners = {e.name for e in kept} | set(masses)
+    if not outputs:
+        raise InputError(f"cut: no output is left to compare with on this side of '{node}'")
+    return replace(
+        network,
+        name=f"{network.name} (cut at {node})",
+        masses=masses,
+        turning=network.turning & set(masses),
+        elements=tuple(kept),
+        inputs=(moved, *inputs),
+        outputs=tuple(outputs),
+        uncertainty={k: v for k, v in network.uncertainty.items() if k.rpartition(".")[0] in owners},
+    )
+
+
+def rejoin(whole: Network, part: Network) -> Network:
+    """The whole model with what a diagnosis made of a part of it: its elements at their new values, and those it added.
+
+    whole: before the cut; part: what `cut` gave, changed since.
+    """
+    node = next((n for n in part.moved_nodes if n not in whole.moved_nodes), None)
+    behind = _behind(whole, node) if node is not None else set()
+    away = [e for e in whole.elements if e.place == "between" and not _stays(e, node or "", behind)]
+    names = {c.name for c in (*part.outputs,)}
+    away += [e for e in whole.elements if e.place == "channel" and e.where[0] not in names]
+    own = {e.name for e in part.elements}
+    elements = (*part.elements, *(e for e in away if e.name not in own))
+    cells = {c.name: c for c in part.outputs}
+    return replace(
+        whole,
+        masses={n: part.masses.get(n, m) for n, m in whole.masses.items()},
+        elements=elements,
+        outputs=tuple(cells.get(c.name, c) for c in whole.outputs),
+        uncertainty={
+            k: v
+            for k, v in whole.uncertainty.items()
+            if k.rpartition(".")[0] in {e.name for e in elements} | set(whole.masses)
+        },
+    )
+
+
+def _behind(network: Network, node: str) -> set[str]:
+    """Nodes that, without `node`, hang together with one that an input moves. Raises `InputError` where there is none."""
+    links: dict[str, set[str]] = {n: set() for n in network.nodes}
+    for e in network.elements:
+        if e.place == "between" and GROUND not in e.where and node not in e.where:
+            links[e.where[0]].add(e.where[1])
+            links[e.where[1]].add(e.where[0])
+    out: set[str] = set()
+    frontier = [n for n in network.moved_nodes if n != node]
+    while frontier:
+        here = frontier.pop()
+        if here not in out:
+            out.add(here)
+            frontier += links[here]
+    if not out:
+        raise InputError(f"cut: nothing that an input moves lies behind '{node}'")
+    if out >= set(network.nodes) - {node}:
+        raise InputError(
+            f"cut: everything hangs together beside '{node}': leaving out what moves would leave nothing"
+        )
+    return out
+
+
+def _stays(e: el.Element, node: str, behind: set[str]) -> bool:
+    return not set(e.where) & behind and set(e.where) != {node, GROUND}
+
+
+def _heard(c: Channel, nodes: set[str], names: set[str]) -> bool:
+    """Whether all that a channel is about is still there."""
+    about = {n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND}
+    return about <= nodes and set(c.elements) <= names
+
+
+def _idle(c: Channel, fixed: set[str]) -> bool:
+    """Whether an output sees nothing but what an input already tells."""
+    ends = {c.at, GROUND} if c.at is not None else set(c.between or ())
+    return c.quantity in MOTIONS and ends <= fixed

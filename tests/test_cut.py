@@ -1,0 +1,113 @@
+"""A network cut at a node whose motion was measured: what is left moves as the whole did."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isd_gym import simulate
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
+from isd_gym.errors import InputError
+from isd_gym.network import Network, cut, rejoin
+
+
+def car():
+    data = Network.load("quarter-car-isd").to_dict()
+    data["outputs"].append(
+        {"name": "wheel_acceleration", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"}
+    )
+    data["uncertainty"] = {
+        "body.mass": 0.05,
+        "wheel.mass": 0.05,
+        "tyre.stiffness": 0.05,
+        "damper.damping": 0.05,
+    }
+    return Network.load(data)
+
+
+def driven():
+    t = np.arange(0, 4, 1e-3)
+    return t, {
+        "road": 0.008 * np.sin(9 * t) ** 3 + 0.003 * np.sin(41 * t) ** 2,
+        "current": 2.0 * np.sign(np.sin(5 * t)),
+    }
+
+
+def test_what_is_above_the_cut_moves_as_in_the_whole_car():
+    t, inputs = driven()
+    whole = simulate(car(), t, inputs)
+    part = cut(car(), "wheel")
+    assert part.moved_nodes == ("wheel",) and "tyre" not in {e.name for e in part.elements}
+    assert [c.name for c in part.inputs] == ["wheel_acceleration", "current"]
+    assert set(part.uncertainty) == {"body.mass", "damper.damping"}
+    out = simulate(part, t, {"wheel_acceleration": whole["wheel_acceleration"], "current": inputs["current"]})
+    assert set(out) == {"body_acceleration", "suspension_travel", "device_travel"}
+    for name, y in out.items():
+        assert np.std(y - whole[name]) < 0.01 * np.std(whole[name])
+
+
+def test_a_displacement_is_taken_before_an_acceleration():
+    data = car().to_dict()
+    data["outputs"].append({"name": "hub", "quantity": "displacement", "at": "wheel", "unit": "mm"})
+    part = cut(Network.load(data), "wheel")
+    assert part.inputs[0].name == "hub" and part.inputs[0].unit == "mm"
+    assert "wheel_acceleration" not in {c.name for c in part.outputs}  # the input tells it
+
+
+def test_what_was_found_in_a_part_comes_back_into_the_whole():
+    part = cut(car(), "wheel").with_parameters({"damper.damping": 1400.0})
+    part = part.with_element(
+        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 80.0}
+    )
+    whole = rejoin(car(), part)
+    assert whole.parameters["damper.damping"] == 1400.0 and whole.parameters["rub.level"] == 80.0
+    assert whole.parameters["tyre.stiffness"] == car().parameters["tyre.stiffness"]
+    assert whole.inputs == car().inputs and whole.uncertainty == car().uncertainty
+    assert rejoin(car(), cut(car(), "wheel")).parameters == car().parameters
+
+
+@pytest.mark.parametrize(
+    ("node", "words"),
+    [
+        ("roof", "no node 'roof'"),
+        ("road", "moved by an input already"),
+        ("piston", "no output measures the motion of 'piston'"),
+        ("body", "everything hangs together beside 'body'"),
+    ],
+)
+def test_a_cut_that_makes_no_sense_is_said_in_a_line(node, words):
+    with pytest.raises(InputError, match=words):
+        cut(car(), node)
+
+
+@pytest.mark.slow
+def test_a_car_whose_road_nobody_measured_is_diagnosed_from_its_wheel_up():
+    """A passive car, friction in its strut; the records hold no road."""
+    truth = Network.load("quarter-car-passive").to_dict()
+    motion = [
+        {"name": "wheel_acceleration", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"},
+        {"name": "body_acceleration", "quantity": "acceleration", "at": "body", "unit": "m/s^2"},
+        {"name": "travel", "quantity": "displacement", "between": ["body", "wheel"], "unit": "m"},
+    ]
+    model = Network.load({**truth, "outputs": motion, "uncertainty": {"body.mass": 0.03}})
+    rubbing = model.with_element(
+        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 150.0}
+    )
+    rng = np.random.default_rng(3)
+    tables = []
+    for k in range(2):
+        t = np.arange(0, 8, 4e-3)
+        f = rng.uniform(0.4, 9.0, 30)
+        road = sum(
+            0.004 / x * np.sin(2 * np.pi * x * t + p) for x, p in zip(f, rng.uniform(0, 6, 30), strict=True)
+        )
+        out = simulate(rubbing, t, {"road": road - road[0]})
+        noisy = {n: y + 0.01 * np.std(y) * rng.standard_normal(len(t)) for n, y in out.items()}
+        tables.append(Table(time=t, columns=noisy, source=f"drive_{k}"))
+    result = diagnose(tables[:1], replace(model, name="car"), validate=tables[1:], cut="wheel")
+    (effect,) = result.effects
+    assert effect.effect == "coulomb_friction" and set(effect.between) == {"body", "wheel"}
+    assert effect.parameters["level"].value == pytest.approx(150.0, rel=0.1)
+    assert result.whole is not None and "tyre" in {e.name for e in result.whole.elements}
+    assert any("left out: tyre" in n for n in result.notes)

@@ -1,0 +1,103 @@
+"""The law that no list has: tables with a smooth prior, the laws nearest to them, and the verdict that shows one."""
+
+import json
+
+import numpy as np
+import pytest
+
+from isd_gym import schemas, simulate
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.tabulate import _axis, _directions, force_over
+from isd_gym.elements import Motion
+from isd_gym.network import Network
+
+MODEL = {
+    "schema": "isd-model/1",
+    "name": "shaken",
+    "masses": {"mass": 3.0},
+    "elements": [
+        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 900.0},
+        {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 20.0},
+    ],
+    "inputs": [{"name": "moved", "quantity": "displacement", "at": "base", "unit": "m"}],
+    "outputs": [
+        {"name": "travel", "quantity": "displacement", "between": ["mass", "base"], "unit": "m"},
+        {"name": "felt", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
+    ],
+    "uncertainty": {"mass.mass": 0.02},
+}
+
+
+def test_the_prior_of_a_table_is_zero_at_rest_smooth_and_as_large_as_it_was_said():
+    x = _axis(np.linspace(-1.0, 3.0, 1000), 33)
+    assert len(x) == 33 and 0.0 in x and np.all(np.diff(x) > 0)
+    basis = _directions([x], 0.35, 10.0, 12)
+    assert np.allclose(basis[x == 0.0], 0.0, atol=1e-9)
+    spread = np.sqrt(np.sum(basis**2, axis=1))
+    assert 9.0 < spread[np.argmax(np.abs(x))] < 10.1  # far from rest nothing is known of it
+    rough = np.abs(np.diff(basis, 2, axis=0)).max()
+    assert rough < 2.0
+
+
+@pytest.mark.parametrize("law", [lambda x: 5 * np.tanh(2 * x), lambda x: x**3, lambda x: x * np.exp(-(x**2))])
+def test_a_few_directions_hold_any_smooth_law(law):
+    x = _axis(np.linspace(-1.5, 1.5, 1000), 33)
+    basis = _directions([x], 0.35, 10.0, 12)
+    found = basis @ np.linalg.lstsq(basis, law(x), rcond=None)[0]
+    assert np.abs(found - law(x)).max() < 0.02 * np.abs(law(x)).max()
+
+
+def test_the_force_of_an_element_over_a_motion():
+    net = Network.load(MODEL)
+    for extra in (
+        {"type": "coulomb_friction", "level": 2.0},
+        {"type": "asymmetric_friction", "extension": 3.0, "compression": 1.0},
+        {"type": "quadratic_damping", "damping": 4.0},
+        {"type": "linear_damping", "damping": 4.0},
+    ):
+        e = net.with_element({"name": "x", "between": ["mass", "base"], **extra}).element("x")
+        m = Motion(np.zeros(2), np.array([-0.5, 0.5]), np.zeros(2))
+        assert np.allclose(force_over(e, m), e.curve(m.v))
+
+
+@pytest.mark.slow
+def test_a_bistable_force_is_drawn_with_its_band_and_closes_the_gap(tmp_path):
+    """F = -A d exp(-(d/w)^2): no list has it. The table in model.json is read again and does what it did."""
+    knots = np.linspace(-0.2, 0.2, 401)
+    force = -500.0 * knots * np.exp(-((knots / 0.02) ** 2))
+    law = {
+        "name": "odd",
+        "type": "tabulated_force",
+        "between": ["mass", "base"],
+        "elongation": knots.tolist(),
+        "force": force.tolist(),
+    }
+    truth = Network.load(MODEL).with_element(law)
+    rng, tables = np.random.default_rng(5), []
+    for k in range(3):
+        t = np.arange(0, 12, 5e-3)
+        f = rng.uniform(0.3, 7.0, 40)
+        base = sum(
+            0.006 / x * np.sin(2 * np.pi * x * t + p) for x, p in zip(f, rng.uniform(0, 6, 40), strict=True)
+        )
+        base = base - base[0]
+        out = simulate(truth, t, {"moved": base})
+        noisy = {n: y + 0.01 * np.std(y) * rng.standard_normal(len(t)) for n, y in out.items()}
+        tables.append(Table(time=t, columns={"moved": base, **noisy}, source=f"shake_{k}"))
+    result = diagnose(tables[:1], MODEL, validate=tables[1:])
+    found = result.tabulated
+    assert result.verdict == "unknown_effect" and found is not None
+    assert found.over == "elongation" and set(found.between) == {"mass", "base"}
+    assert result.closed > 0.8
+    axis = np.array(found.elongation)
+    true = -500.0 * axis * np.exp(-((axis / 0.02) ** 2))
+    inside = np.abs(axis) < 0.6 * np.abs(axis).max()
+    assert np.abs(found.force - true)[inside].max() < 0.2 * np.abs(true).max()
+    result.save(tmp_path / "out")
+    again = Network.load(tmp_path / "out" / "model.json")
+    assert again.element(found.element).type == "tabulated_force"
+    data = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert data["tabulated"]["over"] == "elongation" and data["tabulated"]["nearest"] is not None
+    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema.validate(data, schemas.load("isd-diagnosis/1"))
