@@ -30,6 +30,7 @@ from .noise import Whitener, whitener
 from .problem import Array, Problem, bare
 from .result import Over, Tabulated
 from .structure import Free, Structure
+from .tangent import tangents
 
 KNOTS = {"rate": 33, "elongation": 33, "both": 13}
 #: correlation lengths, as shares of half the motion's range, that are tried in turn
@@ -144,10 +145,10 @@ def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) ->
     x = _started(base, structure)
     p, q = len(base.fit.x), len(x)
     total, slope = np.diag([*(1 / f.sigma**2 for f in structure.free)]), np.zeros(q)
-    for i in problem.estimation:
-        y, dp, ds = fitter.lanes(structure, x, i, base.fit.initial[i])
-        left = problem.records[i].measured - y - base.fit.offset[i]
-        stack = np.concatenate([left[:, :, None], dp, ds, problem.constants(i)], axis=2)
+    begun = {i: base.fit.initial[i] for i in problem.estimation}
+    for i, t in tangents(problem, structure, x, begun).items():
+        left = problem.records[i].measured - base.fit.outputs[i]
+        stack = np.concatenate([left[:, :, None], t.by_parameter, t.by_state, problem.constants(i)], axis=2)
         W = fitter.weights(stack).reshape(-1, stack.shape[2])
         r, J, nuisance = W[:, 0], W[:, 1 : 1 + q], W[:, 1 + q :]
         if nuisance.shape[1]:

@@ -81,7 +81,9 @@ def diagnose(
         problem, whole, progress or (lambda line: None), seed, settings or SearchSettings(), criteria
     )
     found = flow.run(notes, begun)
-    return replace(found, whole=rejoin(whole_network, found.model)) if cut is not None else found
+    if cut is not None and isinstance(found.model, Network):
+        found = replace(found, whole=rejoin(whole_network, found.model))
+    return found
 
 
 def _several(data: Any, name: str) -> list[Any]:
