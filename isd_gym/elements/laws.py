@@ -134,6 +134,9 @@ class ConstantForce(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
+        v = at.moves.v
+        if (v.min() >= 0.0 or v.max() <= 0.0) and abs(v[-1]) < abs(v[0]):
+            return []  # what runs down one way without turning is slowed by dry friction just so
         return [Start({"force": at.small}, grows=("force",), signed=True)]
 
 
