@@ -143,3 +143,27 @@ def test_draw_refuses_bad_input(tmp_path, monkeypatch, args, says):
     with pytest.raises(InputError, match=says) as caught:
         CliRunner().invoke(cli.app, ["networks", *args], catch_exceptions=False)
     assert "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
+
+
+def test_what_turns_has_its_own_units():
+    arm = Network.load(
+        {
+            "schema": "isd-model/1",
+            "name": "pendulum",
+            "inertias": {"arm": 0.0033},
+            "elements": [
+                {
+                    "name": "gravity",
+                    "type": "linear_stiffness",
+                    "between": ["arm", "ground"],
+                    "stiffness": 0.2,
+                },
+                {"name": "bearing", "type": "linear_damping", "between": ["arm", "ground"], "damping": 2e-4},
+            ],
+            "outputs": [{"name": "angle", "quantity": "angle", "at": "arm", "unit": "rad"}],
+        }
+    )
+    words = " ".join(w.text for w in schematic.draw(arm).words)
+    for text in ("0.2 N·m/rad", "N·m·s/rad", "0.0033 kg m²"):
+        assert text in words, text
+    assert "N/m" not in words

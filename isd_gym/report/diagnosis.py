@@ -155,6 +155,10 @@ class View:
         except InputError:  # nothing between nodes
             return []
 
+    def turns(self, pair: Sequence[str]) -> bool:
+        """Whether what stands between two nodes turns: torque over angle in place of force over travel."""
+        return isinstance(self.d.base, Network) and any(n in self.d.base.rotating for n in pair)
+
     def lights(self, c: Contender) -> str:
         """What of the drawing lights up for a rival, as JSON."""
         if not isinstance(self.d.base, Network):
@@ -370,7 +374,7 @@ def draw_gap(view: View) -> Chart:
         )
     low, high = min(ends[0]) / 1.12, 1.12 * max(ends[1])
     x = Axis(
-        "RMS error on held-out data, relative to the measured signal's deviation",
+        "RMS error, relative to the signal's deviation",
         log=True, low=low, high=high, ticks=log_ticks(low, high, "{:g} %"),
     )  # fmt: skip
     return Chart(
@@ -539,8 +543,15 @@ def draw_spectra(view: View) -> Chart | None:
     )
 
 
-def _law_axis(kind: str) -> tuple[float, Axis]:
+def _law_axis(kind: str, turns: bool) -> tuple[float, Axis]:
+    if turns:
+        return 1.0, Axis("rate", "rad/s") if kind == "rate" else Axis("angle", "rad")
     return (1.0, Axis("rate", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
+
+
+def _force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
+    label, unit = (label.replace("force", "torque"), "N·m") if turns else (label, "N")
+    return Axis(label, unit, low=low, high=high)
 
 
 def draw_plane(view: View) -> Chart | None:
@@ -566,14 +577,16 @@ def draw_plane(view: View) -> Chart | None:
         if law is not None:
             top = max(top, 1.15 * float(np.abs(law[1]).max()))
         for k, (axis_kind, force, title, colour) in enumerate(parts):
-            factor, x = _law_axis(axis_kind)
+            turns = view.turns(cloud.pair)
+            factor, x = _law_axis(axis_kind, turns)
             x = replace(x, label=f"{x.label} of {cloud.pair[0]}–{cloud.pair[1]}")
             items, x = _dots(x, factor * over[axis_kind], force, colour)
             if law is not None and k == 0:
                 axis, middle, low, high = law
                 look = Look(BLUE, "-", "", 1.6)
                 items.append(Line("the law that was found", factor * axis, middle, look, band=(low, high)))
-            panels.append(Panel(x, Axis("missing force", "N", low=-top, high=top), tuple(items), title=title))
+            y = _force_axis("missing force", turns, -top, top)
+            panels.append(Panel(x, y, tuple(items), title=title))
     where = "the law, drawn over it, took no part in that" if view.named else "no law was assumed"
     short = ""
     if view.named:
@@ -712,7 +725,8 @@ def draw_law(view: View) -> Chart | None:
     columns = min(3, len(laws))
     panels = []
     for law, e in laws[:3]:
-        factor, axis = _law_axis(law.kind)
+        turns = view.turns(e.between or ())
+        factor, axis = _law_axis(law.kind, turns)
         x = factor * law.axis
         count, edges = np.histogram(factor * law.visited, bins=40, range=(float(x[0]), float(x[-1])))
         least, most = float(np.min(law.low)), float(np.max(law.high))
@@ -735,7 +749,7 @@ def draw_law(view: View) -> Chart | None:
         panels.append(
             Panel(
                 replace(axis, label=text, low=float(x[0]), high=float(x[-1])),
-                Axis("force", "N", low=low, high=high),
+                _force_axis("force", turns, low, high),
                 items,
                 title=title,
             )

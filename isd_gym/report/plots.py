@@ -190,7 +190,14 @@ def unit_text(unit: str) -> str:
     """A unit as one prints it: ``m/s^2`` -> m/s², ``-`` -> nothing."""
     if unit in ("", "-"):
         return ""
-    return unit.replace("^2", "²").replace("^3", "³").replace("N s", "N·s").replace("deg", "°")
+    return (
+        unit.replace("^2", "²")
+        .replace("^3", "³")
+        .replace("N m", "N·m")
+        .replace("N·m s", "N·m·s")
+        .replace("N s", "N·s")
+        .replace("deg", "°")
+    )
 
 
 def channel_text(name: str) -> str:

@@ -214,14 +214,14 @@ def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
 # --------------------------------------------------------------------------------------------------- words
 
 
-def values_text(e: el.Element) -> list[str]:
+def values_text(e: el.Element, network: Network) -> list[str]:
     """The numbers of an element with their units, a line each."""
     out = []
     for f in el.parameter_fields(type(e)):
         value = getattr(e, f.name)
         if not isinstance(value, int | float):
             continue
-        unit = unit_text(f.metadata["unit"])
+        unit = unit_text(network.unit_of(f"{e.name}.{f.name}"))  # what turns has others than the class says
         scaled, prefix = _prefixed(float(value), unit)
         out.append(f"{scaled} {prefix}{unit}" if unit else f"{channel_text(f.name)} {scaled}")
     return out[:3]
@@ -269,7 +269,7 @@ class _Sheet:
         self.signal: dict[str, list[str]] = {}
         for e in network.elements:
             if e.place == "element":
-                words = [channel_text(e.type), *values_text(e)]
+                words = [channel_text(e.type), *values_text(e, network)]
                 self.beside.setdefault(e.where[0], []).append(" ".join(words))
         for c in network.inputs:
             for name in c.elements:
@@ -281,7 +281,7 @@ class _Sheet:
     def output(self, c: Channel) -> str:
         """An output with what its sensor does to it."""
         does = [
-            f"{channel_text(e.type)} {' '.join(values_text(e))}"
+            f"{channel_text(e.type)} {' '.join(values_text(e, self.net))}"
             for e in self.net.elements
             if e.place == "channel" and e.where[0] == c.name
         ]
@@ -292,7 +292,7 @@ class _Sheet:
     def words(self, e: el.Element) -> list[tuple[str, str, bool]]:
         colour = "found" if e.name in self.found else "ink"
         lines = [(channel_text(e.name), colour, True)]
-        lines += [(t, "found" if colour == "found" else "muted", False) for t in values_text(e)]
+        lines += [(t, "found" if colour == "found" else "muted", False) for t in values_text(e, self.net)]
         for t in self.beside.get(e.name, []):
             hit = any(
                 o.name in self.found

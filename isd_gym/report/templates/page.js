@@ -392,10 +392,13 @@ function points(fig, panel, cell, width, columns) {
     const count = Math.max(2, Math.floor((width - left - right) / 70));
     let tx = ticksOf(panel.x, ...view);
     if (!tx || tx.length < 2) tx = (panel.x.log ? logTicks(...view) : nice(...view, count)).map(t => [t, short(t)]);
-    const unit = /%$/.test((tx[0] || ["", ""])[1]) || !panel.x.log || true;
+    let free = -Infinity;  // where the next word may begin
     for (const [t, text] of tx) {
       svg("line", {x1: X(t), x2: X(t), y1: top, y2: height - bottom, stroke: css("line")}, frame);
+      const half = 3.4 * text.length;
+      if (X(t) - half < free) continue;
       word(text, X(t), height - bottom + 16, "middle");
+      free = X(t) + half + 6;
     }
     word(panel.x.label + (panel.x.unit ? ` [${panel.x.unit}]` : ""), width < 420 ? width - right : (left + width - right) / 2, height - 8, width < 420 ? "end" : "middle");
     if (rows) rows.forEach((r, k) => word(r, short_names ? left : left - 8, short_names ? Y(k) - 10 : Y(k) + 4, short_names ? "start" : "end"));
