@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hidden import make_case
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import Diagnosis, diagnose
@@ -219,6 +222,51 @@ def test_friction_is_not_lost_to_a_stribeck_curve_that_rises() -> None:
     (what, where), *_ = case.answer
     assert named(d) == {(what, frozenset(where))}
     assert d.closed is not None and d.closed > 0.9
+
+
+def test_a_damper_that_differs_by_direction_is_named_beside_one_that_is_hardly_known() -> None:
+    """What both directions have in common may be the owner's damper; by how much they differ is the effect."""
+    time, rng = 5e-3 * np.arange(2400), np.random.default_rng(3)
+    rows = butter(2, [0.5, 12.0], "band", fs=200.0, output="sos")
+    records = []
+    for name in ("estimation", "validation"):
+        base = 0.003 * sosfiltfilt(rows, rng.standard_normal(len(time)))
+        a = solve_ivp(
+            _valve, (0.0, time[-1]), np.zeros(2), t_eval=time, args=(CubicSpline(time, base),), max_step=2e-3
+        ).y
+        spline = CubicSpline(time, base)
+        force = [_valve(t, y, spline)[1] for t, y in zip(time, a.T, strict=True)]
+        noise = 0.01 * np.std(force) * rng.standard_normal(len(time))
+        records.append(Table(time, {"base": base, "acceleration": np.array(force) + noise}, name))
+    model = Network.load(
+        {
+            "schema": "isd-model/1",
+            "name": "shaken",
+            "masses": {"mass": 2.0},
+            "elements": [
+                {
+                    "name": "spring",
+                    "type": "linear_stiffness",
+                    "between": ["mass", "base"],
+                    "stiffness": 2000.0,
+                },
+                {"name": "damper", "type": "linear_damping", "between": ["mass", "base"], "damping": 23.0},
+            ],
+            "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
+            "outputs": [{"name": "acceleration", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"}],
+            "uncertainty": {"damper.damping": 0.3},
+        }
+    )
+    d = diagnose(records[:1], model, validate=records[1:])
+    assert named(d) == {("asymmetric_damping", frozenset({"mass", "base"}))}
+    sides = d.effects[0].parameters
+    assert abs(sides["extension"].value - sides["compression"].value - 18.0) < 1.5
+
+
+def _valve(t: float, y: np.ndarray, base: CubicSpline) -> list[float]:
+    """A mass of 2 kg on 2000 N/m and a damper of 32 N s/m in extension, 14 N s/m in compression."""
+    d, v = y[0] - base(t), y[1] - base(t, 1)
+    return [y[1], -(2000.0 * d + (32.0 if v > 0 else 14.0) * v) / 2.0]
 
 
 @pytest.mark.slow

@@ -53,11 +53,19 @@ def cases(paths, wanted=lambda path: True, slow=()):
     ]
 
 
+@pytest.fixture
+def types_as_they_were():
+    """A page may register an element: it is forgotten afterwards."""
+    known = dict(elements.TYPES)
+    yield
+    for kind in set(elements.TYPES) - set(known):
+        del elements.TYPES[kind]
+
+
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: any(blocks(p, "python")), SLOW))
-def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
+def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, types_as_they_were):
     """All ```python blocks of a page, in order, in one namespace and an empty folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(elements, "TYPES", dict(elements.TYPES))  # a page may register an element
     space = {"__name__": "__page__"}
     for library in ("skrl", "stable_baselines3", "torch"):  # what a page of a guide may need
         if any(

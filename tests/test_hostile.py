@@ -704,7 +704,7 @@ def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
     isolated._stop()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2, 3))])
 def test_five_changed_bytes_of_a_mat_file_are_no_fault(seed, tmp_path):
     """The library behind it faults on some of these; here each is a table or one line."""
     path, rng = table(tmp_path, ".mat", 20), np.random.default_rng(seed)

@@ -29,26 +29,38 @@ LARGEST = 30.0
 FURTHEST = 20.0
 
 
-def intervals(search: Search, candidate: Candidate) -> dict[str, Quantity]:
-    """Every free parameter with its 95 % interval.
+def covariance(search: Search, candidate: Candidate) -> Array | None:
+    """Covariance (parameters, parameters) of the free parameters, in the coordinates of the fit; None where there are none.
 
     Noise counts by the curvature under the residual's own coloured noise; the small effects that every rig has and no
-    model holds count by how far each of them, `SMALL` of the force, would drag the parameter.
+    model holds count by how far each of them, `SMALL` of the force, would drag the parameters.
     """
     problem, fit = search.problem, candidate.fit
     W = whitener(residuals(problem, fit), reckoned(problem, fit, search.floors))
     f = Fitter(problem, W).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
-    out: dict[str, Quantity] = {}
     if f.hessian is None or not len(f.x):
-        return out
+        return None
     sigma = np.array([q.sigma for q in f.structure.free])
-    variance = np.maximum(np.diag(np.linalg.inv(f.hessian + np.diag(1 / sigma**2))), 0.0)
+    out = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))
     try:
         dragged, _ = Fitter(problem, W).refit(f, unmodelled(problem, f, SMALL))
-        variance = variance + np.sum(np.clip(dragged, -1e6, 1e6) ** 2, axis=1)  # some have no end
+        dragged = np.clip(dragged, -1e6, 1e6)  # some have no end
+        out = out + dragged @ dragged.T
     except BROKEN:
         pass
-    variance = np.minimum(variance, sigma**2)  # no wider than what was known before
+    return np.asarray(out)
+
+
+def intervals(search: Search, candidate: Candidate, spread: Array | None = None) -> dict[str, Quantity]:
+    """Every free parameter with its 95 % interval. `spread`: its `covariance`, where that is known already."""
+    problem, f = search.problem, candidate.fit
+    spread = covariance(search, candidate) if spread is None else spread
+    out: dict[str, Quantity] = {}
+    if spread is None:
+        return out
+    sigma = np.array([q.sigma for q in f.structure.free])
+    # no wider than what was known before
+    variance = np.minimum(np.maximum(np.diag(spread), 0.0), sigma**2)
     known = problem.network.parameters
     for k, q in enumerate(f.structure.free):
         s, x = math.sqrt(variance[k]), f.x[k]
@@ -56,7 +68,7 @@ def intervals(search: Search, candidate: Candidate) -> dict[str, Quantity]:
             q.back(max(x - 1.96 * s, -700.0)),
             q.back(min(x + 1.96 * s, 700.0)) if q.log else x + 1.96 * s,
         )
-        out[q.path] = Quantity(q.back(x), *ends, fit.network.unit_of(q.path), known.get(q.path))
+        out[q.path] = Quantity(q.back(x), *ends, f.network.unit_of(q.path), known.get(q.path))
     return out
 
 
@@ -69,10 +81,30 @@ def beyond_limits(search: Search, candidate: Candidate) -> tuple[str, ...]:
     return tuple(out)
 
 
-def spread_of(element: el.Element, quantities: dict[str, Quantity]) -> float:
+def difference(
+    search: Search, candidate: Candidate, element: el.Element, spread: Array | None
+) -> Quantity | None:
+    """The difference of the two parameters whose common part could be a parameter of the model's, where they have one."""
+    here = [e for e in el.beside(search.problem.network, element.where) if e.name != element.name]
+    pair = element.differing(here)
+    if pair is None or spread is None:
+        return None
+    free = candidate.fit.structure.free
+    paths = [q.path for q in free]
+    wanted = [f"{element.name}.{name}" for name in pair]
+    if any(w not in paths or free[paths.index(w)].log for w in wanted):
+        return None
+    a = np.zeros(len(paths))
+    a[[paths.index(w) for w in wanted]] = 1.0, -1.0
+    value, half = float(a @ candidate.fit.x), 1.96 * math.sqrt(max(float(a @ spread @ a), 0.0))
+    return Quantity(value, value - half, value + half, candidate.fit.network.unit_of(wanted[0]), None)
+
+
+def spread_of(element: el.Element, quantities: dict[str, Quantity], beyond: Quantity | None = None) -> float:
     """Half of an effect's widest 95 % interval, as the logarithm of a factor; infinite where it holds zero.
 
-    Of several parameters of one unit the largest counts: a damper may well be soft in one direction.
+    Of several parameters of one unit the largest counts: a damper may well be soft in one direction. `beyond`: what they
+    differ by, which counts instead where what they have in common may be the model's.
     """
     by_unit: dict[str, tuple[float, float]] = {}
     for f in el.parameter_fields(type(element)):
@@ -84,6 +116,8 @@ def spread_of(element: el.Element, quantities: dict[str, Quantity]) -> float:
         half = q.value - q.low if f.metadata["minimum"] >= 0 else 0.5 * abs(q.high - q.low)
         old = by_unit.get(q.unit, (0.0, 0.0))
         by_unit[q.unit] = max(old[0], size), max(old[1], half)
+    if beyond is not None:
+        by_unit[beyond.unit] = abs(beyond.value), 0.5 * (beyond.high - beyond.low)
     return max((_factor(size, half) for size, half in by_unit.values()), default=0.0)
 
 
@@ -127,7 +161,8 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
     refit, after, closest = trial.of(base), trial.of(best), trial.of(trial.richest)
     before, _ = judge.owner()
     worth = search.worth(base)
-    quantities = intervals(search, best)
+    spread = covariance(search, best)
+    quantities = intervals(search, best, spread)
     row = lambda x: tuple(float(v) for v in x)  # noqa: E731
     common = {
         "channels": tuple(problem.channels),
@@ -144,7 +179,7 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
         EffectEvidence(
             label=h.label,
             share=share,
-            spread=spread_of(e, quantities),
+            spread=spread_of(e, quantities, difference(search, best, e, spread)),
             complaint=complaint(search, best, e),
             sensor=h.place == "channel",
             fault=e.fault(problem.time),

@@ -327,6 +327,13 @@ class Element:
         """
         return 1.0
 
+    def differing(self, beside: Sequence[Element]) -> tuple[str, str] | None:
+        """Two parameters that are an effect by their difference alone: what they have in common could be a parameter of what stands there.
+
+        beside: the elements that stand there.
+        """
+        return None
+
 
 def beside(network: Network, where: tuple[str, ...]) -> list[Element]:
     """The elements at a place: between the same two nodes, at the same motor, on the same channel.

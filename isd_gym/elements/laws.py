@@ -214,8 +214,12 @@ class AsymmetricDamping(Element):
     def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
         return {"damping": 0.5 * (values["extension"] + values["compression"])}
 
+    def differing(self, beside: Sequence[Element]) -> tuple[str, str] | None:
+        damped = any(isinstance(e, LinearDamping) for e in beside)
+        return ("extension", "compression") if damped else None
+
     def own_share(self, beside: Sequence[Element]) -> float:
-        if not any(isinstance(e, LinearDamping) for e in beside):
+        if self.differing(beside) is None:
             return 1.0
         # what both directions have in common is that damper's
         return abs(self.extension - self.compression) / (
