@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from .errors import InputError
-from .files import write_text
+from .files import claim_folder, write_text
+from .inputs import read_json
 
 SCHEMA = "isd-result/1"
 TRIES = 2  # of a task whose worker died
@@ -57,15 +58,23 @@ class Outcome:
     failed: dict[str, str] = field(default_factory=dict)
 
 
-def stored(tasks: Sequence[Task], folder: Path) -> dict[str, Any]:
-    """Results that are in the folder, by key; a file that is broken is none."""
+#: whether what a file says is a result of the task
+Sound = Callable[[Task, Any], bool]
+
+
+def _any(task: Task, result: Any) -> bool:
+    return True
+
+
+def stored(tasks: Sequence[Task], folder: Path, sound: Sound = _any) -> dict[str, Any]:
+    """Results that are in the folder, by key; a file that is broken, or whose result is not `sound`, is none."""
     out = {}
     for task in tasks:
         try:
-            data = json.loads((folder / f"{task.key}.json").read_text(encoding="utf-8"))
-            if data["schema"] == SCHEMA and data["key"] == task.key:
+            data = read_json(folder / f"{task.key}.json")
+            if data["schema"] == SCHEMA and data["key"] == task.key and sound(task, data["result"]):
                 out[task.key] = data["result"]
-        except (OSError, ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, AttributeError):  # InputError among them
             continue
     return out
 
@@ -92,22 +101,19 @@ def run(
     address: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
+    sound: Sound = _any,
 ) -> Outcome:
     """Do what is not done yet of `tasks`, their results as files in `folder`.
 
     jobs: processes of this machine; engine "ray": a Ray cluster at `address` ("auto": the one this machine belongs to).
-    progress(done, all): told after each. Raises `InputError` for a folder that cannot be written or a cluster that is not there.
+    progress(done, all): told after each. sound(task, result): whether a result in the folder is one. Raises `InputError` for a folder that cannot be written or a cluster that is not there.
     """
     if engine not in ENGINES:
         raise InputError(f"no engine '{engine}': there are {', '.join(ENGINES)}")
     if jobs < 1:
         raise InputError(f"jobs must be at least 1, not {jobs}")
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write '{folder}' ({error.strerror})") from None
-    out = Outcome(stored(tasks, folder))
+    folder = claim_folder(folder, "folder of results", None, ("*.json",))
+    out = Outcome(stored(tasks, folder, sound))
     todo = [task for task in {t.key: t for t in tasks}.values() if task.key not in out.results]
     total = len(out.results) + len(todo)
     if progress is not None:

@@ -92,7 +92,7 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
             raise _cannot(path, error) from None
 
 
-def claim_folder(path: str | Path, kind: str, mark: str, parts: Sequence[str]) -> Path:
+def claim_folder(path: str | Path, kind: str, mark: str | None, parts: Sequence[str]) -> Path:
     """Make the folder `path` for a `kind` that grows in place, under the rule of `whole_folder`; returns it."""
     path = Path(path)
     check_folder(path, kind, mark, parts)
@@ -142,8 +142,11 @@ def check_file(path: str | Path) -> None:
         raise InputError(f"cannot write '{path}': it is a folder; name a file")
 
 
-def check_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()) -> None:
-    """Raise `InputError` where `whole_folder` would not write, so that long work does not begin in vain."""
+def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequence[str] = ()) -> None:
+    """Raise `InputError` where `whole_folder` would not write, so that long work does not begin in vain.
+
+    Without a `mark` (None) the `parts` alone tell an earlier one.
+    """
     path = Path(path)
     _nameable(path)
     if os.path.islink(path) or (os.path.exists(path) and not os.path.isdir(path)):
@@ -156,7 +159,7 @@ def check_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
         there = sorted((p for p in path.iterdir() if not p.name.startswith(_PREFIX)), key=lambda p: p.name)
     except OSError as error:
         raise _cannot(path, error) from None
-    if there and mark not in {p.name for p in there}:
+    if there and mark is not None and mark not in {p.name for p in there}:
         raise InputError(
             f"folder '{path}' is not empty and holds no earlier {kind} (it holds {shown(there[0].name)}); name another"
         )

@@ -46,8 +46,8 @@ from .network import Network
 from .sensors import Sensors
 
 SCHEMA = "isd-sweep/1"
-#: conditions and items of a grid, and the size of any number in it
-CONDITIONS, ITEMS, LARGEST = 10_000, 1_000_000, 1e100
+#: conditions and items of a grid, the size of any number in it, and the bytes of a file that belongs to it
+CONDITIONS, ITEMS, LARGEST, BELONGING = 10_000, 1_000_000, 1e100, 2**30
 BUILT_IN = Path(__file__).parent / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
 #: what [random] may draw: a range of numbers, or one of several
@@ -269,7 +269,7 @@ def belongings(names: Sequence[str]) -> dict[str, str]:
         try:
             parts = sorted(p for p in path.glob("*") if p.is_file()) if path.is_dir() else [path]
             for part in parts:
-                digest.update(part.name.encode() + b"\0" + part.read_bytes())
+                digest.update(part.name.encode() + b"\0" + read_bytes(part, BELONGING))
         except (OSError, ValueError):  # no file's name
             continue
         if parts:

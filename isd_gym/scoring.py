@@ -166,21 +166,36 @@ def drive(
     )
 
 
+#: what `measures` gives, and in which unit
+MEASURES = {
+    "cost": "-",
+    "body_acceleration_rms": "m/s^2",
+    "suspension_travel_rms": "m",
+    "tyre_load_rms": "N",
+    "weighted_acceleration_rms": "m/s^2",
+    "current_rms": "A",
+    "energy": "J",
+    "peak_body_acceleration": "m/s^2",
+    "peak_suspension_travel": "m",
+}
+
+
 def measures(run: Run, cost: StageCost) -> dict[str, tuple[np.ndarray, str]]:
     """Mean squares (or means, for cost and energy) by episode, and the unit of the value."""
     dt = run.control_step
     power = RESISTANCE * run.current**2 - run.thrust * run.current * run.device_travel_rate
-    return {
-        "cost": (run.cost(cost), "-"),
-        "body_acceleration_rms": (np.mean(run.body_acceleration**2, axis=0), "m/s^2"),
-        "suspension_travel_rms": (np.mean(run.suspension_travel**2, axis=0), "m"),
-        "tyre_load_rms": (np.mean(run.tyre_load**2, axis=0), "N"),
-        "weighted_acceleration_rms": (weighted_rms(run.body_acceleration, dt) ** 2, "m/s^2"),
-        "current_rms": (np.mean(run.current**2, axis=0), "A"),
-        "energy": (np.sum(power, axis=0) * dt, "J"),
-        "peak_body_acceleration": (np.abs(run.body_acceleration).max(axis=0), "m/s^2"),
-        "peak_suspension_travel": (np.abs(run.suspension_travel).max(axis=0), "m"),
+    found = {
+        "cost": run.cost(cost),
+        "body_acceleration_rms": np.mean(run.body_acceleration**2, axis=0),
+        "suspension_travel_rms": np.mean(run.suspension_travel**2, axis=0),
+        "tyre_load_rms": np.mean(run.tyre_load**2, axis=0),
+        "weighted_acceleration_rms": weighted_rms(run.body_acceleration, dt) ** 2,
+        "current_rms": np.mean(run.current**2, axis=0),
+        "energy": np.sum(power, axis=0) * dt,
+        "peak_body_acceleration": np.abs(run.body_acceleration).max(axis=0),
+        "peak_suspension_travel": np.abs(run.suspension_travel).max(axis=0),
     }
+    return {name: (found[name], unit) for name, unit in MEASURES.items()}
 
 
 def _pool(name: str, values: np.ndarray) -> np.ndarray:

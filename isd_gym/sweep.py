@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,13 +12,16 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from .engine import Outcome, shard, stored
+from .engine import Outcome, Task, shard, stored
 from .engine import run as run_tasks
 from .errors import InputError
+from .files import claim_folder, write_text
 from .grid import SCHEMA, Condition, Grid, belongings
 from .network import Network
 
 RESAMPLES = 4000
+#: kind, mark and parts of the folder of a sweep
+FOLDER = ("sweep", None, ("items", "sweep.json", "sweep.md"))
 COMMANDS = ("given", "not_finite", "above_limit", "above_slew")
 
 
@@ -88,6 +92,23 @@ def _watched(entry: Any, counts: Counter[str]) -> Any:
         return controller
 
     return Entry(entry.name, make, entry.network)
+
+
+def _sound(task: Task, result: Any) -> bool:
+    """Whether `result` is what `drive_item` gives; a file of another version, or of somebody's own, is not."""
+    from .scoring import MEASURES
+
+    episodes, commands = task.arguments["episodes"], result["commands"]
+    return (
+        result["units"] == MEASURES
+        and result["measures"].keys() == MEASURES.keys()
+        and all(len(v) == episodes and all(map(_number, v)) for v in result["measures"].values())
+        and all(isinstance(n, int) for n in (result["fallbacks"], *(commands[k] for k in COMMANDS)))
+    )
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf
 
 
 def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
@@ -170,14 +191,19 @@ def sweep(
     Items are files in ``out/items``; the merged sweep is ``out/sweep.json``, and for reading ``out/sweep.md``, as far as there
     are items.
     """
-    from .files import write_text
-
     tasks = grid.tasks()
-    folder = Path(out) / "items"
+    folder = claim_folder(out, *FOLDER) / "items"
     outcome = run_tasks(
-        shard(tasks, which), folder, jobs=jobs, engine=engine, address=address, progress=progress, say=say
+        shard(tasks, which),
+        folder,
+        jobs=jobs,
+        engine=engine,
+        address=address,
+        progress=progress,
+        say=say,
+        sound=_sound,
     )
-    merged = merge(grid, stored(tasks, folder))
+    merged = merge(grid, stored(tasks, folder, _sound))
     write_text(Path(out) / "sweep.json", json.dumps(merged, indent=1, allow_nan=False) + "\n")
     write_text(Path(out) / "sweep.md", table(merged))
     return merged, outcome

@@ -95,6 +95,39 @@ def test_a_grid_of_a_sweep_may_hold_anything(grid, says, tmp_path):
     refused(lambda: Grid.load(path), says)
 
 
+def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
+    """What is no result is done again; links and what belongs to somebody are left alone."""
+    from isd_gym.engine import stored
+    from isd_gym.sweep import Grid, _sound, sweep
+
+    grid = Grid.from_dict({"policies": ["isd-passive"], "episodes": 1, "duration": 0.1})
+    merged, _ = sweep(grid, tmp_path / "out")
+    items = sorted((tmp_path / "out" / "items").iterdir())
+    good = json.loads(items[0].read_text())
+    strange = [{}, [], None, good["result"] | {"measures": {}}, good["result"] | {"fallbacks": "many"}]
+    strange.append(good["result"] | {"measures": {key: [1e300] * 2 for key in good["result"]["measures"]}})
+    for text in [*(json.dumps(good | {"result": result}) for result in strange), "[" * 100_000]:
+        items[0].write_text(text)
+        assert len(stored(grid.tasks(), tmp_path / "out" / "items", _sound)) == len(items) - 1
+    assert sweep(grid, tmp_path / "out")[0] == merged
+    (tmp_path / "dear").write_text("dear")
+    items[0].unlink()
+    items[0].symlink_to(tmp_path / "dear")
+    refused(lambda: sweep(grid, tmp_path / "out"), "a link")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("dear")
+    refused(lambda: sweep(grid, tmp_path / "mine"), "thesis.tex")
+    assert (tmp_path / "dear").read_text() == "dear"
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="no endless file")
+def test_a_grid_that_names_an_endless_file_is_read(tmp_path):
+    from isd_gym.grid import belongings
+
+    os.mkfifo(tmp_path / "pipe")
+    assert belongings(["/dev/zero", str(tmp_path / "pipe"), "a\0b", "x" * 5000]) == {}
+
+
 # ------------------------------------------------------- archives of Stable-Baselines3: no code, no pointers
 
 
