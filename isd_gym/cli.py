@@ -538,6 +538,9 @@ def diagnose(
             metavar="NODE",
         ),
     ] = None,
+    max_lag: Annotated[
+        float, typer.Option(help="How late or early another logger's clock may be [s].", min=0.0)
+    ] = 0.5,
     seed: Annotated[int, typer.Option(help="Of the resampling that gives the confidence.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -603,7 +606,16 @@ def diagnose(
             [r for f in files for r in records_of(f, network, wanted, **options)]
             for files in (data, validate or [])
         )
-        result = run(fitted, network, validate=held, accept=accept or (), progress=say, seed=seed, cut=cut)
+        result = run(
+            fitted,
+            network,
+            validate=held,
+            accept=accept or (),
+            progress=say,
+            seed=seed,
+            cut=cut,
+            max_lag=max_lag,
+        )
         say("writing the report")
         page = write_report(result, out, about=about | {"Seed": str(seed)})
     _print_diagnosis(result, json_file, page)
@@ -651,6 +663,8 @@ def _print_diagnosis(result: Any, json_file: Path | None, page: Path) -> None:
 
     console = Console(width=None if sys.stdout.isatty() else 118)
     console.print(result.summary, highlight=False, markup=False, soft_wrap=True)
+    for lag in getattr(result, "lags", ()):
+        console.print(plain(str(lag), 200), highlight=False, markup=False, soft_wrap=True)
     stages = [s for s in ("before", "refit", "after", "noise_floor") if s in result.gap]
     console.print("\nRMS error on held-out data, relative to the measured signal's deviation:")
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)

@@ -47,7 +47,7 @@ def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
         nets = [fit.structure.at(x) for x in chunk]
         begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
         for i, y in short.simulate_all(nets, problem.estimation, begun, like=net).items():
-            r = window[i].measured[:, :, None] - y - fit.offset[i][None, :, None]
+            r = window[i].measured[:, :, None] - short.shifted(i, y, fit.offset[i])
             r = r - np.where(problem.free_offset[:, None], r.mean(axis=0), 0.0)
             costs[first : first + len(nets)] += np.sum(fitter.weights(r) ** 2, axis=(0, 1))
     best = fit

@@ -97,7 +97,7 @@ class Fitter:
     def price(self, structure: Structure, at: Point, outputs: Mapping[int, Array]) -> Point:
         """The same point with what it says of each record, and its costs; infinite where it breaks down."""
         for i, y in outputs.items():
-            at.outputs[i] = y + at.offset[i]
+            at.outputs[i] = self.problem.shifted(i, y, at.offset[i])
             square = math.inf
             if np.isfinite(y).all() and np.abs(y).max() <= 1e12:
                 square = float(np.sum(self.weights(self.problem.records[i].measured - at.outputs[i]) ** 2))
@@ -140,7 +140,8 @@ class Fitter:
         self.price(structure, at, {i: t.outputs for i, t in found.items()})
         out = {}
         for i, t in found.items():
-            stack = np.concatenate([t.by_parameter, t.by_state, self.problem.constants(i)], axis=2)
+            free = self.problem.nuisances(i, t.outputs)
+            stack = np.concatenate([t.by_parameter, t.by_state, free], axis=2)
             if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
                 return None
             rows, columns = stack.shape[0] * stack.shape[1], stack.shape[2]
@@ -168,7 +169,7 @@ class Fitter:
         for i, move in moves.items():
             n0 = len(at.initial[i])
             initial[i] = at.initial[i] + move[:n0]
-            offset[i][self.problem.free_offset] += move[n0:]
+            offset[i][self.problem.moves(i)] += move[n0:]
         return Point(x, initial, offset)
 
     # -- fitting ----------------------------------------------------------------------------------------
@@ -181,7 +182,7 @@ class Fitter:
         records: Sequence[int],
     ) -> Point:
         net = structure.at(x)
-        n0, ny = assemble(bare(net)).size[0], len(self.problem.channels)
+        n0 = assemble(bare(net)).size[0]
         given, known = initial or {}, offset or {}
         return Point(
             x.copy(),
@@ -189,7 +190,7 @@ class Fitter:
                 i: given[i].copy() if i in given and len(given[i]) == n0 else guess(self.problem, net, i)
                 for i in records
             },
-            {i: known[i].copy() if i in known else np.zeros(ny) for i in records},
+            {i: known[i].copy() if i in known else self.problem.nothing(i) for i in records},
         )
 
     def fit(
@@ -392,14 +393,15 @@ class Fitter:
 
     def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
         """Of several initial states a record, the one that errs least as it stands, whatever the free offsets."""
-        zero = np.zeros(len(self.problem.channels))
         best = Point(x.copy(), {}, {})
         for k in range(max(map(len, begun.values()), default=0)):
             those = {i: s[k] for i, s in begun.items() if k < len(s)}
-            at = self.seen(structure, Point(x, those, dict.fromkeys(those, zero)), list(those))
+            at = self.seen(
+                structure, Point(x, those, {i: self.problem.nothing(i) for i in those}), list(those)
+            )
             for i in those:
                 if i not in best.costs or at.costs[i] < best.costs[i]:
-                    best.initial[i], best.offset[i] = those[i].copy(), zero.copy()
+                    best.initial[i], best.offset[i] = those[i].copy(), self.problem.nothing(i)
                     best.costs[i] = at.costs[i]
         return best
 
@@ -417,7 +419,8 @@ class Fitter:
         parts = {}
         for i, t in tangents(problem, structure, fit.x, {i: fit.initial[i] for i in responses}).items():
             s = responses[i]
-            stack = np.concatenate([t.by_parameter, t.by_state, problem.constants(i), s], axis=2)
+            free = problem.nuisances(i, t.outputs)
+            stack = np.concatenate([t.by_parameter, t.by_state, free, s], axis=2)
             W = self.weights(stack).reshape(-1, stack.shape[2])
             a, b, c = W[:, :p], W[:, p : W.shape[1] - m], W[:, W.shape[1] - m :]
             if b.shape[1]:

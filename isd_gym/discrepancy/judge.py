@@ -119,7 +119,7 @@ class Judge:
         first = p.records[p.held[0]]
         for j, known in enumerate(self.known):
             series = [p.records[i].measured[:, j] - y[:, j] for i, y in outcome.held.outputs.items()]
-            left = noise_of(series, first.rate, time=p.time, white=first.taps is not None)
+            left = noise_of(series, first.rate, time=p.time, white=first.filtered)
             share = 1.0
             if known.source == "owner" or left.deviation > known.deviation:
                 share = (known.deviation / max(left.deviation, 1e-300)) ** 2

@@ -215,8 +215,8 @@ def floors_of(problem: Problem) -> list[Floor]:
             continue
         series = [r.measured[:, j] for r in problem.records]
         first = problem.records[0]
-        seen = floor_of(series, first.rate, white=first.taps is not None)
-        grain = quantum(series) if first.taps is None else 0.0
+        seen = floor_of(series, first.rate, white=first.filtered)
+        grain = quantum(series) if not first.filtered else 0.0
         out.append(Floor(max(seen.deviation, grain), seen.known, seen.source))
     return out
 

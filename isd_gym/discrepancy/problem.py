@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import Lock
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,10 @@ from scipy.signal import firwin, oaconvolve, welch
 from ..network import Assembly, Network, assemble
 from ..simulate import Plant, effective_current, upsample
 from ..units import convert
+
+if TYPE_CHECKING:
+    from ..loggers.recording import Recording
+    from .rasters import Reading
 
 Array = NDArray[np.float64]
 #: what a record is for: to fit by, to choose among candidates by, to report by
@@ -46,6 +50,12 @@ class Record:
     margin: int = (
         0  # compared samples left out at either end, where the low-pass had to guess; inputs reach over them
     )
+    reading: Reading | None = None  # of channels with stamps of their own: how the simulation is read at them
+    clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
+    late: tuple[Array, ...] = ()  # (channels,) of each: whether a channel has its stamps
+    lags: Mapping[str, float] = field(default_factory=dict)  # [s] what is taken for it, clock by clock
+    size: int = 0  # samples of the grid, where the compared ones do not tell
+    source: Recording | None = None
 
     def __len__(self) -> int:
         """Samples of the outputs that are compared."""
@@ -54,7 +64,7 @@ class Record:
     @property
     def samples(self) -> int:
         """Samples of the inputs."""
-        return len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured)
+        return self.size or (len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured))
 
     @property
     def rate(self) -> float:
@@ -69,6 +79,15 @@ class Record:
     def pace(self) -> float:
         """The time [s] in which the motion changes: one over the circular frequency that halves the outputs' power."""
         return min(pace(self.measured[:, j], self.rate) for j in range(self.measured.shape[1]))
+
+    @property
+    def filtered(self) -> bool:
+        """Whether what is compared passed a low-pass."""
+        return self.taps is not None or (self.reading is not None and self.reading.filtered)
+
+    def unread(self) -> Record:
+        """The same, so that a simulation is seen at every sample of the inputs."""
+        return replace(self, taps=None, thin=1, reading=None, clocks=(), late=())
 
     def seen(self, values: Array) -> Array:
         """Those of `values` (samples, ...) at the inputs' samples that are compared."""
@@ -89,6 +108,8 @@ class Record:
             measured=self.measured[first:stop],
             slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
             start=self.start + first * self.rate,
+            reading=None if self.reading is None else self.reading.part(first, stop, cut),
+            size=self.size and cut.stop - cut.start,
         )
 
 
@@ -148,7 +169,7 @@ MOST, LEAST = 4, 500  # by how much a record is thinned at most, and how many sa
 LARGEST = 2_000_000  # samples of all lanes that run side by side
 
 
-def _through(values: Array, every: int) -> Array:
+def through(values: Array, every: int) -> Array:
     """A record at `every` times its rate, by a cubic spline through its samples."""
     n = len(values)
     return np.asarray(
@@ -279,20 +300,44 @@ class Problem:
     def _spare(self, record: Record) -> int:
         """By how much a record may be thinned."""
         most = int(min(COARSE * self.scale(record) / record.step, record.samples / LEAST, MOST))
+        if record.reading is not None:
+            return 1
         if record.taps is None:
             return max(most, 1)
         return max((k for k in range(1, most + 1) if record.thin % k == 0), default=1)
 
     def watching(self, network: Network) -> Problem:
         """The same motion seen by other outputs, those of `network`, at every sample of the inputs."""
-        raw = [replace(r, taps=None, thin=1) for r in self.records]
+        raw = [r.unread() for r in self.records]
         return Problem(network, raw, self.roles, self.step, self.time)
 
-    def constants(self, index: int) -> Array:
-        """What a free offset does to record `index`: (samples, channels, free offsets), one where the channel is its own."""
-        free = np.flatnonzero(self.free_offset)
-        out = np.zeros((len(self.records[index]), len(self.channels), len(free)))
+    def nothing(self, index: int) -> Array:
+        """No offset (channels,) and no further lag (clocks,) of record `index`."""
+        return np.zeros(len(self.channels) + len(self.records[index].clocks))
+
+    def moves(self, index: int) -> NDArray[np.bool_]:
+        """Which of these may move: free offsets, and every lag."""
+        return np.concatenate([self.free_offset, np.ones(len(self.records[index].clocks), bool)])
+
+    def nuisances(self, index: int, outputs: Array) -> Array:
+        """What each of those does to the `outputs` (samples, channels) of record `index`: (samples, channels, those)."""
+        record, free = self.records[index], np.flatnonzero(self.free_offset)
+        out = np.zeros((*outputs.shape, len(free) + len(record.clocks)))
         out[:, free, np.arange(len(free))] = 1.0
+        if record.clocks:
+            slope = np.gradient(outputs, record.rate, axis=0)
+            for k, own in enumerate(record.late):
+                out[:, own, len(free) + k] = -slope[:, own]
+        return out
+
+    def shifted(self, index: int, outputs: Array, nuisance: Array) -> Array:
+        """`outputs` (samples, channels, ...) with offsets and further lags."""
+        record, ny = self.records[index], len(self.channels)
+        out = outputs + nuisance[:ny].reshape(ny, *[1] * (outputs.ndim - 2))
+        if record.clocks and np.any(nuisance[ny:]):
+            slope = np.gradient(outputs, record.rate, axis=0)
+            for own, lag in zip(record.late, nuisance[ny:], strict=True):
+                out[:, own] -= lag * slope[:, own]
         return out
 
     def simulate(
@@ -351,7 +396,7 @@ class Problem:
 
         def finer(values: Array, held: bool) -> Array:
             # lines between so few samples would lack a part of the amplitude
-            return _through(values, every) if sparse and not held else upsample(values, every, hold=held)
+            return through(values, every) if sparse and not held else upsample(values, every, hold=held)
 
         def lanes(columns: Sequence[Array]) -> Array:
             """A column a record, for all of its lanes."""
@@ -389,7 +434,7 @@ class Problem:
                         out[:, j, lane] = e.apply(out[:, j, lane], record.step)
         found = {i: out[:, :, k * wide : (k + 1) * wide] for k, i in enumerate(members)}
         return {
-            i: y if r.taps is None else r.seen(low_pass(y, r.taps))
+            i: r.reading(y) if r.reading else y if r.taps is None else r.seen(low_pass(y, r.taps))
             for r, (i, y) in zip(records, found.items(), strict=True)
         }
 

@@ -17,6 +17,7 @@ from ..loggers.recording import Recording
 from ..network import Channel, Network
 from ..units import convert
 from .problem import Array, Record, Role, low_pass
+from .rasters import gate, record_of
 
 #: length of the stretches in which held-out records are judged, in the rig's own time scale: some thirty periods
 STRETCH = 200.0
@@ -48,7 +49,8 @@ def read(
         notes += source.notes
         made = source.table()
         if made is None:
-            raise InputError(f"{source.name}: its channels have stamps of their own")
+            gate(source, network, accept, notes, UNACCEPTABLE)
+            return record_of(source, network, None, notes)
         source = made
     table = source if isinstance(source, Table) else read_table(source, expected=expected)
     for name in expected:
@@ -104,12 +106,12 @@ def derivatives(records: list[Record], network: Network) -> list[Record]:
     margin = min(math.ceil(len(taps) / thin), min(r.samples for r in records) // (8 * thin))
     out = []
     for r in records:
-        inputs, slopes = dict(r.inputs), {}
-        for c in needs:
-            x = low_pass(r.inputs[c.name], taps)
-            v = np.gradient(x, step, edge_order=2)
-            inputs[c.name] = x
-            slopes[c.name] = (v, np.gradient(v, step, edge_order=2))
+        if r.source is not None:
+            r = _filtered(r, network, thin, cutoff)
+            inputs, slopes = _differentiated(r, needs, taps)
+            out.append(replace(r, inputs=inputs, slopes=slopes, taps=taps))
+            continue
+        inputs, slopes = _differentiated(r, needs, taps)
         out.append(
             replace(
                 r,
@@ -122,6 +124,26 @@ def derivatives(records: list[Record], network: Network) -> list[Record]:
             )
         )
     return out
+
+
+def _differentiated(
+    r: Record, needs: list[Channel], taps: Array
+) -> tuple[dict[str, Array], dict[str, tuple[Array, Array]]]:
+    """Inputs and the slopes of those that need them, filtered."""
+    inputs, slopes = dict(r.inputs), {}
+    for c in needs:
+        x = low_pass(r.inputs[c.name], taps)
+        v = np.gradient(x, r.step, edge_order=2)
+        inputs[c.name] = x
+        slopes[c.name] = (v, np.gradient(v, r.step, edge_order=2))
+    return inputs, slopes
+
+
+def _filtered(r: Record, network: Network, thin: int, cutoff: float) -> Record:
+    """A record of loggers, compared behind a low-pass."""
+    assert r.source is not None
+    made = record_of(r.source, network, r.lags, None, thin=thin, cutoff=cutoff)
+    return replace(made, name=r.name)
 
 
 def _derivative_needed(network: Network, node: str) -> int:
@@ -162,6 +184,8 @@ def _bandwidth(record: Record, network: Network, channel: Channel, order: int) -
     cell = next(
         (j for j, c in enumerate(network.outputs) if c.quantity == "force" and c.at == channel.at), None
     )
+    if len(record) != len(x):  # of another raster
+        cell = None
     if cell is not None:
         w = 2 * math.pi * f
         here = [e for e in network.elements if e.place == "between" and channel.at in e.where]

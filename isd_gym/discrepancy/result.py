@@ -14,6 +14,7 @@ import numpy as np
 from ..cosimulation import UnitModel
 from ..files import claim_folder, write_text
 from ..network import Network
+from .align import Lag
 from .criteria import Criteria, Gate
 from .evidence import Evidence
 from .problem import Array
@@ -199,7 +200,7 @@ class Diagnosis:
     parameters: of the owner's model, refitted. closed: share of the gap. gates: what had to hold.
     next_experiment: what would decide, where something would. base, refitted, model: the owner's network, the
     same refitted, the new one (of a unit for co-simulation, what its description says). traces and laws: for pictures. notes: in words. seconds: of work. units: of the
-    channels. evidence, criteria, settings: what was weighed, by which limits, and how it was searched. tabulated: the force that
+    channels. lags: of loggers' clocks. evidence, criteria, settings: what was weighed, by which limits, and how it was searched. tabulated: the force that
     is missing where no known law gives it. whole: the owner's whole model with what was found, where a part of it was diagnosed.
     """
 
@@ -227,6 +228,7 @@ class Diagnosis:
     settings: SearchSettings | None = None
     tabulated: Tabulated | None = None
     whole: Network | None = None  # where the model was cut: all of it, with what was found
+    lags: tuple[Lag, ...] = ()  # of loggers' clocks
 
     def to_dict(self) -> dict[str, Any]:
         """As the contract has it (`isd-diagnosis/1`)."""
@@ -250,6 +252,15 @@ class Diagnosis:
                 "evidence": asdict(self.evidence) if self.evidence else None,
                 "criteria": asdict(self.criteria) if self.criteria else None,
                 "search": asdict(self.settings) if self.settings else None,
+                "clocks": [
+                    {
+                        "record": x.record,
+                        "clock": x.clock,
+                        "lag": {"value": x.value, "low": x.low, "high": x.high, "unit": "s"},
+                        **({"doubt": x.doubt} if x.doubt else {}),
+                    }
+                    for x in self.lags
+                ],
                 "notes": list(self.notes),
             }
         )

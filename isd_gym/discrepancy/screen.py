@@ -59,8 +59,9 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     parts, columns = [], p
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
-        r = (problem.records[i].measured - t.outputs - fit.offset[i])[:, :, None]
-        W = fitter.weights(np.concatenate([r, t.by_parameter, t.by_state, problem.constants(i)], axis=2))
+        r = (problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i]))[:, :, None]
+        free = problem.nuisances(i, t.outputs)
+        W = fitter.weights(np.concatenate([r, t.by_parameter, t.by_state, free], axis=2))
         parts.append((i, t.outputs, W.reshape(-1, W.shape[2])))
         columns += W.shape[2] - 1 - p
     rows = sum(len(w) for _, _, w in parts)

@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
+from .align import LIMIT, aligned, read_again
 from .candidate import BROKEN, Candidate, reckoned
 from .criteria import CRITERIA, Criteria, Decision, decide
 from .evidence import Evidence
@@ -27,6 +28,7 @@ from .judge import Judge
 from .measure import confidence, intervals, measure
 from .noise import plain, whitener
 from .problem import Problem, Record, Role, bare, pace
+from .rasters import fast_enough
 from .records import dealt, derivatives, read, stretches
 from .result import Contender, Diagnosis, Effect, Quantity, Tabulated, Trace
 from .screen import screen
@@ -49,6 +51,7 @@ def diagnose(
     settings: SearchSettings | None = None,
     criteria: Criteria = CRITERIA,
     cut: str | None = None,
+    max_lag: float = LIMIT,
 ) -> Diagnosis:
     """Find where simulation and measurement disagree, and name the physical effect that is missing.
 
@@ -57,8 +60,9 @@ def diagnose(
     records of `data`, or the later part of a single one, are held out. accept: checks of the data gate that only warn
     (their names, or 'all'). progress: called with a line now and then. seed: of the bootstrap. settings: what steers the
     search; criteria: what decides; both come back with the result. cut: a node whose motion an output measures: it drives what
-    stands on this side of it, and what lies behind (tyre and road) is left out (`isd_gym.network.cut`). Raises `InputError` with one line for data that cannot
-    be used.
+    stands on this side of it, and what lies behind (tyre and road) is left out (`isd_gym.network.cut`).
+    max_lag [s]: how late or early the clocks of other loggers may be. Raises `InputError` with one line for data that
+    cannot be used.
     """
     begun = clock.perf_counter()
     whole_network = network = Network.load(model)
@@ -71,7 +75,14 @@ def diagnose(
         notes.append(f"cut at {cut}, which {network.inputs[0].name} moves; left out: {', '.join(left)}")
     fit = [read(d, network, notes, accept) for d in _several(data, "data")]
     held = [read(d, network, notes, accept) for d in _several(validate, "validate")] if len(validate) else []
-    filtered = derivatives([*fit, *held], network)
+
+    def again(r: Record, known: Mapping[str, float], by: Network = network) -> Record:
+        return read_again(r, known, by)
+
+    for record in (*fit, *held):
+        fast_enough(record, network)
+    loose, lags = aligned([*fit, *held], network, again, max_lag)
+    filtered = derivatives(loose, network)
     kept: list[Role] = ["fit"] * len(fit)
     kept += ["report"] * len(held)
     whole = Problem(network, filtered, kept)
@@ -81,6 +92,11 @@ def diagnose(
         problem, whole, progress or (lambda line: None), seed, settings or SearchSettings(), criteria
     )
     found = flow.run(notes, begun)
+    if (
+        found.verdict == "missing_effect" and lags and isinstance(found.model, Network)
+    ):  # what was missing had a part in them
+        _, lags = aligned(loose, found.model, again, max_lag, lags)
+    found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
     if cut is not None and isinstance(found.model, Network):
         found = replace(found, whole=rejoin(whole_network, found.model))
     return found

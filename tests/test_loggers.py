@@ -1,0 +1,180 @@
+"""Channels with stamps of their own: each is compared at its own instants, and the lag of another clock is found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_inspection import CAR, drive
+
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.align import aligned, read_again
+from isd_gym.discrepancy.problem import Problem
+from isd_gym.discrepancy.rasters import record_of
+from isd_gym.discrepancy.records import read
+from isd_gym.errors import InputError
+from isd_gym.loggers import ChannelMap, Recording, Signal
+from isd_gym.network import Network
+from isd_gym.simulate import simulate
+
+NETWORK = Network.load(CAR)
+CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """A drive at 4 kHz without noise, from rest."""
+    time = 2.5e-4 * np.arange(40001)
+    coarse, columns = drive(seconds=11.0)
+    heights = np.interp(time, coarse, columns["road"] * np.minimum(coarse, 1.0))
+    return time, {"road": heights} | simulate(CAR, time, {"road": heights})
+
+
+def recording(truth, stamps, lag=0.0, noise=0.0, clocks=None):
+    """The drive as logged: stamps by channel; those of the second clock are late by `lag`."""
+    time, columns = truth
+    rng = np.random.default_rng(3)
+    clocks = clocks or {"road": "a"}
+    signals = {}
+    for c in CHANNELS:
+        t = stamps[c.name]
+        x = np.interp(t, time, columns[c.name])
+        own = clocks.get(c.name, "b" if lag else "a")
+        x = x + noise * x.std() * rng.standard_normal(len(x)) * (c.name != "road")
+        signals[c.name] = Signal(t + (lag if own == "b" else 0.0), x, c.si, own, c.name)
+    return Recording("run", signals)
+
+
+def left(record):
+    """RMS of what the true model leaves, over the deviation, by channel; from rest."""
+    problem = Problem(NETWORK, [record], ["fit"])
+    said = problem.simulate([NETWORK], 0)[:, :, 0]
+    keep = slice(len(said) // 10, None)
+    return (record.measured - said)[keep].std(axis=0) / record.measured[keep].std(axis=0)
+
+
+def even(step, phase=0.0):
+    return phase + step * np.arange(int((9.9 - phase) / step))
+
+
+def test_one_raster_says_what_the_table_says(truth):
+    stamps = dict.fromkeys((c.name for c in CHANNELS), even(2.5e-3))
+    run = recording(truth, stamps)
+    table = Table(stamps["road"], {n: s.values for n, s in run.signals.items()})
+    made, known = record_of(run, NETWORK), read(table, NETWORK, [])
+    a, b = (Problem(NETWORK, [r], ["fit"]).simulate([NETWORK], 0)[:, :, 0] for r in (made, known))
+    np.testing.assert_allclose(a, b[made.margin : len(b) - made.margin], rtol=0, atol=1e-9 * np.abs(b).max())
+    np.testing.assert_array_equal(made.measured, known.measured[made.margin : len(b) - made.margin])
+
+
+def test_two_rasters_are_compared_without_a_trace_of_resampling(truth):
+    """Accelerations at 1 kHz, the travel at 130 Hz between their instants: the true model fits both."""
+    stamps = {c.name: even(1e-3) for c in CHANNELS} | {"travel": even(1 / 130, 0.0033)}
+    notes = []
+    record = record_of(recording(truth, stamps), NETWORK, None, notes)
+    assert record.rate == pytest.approx(1 / 130, rel=0.1)
+    assert left(record).max() < 2e-3
+    assert any("body_acceleration" in n and "low-pass that the model passes, too" in n for n in notes)
+
+
+def test_uneven_stamps_are_compared_at_their_own_instants(truth):
+    rng = np.random.default_rng(0)
+    stray = even(2.5e-3) + 1e-3 * rng.uniform(-1, 1, len(even(2.5e-3)))
+    stamps = {c.name: stray if c.name != "road" else even(2.5e-3) for c in CHANNELS}
+    run = recording(truth, stamps)
+    assert left(record_of(run, NETWORK)).max() < 3e-3
+    # as if they were even, they do not fit
+    as_even = {n: replace(s, time=even(2.5e-3)) for n, s in run.signals.items()}
+    assert left(record_of(replace(run, signals=as_even), NETWORK)).max() > 0.02
+
+
+def test_a_record_is_cut_where_its_samples_are(truth):
+    stamps = {c.name: even(1e-3) for c in CHANNELS} | {"travel": even(1 / 130, 0.0033)}
+    record = record_of(recording(truth, stamps), NETWORK)
+    part = record.part(200, 900, "part")
+    problem = Problem(NETWORK, [record, part], ["fit", "fit"])
+    whole = problem.simulate([NETWORK], 0)[:, :, 0]
+    said = problem.simulate([NETWORK], 1)[:, :, 0]  # from rest: alike once that has died out
+    np.testing.assert_allclose(said[500:], whole[700:900], atol=0.02 * whole.std(axis=0).max())
+    np.testing.assert_array_equal(part.measured, record.measured[200:900])
+
+
+@pytest.mark.parametrize("lag", [0.02, -0.02, 0.137])
+def test_the_lag_of_another_clock_is_found_early_and_late(truth, lag):
+    owner = replace(
+        NETWORK.with_parameters({"body.mass": 362.0, "damper.damping": 1400.0}),
+        uncertainty={"body.mass": 0.05, "damper.damping": 0.1, "spring.stiffness": 0.05},
+    )
+    stamps = {c.name: even(2.5e-3) for c in CHANNELS} | {"road": even(2e-3)}
+    run = recording(truth, stamps, lag, noise=0.03)
+    record = record_of(run, owner)
+    assert record.clocks == ("b",)
+    (made,), (found,) = aligned([record], owner, lambda r, known: read_again(r, known, owner))
+    assert abs(found.value - lag) < 2e-4
+    assert found.low < lag < found.high or abs(found.value - lag) < 5e-5
+    assert made.lags["b"] == pytest.approx(lag, abs=2e-4)
+    assert ("late" if lag > 0 else "early") in str(found)
+
+
+def test_a_lag_that_is_known_is_taken(truth):
+    stamps = {c.name: even(2.5e-3) for c in CHANNELS}
+    run = replace(recording(truth, stamps, 0.03), lags={"b": 0.03})
+    record = record_of(run, NETWORK)
+    assert record.clocks == () and left(record).max() < 3e-3
+
+
+def test_inputs_on_two_clocks_ask_for_the_lag():
+    model = {
+        **CAR,
+        "inputs": [*CAR["inputs"], {"name": "push", "quantity": "force", "at": "body", "unit": "N"}],
+    }
+    network, t = Network.load(model), even(2.5e-3)
+    signals = {
+        c.name: Signal(t, np.sin(t), c.si, "b" if c.name == "push" else "a", c.name)
+        for c in (*network.inputs, *network.outputs)
+    }
+    with pytest.raises(InputError, match=r'road on a, push on b.*"lag" in the map'):
+        record_of(Recording("run", signals), network)
+
+
+def test_a_rate_below_twice_the_motion_is_refused(truth):
+    stamps = {c.name: even(2.5e-3) for c in CHANNELS} | {"wheel_acceleration": even(0.05)}
+    with pytest.raises(
+        InputError, match=r"wheel_acceleration is logged at 20 Hz, below twice the motion.*--map"
+    ):
+        diagnose([recording(truth, stamps)], NETWORK, accept=["all"])
+
+
+def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
+    from isd_gym.data import write_table
+    from isd_gym.loggers import runs
+
+    t = even(2.5e-3)
+    for name in ("a", "b"):
+        write_table(tmp_path / f"{name}.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS}))
+    with pytest.raises(InputError, match=r"--map FILE says which is meant"):
+        runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
+    by = ChannelMap.from_dict(
+        {
+            "schema": "isd-map/1",
+            "channels": {c.name: {"column": c.name, "logger": 1 + (c.name == "travel")} for c in CHANNELS},
+        }
+    )
+    (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS, by=by)
+    assert run.clocks == ["1 a.csv", "2 b.csv"]
+
+
+def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):
+    from isd_gym.loggers import runs
+
+    for name, first, columns in (("a", 0.0, CHANNELS[:1]), ("b", 1.25, CHANNELS[1:])):
+        rows = [",".join(["stamp", *(c.name for c in columns)])]
+        for k in range(600):
+            seconds = first + 0.01 * k
+            rows.append(
+                ",".join([f"2024-05-01T12:00:{seconds:09.6f}Z", *(f"{np.sin(seconds):.6f}" for _ in columns)])
+            )
+        (tmp_path / f"{name}.csv").write_text("\n".join(rows))
+    (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
+    start, stop = run.together()
+    assert start == pytest.approx(1.25, abs=0.03) and stop == pytest.approx(5.99, abs=0.03)
