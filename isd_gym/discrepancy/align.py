@@ -123,8 +123,8 @@ def _first_look(problem: Problem, base: Structure, index: int, limit: float) -> 
     record, network = problem.records[index], problem.network
     x0 = guess(problem, base.at(base.start), index)
     fine = Problem(network, [record.unread()], ["fit"], time=problem.time)
-    at = tangents(fine, base, base.start, {0: x0})[0]
-    y, dp, ds = at.outputs, at.by_parameter, at.by_state
+    tangent = tangents(fine, base, base.start, {0: x0})[0]
+    y, dp, ds = tangent.outputs, tangent.by_parameter, tangent.by_state
     columns = np.concatenate([y[:, :, None], dp, ds], axis=2)
     if not np.isfinite(columns).all():
         return dict(record.lags), "the model breaks down before anything is fitted"
