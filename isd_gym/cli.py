@@ -555,6 +555,7 @@ def diagnose(
     A car whose road nobody measured: isd-gym diagnose drive.csv --model car.json --cut wheel --out found
     """
     from . import elements as el
+    from .discrepancy import SearchSettings
     from .discrepancy import diagnose as run
     from .loggers import ChannelMap
     from .loggers.records import records_of
@@ -614,7 +615,7 @@ def diagnose(
             progress=say,
             seed=seed,
             cut=cut,
-            max_lag=max_lag,
+            settings=SearchSettings(max_lag=max_lag),
         )
         say("writing the report")
         page = write_report(result, out, about=about | {"Seed": str(seed)})

@@ -17,7 +17,8 @@ class SearchSettings:
     mean over channels) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale,
     least_brief: and in that of its slowest channel;
     pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. shapes: multiples of a law's shape from which its fit begins again. outrun: power of the error, as a multiple
-    of the chosen one's, from which on another law for the same force is not followed any further.
+    of the chosen one's, from which on another law for the same force is not followed any further. max_lag [s]: how late or early the
+    clocks of other loggers may be.
     """
 
     heats: int = 8
@@ -36,3 +37,4 @@ class SearchSettings:
     brief: float = 16.0
     least_brief: float = 4.0
     pieces: int = 30
+    max_lag: float = 0.5

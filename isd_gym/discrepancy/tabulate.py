@@ -148,7 +148,8 @@ def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) ->
     begun = {i: base.fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, x, begun).items():
         left = problem.records[i].measured - base.fit.outputs[i]
-        stack = np.concatenate([left[:, :, None], t.by_parameter, t.by_state, problem.constants(i)], axis=2)
+        free = problem.nuisances(i, t.outputs)
+        stack = np.concatenate([left[:, :, None], t.by_parameter, t.by_state, free], axis=2)
         W = fitter.weights(stack).reshape(-1, stack.shape[2])
         r, J, nuisance = W[:, 0], W[:, 1 : 1 + q], W[:, 1 + q :]
         if nuisance.shape[1]:

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
-from .align import LIMIT, aligned, read_again
+from .align import aligned, read_again
 from .candidate import BROKEN, Candidate, reckoned
 from .criteria import CRITERIA, Criteria, Decision, decide
 from .evidence import Evidence
@@ -51,7 +51,6 @@ def diagnose(
     settings: SearchSettings | None = None,
     criteria: Criteria = CRITERIA,
     cut: str | None = None,
-    max_lag: float = LIMIT,
 ) -> Diagnosis:
     """Find where simulation and measurement disagree, and name the physical effect that is missing.
 
@@ -60,8 +59,7 @@ def diagnose(
     records of `data`, or the later part of a single one, are held out. accept: checks of the data gate that only warn
     (their names, or 'all'). progress: called with a line now and then. seed: of the bootstrap. settings: what steers the
     search; criteria: what decides; both come back with the result. cut: a node whose motion an output measures: it drives what
-    stands on this side of it, and what lies behind (tyre and road) is left out (`isd_gym.network.cut`).
-    max_lag [s]: how late or early the clocks of other loggers may be. Raises `InputError` with one line for data that
+    stands on this side of it, and what lies behind (tyre and road) is left out (`isd_gym.network.cut`). Raises `InputError` with one line for data that
     cannot be used.
     """
     begun = clock.perf_counter()
@@ -69,6 +67,7 @@ def diagnose(
     if not network.outputs:
         raise InputError(f"model '{network.name}' has no outputs to compare with")
     notes: list[str] = []
+    steps = settings or SearchSettings()
     if cut is not None:
         network = network_cut(network, cut)
         left = [e.name for e in whole_network.elements if e.name not in {x.name for x in network.elements}]
@@ -81,21 +80,19 @@ def diagnose(
 
     for record in (*fit, *held):
         fast_enough(record, network)
-    loose, lags = aligned([*fit, *held], network, again, max_lag)
+    loose, lags = aligned([*fit, *held], network, again, steps.max_lag)
     filtered = derivatives(loose, network)
     kept: list[Role] = ["fit"] * len(fit)
     kept += ["report"] * len(held)
     whole = Problem(network, filtered, kept)
     records, roles = dealt(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time)
     problem = Problem(network, records, roles)
-    flow = Workflow(
-        problem, whole, progress or (lambda line: None), seed, settings or SearchSettings(), criteria
-    )
+    flow = Workflow(problem, whole, progress or (lambda line: None), seed, steps, criteria)
     found = flow.run(notes, begun)
     if (
         found.verdict == "missing_effect" and lags and isinstance(found.model, Network)
     ):  # what was missing had a part in them
-        _, lags = aligned(loose, found.model, again, max_lag, lags)
+        _, lags = aligned(loose, found.model, again, doubts=lags)
     found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
     if cut is not None and isinstance(found.model, Network):
         found = replace(found, whole=rejoin(whole_network, found.model))

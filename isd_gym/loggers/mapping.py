@@ -159,18 +159,13 @@ class ChannelMap:
         write_text(path, text)
 
     def check(self, network: Network) -> None:
-        """Raise `InputError` where the map names channels that the model lacks, or lacks an input."""
+        """Raise `InputError` where the map names channels that the model lacks."""
         known = [c.name for c in (*network.inputs, *network.outputs)]
         for name in self.channels:
             if name not in known:
                 near = difflib.get_close_matches(name, known, 1)
                 hint = f"did you mean '{near[0]}'?" if near else f"it has: {', '.join(known)}"
                 raise InputError(f"{self.source}: the model has no channel {shown(name)}; {hint}")
-        missing = [c.name for c in network.inputs if c.name not in self.channels]
-        if missing:
-            raise InputError(
-                f"{self.source}: no column for the input{'s' * (len(missing) > 1)} {', '.join(missing)} of the model"
-            )
 
     def measured(self, network: Network) -> Network:
         """The model with those of its outputs that the map has a column for. Raises `InputError` where there is none."""
@@ -243,7 +238,8 @@ def runs(
     else:
         by.check(network)
         if lost := [c.name for c in wanted if c.name not in by.channels]:
-            raise InputError(f"{by.source}: no column for {', '.join(lost)}")
+            kind = "the input " if lost[0] in {c.name for c in network.inputs} else ""
+            raise InputError(f"{by.source}: no column for {kind}{', '.join(lost)}")
     place = {c.name: _find(c, by, files, found) for c in wanted}
     # only what is used is cut at its gaps
     cut: dict[tuple[int, int], list[Raster]] = {}
