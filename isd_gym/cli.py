@@ -573,8 +573,9 @@ def diagnose(
         **({"Validation": ", ".join(map(str, validate))} if validate else {}),
     }
     if Path(model).suffix.lower() == ".fmu":
-        if elements:
-            raise InputError("--elements: an FMU has no place for an effect; a network has (isd-model/1)")
+        for option, given in (("--elements", elements), ("--cut", cut), ("--map", map_file)):
+            if given:
+                raise InputError(f"{option} wants a network (isd-model/1): an FMU shows no inside")
         named = {
             "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
             "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),

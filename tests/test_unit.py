@@ -122,7 +122,8 @@ def test_what_agrees_is_left_alone_and_what_the_unit_hides_is_not_named(unit):
 
 def test_the_unit_is_stepped_so_that_its_inputs_are_not_late(unit):
     """A unit knows an input at the beginning of a step alone: run naively it would be a step late, 1 % noise or none."""
-    from isd_gym.discrepancy.blackbox import Comparison, _read
+    from isd_gym.discrepancy.blackbox import Comparison
+    from isd_gym.discrepancy.unit import _read
 
     r, ports = _read(record(RIG, 4, "a", 800), unit.model, [], [], {}, {})
     c = Comparison(unit, unit.model, [r], ports)

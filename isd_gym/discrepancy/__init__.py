@@ -4,14 +4,14 @@ Data go one way: `records` and `problem` (what was measured), `structure` and `h
 `noise`, `fit`, `initial` (how a model is fitted), `candidate`, `screen`, `race`, `search` (which models are fitted),
 `judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
 `experiments`, `words`, `result` (how it is said), `workflow` (all of it);
-`blackbox` does what can be done of that for a model without an inside.
+`blackbox` and `unit` do what can be done of that for a model without an inside.
 """
 
-from .blackbox import diagnose_unit
 from .criteria import CRITERIA, Criteria, Gate
 from .evidence import EffectEvidence, Evidence
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
 from .settings import SearchSettings
+from .unit import diagnose_unit
 from .workflow import diagnose
 
 __all__ = [

@@ -113,6 +113,8 @@ class View:
         self.d = d = diagnosis
         self.named = bool(d.effects)
         self.title = TITLES.get(d.verdict, d.verdict)
+        if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
+            self.title = "Something is missing that no parameter of the unit explains"
         if self.named and all(e.channel for e in d.effects):
             self.title = "A sensor is off; the physics agrees"
         elif len(d.effects) > 1:

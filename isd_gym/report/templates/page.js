@@ -351,7 +351,7 @@ function points(fig, panel, cell, width, columns) {
   const rows = panel.y.rows;
   const longest = rows ? Math.max(...rows.map(r => r.length)) : 0;
   const short_names = rows && 6.6 * longest > .42 * width;
-  const left = rows ? (short_names ? 8 : 14 + 6.6 * longest) : 54, right = 12, top = 8, bottom = 42;
+  const left = rows ? (short_names ? 8 : 14 + 7.2 * longest) : 54, right = 12, top = 8, bottom = 42;
   const line = short_names ? 40 : 30;
   const height = rows ? top + bottom + line * rows.length : Math.round(Math.min(Math.max(.62 * width, 260), 430));
   const items = panel.items.map(i => i.kind === "rule" || i.kind === "span" ? i : Object.assign(i, {
