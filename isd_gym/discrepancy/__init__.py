@@ -5,7 +5,12 @@ Data go one way: `records` and `problem` (what was measured), `structure` and `h
 `judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
 `experiments`, `words`, `result` (how it is said), `workflow` (all of it);
 `blackbox` and `unit` do what can be done of that for a model without an inside.
+
+Before the test: `excitation` (what a rig can play), `stand` (a test that was not done), `field` (small effects, all at
+once), `prospect` (one effect at one size), `planning` (all of it), `design` (the test that tells rivals apart).
 """
+
+from typing import TYPE_CHECKING, Any
 
 from .criteria import CRITERIA, Criteria, Gate
 from .evidence import EffectEvidence, Evidence
@@ -13,6 +18,9 @@ from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
 from .settings import SearchSettings
 from .unit import diagnose_unit
 from .workflow import diagnose
+
+if TYPE_CHECKING:
+    from .planning import Plan, plan
 
 __all__ = [
     "CRITERIA",
@@ -25,9 +33,19 @@ __all__ = [
     "Gate",
     "Law",
     "Place",
+    "Plan",
     "Quantity",
     "SearchSettings",
     "Trace",
     "diagnose",
     "diagnose_unit",
+    "plan",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("Plan", "plan"):
+        from . import planning
+
+        return getattr(planning, name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

@@ -11,11 +11,11 @@ from ..errors import InputError
 from .candidate import BROKEN, Candidate, level, reckoned
 from .criteria import Criteria
 from .evidence import EffectEvidence, Evidence
-from .fit import Fitter, gap, residuals
+from .fit import Fit, Fitter, gap, residuals
 from .judge import replication
 from .motion import force_scale, motions, unmodelled
 from .noise import whitener
-from .problem import Array
+from .problem import Array, Problem
 from .result import Quantity
 from .search import Search
 from .structure import Hypothesis
@@ -126,13 +126,13 @@ def _factor(size: float, half: float) -> float:
     return math.inf if half >= size else -math.log1p(-half / size)
 
 
-def complaint(search: Search, candidate: Candidate, element: el.Element) -> str:
+def complaint(problem: Problem, fit: Fit, element: el.Element) -> str:
     """Why an effect's values cannot be what its name says on these data; empty where they can."""
     if not element.well_formed():
         return "its values are not what its name says"
     if element.place != "between" or element.series:
         return ""
-    motion = motions(search.problem, candidate.fit).get(element.between)
+    motion = motions(problem, fit).get(element.between)
     if motion is None:
         return ""
     if element.periodic and getattr(element, element.periodic[0]) > 1.05 * float(np.ptp(motion.d)):
@@ -145,7 +145,7 @@ def complaint(search: Search, candidate: Candidate, element: el.Element) -> str:
     if element.plane != "time":
         axis = motion.v if element.plane == "rate" else motion.d
         force = element.curve(axis[:: max(1, len(axis) // 500)])
-        if np.max(np.abs(force)) > LARGEST * max(force_scale(search.problem), 1e-300):
+        if np.max(np.abs(force)) > LARGEST * max(force_scale(problem), 1e-300):
             return "its force is many times what the data show"
     return ""
 
@@ -179,8 +179,13 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
         EffectEvidence(
             label=h.label,
             share=share,
+<<<<<<< HEAD
             spread=spread_of(e, quantities, difference(search, best, e, spread)),
             complaint=complaint(search, best, e),
+=======
+            spread=spread_of(e, quantities),
+            complaint=complaint(problem, best.fit, e),
+>>>>>>> 24fb659 (isd-gym plan: before the test, what could be told from what, how small, and the test that tells most)
             sensor=h.place == "channel",
             fault=e.fault(problem.time),
         )

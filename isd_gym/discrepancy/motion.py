@@ -140,6 +140,9 @@ def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
     out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
     point = {i: y for _, i, y in together(problem, fit, [fit.network])}
     for chunk, i, y in together(problem, fit, networks):
-        change = (y - point[i]) * (share / PROBE)
-        out[i][:, :, chunk] = np.where(np.isfinite(change), change, 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            change = (y - point[i]) * (share / PROBE)
+            most = np.abs(change).max(axis=(0, 1))
+        # one that breaks down says nothing, however large its numbers become on the way
+        out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
     return out

@@ -45,6 +45,11 @@ def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> t
     White noise of deviation `least` is added in thought: bands where a record happens to be quieter than any model
     can be trusted to be are not weighed by how quiet they are.
     """
+    return predicted(*lagged(series, order), least)
+
+
+def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, int]:
+    """(Gram matrix of the lags (order, order), their products with the present (order,), its power, how many samples)."""
     gram: Array = np.zeros((order, order))
     rhs: Array = np.zeros(order)
     count, total = 0, 0.0
@@ -54,8 +59,14 @@ def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> t
         rhs += lags[:, 1:].T @ lags[:, 0]
         total += float(lags[:, 0] @ lags[:, 0])
         count += len(lags)
+    return gram, rhs, total, count
+
+
+def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -> tuple[Array, float]:
+    """Taps and innovation deviation of what `lagged` gives, white noise of deviation `least` added in thought."""
+    order = len(rhs)
     total += count * least**2
-    gram += count * least**2 * np.eye(order)
+    gram = gram + count * least**2 * np.eye(order)
     ridge = 1e-9 * float(np.trace(gram)) / order + 1e-300
     a = np.linalg.solve(gram + ridge * np.eye(order), rhs)
     variance = max(float(total - 2 * a @ rhs + a @ gram @ a), 1e-300) / max(count, 1)

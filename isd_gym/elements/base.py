@@ -299,6 +299,17 @@ class Element:
         return values
 
     @classmethod
+    def grown(cls, start: Start, factor: float) -> dict[str, float]:
+        """The values of an effect `factor` times as large as the start has it, its shape as it is.
+
+        One whose size is no multiple of anything stays as it is.
+        """
+        values = dict(start.ways[0])
+        for key in start.grows:
+            values[key] = values[key] / factor if start.inverse else values[key] * factor
+        return values
+
+    @classmethod
     def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
         """Start values of the special case `simple` (one of `contains`), from values of its own.
 

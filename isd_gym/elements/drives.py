@@ -56,6 +56,10 @@ class ThrustSaturation(_Drive):
     def starts(cls, at: Setting) -> list[Start]:
         return [Start({"current": s * at.signal}) for s in (0.7, 1.2, 2.0, 4.0)]
 
+    @classmethod
+    def grown(cls, start: Start, factor: float) -> dict[str, float]:
+        return {"current": start.values["current"] / factor}  # the lower, the more it takes away
+
 
 @register
 class ActuatorLag(_Drive):

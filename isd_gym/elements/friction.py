@@ -87,6 +87,16 @@ class StribeckFriction(Element):
         share = math.exp(-((rate / values["stribeck_velocity"]) ** 2))
         return {"level": values["level"] + (values["static_level"] - values["level"]) * share}
 
+    @classmethod
+    def grown(cls, start: Start, factor: float) -> dict[str, float]:
+        # what grows is what it adds to the constant level that stands there
+        level, static = start.values["level"], start.values["static_level"]
+        constant = level - 0.3 * (static - level)
+        return start.values | {
+            "level": constant + factor * (level - constant),
+            "static_level": constant + factor * (static - constant),
+        }
+
     def well_formed(self) -> bool:
         return self.level <= self.static_level  # one that rises with speed mimics damping
 

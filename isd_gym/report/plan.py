@@ -1,0 +1,100 @@
+"""The page of a plan: what a test could tell, before it is done."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..files import check_file, whole, write_text
+from .plots import Picture, channel_text, embedded, figure, page, pixels, save, style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..discrepancy.planning import Foreseen, Plan
+
+SHADES = 3.0  # decades of distance between black and white
+STATUS = {
+    "named": "named",
+    "confused": "told from no rival, at any size",
+    "hidden": "the parameters that may move make up for it",
+    "unseen": "no sensor sees it",
+    "untried": "could not be simulated",
+}
+
+
+def write_plan(plan: Plan, path: str | Path) -> Path:
+    """Write the page of a plan as one file that stands alone. Returns its path.
+
+    path: the file. Raises `InputError` where it cannot be written.
+    """
+    check_file(path)
+    with style(), tempfile.TemporaryDirectory() as folder:
+        fig = matrix_figure(plan)
+        file = save(fig, Path(folder) / "matrix.png")
+        picture = Picture(
+            "matrix.png",
+            "Which from which",
+            "Matrix of distances between effects and what their rivals make of them",
+            "Each row is an effect at the smallest size that is named (a twentieth of the typical force where it has none); each "
+            "column a rival that was refitted to it, with the model's parameters, to first order. The darker, the closer the rival comes: black "
+            "is one standard deviation of the noise or less over the whole record, white a thousand; on the diagonal is the refitted model "
+            "without any effect. What has more parameters is no rival to what has fewer, however close it comes.",
+            embedded(file),
+            pixels(fig),
+        )
+    html = page("plan.html", p=plan, picture=picture, status=STATUS, size_of=size_of, pictures=[])
+    write_text(Path(path), html)
+    return Path(path)
+
+
+def save_matrix(plan: Plan, path: str | Path) -> None:
+    """Write the picture alone (PNG).
+
+    path: the file.
+    """
+    with style(), whole(path) as place:
+        save(matrix_figure(plan), place)
+
+
+def matrix_figure(plan: Plan) -> Figure:
+    """The matrix of distances as an image, a row and a column for each effect."""
+    names = [channel_text(e.label) for e in plan.effects]
+    n = len(names)
+    side = min(max(0.17 * n, 1.6), 14.0)
+    fig = figure(side + 3.0, side + 2.6)
+    ax = fig.add_subplot()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shade = np.clip(np.log10(np.maximum(plan.matrix, 1e-9)), 0.0, SHADES)
+    image = ax.imshow(shade, cmap="bone", vmin=0.0, vmax=SHADES, interpolation="nearest")
+    ax.set_facecolor("#f3d9c9")  # nothing known
+    small = 6.5 if n > 30 else 8
+    ax.set_xticks(range(n), names, rotation=90, fontsize=small)
+    ax.set_yticks(range(n), names, fontsize=small)
+    ax.grid(False)
+    ax.set_xlabel("rival, refitted")
+    ax.set_ylabel("truth, at its smallest nameable size")
+    bar = fig.colorbar(image, ax=ax, shrink=0.5, ticks=range(int(SHADES) + 1))
+    bar.ax.set_yticklabels([f"{10**k:g}" for k in range(int(SHADES) + 1)])
+    bar.set_label("distance [σ of the noise, whole record]")
+    return fig
+
+
+def size_of(e: Foreseen, amounts: dict[str, Any]) -> str:
+    """``level 12.3 N (shape 2 m)``: what scales, and the shape of which it is told."""
+    from ..discrepancy.words import plain_number
+
+    def one(key: str) -> str:
+        unit = amounts[key].unit
+        return (
+            f"{key.replace('_', ' ')} {plain_number(amounts[key].value)}{'' if unit == '-' else f' {unit}'}"
+        )
+
+    known = [k for k in amounts if math.isfinite(amounts[k].value)]
+    main = ", ".join(one(k) for k in known if k in e.varied)
+    shape = ", ".join(one(k) for k in known if k not in e.varied)
+    return f"{main} ({shape})" if shape and main else main or shape

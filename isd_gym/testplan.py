@@ -1,0 +1,295 @@
+"""The command `isd-gym plan`: before the test, what it could tell; and the test that tells most."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .console import check_file, progress
+from .errors import InputError, plain, shown
+
+if TYPE_CHECKING:
+    from .discrepancy.excitation import Rig
+    from .discrepancy.planning import Plan
+    from .network import Network
+
+AMOUNT = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*)")
+STATUS = {
+    "confused": "told from no rival, at any size",
+    "hidden": "the parameters that may move make up for it",
+    "unseen": "no sensor sees it",
+    "untried": "could not be simulated",
+}
+
+
+def command(
+    model: Annotated[str, typer.Argument(help="The model as you believe it: a file or a built-in network.")],
+    data: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Records whose inputs are the test to be judged (outputs in them tell the noise); without them --excitation is."
+        ),
+    ] = None,
+    excitation: Annotated[
+        str | None,
+        typer.Option(
+            help="The test to be judged where no DATA are given: multisine, sweep, steps, triangle."
+        ),
+    ] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What the rig can do at an input, and how fast: road=15mm or road=15mm,0.4m/s, force=200N, current=4.",
+            metavar="INPUT=REACH[,SPEED]",
+        ),
+    ] = None,
+    band: Annotated[
+        str | None, typer.Option(help="Frequencies that the rig can play [Hz].", metavar="LOW:HIGH")
+    ] = None,
+    length: Annotated[float | None, typer.Option(help="Length of the test [s].", min=1e-3)] = None,
+    rate: Annotated[float | None, typer.Option(help="Sampling rate [Hz].", min=1e-3)] = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="RMS noise of an output, in its unit; from the model file or DATA where they have it, else 1 % of its deviation.",
+            metavar="OUTPUT=VALUE",
+        ),
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="Only hypotheses of this effect, or at this node or channel.", metavar="WORD"),
+    ] = None,
+    sensors: Annotated[bool, typer.Option(help="Ask what one more sensor would bring.")] = True,
+    design: Annotated[
+        Path | None,
+        typer.Option(
+            help="Choose the test that tells most within the rig's limits, write it to play, and judge that.",
+            metavar="FILE.csv",
+        ),
+    ] = None,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --design: a diagnosis.json; the test is to tell the rivals apart that it was left with.",
+            metavar="RESULT.json",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write the plan to this file (isd-plan/1).", metavar="FILE.json"),
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write a page with a picture.", metavar="FILE.html")
+    ] = None,
+    elements: Annotated[
+        list[Path] | None,
+        typer.Option(help="A Python file of yours that registers elements: it is run.", metavar="FILE.py"),
+    ] = None,
+) -> None:
+    """Before the test: which effects could be told from which, how small each could be and still be named.
+
+    Every effect of the library at every place is simulated under the test, the model and the rivals that come closest
+    are refitted to it, and the criteria of `isd-gym diagnose` decide on what is left, noise included. Prints each
+    effect's smallest size, what holds a smaller one back, and what one more sensor would bring.
+
+    With --design the test itself is chosen: multisines, sweeps, steps and triangles within --limit, --band and --length,
+    or within the range of DATA. After a diagnosis that could not decide, --after makes it the test that separates its rivals.
+
+    Example: isd-gym plan quarter-car-passive --limit road=15mm --band 0.5:15 --html plan.html --design test.csv
+    """
+    from . import elements as el
+    from .discrepancy.planning import plan as run
+    from .network import Network
+
+    for file in (design, out, html):
+        check_file(file)
+    if after is not None and design is None:
+        raise InputError("--after wants --design FILE.csv: where the test that separates the rivals goes")
+    for file in elements or ():
+        el.register_file(file)
+    network = Network.load(model)
+    own_noise = amounts(
+        noise, {c.name: c.unit for c in network.outputs}, "--noise", "the model has no output"
+    )
+    options: dict[str, Any] = {"noise": own_noise, "only": only or (), "add_sensors": sensors}
+    with progress() as update:
+        options["progress"] = update
+        if design is None and not any((limit, band, length, rate)):
+            found = run(network, data or (), excitation=excitation, **options)
+        else:
+            if data and design is None:
+                raise InputError(
+                    "--limit, --band, --length and --rate are for a test that is made: not with DATA, or with --design"
+                )
+            found = _made(
+                network, data or [], excitation, (limit, band, length, rate), design, after, options
+            )
+    _save(found, out, html)
+    _print(found)
+
+
+def _made(
+    network: Network,
+    data: list[Path],
+    excitation: str | None,
+    bounds: tuple[list[str] | None, str | None, float | None, float | None],
+    design: Path | None,
+    after: Path | None,
+    options: dict[str, Any],
+) -> Plan:
+    """The plan of a test that is made here, and the test written where it is asked for."""
+    from .discrepancy.excitation import Limits, rig_of
+    from .discrepancy.planning import plan as run
+    from .discrepancy.planning import planned
+
+    limit, band, length, rate = bounds
+    notes: list[str] = []
+    records = [planned(file, network)[1] for file in data]
+    units = {c.name: c.si for c in network.inputs}
+    own = {c.name: c.unit for c in network.inputs}
+    reaches = [text.partition(",")[0] for text in limit or ()]
+    values = amounts(reaches, units, "--limit", "the model has no input", own)
+    speeds = [f"{t.partition('=')[0]}={t.partition(',')[2]}" for t in limit or () if "," in t]
+    steep = amounts(speeds, {n: f"{u}/s" for n, u in units.items()}, "--limit", "the model has no input")
+    rig = rig_of(
+        network,
+        records,
+        limits={name: Limits(value, steep.get(name, math.inf)) for name, value in values.items()},
+        band=_band(band),
+        length=length,
+        rate=rate,
+        notes=notes,
+    )
+    if design is None:
+        return run(network, excitation=excitation, rig=rig, notes=notes, **options)
+    if excitation is not None:
+        raise InputError("--design chooses the excitation itself: leave --excitation away")
+    return _designed(network, rig, records, design, after, notes, options)
+
+
+def _designed(
+    network: Network,
+    rig: Rig,
+    records: list[Any],
+    design: Path,
+    after: Path | None,
+    notes: list[str],
+    options: dict[str, Any],
+) -> Plan:
+    from .discrepancy.design import design as choose
+    from .discrepancy.design import noise_of, rivals_of
+    from .discrepancy.planning import best_test
+    from .discrepancy.planning import plan as run
+
+    update = options["progress"]
+    noise = noise_of(network, rig, options["noise"], records)
+    if after is not None:
+        chosen = choose(network, rivals_of(network, after), rig, noise, progress=update)
+    else:
+        chosen = best_test(network, rig, noise, only=options["only"], progress=update)
+    if chosen is None:
+        raise InputError(
+            "none of the tests within these limits can be simulated: smaller --limit, or another --band"
+        )
+    chosen.save(design, network)
+    notes.append(chosen.sentence)
+    typer.echo(f"{chosen.sentence}\n{len(chosen.record)} samples in {design}")
+    known = {c.name: float(s) for c, s in zip(network.outputs, noise, strict=True)}
+    return run(network, excitation=chosen.excitation, rig=rig, notes=notes, **{**options, "noise": known})
+
+
+def amounts(
+    values: list[str] | None,
+    units: Mapping[str, str],
+    option: str,
+    unknown: str,
+    own: Mapping[str, str] | None = None,
+) -> dict[str, float]:
+    """``NAME=VALUE [unit]`` as numbers in `units`; a bare number is in `own` units. Raises `InputError`."""
+    from .units import convert
+
+    out = {}
+    for text in values or ():
+        name, joined, amount = text.partition("=")
+        found = AMOUNT.fullmatch(amount.strip())
+        if not joined or found is None:
+            raise InputError(
+                f"{option} wants NAME=VALUE, such as {next(iter(units), 'name')}=1.5, not {shown(text)}"
+            )
+        if name not in units:
+            raise InputError(f"{option}: {unknown} {shown(name)} (it has: {', '.join(units)})")
+        try:
+            number = float(found[1])
+        except ValueError:
+            raise InputError(f"{option}: {shown(amount)} is no number") from None
+        out[name] = convert(number, found[2] or (own or units)[name], units[name])
+    return out
+
+
+def _band(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    parts = text.split(":")
+    try:
+        low, high = (float(p) for p in parts)
+    except ValueError:
+        raise InputError(f"--band wants LOW:HIGH in Hz, such as 0.5:15, not {shown(text)}") from None
+    return low, high
+
+
+def _save(found: Plan, out: Path | None, html: Path | None) -> None:
+    if out is not None:
+        found.save(out)
+    if html is not None:
+        from .report.plan import write_plan
+
+        write_plan(found, html)
+
+
+# -------------------------------------------------------------------------------------------------------- printing
+
+
+def _print(found: Plan) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from .report.plan import size_of
+
+    console = Console(width=None if sys.stdout.isatty() else 118, highlight=False, markup=False)
+    console.print(f"Test: {plain(found.test, 300)}", soft_wrap=True)
+    made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in ("effect", "smallest that is named", "held back by"):
+        made.add_column(head, overflow="fold")
+    made.add_column("of the force", justify="right", no_wrap=True)
+    for e in found.effects:
+        share = "" if e.share is None or e.status != "named" else f"{100 * e.share:.0f} %"
+        what = size_of(e, e.smallest) if e.status == "named" else STATUS[e.status]
+        why = ", ".join(e.limited_by) if e.status == "named" else ", ".join(e.confused_with)
+        made.add_row(Text(plain(e.label, 60)), Text(what), Text(plain(why, 90)), share)
+    console.print(made)
+    if found.sensors:
+        more = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+        for head in ("one sensor more", "where", "noise"):
+            more.add_column(head)
+        more.add_column("more told apart", justify="right")
+        more.add_column("told from noise at", justify="right")
+        for s in found.sensors[:8]:
+            more.add_row(
+                Text(plain(s.name, 40)),
+                Text(plain(s.where, 40)),
+                f"{s.noise:.3g} {s.unit}",
+                str(s.told),
+                f"1/{s.factor:.1f} of the size",
+            )
+        console.print(more)
+    for note in found.notes:
+        console.print(plain(note, 300), style="dim", soft_wrap=True)
+    console.print(plain(found.summary, 600), soft_wrap=True)

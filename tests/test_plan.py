@@ -1,0 +1,282 @@
+"""Before the test: what a plan says of rigs whose answers are known from physics, and that the diagnosis agrees."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from isd_gym.data import Table, read_table
+from isd_gym.discrepancy import Criteria, diagnose, plan
+from isd_gym.discrepancy.excitation import (
+    KINDS,
+    Excitation,
+    Limits,
+    Rig,
+    candidates,
+    default,
+    record_of,
+    rig_of,
+)
+from isd_gym.discrepancy.planning import Plan
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.simulate import simulate
+
+MASS: dict[str, Any] = {
+    "schema": "isd-model/1",
+    "name": "shaken-mass",
+    "masses": {"table": 12.0},
+    "elements": [
+        {"name": "spring", "type": "linear_stiffness", "between": ["table", "shaker"], "stiffness": 9000.0},
+        {"name": "damper", "type": "linear_damping", "between": ["table", "shaker"], "damping": 45.0},
+    ],
+    "inputs": [{"name": "stroke", "quantity": "displacement", "at": "shaker", "unit": "mm"}],
+    "outputs": [{"name": "acceleration", "quantity": "acceleration", "at": "table", "unit": "m/s^2"}],
+    "uncertainty": {"table.mass": 0.03, "spring.stiffness": 0.1, "damper.damping": 0.2},
+}
+SHORT = Rig({"stroke": Limits(0.01)}, (1.0, 7.0), 8.0, 0.008)
+#: criteria that ask for nothing but what noise does
+NOISE_ALONE = Criteria(material=1e-9, share=1e-9, wide=1e9, determined=1e9)
+
+
+def foreseen(model: Any = MASS, **choices: Any) -> Plan:
+    return plan(model, **({"rig": SHORT, "add_sensors": False} | choices))
+
+
+def level(p: Plan, what: str = "smallest") -> float:
+    (e,) = p.effects
+    assert e.status == "named", e
+    return float(getattr(e, what)[e.varied[0]].value)
+
+
+FRICTION = {"only": ["coulomb_friction", "ground"], "criteria": NOISE_ALONE}
+
+
+def test_twice_the_noise_asks_for_twice_the_size() -> None:
+    one, two = (level(foreseen(noise={"acceleration": s}, **FRICTION), "seen") for s in (0.5, 1.0))
+    assert two / one == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_record_of_four_times_the_length_halves_the_size() -> None:
+    record = record_of(Network.load(MASS), SHORT, default(Network.load(MASS), SHORT))
+    stroke = 1e3 * record.inputs["stroke"]
+    sizes = []
+    for times in (4, 16):
+        x = np.tile(stroke[:-1], times)
+        table = Table(SHORT.step * np.arange(len(x)), {"stroke": x}, "planned", {"stroke": "mm"})
+        sizes.append(level(foreseen(data=[table], rig=None, noise={"acceleration": 0.5}, **FRICTION), "seen"))
+    assert sizes[0] / sizes[1] == pytest.approx(2.0, rel=0.15)
+
+
+def test_what_moves_no_sensor_is_unseen_and_the_sensor_that_would_see_it_is_named() -> None:
+    """Two oscillators on one shaker do not feel each other: of the second one nothing is measured."""
+    model = json.loads(json.dumps(MASS))
+    model["masses"]["other"] = 5.0
+    model["elements"] += [
+        {
+            "name": "other_spring",
+            "type": "linear_stiffness",
+            "between": ["other", "shaker"],
+            "stiffness": 4000.0,
+        },
+        {"name": "other_damper", "type": "linear_damping", "between": ["other", "shaker"], "damping": 30.0},
+    ]
+    p = plan(model, rig=SHORT, only=["cubic_stiffness", "shaker"])
+    status = {e.where: e.status for e in p.effects}
+    assert status["table", "shaker"] == "named"
+    assert status["other", "shaker"] == "unseen"
+    told = {s.name: s.told for s in p.sensors}
+    assert told["other_acceleration"] > 0  # so would the force at the shaker, which carries both
+    assert told["table_shaker_travel"] == 0
+
+
+def test_laws_at_two_places_that_one_force_passes_are_not_told_apart() -> None:
+    """Two equal springs in series without a mass between them: nobody sees which of them is the cubic one."""
+    model = json.loads(json.dumps(MASS))
+    model["elements"][0]["stiffness"] = 18000.0
+    model["elements"][0]["between"] = ["table", "middle"]
+    model["elements"].insert(
+        1,
+        {"name": "second", "type": "linear_stiffness", "between": ["middle", "shaker"], "stiffness": 18000.0},
+    )
+    model["uncertainty"].pop("spring.stiffness")
+    p = foreseen(model, only=["cubic_stiffness", "middle"])
+    assert [e.status for e in p.effects] == ["confused", "confused"]
+    first, second = p.effects
+    assert first.confused_with == (second.label,)
+    own = plan(
+        {
+            **model,
+            "outputs": [
+                *model["outputs"],
+                {
+                    "name": "elongation",
+                    "quantity": "displacement",
+                    "between": ["table", "middle"],
+                    "unit": "m",
+                },
+            ],
+        },
+        rig=SHORT,
+        add_sensors=False,
+        only=["cubic_stiffness", "middle"],
+    )
+    assert [e.status for e in own.effects] == ["named", "named"]
+
+
+def test_a_parameter_that_may_move_hides_what_looks_like_it() -> None:
+    """A gain of the only sensor, an accelerometer above a spring that may be anything, is a mass and a spring that are off."""
+    free = {**MASS, "uncertainty": {"table.mass": 2.0, "spring.stiffness": 2.0, "damper.damping": 2.0}}
+    stiff = foreseen(
+        {**MASS, "uncertainty": {}},
+        only=["linear_stiffness", "ground"],
+        noise={"acceleration": 0.5},
+        criteria=NOISE_ALONE,
+    )
+    loose = foreseen(
+        free, only=["linear_stiffness", "ground"], noise={"acceleration": 0.5}, criteria=NOISE_ALONE
+    )
+    (e,) = loose.effects
+    assert e.status != "named" or level(loose, "seen") > 1.2 * level(stiff, "seen")
+
+
+@pytest.mark.slow
+def test_the_diagnosis_names_what_the_plan_says_it_does() -> None:
+    """Half as much again as the planned size is named, two thirds of it are not."""
+    p = plan(MASS, only=["coulomb_friction", "ground"], add_sensors=False)
+    network, record = Network.load(MASS), p.records[0]
+    rng = np.random.default_rng(5)
+    for factor, named in ((1.5, True), (1 / 1.5, False)):
+        rub = {
+            "name": "rub",
+            "type": "coulomb_friction",
+            "between": ["table", "ground"],
+            "level": factor * level(p),
+        }
+        stroke = 1e3 * record.inputs["stroke"]
+        measured = simulate(network.with_element(rub), record.time, {"stroke": stroke})
+        y = measured["acceleration"] + p.noise["acceleration"] * rng.standard_normal(len(record))
+        table = Table(record.time, {"stroke": stroke, "acceleration": y}, "planned")
+        assert (diagnose([table], p.network).verdict == "missing_effect") is named
+
+
+# ----------------------------------------------------------------------------------------------------- excitations
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_excitation_keeps_within_the_rigs_limits(kind: str) -> None:
+    network = Network.load("quarter-car-isd")
+    rig = Rig({"road": Limits(0.02, 0.3), "current": Limits(4.0)}, (0.5, 15.0), 10.0, 2e-3)
+    played = Excitation(kind, 0.5, 15.0, ("road", "current")).signals(network, rig)
+    road, current = played["road"], played["current"]
+    assert np.abs(road).max() <= 0.02 * (1 + 1e-9)
+    assert np.abs(np.diff(road)).max() / rig.step <= 0.3 * (1 + 1e-9)
+    assert np.abs(current).max() == pytest.approx(4.0)
+    assert road[0] == road[-1] == 0.0
+    power = np.abs(np.fft.rfft(np.gradient(road, rig.step))) ** 2
+    f = np.fft.rfftfreq(len(road), rig.step)
+    assert power[(f > 0.2) & (f < 40)].sum() > 0.97 * power.sum()
+
+
+def test_limits_come_from_the_data_where_nobody_states_them() -> None:
+    network = Network.load(MASS)
+    record = record_of(network, SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
+    rig = rig_of(network, [record])
+    assert rig.limits["stroke"].reach == pytest.approx(np.abs(record.inputs["stroke"]).max())
+    assert rig.length == pytest.approx(8.0, rel=0.01)
+    assert 0.5 < rig.band[0] < 1.5
+    assert 3.0 < rig.band[1] < 7.0
+    every = list(candidates(network, rig))
+    assert {e.kind for e in every} == set(KINDS)
+
+
+@pytest.mark.parametrize(
+    ("choice", "word"),
+    [
+        ({"band": (5.0, 1.0)}, "band"),
+        ({"length": math.nan}, "length"),
+        ({"rate": 10.0, "band": (1.0, 7.0)}, "sampling rate"),
+        ({"limits": {"stork": Limits(1.0)}}, "stork"),
+    ],
+)
+def test_a_rig_that_cannot_be_is_refused_with_one_line(choice: dict[str, Any], word: str) -> None:
+    with pytest.raises(InputError, match=word) as error:
+        rig_of(Network.load(MASS), **choice)
+    assert "\n" not in str(error.value)
+
+
+# ------------------------------------------------------------------------------------------------------ the command
+
+
+def run(*words: str) -> Any:
+    import typer
+
+    from isd_gym.testplan import command
+
+    app = typer.Typer()
+    app.command()(command)
+    return CliRunner().invoke(app, list(words))
+
+
+QUICK = (
+    "--limit",
+    "stroke=10mm",
+    "--band",
+    "1:7",
+    "--length",
+    "8",
+    "--rate",
+    "125",
+    "--only",
+    "cubic_stiffness",
+    "--no-sensors",
+)
+
+
+def test_the_command_writes_the_plan_its_page_and_a_test_that_a_rig_can_play(tmp_path: Path) -> None:
+    model = tmp_path / "model.json"
+    model.write_text(json.dumps(MASS))
+    out, html, test = (tmp_path / name for name in ("plan.json", "plan.html", "test.csv"))
+    made = run(str(model), *QUICK, "--out", str(out), "--html", str(html), "--design", str(test))
+    assert made.exit_code == 0, made.output
+    said = json.loads(out.read_text())
+    assert said["schema"] == "isd-plan/1"
+    assert {e["status"] for e in said["effects"]} == {"named"}
+    assert len(said["matrix"]) == len(said["effects"])
+    assert "<img" in html.read_text()
+    assert test.read_text().startswith("time,stroke [mm]\n")
+    table = read_table(test, expected={"stroke": "mm"})
+    assert np.abs(table["stroke"]).max() <= 10.0 + 1e-9
+    played = simulate(Network.load(MASS), table.time, {"stroke": table["stroke"]})
+    assert played["acceleration"].std() > 0.1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--limit", "stroke"),
+        ("--limit", "road=3"),
+        ("--limit", "stroke=5V"),
+        ("--band", "7"),
+        ("--noise", "acceleration=-1"),
+        ("--only", "frictoin"),
+        ("--excitation", "noise"),
+        ("--after", "there.json"),
+        ("--length", "0.01"),
+    ],
+)
+def test_bad_options_are_answered_with_one_line_and_nothing_is_written(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    model = tmp_path / "model.json"
+    model.write_text(json.dumps(MASS))
+    made = run(str(model), *words, "--out", str(tmp_path / "plan.json"))
+    assert isinstance(made.exception, InputError)
+    assert "\n" not in str(made.exception)
+    assert not (tmp_path / "plan.json").exists()
