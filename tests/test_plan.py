@@ -280,3 +280,61 @@ def test_bad_options_are_answered_with_one_line_and_nothing_is_written(
     assert isinstance(made.exception, InputError)
     assert "\n" not in str(made.exception)
     assert not (tmp_path / "plan.json").exists()
+
+
+# ------------------------------------------------------------------------------------------- after a diagnosis
+
+
+def rivals(levels: tuple[float, float]) -> dict[str, Any]:
+    """What a diagnosis leaves that cannot tell friction from damping against the ground."""
+    return {
+        "schema": "isd-diagnosis/1",
+        "verdict": "ambiguous",
+        "parameters": {"spring.stiffness": {"value": 9100.0, "low": 9000.0, "high": 9200.0, "unit": "N/m"}},
+        "alternatives": [
+            {
+                "effects": [effect],
+                "where": [["table", "ground"]],
+                "why_not": "",
+                "values": [{key: value}],
+                "options": [{}],
+            }
+            for effect, key, value in zip(
+                ("coulomb_friction", "linear_damping"), ("level", "damping"), levels, strict=True
+            )
+        ],
+    }
+
+
+def test_a_designed_test_separates_rivals_better_than_the_usual_one() -> None:
+    from isd_gym.discrepancy.design import design, rivals_of
+
+    network = Network.load(MASS)
+    left = rivals_of(network, rivals((3.0, 14.0)))
+    assert [r.label for r in left] == ["coulomb_friction at table-ground", "linear_damping at table-ground"]
+    tests = [
+        default(network, SHORT),
+        Excitation("triangle", 1.0, 7.0, ("stroke",), 0.4),
+        Excitation("sweep", 1.0, 7.0, ("stroke",), 0.3),
+    ]
+    found = design(network, left, SHORT, np.array([0.05]), tests=tests)
+    assert found is not None
+    assert found.separation >= found.usual > 0
+    assert np.abs(found.record.inputs["stroke"]).max() <= 0.01 + 1e-12
+    louder = design(network, left, SHORT, np.array([0.5]), tests=tests)
+    assert louder is not None
+    assert louder.separation < found.separation
+
+
+def test_results_without_rivals_are_refused_with_one_line() -> None:
+    from isd_gym.discrepancy.design import rivals_of
+
+    network = Network.load(MASS)
+    for change, word in (
+        ({"alternatives": []}, "no rivals"),
+        ({"schema": "isd-score/1"}, "no result of a diagnosis"),
+        ({"alternatives": [{"effects": ["coulomb_friction"], "where": [["table", "ground"]]}]}, "again"),
+    ):
+        with pytest.raises(InputError, match=word) as error:
+            rivals_of(network, {**rivals((3.0, 14.0)), **change})
+        assert "\n" not in str(error.value)

@@ -3,7 +3,7 @@
 Data go one way: `records` and `problem` (what was measured), `structure` and `hypotheses` (what could be missing, where),
 `noise`, `fit`, `initial` (how a model is fitted), `candidate`, `screen`, `race`, `search` (which models are fitted),
 `judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
-`experiments`, `words`, `result` (how it is said), `workflow` (all of it);
+`words`, `result` (how it is said), `workflow` (all of it);
 `blackbox` and `unit` do what can be done of that for a model without an inside.
 
 Before the test: `excitation` (what a rig can play), `stand` (a test that was not done), `field` (small effects, all at

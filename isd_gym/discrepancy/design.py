@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..data import write_table
+from ..data import Table, write_table
 from ..errors import InputError, shown
 from ..inputs import read_json
 from ..network import Network
@@ -86,14 +86,17 @@ class Design:
         write_test(path, network, self.record)
 
 
+def played(network: Network, record: Record) -> Table:
+    """The inputs of a record as a table for a file without units of its own: a column ``name [unit]`` for each."""
+    table = table_of(network, record)
+    named = {f"{k} [{table.units[k]}]": v for k, v in table.columns.items()}
+    return replace(table, columns=named, units={})
+
+
 def write_test(path: str | Path, network: Network, record: Record) -> None:
     """The inputs of a record as a table: time [s] and, in text files, a column ``name [unit]`` for each."""
-    table = table_of(network, record)
-    if Path(path).suffix.lower() in (".csv", ".txt", ".tsv"):
-        table = replace(
-            table, columns={f"{k} [{table.units[k]}]": v for k, v in table.columns.items()}, units={}
-        )
-    write_table(path, table)
+    text = Path(path).suffix.lower() in (".csv", ".txt", ".tsv")
+    write_table(path, played(network, record) if text else table_of(network, record))
 
 
 class Bout:
@@ -273,4 +276,4 @@ def rivals_of(network: Network, result: str | Path | Mapping[str, Any]) -> list[
     return out
 
 
-__all__ = ["Design", "Rival", "design", "next_experiment", "noise_of", "rivals_of", "write_test"]
+__all__ = ["Design", "Rival", "design", "next_experiment", "noise_of", "played", "rivals_of", "write_test"]

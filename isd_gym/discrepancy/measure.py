@@ -179,13 +179,8 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
         EffectEvidence(
             label=h.label,
             share=share,
-<<<<<<< HEAD
             spread=spread_of(e, quantities, difference(search, best, e, spread)),
-            complaint=complaint(search, best, e),
-=======
-            spread=spread_of(e, quantities),
             complaint=complaint(problem, best.fit, e),
->>>>>>> 24fb659 (isd-gym plan: before the test, what could be told from what, how small, and the test that tells most)
             sensor=h.place == "channel",
             fault=e.fault(problem.time),
         )

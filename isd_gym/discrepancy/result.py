@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..cosimulation import UnitModel
+from ..data import Table, write_table
 from ..files import claim_folder, write_text
 from ..network import Network
 from .align import Lag
@@ -27,7 +28,7 @@ Over = Literal["rate", "elongation", "both"]
 FOLDER = (
     "diagnosis",
     "diagnosis.json",
-    ("report.html", "diagnosis.json", "model.json", "parameters.ssv", "*.png"),
+    ("report.html", "diagnosis.json", "model.json", "parameters.ssv", "next_experiment.csv", "*.png"),
 )
 
 
@@ -80,7 +81,8 @@ class Effect:
 class Contender:
     """A set of effects that was tried: `score` is its excess error on held-out data (1: as the refit, 0: noise).
 
-    where: the place of each. why_not: in words.
+    where: the place of each. why_not: in words. values: of each effect, by parameter; options: its choices that are not
+    numbers.
     """
 
     effects: tuple[str, ...]
@@ -88,6 +90,8 @@ class Contender:
     score: float
     likelihood: float  # -2 log L behind the best
     why_not: str
+    values: tuple[dict[str, float], ...] = ()
+    options: tuple[dict[str, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As the contract has it."""
@@ -96,6 +100,8 @@ class Contender:
             "where": [list(w) for w in self.where],
             "excess": self.score,
             "why_not": self.why_not,
+            "values": [dict(v) for v in self.values],
+            "options": [dict(o) for o in self.options],
         }
 
 
@@ -198,7 +204,7 @@ class Diagnosis:
 
     verdict: the contract's word. effects: what was found; contenders: what else was tried. where: the gap lives.
     parameters: of the owner's model, refitted. closed: share of the gap. gates: what had to hold.
-    next_experiment: what would decide, where something would. base, refitted, model: the owner's network, the
+    next_experiment: what would decide, where something would; test: its inputs, as a rig plays them. base, refitted, model: the owner's network, the
     same refitted, the new one (of a unit for co-simulation, what its description says). traces and laws: for pictures. notes: in words. seconds: of work. units: of the
     channels. lags: of loggers' clocks. evidence, criteria, settings: what was weighed, by which limits, and how it was searched. tabulated: the force that
     is missing where no known law gives it. whole: the owner's whole model with what was found, where a part of it was diagnosed.
@@ -229,6 +235,7 @@ class Diagnosis:
     tabulated: Tabulated | None = None
     whole: Network | None = None  # where the model was cut: all of it, with what was found
     lags: tuple[Lag, ...] = ()  # of loggers' clocks
+    test: Table | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As the contract has it (`isd-diagnosis/1`)."""
@@ -266,7 +273,8 @@ class Diagnosis:
         )
 
     def save(self, folder: str | Path) -> None:
-        """Write diagnosis.json and model.json (of a unit its parameters.ssv) into `folder`, each whole or not at all.
+        """Write diagnosis.json, model.json (of a unit its parameters.ssv) and, where a test would decide, next_experiment.csv
+        into `folder`, each whole or not at all.
 
         The folder is new, empty or an earlier diagnosis; raises `InputError` for any other.
         """
@@ -274,6 +282,8 @@ class Diagnosis:
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
         model = self.whole or self.model
         model.save(folder / ("parameters.ssv" if isinstance(model, UnitModel) else "model.json"))
+        if self.test is not None:
+            write_table(folder / "next_experiment.csv", self.test)
 
 
 def _plain(value: Any) -> Any:

@@ -17,10 +17,10 @@ from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
 from .align import aligned, read_again
-from .candidate import BROKEN, Candidate, reckoned
+from .candidate import BROKEN, Candidate, reckoned, values_of
 from .criteria import CRITERIA, Criteria, Decision, decide
+from .design import next_experiment, played
 from .evidence import Evidence
-from .experiments import next_experiment
 from .explain import law, places, table_law
 from .fit import Fitter, residuals
 from .hypotheses import hypotheses
@@ -286,6 +286,8 @@ class Workflow:
                     (score - trial.quiet) / max(refit.score - trial.quiet, 1e-12),
                     r.likelihood - best.likelihood,
                     why,
+                    tuple(values_of(e) for e in r.elements),
+                    tuple(dict(h.options) for h in r.hypotheses),
                 )
             )
         return out
@@ -349,6 +351,10 @@ class Workflow:
         laws += [table_law(p, final.fit, tabulated)] if tabulated else []
         contenders = [trial.foremost, *abreast]
         material = self.criteria.material
+        test = None
+        if ambiguous:
+            self.say("designing the test that would decide")
+            test = next_experiment(self.whole, contenders, floor)
         return Diagnosis(
             verdict=verdict,
             summary=sentence(verdict, found, small, contenders, where, gap, evidence, material, left)
@@ -362,7 +368,8 @@ class Workflow:
             gap=gap,
             closed=closed(rows) if named or tabulated else None,
             gates=decision.gates,
-            next_experiment=next_experiment(p, contenders, floor) if ambiguous else None,
+            next_experiment=test.to_dict() if test else None,
+            test=played(self.network, test.record) if test else None,
             base=self.network,
             refitted=base.fit.network,
             model=final.fit.network,
