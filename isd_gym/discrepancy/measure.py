@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import elements as el
 from ..errors import InputError
+from ..network import Network
 from .candidate import BROKEN, Candidate, level, reckoned
 from .criteria import Criteria
 from .evidence import EffectEvidence, Evidence
@@ -18,7 +19,7 @@ from .noise import whitener
 from .problem import Array, Problem
 from .result import Quantity
 from .search import Search
-from .structure import Hypothesis
+from .structure import Hypothesis, Structure
 from .trial import Trial
 
 #: share of the typical force that each small effect, unmodelled, may have (one sigma)
@@ -82,22 +83,22 @@ def beyond_limits(search: Search, candidate: Candidate) -> tuple[str, ...]:
 
 
 def difference(
-    search: Search, candidate: Candidate, element: el.Element, spread: Array | None
+    network: Network, structure: Structure, x: Array, element: el.Element, spread: Array | None
 ) -> Quantity | None:
     """The difference of the two parameters whose common part could be a parameter of the model's, where they have one."""
-    here = [e for e in el.beside(search.problem.network, element.where) if e.name != element.name]
+    here = [e for e in el.beside(network, element.where) if e.name != element.name]
     pair = element.differing(here)
     if pair is None or spread is None:
         return None
-    free = candidate.fit.structure.free
+    free = structure.free
     paths = [q.path for q in free]
     wanted = [f"{element.name}.{name}" for name in pair]
     if any(w not in paths or free[paths.index(w)].log for w in wanted):
         return None
     a = np.zeros(len(paths))
     a[[paths.index(w) for w in wanted]] = 1.0, -1.0
-    value, half = float(a @ candidate.fit.x), 1.96 * math.sqrt(max(float(a @ spread @ a), 0.0))
-    return Quantity(value, value - half, value + half, candidate.fit.network.unit_of(wanted[0]), None)
+    value, half = float(a @ x), 1.96 * math.sqrt(max(float(a @ spread @ a), 0.0))
+    return Quantity(value, value - half, value + half, structure.network.unit_of(wanted[0]), None)
 
 
 def spread_of(element: el.Element, quantities: dict[str, Quantity], beyond: Quantity | None = None) -> float:
@@ -179,7 +180,9 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
         EffectEvidence(
             label=h.label,
             share=share,
-            spread=spread_of(e, quantities, difference(search, best, e, spread)),
+            spread=spread_of(
+                e, quantities, difference(problem.network, best.fit.structure, best.fit.x, e, spread)
+            ),
             complaint=complaint(problem, best.fit, e),
             sensor=h.place == "channel",
             fault=e.fault(problem.time),

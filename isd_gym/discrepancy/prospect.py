@@ -17,7 +17,7 @@ from .evidence import EffectEvidence, Evidence
 from .fit import Fit, Fitter
 from .initial import carried
 from .judge import BLOCKS, share_at_place
-from .measure import complaint, spread_of
+from .measure import complaint, difference, spread_of
 from .noise import lagged, plain, predicted
 from .problem import Array, Problem
 from .result import Quantity
@@ -99,7 +99,7 @@ class Prospect:
     fit: Fit  # of its own structure: the truth
     base: Coherent
     share: float
-    deviations: dict[str, float]  # of its free parameters, transformed
+    covariance: Array  # of its free parameters, transformed
     complaint: str
     rivals: list[Opponent]
 
@@ -120,18 +120,19 @@ class Prospect:
 
     def spread_at(self, k: float) -> float:
         """How undetermined its values are: the criterion's logarithm of a factor."""
-        e, out = self.element, {}
-        for q in self.structure.free:
+        e, out, free = self.element, {}, self.structure.free
+        for q, variance in zip(free, np.diag(self.covariance), strict=True):
             if q.owner < 0:
                 continue
-            s = min(self.deviations[q.path] / k, q.sigma)
+            s = min(math.sqrt(max(float(variance), 0.0)) / k, q.sigma)
             x = q.forward(getattr(e, q.path.rpartition(".")[2]))
             ends = (
                 q.back(max(x - 1.96 * s, -700.0)),
                 q.back(min(x + 1.96 * s, 700.0)) if q.log else x + 1.96 * s,
             )
             out[q.path] = Quantity(q.back(x), *ends, self.structure.network.unit_of(q.path))
-        return spread_of(e, out)
+        at, network = self.structure.start, self.stand.network
+        return spread_of(e, out, difference(network, self.structure, at, e, self.covariance / k**2))
 
     def told(self, rival: Opponent, k: float) -> bool:
         """Whether a diagnosis would tell it, k times as large, from the rival."""
@@ -219,7 +220,7 @@ def prospect(stand: Stand, h: Hypothesis, values: dict[str, float]) -> Prospect:
     structure = add(stand.structure, h, values)
     truth = stand.measuring(structure.network)
     base = Coherent(stand, stand.refit(truth, stand.structure, stand.structure.start))
-    fit, deviations = _own(stand, truth, structure)
+    fit, covariance = _own(stand, truth, structure)
     return Prospect(
         stand,
         h,
@@ -228,7 +229,7 @@ def prospect(stand: Stand, h: Hypothesis, values: dict[str, float]) -> Prospect:
         fit,
         base,
         share_at_place(truth, fit, structure.names[-1]),
-        deviations,
+        covariance,
         complaint(truth, fit, structure.network.element(structure.names[-1])),
         [],
     )
@@ -248,8 +249,8 @@ def oppose(p: Prospect, h: Hypothesis, tries: Sequence[dict[str, float]]) -> Opp
     return None if best is None else Opponent(h, best)
 
 
-def _own(stand: Stand, truth: Problem, structure: Structure) -> tuple[Fit, dict[str, float]]:
-    """The truth's own fit, and the deviations that its free parameters would have: noise, and what small effects drag."""
+def _own(stand: Stand, truth: Problem, structure: Structure) -> tuple[Fit, Array]:
+    """The truth's own fit, and the covariance that its free parameters would have: noise, and what small effects drag."""
     x = structure.start
     known = carried(truth, stand.network, stand.base.initial, structure)
     W = plain(stand.level)
@@ -257,14 +258,15 @@ def _own(stand: Stand, truth: Problem, structure: Structure) -> tuple[Fit, dict[
     sigma = np.array([q.sigma for q in structure.free])
     if f.hessian is None or not np.isfinite(f.hessian).all():
         raise InputError("the simulation breaks down beside these values")
-    variance = np.maximum(np.diag(np.linalg.inv(stand.repeat * f.hessian + np.diag(1 / sigma**2))), 0.0)
+    covariance = np.linalg.inv(stand.repeat * f.hessian + np.diag(1 / sigma**2))
     try:
         with np.errstate(invalid="ignore", over="ignore"):
             dragged, _ = Fitter(truth, W).refit(f, stand.small)
-        variance = variance + np.sum(np.clip(np.nan_to_num(dragged), -1e6, 1e6) ** 2, axis=1)
+        dragged = np.clip(np.nan_to_num(dragged), -1e6, 1e6)
+        covariance = covariance + dragged @ dragged.T
     except BROKEN:
         pass
-    return f, dict(zip((q.path for q in structure.free), np.sqrt(variance).tolist(), strict=True))
+    return f, np.asarray(covariance, dtype=np.float64)
 
 
 def no_alternative(stand: Stand, rival: Hypothesis, truth: Hypothesis) -> bool:
