@@ -166,8 +166,9 @@ class Field:
         for k, y in lanes.items():
             y[:, :, sorted(self.broken)] = 0.0
             dp, ds = slopes[k].by_parameter, slopes[k].by_state
-            X = np.concatenate([dp, ds, wide.constants(k), y], axis=2)
-            self.nuisance.append(ds.shape[2] + wide.constants(k).shape[2])
+            free = wide.nuisances(k, point[k][:, :, 0])
+            X = np.concatenate([dp, ds, free, y], axis=2)
+            self.nuisance.append(ds.shape[2] + free.shape[2])
             self.grams.append(np.stack([X[:, j].T @ X[:, j] for j in range(ny)]))
             self.power += np.sum(y**2, axis=0)
             parts.append(point[k][:, :, 0])
