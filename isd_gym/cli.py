@@ -485,14 +485,15 @@ def diagnose(
             "one run joined by +: body.csv+wheel.mf4."
         ),
     ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the result.", metavar="DIR")],
     model: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="The model as you believe it: a file, a built-in network, or a unit for co-simulation (.fmu).",
+            help="The model as you believe it: a file, a built-in network, or a unit for co-simulation (.fmu). Needed but for a "
+            "folder of cases that have their own model.json.",
             autocompletion=_offer(_networks),
         ),
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the result.", metavar="DIR")],
+    ] = None,
     validate: Annotated[
         list[Path] | None,
         typer.Option(
@@ -541,6 +542,10 @@ def diagnose(
     max_lag: Annotated[
         float, typer.Option(help="How late or early another logger's clock may be [s].", min=0.0)
     ] = 0.5,
+    jobs: Annotated[int, typer.Option(help="Of a folder of cases: processes of this machine.", min=1)] = 1,
+    engine: Annotated[
+        str, typer.Option("--engine", help="Of a folder of cases: local, or ray for a Ray cluster.")
+    ] = "local",
     seed: Annotated[int, typer.Option(help="Of the resampling that gives the confidence.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -548,7 +553,8 @@ def diagnose(
 
     Writes DIR/diagnosis.json, DIR/model.json (the model with what was found), DIR/report.html and its figures. Without
     --validate whole records of DATA are held out to judge by, or the last third of a single one. An .fmu is compared and
-    its parameters refitted (DIR/parameters.ssv); it shows no inside, so no effect and no place is named.
+    its parameters refitted (DIR/parameters.ssv); it shows no inside, so no effect and no place is named. A folder of
+    cases (a folder each, VEHICLE_2024-05-01) is diagnosed case by case and goes on where it stopped: DIR/fleet.html.
 
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found --validate test3.csv
 
@@ -563,8 +569,18 @@ def diagnose(
     from .network import cut as cut_at
     from .report import check_target, write_report
 
-    check_target(out)
     check_file(json_file)
+    if len(data) == 1 and data[0].is_dir():
+        if validate or rename or unit or elements or cut or uncertain:
+            raise InputError(
+                "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
+            )
+        steps = {"map": map_file and str(map_file), "accept": accept or [], "seed": seed, "max_lag": max_lag}
+        _diagnose_fleet(data[0], out, model, steps, jobs, engine, json_file)
+        return
+    if model is None:
+        raise InputError("--model says which model the records are compared with")
+    check_target(out)
     shares = _shares(uncertain)
     _check_records(data, validate or [])
     about = {
@@ -621,6 +637,44 @@ def diagnose(
         say("writing the report")
         page = write_report(result, out, about=about | {"Seed": str(seed)})
     _print_diagnosis(result, json_file, page)
+
+
+def _diagnose_fleet(
+    folder: Path,
+    out: Path,
+    model: str | None,
+    options: dict[str, Any],
+    jobs: int,
+    engine: str,
+    json_file: Path | None,
+) -> None:
+    """Every case of a folder; the table over all. The exit status is 1 where one has no result."""
+    from .fleet import check, fleet
+    from .fleet import lines as told
+
+    check(folder, out)
+    with progress() as update:
+        merged, outcome = fleet(
+            folder,
+            out,
+            model,
+            options=options,
+            jobs=jobs,
+            engine=engine,
+            progress=lambda done, every: update("cases", done / max(every, 1)),
+        )
+    write_json(json_file, merged)
+    for line in told(merged, min(max(60, _columns()), 140)):
+        typer.echo(line)
+    typer.echo(f"page: {out / 'fleet.html'}", err=True)
+    if outcome.failed:
+        raise typer.Exit(1)
+
+
+def _columns() -> int:
+    import shutil
+
+    return shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 80
 
 
 def _shares(pairs: list[str] | None) -> dict[str, float]:

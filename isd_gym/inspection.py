@@ -183,7 +183,7 @@ def _matched(found: Inspection, width: int) -> list[str]:
     ]
     for c in channels:
         if c.name not in made.channels:
-            out.append(f"  {_cut(c.name, name):<{name}} {'(none found)':<{wide}} {c.unit:<6}")
+            out.append(f"  {_cut(c.name, name):<{name}} {'(none found)':<{wide}} {c.unit}")
             continue
         pick, sure = made.channels[c.name]
         column = ("-" if pick.sign < 0 else "") + pick.facts.name

@@ -1,0 +1,297 @@
+"""Fleets: a diagnosis of every case in a folder, on many processes or machines, resumed where it stopped; a table and a page over all.
+
+    fleet/                        isd-gym diagnose fleet --model car.json --out found --jobs 2
+      van7_2024-05-01/            a case: its vehicle and its date
+        run1.csv  run2.csv        runs; validation*.csv (or .mf4 ...) take no part in fitting
+      van7_2024-09-01/
+        run1/                     a run of several loggers: their files, in the order of the map's loggers by name
+          body.csv  wheel.mf4
+        model.json                a model of the case's own goes before --model
+
+What is done lies in ``OUT/cases``, a file a case with the whole `isd-diagnosis/1` and the model with what was found;
+called again, only new and changed cases are diagnosed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .engine import Outcome, Task, stored
+from .engine import run as run_tasks
+from .errors import InputError, plain, shown
+from .files import claim_folder, write_text
+
+SCHEMA = "isd-fleet/1"
+SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".parquet", ".mf4", ".mdf")
+FOLDER = ("fleet", "fleet.json", ("fleet.json", "fleet.html", "cases"))
+DATE = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case: its folder's `name`, `vehicle` and `date` ('' where the name tells none), runs to fit and to judge by, and its model."""
+
+    name: str
+    vehicle: str
+    date: str
+    data: tuple[str, ...]
+    validate: tuple[str, ...]
+    model: str
+
+
+def cases_of(folder: str | Path, model: str | None = None) -> list[Case]:
+    """The cases in a folder, by vehicle and date. Raises `InputError` where there are none, or one has no model.
+
+    folder: of cases. model: for those that have none of their own.
+    """
+    folder = Path(folder)
+    out = []
+    for place in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
+        runs = [r for p in sorted(place.iterdir()) if (r := _run(p))]
+        if not runs:
+            continue
+        own = place / "model.json"
+        if not own.is_file() and model is None:
+            raise InputError(f"{place}: holds no model.json; --model FILE is for all cases that have none")
+        held = tuple(
+            r for r in runs if Path(r.split("+")[0]).relative_to(place).parts[0].startswith("validation")
+        )
+        fit = tuple(r for r in runs if r not in held)
+        if not fit:
+            raise InputError(f"{place}: holds validation records alone, nothing to fit by")
+        found = DATE.search(place.name)
+        date = "-".join(found.groups()) if found else ""
+        vehicle = (DATE.sub("", place.name).strip("_- ") or place.name) if found else place.name
+        out.append(Case(place.name, vehicle, date, fit, held, str(own) if own.is_file() else str(model)))
+    if not out:
+        raise InputError(
+            f"{folder}: no folders of records in it (a case is a folder with tables: {' '.join(SUFFIXES)})"
+        )
+    return sorted(out, key=lambda c: (c.vehicle, c.date, c.name))
+
+
+def _run(path: Path) -> str:
+    """A run as a command line names it; '' for what is none."""
+    if path.is_dir():
+        files = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES)
+        return "+".join(map(str, files))
+    return str(path) if path.suffix.lower() in SUFFIXES else ""
+
+
+def _task(case: Case, options: Mapping[str, Any]) -> Task:
+    # what a result rests on is in its name: a file that has changed is a new task
+    files = [*case.data, *case.validate, case.model, options.get("map") or ""]
+    states = [
+        [p.stat().st_size, p.stat().st_mtime_ns]
+        for word in files
+        for p in map(Path, word.split("+"))
+        if word and p.is_file()
+    ]
+    given = {"data": list(case.data), "validate": list(case.validate), "model": case.model, "files": states}
+    return Task("isd_gym.fleet:diagnose_case", {"name": case.name, **given, **options})
+
+
+def diagnose_case(
+    name: str,
+    data: list[str],
+    validate: list[str],
+    model: str,
+    files: list[Any],
+    map: str | None = None,
+    accept: Sequence[str] = (),
+    seed: int = 0,
+    max_lag: float = 0.5,
+) -> dict[str, Any]:
+    """One case: its diagnosis and the model with what was found, as plain data."""
+    from .discrepancy import SearchSettings, diagnose
+    from .loggers import ChannelMap
+    from .loggers.records import records_of
+    from .network import Network
+
+    del name, files  # of the task's key
+    network, by = Network.load(model), None
+    if map is not None:
+        by = ChannelMap.load(map)
+        network = by.measured(network)
+    wanted = (*network.inputs, *network.outputs)
+    fit, held = (
+        [r for f in words for r in records_of(f, network, wanted, by=by)] for words in (data, validate)
+    )
+    found = diagnose(
+        fit, network, validate=held, accept=accept, seed=seed, settings=SearchSettings(max_lag=max_lag)
+    )
+    return {"diagnosis": found.to_dict(), "model": found.model.to_dict()}
+
+
+def fleet(
+    folder: str | Path,
+    out: str | Path,
+    model: str | None = None,
+    *,
+    options: Mapping[str, Any] | None = None,
+    jobs: int = 1,
+    engine: str = "local",
+    address: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> tuple[dict[str, Any], Outcome]:
+    """Diagnose what is not diagnosed yet of a folder of cases; the table over all, and what came of the tasks.
+
+    folder: of cases. out: for ``fleet.json``, ``fleet.html`` and ``cases``. options: of `diagnose_case` (map, accept, seed,
+    max_lag). jobs, engine, address, progress, say: as `engine.run` takes them. Raises `InputError`.
+    """
+    cases = cases_of(folder, model)
+    place = claim_folder(out, *FOLDER)
+    tasks = [_task(c, dict(options or {})) for c in cases]
+    if not (
+        place / "fleet.json"
+    ).exists():  # so that the folder is known as this one's when it is called again
+        write_text(place / "fleet.json", json.dumps(merge(cases, tasks, {})) + "\n")
+    outcome = run_tasks(
+        tasks, place / "cases", jobs=jobs, engine=engine, address=address, progress=progress, say=say
+    )
+    merged = merge(cases, tasks, stored(tasks, place / "cases"), outcome.failed)
+    write_text(place / "fleet.json", json.dumps(merged, indent=1, allow_nan=False) + "\n")
+    write_text(place / "fleet.html", page(merged))
+    return merged, outcome
+
+
+def merge(
+    cases: Sequence[Case],
+    tasks: Sequence[Task],
+    results: Mapping[str, Any],
+    failed: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """What is known of a fleet as `isd-fleet/1`: a row a case, and how each effect of each vehicle went over its dates."""
+    rows: list[dict[str, Any]] = []
+    trends: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for case, task in zip(cases, tasks, strict=True):
+        row: dict[str, Any] = {"case": case.name, "vehicle": case.vehicle, "date": case.date}
+        found = results.get(task.key)
+        if found is None:
+            rows.append(
+                {**row, "verdict": None, "error": (failed or {}).get(task.key, "not done yet"), "effects": []}
+            )
+            continue
+        said = found["diagnosis"]
+        rows.append(
+            {
+                **row,
+                "verdict": said["verdict"],
+                "summary": said.get("summary", ""),
+                "effects": said["effects"],
+                "clocks": said.get("clocks", []),
+                "file": f"cases/{task.key}.json",
+            }
+        )
+        for effect in said["effects"]:
+            where = "-".join(effect.get("between") or [effect.get("channel") or ""])
+            for name, q in effect["parameters"].items():
+                key = (case.vehicle, effect["effect"], where, name, q.get("unit", ""))
+                trends.setdefault(key, []).append(
+                    {"case": case.name, "date": case.date, **{k: q.get(k) for k in ("value", "low", "high")}}
+                )
+    return {
+        "schema": SCHEMA,
+        "cases": rows,
+        "trends": [
+            {"vehicle": v, "effect": e, "where": w, "parameter": p, "unit": u, "points": points}
+            for (v, e, w, p, u), points in trends.items()
+        ],
+        "missing": sum(r["verdict"] is None for r in rows),
+    }
+
+
+def lines(merged: Mapping[str, Any], width: int = 80) -> list[str]:
+    """The fleet as lines of a terminal: every case with its verdict and effects, then how effects went over the dates."""
+    import textwrap
+
+    rows = merged["cases"]
+    wide = min(max(len(r["vehicle"]) for r in rows), 20)
+    out = [f"{'vehicle':<{wide}} {'date':<10} verdict"]
+    for r in rows:
+        head = f"{plain(r['vehicle'], wide):<{wide}} {r['date'] or '-':<10} "
+        text = "; ".join(_effect(e) for e in r["effects"])
+        text = (
+            f"failed: {r['error']}"
+            if r["verdict"] is None
+            else f"{r['verdict']}{': ' + text if text else ''}"
+        )
+        out += textwrap.wrap(
+            plain(text, 400),
+            width,
+            initial_indent=head,
+            subsequent_indent=" " * (len(head) + 2),
+            break_long_words=True,
+        )
+    grown = [t for t in merged["trends"] if len(t["points"]) > 1]
+    if grown:
+        out += ["", "Over the dates:"]
+    for t in grown:
+        points = " -> ".join(f"{p['value']:.4g}" for p in t["points"])
+        first, last = t["points"][0], t["points"][-1]
+        sure = None not in (first["high"], last["low"], first["low"], last["high"])
+        grew = sure and (last["low"] > first["high"] or last["high"] < first["low"])
+        change = 100 * (last["value"] / first["value"] - 1) if first["value"] else float("nan")
+        text = (
+            f"{t['vehicle']}, {t['effect'].replace('_', ' ')} {t['where']}, {t['parameter']}: {points} {t['unit']} ({change:+.0f} %, "
+            f"{'beyond its intervals' if grew else 'within its intervals'})"
+        )
+        out += textwrap.wrap(plain(text, 400), width, initial_indent="  ", subsequent_indent="    ")
+    return out
+
+
+def _effect(effect: Mapping[str, Any]) -> str:
+    where = "-".join(effect.get("between") or [effect.get("channel") or ""])
+    values = ", ".join(
+        f"{n} {q['value']:.4g} {q.get('unit', '')}".strip()
+        for n, q in effect["parameters"].items()
+        if q["value"] is not None
+    )
+    return f"{effect['effect'].replace('_', ' ')} {where} ({values})"
+
+
+def page(merged: Mapping[str, Any]) -> str:
+    """The fleet as one HTML page that fetches nothing."""
+    from .report.plots import page as fill
+
+    rows = [{**r, "told": [_effect(e) for e in r["effects"]]} for r in merged["cases"]]
+    trends = [{**t, "picture": _trend(t["points"])} for t in merged["trends"] if len(t["points"]) > 1]
+    return fill("fleet.html", rows=rows, trends=trends, missing=merged["missing"])
+
+
+def _trend(
+    points: Sequence[Mapping[str, Any]], width: float = 600.0, height: float = 120.0
+) -> dict[str, Any]:
+    """Values with their intervals over the cases, from zero on, as numbers of an SVG."""
+    top = max(max(abs(p[k]) for k in ("value", "low", "high") if p[k] is not None) for p in points) or 1.0
+    every = []
+    for k, p in enumerate(points):
+        x = 30 + (width - 60) * k / max(len(points) - 1, 1)
+        y = {
+            n: height - (height - 10) * abs(p[n] if p[n] is not None else p["value"]) / top
+            for n in ("value", "low", "high")
+        }
+        every.append(
+            {
+                "x": round(x, 1),
+                **{n: round(v, 1) for n, v in y.items()},
+                "date": p["date"] or p["case"],
+                "told": f"{p['value']:.4g}",
+            }
+        )
+    return {"points": every, "line": " ".join(f"{p['x']},{p['value']}" for p in every)}
+
+
+def check(folder: Path, out: Path) -> None:
+    """Raise `InputError` where a fleet's results would not be written to `out`."""
+    from .files import check_folder
+
+    if out.resolve() == folder.resolve() or folder.resolve() in out.resolve().parents:
+        raise InputError(f"--out {shown(str(out))} lies among the cases: name a folder elsewhere")
+    check_folder(out, *FOLDER)

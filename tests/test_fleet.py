@@ -1,0 +1,99 @@
+"""Fleets: what a folder holds, what is done again, what is told of many cases."""
+
+import json
+
+import numpy as np
+import pytest
+
+from isd_gym.data import Table, write_table
+from isd_gym.errors import InputError
+from isd_gym.fleet import Case, _task, cases_of, check, fleet, lines, merge, page
+
+
+def case(folder, name, *files):
+    for file in files:
+        path = folder / name / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("time,x\n0,1\n")
+
+
+def test_cases_are_found_with_vehicle_date_and_loggers(tmp_path):
+    case(tmp_path, "van7_2024-09-01", "run1/body.csv", "run1/wheel.mf4", "validation.csv", "notes.pdf")
+    case(tmp_path, "van7_2024-05-01", "a.csv")
+    case(tmp_path, "bench", "a.csv")
+    found = cases_of(tmp_path, "car.json")
+    assert [(c.vehicle, c.date) for c in found] == [
+        ("bench", ""),
+        ("van7", "2024-05-01"),
+        ("van7", "2024-09-01"),
+    ]
+    run = tmp_path / "van7_2024-09-01"
+    assert found[2].data == (f"{run}/run1/body.csv+{run}/run1/wheel.mf4",)
+    assert found[2].validate == (f"{run}/validation.csv",)
+
+
+def test_a_case_without_a_model_and_a_folder_without_cases_are_one_line(tmp_path):
+    with pytest.raises(InputError, match="no folders of records"):
+        cases_of(tmp_path)
+    case(tmp_path, "van", "a.csv")
+    with pytest.raises(InputError, match=r"holds no model\.json; --model"):
+        cases_of(tmp_path)
+    with pytest.raises(InputError, match="lies among the cases"):
+        check(tmp_path, tmp_path / "out")
+
+
+def test_a_file_that_changed_is_a_new_task(tmp_path):
+    case(tmp_path, "van", "a.csv")
+    (one,) = cases_of(tmp_path, "force-rig")
+    before = _task(one, {}).key
+    assert _task(one, {}).key == before
+    (tmp_path / "van" / "a.csv").write_text("time,x\n0,1\n1,2\n")
+    assert _task(one, {}).key != before
+
+
+def results(values):
+    """A fleet of one vehicle whose friction is what `values` say."""
+    cases = [Case(f"van_{d}", "van", d, ("a.csv",), (), "m.json") for d in values]
+    tasks = [_task(c, {}) for c in cases]
+    found = {}
+    for task, (value, half) in zip(tasks, values.values(), strict=True):
+        q = {"value": value, "low": value - half, "high": value + half, "unit": "N"}
+        effect = {
+            "effect": "coulomb_friction",
+            "between": ["piston", "joint"],
+            "confidence": 0.99,
+            "parameters": {"level": q},
+        }
+        found[task.key] = {"diagnosis": {"verdict": "missing_effect", "effects": [effect]}}
+    return cases, tasks, found
+
+
+def test_what_grew_over_dates_is_told():
+    cases, tasks, found = results(
+        {"2024-05-01": (300.0, 8.0), "2024-07-01": (340.0, 8.0), "2024-09-01": (450.0, 8.0)}
+    )
+    merged = merge(cases, tasks, found)
+    told = " ".join(" ".join(lines(merged)).split())
+    assert "level: 300 -> 340 -> 450 N (+50 %, beyond its intervals)" in told
+    assert max(map(len, lines(merged))) <= 80
+    assert "<polyline" in page(merged) and json.dumps(merged)
+    within = merge(*results({"2024-05-01": (300.0, 40.0), "2024-07-01": (340.0, 40.0)}))
+    assert "within its intervals" in " ".join(" ".join(lines(within)).split())
+
+
+def test_a_case_that_cannot_be_diagnosed_is_told_and_the_others_go_on(tmp_path):
+    from isd_gym.network import Network
+
+    rig = Network.load("force-rig")
+    for name in ("a_2024-01-01", "b_2024-01-01"):
+        (tmp_path / "cases" / name).mkdir(parents=True)
+        names = ["nonsense"] if name[0] == "b" else [c.name for c in (*rig.inputs, *rig.outputs)]
+        t = 1e-3 * np.arange(50)  # too short for anybody
+        write_table(tmp_path / "cases" / name / "run.csv", Table(t, {n: np.sin(t) for n in names}))
+    merged, outcome = fleet(tmp_path / "cases", tmp_path / "out", "force-rig")
+    errors = {r["case"]: r["error"] for r in merged["cases"]}
+    assert "too short" in errors["a_2024-01-01"] and "no column" in errors["b_2024-01-01"]
+    assert merged["missing"] == 2 and len(outcome.failed) == 2
+    assert "no result" in (tmp_path / "out" / "fleet.html").read_text()
+    again, _ = fleet(tmp_path / "cases", tmp_path / "out", "force-rig")  # the folder is its own
+    assert again["missing"] == 2
