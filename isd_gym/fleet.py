@@ -125,7 +125,8 @@ def diagnose_case(
     found = diagnose(
         fit, network, validate=held, accept=accept, seed=seed, settings=SearchSettings(max_lag=max_lag)
     )
-    return {"diagnosis": found.to_dict(), "model": found.model.to_dict()}
+    made = found.model.to_dict() if isinstance(found.model, Network) else None
+    return {"diagnosis": found.to_dict(), "model": made}
 
 
 def fleet(
