@@ -352,6 +352,8 @@ def _share(
             e = kind(name="trial", where=at.where, **{**values, **own}, **at.options)
         except InputError:
             return np.full(len(target), 1e3)
+        if not e.well_formed():  # what is not what its name says is no neighbour
+            return np.full(len(target), 1e3)
         return np.asarray((force_over(e, at.moves) - target) / size, dtype=np.float64)
 
     signs = (1.0, -1.0) if not all(log) else (1.0,)
