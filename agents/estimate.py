@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines import noisy
 from baselines.lqg import Lqg, LqgSettings
 from baselines.model import N_SENSORS
 from isd_gym.batch import SLEW_LIMIT
@@ -19,14 +20,18 @@ CARS, STEPS, FORGET = 32, 1500, 300  # of the drive that gives the spread of the
 SEED = 800_000  # roads that nothing else uses
 
 
-def lqg_filter(network: Network, control_step: float = 5e-3, preview: float = 0.0) -> Filter:
+def lqg_filter(
+    network: Network, control_step: float = 5e-3, preview: float = 0.0, noise: float = 0.0
+) -> Filter:
     """The filter and law of `baselines.lqg` for `network`, in coordinates of unit spread as the LQG drives it.
 
-    `preview` [s]: of road ahead that both know.
+    `preview` [s]: of road ahead that both know. noise [-]: what the filter takes the sensors' to be, see `baselines.noisy`.
 
     Raises `InputError` for a network that has none: no car, no motor.
     """
-    controller = Lqg(network, control_step=control_step, settings=LqgSettings(preview=preview))
+    controller = Lqg(
+        network, control_step=control_step, settings=LqgSettings(preview=preview, sensors=noisy(noise))
+    )
     m = controller.prediction
     if m.thrust == 0.0:
         raise InputError(f"network '{network.name}' has no motor")

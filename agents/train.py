@@ -151,6 +151,12 @@ class Run:
         name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
         return f"{name}-robust" if self.spread else name
 
+    @property
+    def _noise(self) -> float:
+        """What an estimate should take the sensors' noise to be: a quarter of the most, see `mpc-robust`."""
+        noise = self.sensors.noise
+        return 0.25 * noise[1] if isinstance(noise, tuple) else 0.5 * noise
+
     def _memory(self) -> Memory:
         """What the policy sees: the settings' memory, with the filter of this network if it is asked for and exists."""
         s = self.settings
@@ -160,7 +166,7 @@ class Run:
         try:
             from .estimate import lqg_filter
 
-            return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead))
+            return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead, self._noise))
         except (InputError, ImportError) as error:
             self.say(f"no filter for this network, the policy sees signals and changes alone: {error}")
             return memory
@@ -279,6 +285,8 @@ class Run:
         """The baseline of that name, with the same road ahead."""
         if self.settings.ahead > 0:
             return find(f"{name}-preview", self.plant, preview=self.settings.ahead)
+        if self.spread and name == "mpc-friction":
+            name = "mpc-robust"
         return find(name, self.plant)
 
     def _imitate(self, model: Any) -> None:
@@ -291,9 +299,9 @@ class Run:
         except (InputError, ImportError) as error:
             self.say(f"no teacher, training starts from nothing: {error}")
             return
-        self.say(f"imitating {self.settings.teacher}")
+        self.say(f"imitating {entry.name}")
         env = self._environment(64)
-        told = f"imitating {self.settings.teacher}"
+        told = f"imitating {entry.name}"
         warm_start(
             model,
             env,

@@ -186,6 +186,13 @@ def score(
         float | None,
         typer.Option(help="Road ahead [s] for those that look at it (mpc-friction-preview, ...).", min=0.0),
     ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            help="Pair with the references of a benchmark card without driving them: ISDSuspension-v0, or a file.",
+            metavar="CARD",
+        ),
+    ] = None,
     sensors: Annotated[
         str,
         typer.Option(
@@ -220,6 +227,11 @@ def score(
 
     check_file(json_file)
     senses = Sensors.of(sensors)
+    card = None
+    if against is not None:
+        from . import cards
+
+        card = cards.load(against)
     if report is not None:
         from .report import check_report
 
@@ -252,13 +264,16 @@ def score(
     result.references |= {f"ceiling_{s:g}": line for s in previews if (line := _ceiling_line(s, ceilings(s)))}
     if signals:
         result.references["clairvoyant_point"] = _point(result, signals)
-    write_json(json_file, result.to_dict())
+    made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
+    write_json(json_file, made)
     if report is not None:
         from .report import score_report
 
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)
     _print_score(result)
+    if card is not None:
+        cards.show(card, cards.match(made, card)["track"], [made])
 
 
 def _reachable(

@@ -20,6 +20,7 @@ OWN = {
         "ceiling": "baselines.ceiling:command",
         "sweep": "isd_gym.sweep:command",
         "warm": "isd_gym.sweep:warm",
+        "card": "isd_gym.cards:command",
     },
     REFERENCES: {
         "clairvoyant": "baselines.clairvoyant:reachable",

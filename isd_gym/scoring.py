@@ -15,6 +15,7 @@ from .driving import Controller, Crew, Entry, Idle, travel
 from .errors import InputError
 from .network import Network
 from .policies import find, passive
+from .road import road as find_road
 from .sensors import Sensors
 
 __all__ = [
@@ -222,12 +223,29 @@ def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dic
     return quantity
 
 
+def fingerprints(road: Any, speed: float, duration: float, seed: int, episodes: int) -> list[list[float]]:
+    """Of each episode's road: its height [m] at every tenth of it, by which others tell that theirs are the same.
+
+    road, speed [m/s], duration [s], seed, episodes: as those of `drive`.
+    """
+    from gymnasium.utils import seeding
+
+    ground = find_road(road)
+    out = []
+    for i in range(seed, seed + episodes):
+        heights = ground.heights(duration, speed=speed, rng=seeding.np_random(i)[0])
+        rows = heights[np.linspace(0, len(heights) - 1, 11).astype(int)[1:]]
+        out.append([float(f"{h:.9g}") for h in rows])
+    return out
+
+
 @dataclass
 class Score:
     """The outcome of `score`; `to_dict` is `isd-score/1`. `runs` keeps the signals for reports.
 
     road, network: their names. speed [m/s], duration [s]. episodes: how many, seeds from `seed` on. policies: a
-    row each, as the contract has it. sensors: what they saw by. references: what puts them in place.
+    row each, as the contract has it. sensors: what they saw by. raw: what `measures` says
+    of each episode, by policy. roads: a fingerprint of each, see `fingerprints`. references: what puts them in place.
     """
 
     road: str
@@ -238,6 +256,8 @@ class Score:
     seed: int
     policies: list[dict[str, Any]]
     sensors: Sensors = field(default_factory=Sensors)
+    raw: dict[str, dict[str, list[float]]] = field(repr=False, default_factory=dict)
+    roads: list[list[float]] = field(repr=False, default_factory=list)
     runs: dict[str, Run] = field(repr=False, default_factory=dict)
     references: dict[str, Any] = field(default_factory=dict)
 
@@ -254,6 +274,8 @@ class Score:
             **({} if self.sensors.perfect else {"sensors": self.sensors.to_dict()}),
             "policies": self.policies,
             "references": self.references,
+            "roads": self.roads,
+            "raw": self.raw,
         }
 
 
@@ -314,10 +336,13 @@ def score(
         )
     base = measures(runs[reference.name], cost)
     rows = []
+    raw: dict[str, dict[str, list[float]]] = {}
     for entry in todo:
         run = runs[entry.name]
         row: dict[str, Any] = {"policy": entry.name}
-        for name, (values, unit) in measures(run, cost).items():
+        found = measures(run, cost)
+        raw[entry.name] = {name: [float(f"{v:.9g}") for v in values] for name, (values, _) in found.items()}
+        for name, (values, unit) in found.items():
             row[name] = compare(name, values, base[name][0], unit)
         slew = np.abs(np.diff(run.current, axis=0, prepend=0.0))
         row["limit_violations"] = {
@@ -349,5 +374,7 @@ def score(
         seed=seed,
         policies=kept,
         sensors=sensors or Sensors(),
+        raw=raw,
+        roads=[] if randomize else fingerprints(road, speed, duration, seed, episodes),
         runs=runs,
     )

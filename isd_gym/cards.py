@@ -1,0 +1,314 @@
+"""Benchmark cards (`isd-card/1`): what the references of an environment's version did, episode by episode.
+
+A card is frozen with a version of the environment. Scores of others are paired with it on the same roads without running a
+single reference: ``isd-gym score my-policy --against ISDSuspension-v0``, or for a file that somebody sent,
+``isd-gym card their-score.json``. A fingerprint of every road says whether the roads are the same ones.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from .errors import InputError, shown
+from .inputs import read_json
+from .scoring import compare
+
+SCHEMA = "isd-card/1"
+BUILT_IN = Path(__file__).parent / "references"
+#: what has to be equal for two scores to be on the same roads, and how exactly the roads themselves
+SAME = ("network", "road", "speed", "episodes", "duration", "seed")
+CLOSE = 1e-6
+
+
+def load(name: str | Path) -> dict[str, Any]:
+    """A card from a file, or by the name of a built-in one; `InputError` where it is none or was altered."""
+    path = Path(name)
+    if str(name) in built_in():
+        path = BUILT_IN / f"{name}.json"
+    data = read_json(path, f"cannot read card {shown(str(name))} (built in: {', '.join(built_in())})")
+    if not (isinstance(data, dict) and data.get("schema") == SCHEMA and isinstance(data.get("tracks"), list)):
+        raise InputError(f"card {shown(str(name))}: its schema is not '{SCHEMA}'")
+    if data.get("digest") != digest(data):
+        raise InputError(f"card {shown(str(name))} was altered: its digest is another")
+    return data
+
+
+def built_in() -> list[str]:
+    """Names of the cards that come with the package."""
+    return sorted(p.stem for p in BUILT_IN.glob("*.json"))
+
+
+def digest(card: Mapping[str, Any]) -> str:
+    """SHA-256 of everything in a card but its digest."""
+    text = json.dumps({k: v for k, v in card.items() if k != "digest"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
+    """A track of a card from a score (`isd-score/1` with its episodes).
+
+    name: of the track. command: what makes the score again.
+    """
+    raw = _episodes(score)
+    rows = {row["policy"]: row for row in score["policies"]}
+    return {
+        "track": name,
+        "command": command,
+        **{key: score[key] for key in SAME},
+        "roads": score["roads"],
+        "policies": {
+            policy: {
+                "preview": rows[policy].get("preview", {}).get("value", 0.0) if policy in rows else 0.0,
+                "units": {k: rows[policy][k]["unit"] for k in values} if policy in rows else {},
+                "episodes": values,
+            }
+            for policy, values in raw.items()
+        },
+    }
+
+
+def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> dict[str, Any]:
+    """A card of these tracks, with its digest.
+
+    environment: its id and version. date: of the day, as YYYY-MM-DD.
+    """
+    from . import __version__
+
+    card = {
+        "schema": SCHEMA,
+        "environment": environment,
+        "date": date,
+        "version": __version__,
+        "tracks": list(tracks),
+    }
+    return {**card, "digest": digest(card)}
+
+
+def _episodes(score: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
+    raw = score.get("raw")
+    if not (isinstance(raw, dict) and isinstance(score.get("roads"), list)):
+        raise InputError("the score holds no single episodes; score again with this version and --json")
+    count = score.get("episodes")
+    for policy, values in raw.items():
+        if not isinstance(values, dict) or not values or "cost" not in values:
+            raise InputError(f"the episodes of {shown(policy)} have no cost")
+        for name, own in values.items():
+            good = isinstance(own, list) and len(own) == count and all(type(v) in (int, float) for v in own)
+            if not (good and np.isfinite(own).all()):
+                raise InputError(f"{shown(policy)}: {shown(name)} must be {count} finite numbers")
+    return raw
+
+
+def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
+    """The track of a card that a score is on; `InputError` says what differs, or that the roads are others."""
+    whys = []
+    for one in card["tracks"]:
+        differ = [key for key in SAME if score.get(key) != one[key]]
+        if score.get("sensors"):
+            differ.append("sensors")
+        if differ:
+            whys.append(f"{one['track']}: another {', '.join(differ)}")
+            continue
+        try:
+            own, other = np.array(score["roads"], float), np.array(one["roads"], float)
+        except (KeyError, TypeError, ValueError):
+            raise InputError("the score does not say which roads it is on") from None
+        if own.shape != other.shape or not np.allclose(
+            own, other, rtol=CLOSE, atol=CLOSE * np.abs(other).max()
+        ):
+            raise InputError(f"the score's roads are not those of {card['environment']}, whatever its seeds")
+        return one
+    raise InputError(f"the score is on no track of {card['environment']} ({'; '.join(whys)})")
+
+
+def ranking(
+    card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()
+) -> list[dict[str, Any]]:
+    """All policies of a track and of scores on it, best first: quantities against passive, and each submitted policy's cost
+    `against` every other, paired, with 95 % intervals.
+
+    name: of the track.
+    """
+    one = next((t for t in card["tracks"] if t["track"] == name), None)
+    if one is None:
+        raise InputError(
+            f"the card has no track {shown(name)}: {', '.join(t['track'] for t in card['tracks'])}"
+        )
+    ground = one["policies"]["passive"]["episodes"]
+    units = next(p["units"] for p in one["policies"].values() if p["units"])
+    held = {policy: p["episodes"] for policy, p in one["policies"].items()}
+    theirs: list[str] = []
+    for score in scores:
+        match(score, {**card, "tracks": [one]})
+        for policy, values in _episodes(score).items():
+            if policy in held and values["cost"] == held[policy]["cost"]:
+                continue  # a reference, driven again
+            label = policy if policy not in held else f"{policy} (submitted)"
+            held[label] = values
+            theirs.append(label)
+    rows = []
+    for policy, values in held.items():
+        row: dict[str, Any] = {"policy": policy, "submitted": policy in theirs}
+        row |= {
+            k: compare(k, np.array(v), np.array(ground[k]), units[k])
+            for k, v in values.items()
+            if k in ground
+        }
+        if policy in theirs:
+            costs = {q: np.array(v["cost"]) for q, v in held.items() if q != policy}
+            row["against"] = {q: compare("cost", np.array(values["cost"]), c, "-") for q, c in costs.items()}
+        rows.append(row)
+    return sorted(rows, key=lambda row: row["cost"]["value"])
+
+
+def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> str:
+    """A track as Markdown, best first, with date, command and digest."""
+    one = next(t for t in card["tracks"] if t["track"] == name)
+
+    def cell(q: Mapping[str, Any], digits: int, scale: float = 1.0) -> str:
+        text = f"{scale * q['value']:.{digits}f}"
+        if q.get("change"):
+            text += f"<br>{100 * q['change']:+.1f} % <small>[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]</small>"
+        return text.replace("-", "−")
+
+    heads = ["", "policy", "cost J", "acceleration [m/s²]", "travel [mm]", "tyre load [N]", "current [A]"]
+    lines = ["| " + " | ".join(heads) + " |", "|---:|---" + "|---:" * (len(heads) - 2) + "|"]
+    for place, row in enumerate(ranking(card, name, scores), 1):
+        cells = [
+            str(place),
+            f"`{row['policy']}`",
+            cell(row["cost"], 4),
+            cell(row["body_acceleration_rms"], 3),
+            cell(row["suspension_travel_rms"], 2, 1e3),
+            cell(row["tyre_load_rms"], 0),
+            f"{row['current_rms']['value']:.2f}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    what = (
+        f"`{card['environment']}`, {one['track']}: road `{one['road']}`, {one['speed']['value']:g} m/s, {one['episodes']} × "
+        f"{one['duration']['value']:g} s, seeds {one['seed']} to {one['seed'] + one['episodes'] - 1}. RMS; below each, the change "
+        "against `passive` with its 95 % paired interval."
+    )
+    made = f"Made by `{one['command']}` on {card['date']}, version {card['version']}; card {card['digest'][:16]}."
+    return "\n".join([what, "", *lines, "", made])
+
+
+def command(
+    scores: Annotated[
+        list[Path] | None, typer.Argument(help="Scores to pair with the card: files of isd-gym score --json.")
+    ] = None,
+    card: Annotated[str, typer.Option("--card", help="A built-in card or a file.")] = "ISDSuspension-v0",
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            "--write",
+            help="Make a card of the scores, a track each, named by the files; nothing is compared.",
+            metavar="FILE",
+        ),
+    ] = None,
+) -> None:
+    """Show the references of the benchmark, best first, and where other scores stand among them.
+
+    Every score is checked to be on the same roads; its policies are paired with each reference, episode by episode.
+
+    Example: isd-gym card score.json
+    """
+    found = [_read(path) for path in scores or ()]
+    if write is not None:
+        import datetime
+
+        from .files import write_text
+
+        if not found:
+            raise InputError("--write wants scores to make a card of")
+        tracks = [
+            track(score, path.stem, str(score.get("command", "")))
+            for score, path in zip(found, scores or (), strict=True)
+        ]
+        made = make("ISDSuspension-v0", tracks, datetime.date.today().isoformat())
+        write_text(write, json.dumps(made) + "\n")
+        typer.echo(f"{len(tracks)} tracks in {write}, digest {made['digest'][:16]}")
+        return
+    held = load(card)
+    names = [match(score, held)["track"] for score in found]
+    for one in held["tracks"]:
+        if names and one["track"] not in names:
+            continue
+        show(held, one["track"], [s for s, n in zip(found, names, strict=True) if n == one["track"]])
+
+
+def show(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> None:
+    """Print a track, best first, and how each submitted policy compares."""
+    import sys
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from .errors import plain
+
+    rows = ranking(card, name, scores)
+    console = Console(width=None if sys.stdout.isatty() else 118)
+    made = Table(
+        box=box.SIMPLE_HEAD,
+        title=Text(f"{card['environment']} of {card['date']}, {name}: change against passive [%]"),
+        title_justify="left",
+    )
+    for head in ("", "policy", "cost J", "change of J", "acceleration", "travel", "tyre load"):
+        made.add_column(head, justify="left" if head == "policy" else "right", overflow="fold")
+    for place, row in enumerate(rows, 1):
+        q = row["cost"]
+        made.add_row(
+            str(place),
+            Text(plain(row["policy"], 40), style="bold" if row["submitted"] else ""),
+            f"{q['value']:.4f}",
+            f"{100 * q['change']:+.1f} [{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+            if q["change"]
+            else "",
+            *(
+                f"{100 * row[k]['change']:+.1f}"
+                for k in ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
+            ),
+        )
+    console.print(made)
+    for row in rows:
+        for rival, q in row.get("against", {}).items():
+            console.print(
+                f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {100 * q['change']:+.2f} % of J "
+                f"[{100 * q['low']:+.2f}, {100 * q['high']:+.2f}]",
+                highlight=False,
+                markup=False,
+            )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    data = read_json(path, f"score '{path}' cannot be read")
+    if not (isinstance(data, dict) and data.get("schema") == "isd-score/1"):
+        raise InputError(f"'{path}' is no score (isd-score/1)")
+    if not (isinstance(data.get("episodes"), int) and isinstance(data.get("policies"), list)):
+        raise InputError(f"score '{path}' has no episodes or policies")
+    return data
+
+
+def fingerprints_of(one: Mapping[str, Any], episodes: int = 2) -> list[list[float]]:
+    """Fingerprints of the first roads of a track as this machine draws them, to hold against the card's.
+
+    one: the track. episodes: how many.
+    """
+    from .scoring import fingerprints
+
+    return fingerprints(
+        one["road"],
+        one["speed"]["value"],
+        one["duration"]["value"],
+        one["seed"],
+        min(episodes, one["episodes"]),
+    )

@@ -1,0 +1,100 @@
+"""Benchmark cards: references episode by episode, paired with scores of others on the same roads and on no others."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from isd_gym import cards
+from isd_gym.cli import main
+from isd_gym.errors import InputError
+from isd_gym.scoring import score
+
+ON = {"episodes": 4, "duration": 0.5}
+
+
+@pytest.fixture(scope="module")
+def card():
+    held = score(["passive", "isd-passive", "skyhook"], **ON).to_dict()
+    return cards.make("ISDSuspension-v0", [cards.track(held, "brief", "isd-gym score ...")], "2026-01-01")
+
+
+def test_a_submitted_score_is_paired_as_if_all_had_driven_together(card):
+    theirs = json.loads(json.dumps(score(["add"], **ON).to_dict()))
+    rows = cards.ranking(card, "brief", [theirs])
+    assert [r["cost"]["value"] for r in rows] == sorted(r["cost"]["value"] for r in rows)
+    (own,) = (r for r in rows if r["submitted"])
+    together = score(["passive", "skyhook", "add"], **ON)
+    expected = {r["policy"]: r for r in together.policies}["add"]["cost"]
+    for key in ("value", "change", "low", "high"):
+        assert own["cost"][key] == pytest.approx(expected[key], rel=1e-7)
+    ratio = np.mean(together.raw["add"]["cost"]) / np.mean(together.raw["skyhook"]["cost"]) - 1
+    assert own["against"]["skyhook"]["change"] == pytest.approx(ratio, rel=1e-6)
+    assert "passive" in own["against"] and "| 1 | `" in cards.table(card, "brief", [theirs])
+
+
+def test_a_reference_driven_again_is_the_reference(card):
+    again = score(["skyhook"], **ON).to_dict()
+    assert not any(r["submitted"] for r in cards.ranking(card, "brief", [again]))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda s: s.update(seed=1), "on no track .* another seed"),
+        (lambda s: s.update(road="C"), "another road"),
+        (lambda s: s.update(sensors={"noise": 1.0}), "another sensors"),
+        (lambda s: s["roads"][2].__setitem__(3, s["roads"][2][3] + 1e-4), "roads are not those"),
+        (lambda s: s.pop("roads"), "which roads"),
+        (lambda s: s.pop("raw"), "no single episodes"),
+        (lambda s: s["raw"]["add"]["cost"].__setitem__(0, float("nan")), "4 finite numbers"),
+        (lambda s: s["raw"]["add"]["cost"].pop(), "4 finite numbers"),
+    ],
+)
+def test_a_score_on_other_roads_or_without_episodes_is_refused(card, change, why):
+    theirs = score(["add"], **ON).to_dict()
+    change(theirs)
+    with pytest.raises(InputError, match=why) as error:
+        cards.ranking(card, "brief", [theirs])
+    assert "\n" not in str(error.value)
+
+
+def test_a_card_is_frozen(card, tmp_path):
+    path = tmp_path / "card.json"
+    path.write_text(json.dumps(card))
+    assert cards.load(path) == card
+    held = json.loads(json.dumps(card))
+    held["tracks"][0]["policies"]["skyhook"]["episodes"]["cost"][0] *= 0.99
+    path.write_text(json.dumps(held))
+    with pytest.raises(InputError, match="was altered"):
+        cards.load(path)
+    with pytest.raises(InputError, match="nowhere"):
+        cards.load("nowhere")
+
+
+def test_the_command_makes_cards_and_scores_against_them(tmp_path, monkeypatch, capsys):
+    def go(*words: object) -> str:
+        monkeypatch.setattr(sys, "argv", ["isd-gym", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert not end.value.code
+        return " ".join(capsys.readouterr().out.split())
+
+    on = ["--episodes", "3", "--duration", "0.5"]
+    go("score", "passive", "skyhook", *on, "--json", tmp_path / "brief.json")
+    assert "1 tracks" in go("card", tmp_path / "brief.json", "--write", tmp_path / "card.json")
+    assert "add against skyhook" in go("score", "add", *on, "--against", tmp_path / "card.json")
+    assert "brief: change" in (shown := go("card", "--card", tmp_path / "card.json")) and "skyhook" in shown
+
+
+def test_the_shipped_cards_are_whole():
+    for name in cards.built_in():
+        card = cards.load(name)
+        for track in card["tracks"]:
+            rows = cards.ranking(card, track["track"])
+            assert len(rows) == len(track["policies"]) >= 4
+            own = cards.fingerprints_of(track)
+            assert np.allclose(own, track["roads"][:2], rtol=1e-6, atol=1e-9)
