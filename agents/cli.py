@@ -120,7 +120,10 @@ def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]
 
 def convert(
     archive: Annotated[
-        Path, typer.Argument(help="A .zip saved by Stable-Baselines3, or a policy folder for --onnx and --c.")
+        Path,
+        typer.Argument(
+            help="A .zip saved by Stable-Baselines3, or a policy folder for --onnx and --c, or mpc-friction for --c."
+        ),
     ],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
     normalize: Annotated[
@@ -134,6 +137,8 @@ def convert(
 ) -> None:
     """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX or plain C.
 
+    mpc-friction, mpc-friction-preview and mpc-robust, believing in --network, can be written as C, too.
+
     Example: isd-gym convert model.zip --normalize vecnormalize.pkl --out my-policy
     """
     from isd_gym.errors import InputError
@@ -144,6 +149,8 @@ def convert(
 
     if out is None and onnx is None and plain_c is None:
         raise InputError("nothing to write: give --out DIR, --onnx FILE or --c DIR")
+    if not os.path.exists(archive) and _controller(str(archive), out, onnx, plain_c, network):
+        return
     if archive.suffix == ".zip":
         if os.path.isfile(archive):
             typer.echo(f"{archive}: {WARNING}", err=True)
@@ -161,3 +168,19 @@ def convert(
         from .onnx import export_onnx
 
         typer.echo(f"ONNX in '{export_onnx(policy, onnx)}'")
+
+
+def _controller(name: str, out: Path | None, onnx: Path | None, plain_c: Path | None, network: str) -> bool:
+    """Write the baseline of that name as C, if there is one; False if there is none."""
+    from baselines import CONTROLLERS, make
+    from isd_gym.errors import InputError
+
+    if name not in CONTROLLERS:
+        return False
+    from baselines.plain_c import export_c
+
+    if plain_c is None or out is not None or onnx is not None:
+        raise InputError(f"'{name}' is a controller and no network: it can be written with --c DIR alone")
+    header, source = export_c(make(name, network), plain_c)  # type: ignore[arg-type]
+    typer.echo(f"C in '{header}' and '{source}'")
+    return True

@@ -288,10 +288,45 @@ def films() -> None:
             subprocess.run(args, check=True)
 
 
+def preview() -> None:
+    """Change of J over the seconds of road ahead, of the references of the benchmark's card, and the ceilings."""
+    from baselines.ceiling import known
+    from isd_gym import cards
+    from isd_gym.network import Network
+    from isd_gym.road import road
+
+    card = cards.load("ISDSuspension-v0")
+    families = {"LQG": "lqg", "friction-aware MPC": "mpc-friction", "PPO": "ppo"}
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in families}
+    bounds = []
+    for track in card["tracks"]:
+        rows = {r["policy"]: r["cost"]["change"] for r in cards.ranking(card, track["track"])}
+        ahead = max(p["preview"] for p in track["policies"].values())
+        for name, stem in families.items():
+            for policy in (stem, f"{stem}-preview", f"{stem}-preview-{ahead:g}"):
+                if policy in rows and (ahead == 0) == (policy == stem):
+                    found[name].append((ahead, 100 * rows[policy]))
+        plant = Network.load(track["network"])
+        bound = known(
+            plant, road(track["road"]), track["speed"]["value"], track["duration"]["value"], preview=ahead
+        )
+        if bound:
+            bounds.append((ahead, 100 * bound["change"]))
+    figure, axes = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
+    for (name, points), mark in zip(found.items(), "s^o", strict=True):
+        axes.plot(*zip(*sorted(points), strict=True), marker=mark, label=name)
+    axes.plot(
+        *zip(*sorted(bounds), strict=True), color="0.4", linestyle="--", label="ceiling of any controller"
+    )
+    axes.set(xlabel="road ahead [s]", ylabel="J against the passive car [%]")
+    axes.legend()
+    save(figure, "preview")
+
+
 if __name__ == "__main__":
     HERE.mkdir(exist_ok=True)
     road("paper")
-    every = (network, law, force_test, sticking, roads, response, projection, show, films, reports)
+    every = (network, law, force_test, sticking, roads, response, projection, show, films, reports, preview)
     for make in every:
         if not sys.argv[1:] or make.__name__ in sys.argv[1:]:
             make()

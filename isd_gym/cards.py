@@ -109,8 +109,12 @@ def _episodes(score: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
 def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
     """The track of a card that a score is on; `InputError` says what differs, or that the roads are others."""
     whys = []
+    shown_road = (row.get("preview", {}).get("value", 0.0) for row in score["policies"])
+    ahead = max(shown_road, default=0.0)
     for one in card["tracks"]:
         differ = [key for key in SAME if score.get(key) != one[key]]
+        if ahead != max(p["preview"] for p in one["policies"].values()):
+            differ.append("preview")
         if score.get("sensors"):
             differ.append("sensors")
         if differ:

@@ -46,6 +46,7 @@ def test_a_reference_driven_again_is_the_reference(card):
     [
         (lambda s: s.update(seed=1), "on no track .* another seed"),
         (lambda s: s.update(road="C"), "another road"),
+        (lambda s: s["policies"][0].update(preview={"value": 0.1, "unit": "s"}), "another preview"),
         (lambda s: s.update(sensors={"noise": 1.0}), "another sensors"),
         (lambda s: s["roads"][2].__setitem__(3, s["roads"][2][3] + 1e-4), "roads are not those"),
         (lambda s: s.pop("roads"), "which roads"),
