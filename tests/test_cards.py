@@ -99,3 +99,14 @@ def test_the_shipped_cards_are_whole():
             assert len(rows) == len(track["policies"]) >= 4
             own = cards.fingerprints_of(track)
             assert np.allclose(own, track["roads"][:2], rtol=1e-6, atol=1e-9)
+
+
+def test_the_page_carries_the_cards_figures():
+    import importlib.util
+    from pathlib import Path
+
+    spec = importlib.util.spec_from_file_location("table", Path(__file__).parents[1] / "docs" / "table.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    page = script.PAGE.read_text(encoding="utf-8")
+    assert script.fill(page) == page, "run python docs/table.py"
