@@ -450,6 +450,13 @@ def simulate(
     ],
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
     map_file: MapOption = None,
+    initial: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="How nodes stand and move at first, in SI: body=0.01, body.velocity=0.2, or a JSON file; may be repeated.",
+            metavar="NODE=VALUE|FILE",
+        ),
+    ] = None,
 ) -> None:
     """Simulate a model for the inputs of a table; writes its outputs at the same times.
 
@@ -461,6 +468,7 @@ def simulate(
     from .loggers import ChannelMap
     from .loggers.grid import inputs_of
     from .loggers.records import records_of
+    from .loggers.start import motions_of, state_of
     from .network import Network
     from .simulate import simulate as run
     from .units import convert
@@ -479,7 +487,14 @@ def simulate(
         table = Table(time, own, table.name)
         for note in notes:
             typer.echo(note, err=True)
-    outputs = run(network, table.time, table.columns, step=step)
+    start = None
+    if initial:
+        si = {
+            c.name: convert(np.asarray(table[c.name]), table.units.get(c.name) or c.unit, c.si)
+            for c in network.inputs
+        }
+        start = state_of(network, motions_of(initial), si, table.step)
+    outputs = run(network, table.time, table.columns, step=step, initial=start)
     for name, values in outputs.items():
         if not np.isfinite(values).all():
             at = table.time[int(np.argmin(np.isfinite(values)))]

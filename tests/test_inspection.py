@@ -325,3 +325,68 @@ def test_a_missing_column_names_what_helps(tmp_path, run, program):
         tmp_path / "o.csv",
     )
     assert "--map FILE" in said and "isd-gym inspect" in said
+
+
+SWING = {
+    "schema": "isd-model/1",
+    "name": "swing",
+    "masses": {"mass": 2.0},
+    "elements": [
+        {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 800.0}
+    ],
+    "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "mm"}],
+    "outputs": [{"name": "x", "quantity": "displacement", "at": "mass", "unit": "m"}],
+}
+
+
+@pytest.mark.parametrize("as_file", [False, True])
+def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
+    time = 0.01 * np.arange(200)
+    write_table(tmp_path / "rec.csv", Table(time, {"base": np.full(200, 3.0)}))
+    (tmp_path / "swing.json").write_text(json.dumps(SWING))
+    (tmp_path / "start.json").write_text(json.dumps({"mass": {"displacement": 0.01, "velocity": 0.1}}))
+    words = [tmp_path / "start.json"] if as_file else ["mass=0.01", "--initial", "mass.velocity=0.1"]
+    done = CliRunner().invoke(
+        program,
+        [
+            str(w)
+            for w in (
+                "simulate",
+                tmp_path / "swing.json",
+                tmp_path / "rec.csv",
+                "--initial",
+                *words,
+                "--out",
+                tmp_path / "o.csv",
+            )
+        ],
+    )
+    assert done.exit_code == 0, done.output
+    said = np.loadtxt(tmp_path / "o.csv", delimiter=",", skiprows=1)[:, 1]
+    truth = 0.003 + 0.007 * np.cos(20 * time) + 0.1 / 20 * np.sin(20 * time)  # about the base, at 20 rad/s
+    np.testing.assert_allclose(said, truth, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        ("mas=1", "'mas' is no node"),
+        ("base=1", "'base' is moved by an input"),
+        ("mass=x", "wants NODE=VALUE"),
+        ("no.json", "no such file"),
+    ],
+)
+def test_a_wrong_start_is_one_line(tmp_path, program, word, words):
+    write_table(tmp_path / "rec.csv", Table(0.01 * np.arange(200), {"base": np.zeros(200)}))
+    (tmp_path / "swing.json").write_text(json.dumps(SWING))
+    said = refused(
+        program,
+        "simulate",
+        tmp_path / "swing.json",
+        tmp_path / "rec.csv",
+        "--initial",
+        word,
+        "--out",
+        tmp_path / "o.csv",
+    )
+    assert words in said and not (tmp_path / "o.csv").exists()
