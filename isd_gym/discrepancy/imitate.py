@@ -18,6 +18,7 @@ from .structure import Hypothesis, Structure, rebuilt
 POINTS = 240  # of the motion at which forces are compared
 NEAR = 0.5  # share of the found force that an imitation may miss
 MOST = 3  # imitations of one effect
+PERIODS = 1.5  # of a law that must lie within the travel: one alone is any curve that goes up and down again
 
 
 def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
@@ -27,9 +28,7 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     for k, element in enumerate(candidate.elements):
         m = motion.get(element.between) if element.place == "between" else None
         # of what repeats, and does not do so within the travel, only a curve is left
-        curve = (
-            element.periodic and getattr(element, element.periodic[0]) > float(np.ptp(m.d)) if m else False
-        )
+        curve = bool(m and not repeats(element, m))
         if m is None or not (curve or _plain_curve(type(element))):
             continue
         near: list[tuple[float, Hypothesis, dict[str, float]]] = []
@@ -53,6 +52,13 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
                 yield rebuilt(problem.network, [*found[:k], (h, values), *found[k + 1 :]])
             except (*BROKEN, KeyError, StopIteration):
                 continue
+
+
+def repeats(element: el.Element, motion: el.Motion) -> bool:
+    """Whether an element is not periodic, or shows enough periods within the travel for that to be seen."""
+    if not element.periodic:
+        return True
+    return bool(PERIODS * getattr(element, element.periodic[0]) <= float(np.ptp(motion.d)))
 
 
 def _plain_curve(kind: type[el.Element]) -> bool:

@@ -13,6 +13,7 @@ from .candidate import BROKEN, Candidate, level, reckoned
 from .criteria import Criteria
 from .evidence import EffectEvidence, Evidence
 from .fit import Fit, Fitter, gap, residuals
+from .imitate import repeats
 from .judge import replication
 from .motion import force_scale, motions, unmodelled
 from .noise import whitener
@@ -136,8 +137,8 @@ def complaint(problem: Problem, fit: Fit, element: el.Element) -> str:
     motion = motions(problem, fit).get(element.between)
     if motion is None:
         return ""
-    if element.periodic and getattr(element, element.periodic[0]) > 1.05 * float(np.ptp(motion.d)):
-        return "less than a period of it lies within the travel"
+    if not repeats(element, motion):
+        return "too little of a period lies within the travel for it to be seen to repeat"
     scales = {"m": motion.reach, "m/s": float(np.abs(motion.v).max())}
     for f in el.parameter_fields(type(element)):
         scale = scales.get(f.metadata["unit"])
