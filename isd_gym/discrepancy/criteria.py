@@ -226,10 +226,10 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     gates = gates_of(e, c) if e.effects else ()
     failed = {g.name for g in gates if not g.passed}
     there = bool(gates) and not failed & {"significant", "replicated", "determined"}
-    if all(x < c.material for x in e.excess_refit) and e.believed(c.misses):
-        return Decision(agreed, gates, small=there)
     if gates and not failed:
         return Decision("missing_effect", gates)
+    if all(x < c.material for x in e.excess_refit) and e.believed(c.misses):
+        return Decision(agreed, gates, small=there)
     # small effects would make the gap, or do close it
     closes = bool(gates) and e.closed_by_small(c.share)
     little = all(x < w for x, w in zip(e.excess_refit, e.worth, strict=True))

@@ -31,7 +31,8 @@ class Evidence:
     whether the signal or the owner tells it, or it is only bounded. worth: excess that small effects make. Of the
     candidate: its `effects`; gain (2 log L) and whether it halves the gap's power (halved); again: standard errors of the
     gain over held-out blocks; explained: share of the refitted model's excess; lead: excess of the nearest rival of another
-    kind over its own, and those that are abreast; force_lead: the same of the best rival that blames no sensor. closest:
+    kind over its own, and those that are abreast; force_lead: the same of the best rival that blames no sensor.
+    fitted_refit, fitted_after: errors on the records that were fitted to. closest:
     errors of the richest candidate, and `closest_share` the largest share of its effects. limits: what the data ask for
     beyond what the owner allows.
     """
@@ -51,6 +52,8 @@ class Evidence:
     lead: float = math.inf
     abreast: tuple[str, ...] = ()
     force_lead: float = math.inf
+    fitted_refit: tuple[float, ...] = ()
+    fitted_after: tuple[float, ...] = ()
     closest: tuple[float, ...] = ()
     closest_share: float = 1.0
     limits: tuple[str, ...] = ()
@@ -77,8 +80,12 @@ class Evidence:
 
     @property
     def moved(self) -> float:
-        """Largest share of a channel's deviation that the candidate moves towards the measurement."""
-        return max(math.sqrt(max(r**2 - a**2, 0.0)) for r, a in zip(self.refit, self.after, strict=True))
+        """Largest share of a channel's deviation that the candidate moves towards the records, held out or fitted to."""
+        pairs = [
+            *zip(self.refit, self.after, strict=True),
+            *zip(self.fitted_refit, self.fitted_after, strict=True),
+        ]
+        return max(math.sqrt(max(r**2 - a**2, 0.0)) for r, a in pairs)
 
     @property
     def agrees_before(self) -> bool:

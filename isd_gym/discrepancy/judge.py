@@ -30,6 +30,7 @@ class Outcome:
     """A candidate on the held-out records. `score`: mean whitened square of what it leaves of those to choose by.
 
     `blocks` (blocks in time, channels) of it; `nrmse` (channels,) on those to choose by, `reported` on those to report by;
+    `fitted`: on those it was fitted to, which may show what the others, driven harder or more softly, hardly do;
     `start`: initial states that the records were followed from.
     """
 
@@ -38,6 +39,7 @@ class Outcome:
     blocks: Array
     nrmse: Array
     reported: Array
+    fitted: Array
     start: dict[int, Array]
     held: Fit
 
@@ -56,6 +58,7 @@ class Judge:
         self.floors = np.maximum([f.deviation for f in self.known], LEAST_NOISE * deviation)
         self.spread = np.maximum(problem.measured(problem.choosing).std(axis=0), 1e-300)
         self.spread_reported = np.maximum(problem.measured(problem.reporting).std(axis=0), 1e-300)
+        self.spread_fitted = np.maximum(deviation, 1e-300)
         self._worth: Array | None = None
 
     @cached_property
@@ -105,6 +108,7 @@ class Judge:
             rows,
             self.error(held, p.choosing, self.spread),
             self.error(held, p.reporting, self.spread_reported),
+            self.error(fit, p.estimation, self.spread_fitted),
             f.initial,
             held,
         )
@@ -212,6 +216,12 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def moved(last: Outcome, now: Outcome) -> float:
+    """Largest share of a channel's deviation by which `now` comes nearer to the records, held out or fitted to."""
+    pairs = ((last.nrmse, now.nrmse), (last.fitted, now.fitted))
+    return max(float(np.sqrt(np.maximum(a**2 - b**2, 0.0)).max()) for a, b in pairs)
+
+
 def block_lead(rival: Outcome, best: Outcome) -> float:
     """By how many of its own standard errors, over blocks, the rival's score is behind."""
     d = (rival.blocks - best.blocks).mean(axis=1)
@@ -233,4 +243,4 @@ def replication(rival: Outcome, best: Outcome) -> float:
     return float(ratio.mean() / max(ratio.std(ddof=1) / math.sqrt(len(ratio)), 1e-12))
 
 
-__all__ = ["BROKEN", "Judge", "Outcome", "block_lead", "replication", "share_at_place"]
+__all__ = ["BROKEN", "Judge", "Outcome", "block_lead", "moved", "replication", "share_at_place"]

@@ -205,6 +205,8 @@ def measure(search: Search, trial: Trial) -> tuple[Evidence, dict[str, Quantity]
         lead=min((trial.of(r).score - trial.quiet for r in others), default=math.inf) / own,
         abreast=tuple(r.label for r in abreast),
         force_lead=min(trial.of(r).score - trial.quiet for r in forces) / own,
+        fitted_refit=row(refit.fitted),
+        fitted_after=row(after.fitted),
         closest=row(closest.nrmse),
         closest_share=max(judge.sizes(trial.richest), default=1.0),
         **common,  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ from .criteria import Criteria
 from .fit import gap
 from .imitate import imitations
 from .initial import carried
-from .judge import Judge, Outcome, block_lead
+from .judge import Judge, Outcome, block_lead, moved
 from .problem import Array, Problem
 from .race import compete
 from .settings import SearchSettings
@@ -84,8 +84,7 @@ class Search:
             except BROKEN:
                 break
             path.append(best)
-            moved = float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max())
-            if moved < c.material or self.judge.sizes(best)[-1] < c.share:
+            if moved(here, then) < c.material or self.judge.sizes(best)[-1] < c.share:
                 break
         return path, stages
 
@@ -103,7 +102,7 @@ class Search:
             then = self.judge.outcome(candidate, self.judge.weights(now))
         except BROKEN:
             return False
-        return float(np.sqrt(np.maximum(here.nrmse**2 - then.nrmse**2, 0.0)).max()) >= self.criteria.material
+        return moved(here, then) >= self.criteria.material
 
     def stage(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
         """The best single addition to `now`; who ran is appended to `stages`. None where nothing is gained."""
@@ -222,15 +221,15 @@ class Search:
         c = self.criteria
         a, b = trial.of(last), trial.of(now)
         share = trial.share(a, b)
-        moved = float(np.sqrt(np.maximum(a.nrmse**2 - b.nrmse**2, 0.0)).max())
+        nearer = moved(a, b)
         size = self.judge.sizes(now)[-1]
         wide = float(np.mean(a.excess(trial.floor))) > c.wide and share >= c.alone
         trial.notes.append(
             f"{now.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "
-            f"error (needed {c.half:.0%}), moves a channel by {moved:.1%} of its deviation (needed {c.material:.0%}), "
+            f"error (needed {c.half:.0%}), moves a channel by {nearer:.1%} of its deviation (needed {c.material:.0%}), "
             f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
-        return share >= c.half and b.score < a.score and moved >= c.material and (size >= c.share or wide)
+        return share >= c.half and b.score < a.score and nearer >= c.material and (size >= c.share or wide)
 
     def settle_again(self, chosen: Candidate, richer: Candidate) -> Candidate:
         """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""
@@ -336,7 +335,10 @@ class Search:
         share = trial.share(then, now)
         large = self.judge.sizes(chosen)[effect] >= c.share
         return (
-            share >= c.half and change.max() >= c.material and large and (loss > c.significant or wider > 2.0)
+            share >= c.half
+            and moved(then, now) >= c.material
+            and large
+            and (loss > c.significant or wider > 2.0)
         )
 
     # -- rivals -------------------------------------------------------------------------------------------
