@@ -45,7 +45,10 @@ def covariance(search: Search, candidate: Candidate) -> Array | None:
     sigma = np.array([q.sigma for q in f.structure.free])
     out = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))
     try:
-        dragged, _ = Fitter(problem, W).refit(f, unmodelled(problem, f, SMALL))
+        dragged, left = Fitter(problem, W).refit(f, unmodelled(problem, f, SMALL))
+        # none is larger than what is left allows: where nothing holds a mass, little goes a long way, and would be seen
+        seen = np.sqrt(sum(np.sum(part**2, axis=(0, 1)) for part in left.values()))
+        dragged = dragged * np.minimum(1.0, math.sqrt(f.cost) / np.maximum(seen, 1e-300))
         dragged = np.clip(dragged, -1e6, 1e6)  # some have no end
         out = out + dragged @ dragged.T
     except BROKEN:
