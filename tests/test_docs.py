@@ -21,6 +21,7 @@ SLOW = {
     "docs/guides/own-algorithm.md",
     "docs/guides/other-library.md",
     "docs/tutorials/diagnose.md",
+    "docs/tutorials/plan.md",
     "docs/tutorials/effect.md",
     "notebooks/2-train-and-compare.ipynb",
     "notebooks/3-from-a-csv-to-a-corrected-model.ipynb",

@@ -519,9 +519,7 @@ def best_test(
             sizes = _needed_sizes(Field(stand, begun), (), wanted)
         except BROKEN:
             continue
-        score = (
-            float(np.mean(np.clip(np.log(1.0 / np.maximum(sizes, 1e-9)), -3.0, 3.0))) if len(sizes) else -9.0
-        )
+        score = float(np.mean(-np.log(np.clip(sizes, 0.05, 20.0)))) if len(sizes) else -9.0
         rated.append((score, e, int(np.sum(sizes <= 1.0)), len(sizes)))
     say("tests", 1.0)
     if not rated:
