@@ -18,7 +18,7 @@ import numpy as np
 from . import elements as el
 from .errors import InputError
 from .kernel import layout as place
-from .kernel.layout import WIDTH
+from .kernel.layout import TOGETHER, WIDTH, aligned
 from .network import GROUND, Channel, Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
@@ -121,7 +121,10 @@ class Batch:
         self.groups = -(-count // WIDTH)
         networks: Network | list[Network] = [bare] * WIDTH if self._spread else bare
         self.plant = plant = Plant(networks, physics_step, lanes=WIDTH, extra=self.channels)
-        self._mats = np.tile(plant.mats, (self.groups, 1, 1)) if self._spread else plant.mats
+        self._mats = plant.mats
+        if self._spread:
+            self._mats = aligned(self.groups, *plant.mats.shape[1:])
+            self._mats[:] = plant.mats
         columns = {part: -1 for part in ("r", "v", "alpha")}
         for j, (part, name) in enumerate(plant.labels):
             if part in columns and name == plant.networks[0].inputs[self._road_input()].name:
@@ -130,9 +133,9 @@ class Batch:
             raise InputError(
                 f"network '{network.name}' has more than one current; the environment drives one"
             )
-        self._states = np.zeros((self.groups, plant.at.height, WIDTH))
+        self._states = aligned(self.groups, plant.at.height, WIDTH)
         wide = self.groups * WIDTH  # rows hold whole groups of cars; those beyond `count` stand still
-        self._cars = np.zeros((place.SIGNALS + len(self.channels), wide))
+        self._cars = aligned(place.SIGNALS + len(self.channels), wide)
         self._ways = np.zeros((3, wide), np.int64)
         self._cars[place.SATURATION] = NO_SATURATION
         lag, delay, saturation = (
@@ -150,7 +153,7 @@ class Batch:
         self.points = round(preview / control_step)
         # the road drawn ahead: of every physics step of a control step a ring that begins at ints[-1], and the last of them
         # once more, a car's points side by side
-        self._rings = np.zeros((self.substeps, self.points, wide))
+        self._rings = aligned(self.substeps, self.points, wide)
         self._ahead = np.zeros((wide, self.points))
         self.table = np.zeros(0)
         driven = any(e is not None for e in (lag, delay, saturation))
@@ -161,6 +164,7 @@ class Batch:
         self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_LIMIT
         self._settings[place.BOUNDS : place.LIFTED] = math.inf
         self.seen = np.zeros((count, 6), np.float32)
+        self._said = np.zeros((place.SAID, wide))
         self.speeds = np.full(count, self.speed)
         self.threads = 1
         self._arguments()
@@ -169,26 +173,38 @@ class Batch:
         """The arguments of the kernel, and what is seen of them from here: views, made once."""
         at, count = self.plant.at, self.count
         self._drive = self.plant.kernel.drive
-        inputs = (self.substeps + 1) * at.inputs + self.substeps * at.currents
         self._drive_arguments = (
             *(self._mats.reshape(-1), self._ints, self._states.reshape(-1), self._cars, self._ways),
-            *(self.table, self._past, self._rings, self._ahead, self._settings, self.seen),
+            *(self.table, self._past, self._rings, self._ahead, self._settings),
         )
         threads = max(1, min(self.threads, self.groups))
         ends = [self.groups * i // threads for i in range(threads + 1)]
+        inputs = (self.substeps + 1) * at.inputs + self.substeps * at.currents
         self._shares = [
-            (np.zeros(inputs * WIDTH), begin, stop) for begin, stop in zip(ends[:-1], ends[1:], strict=True)
+            (aligned(TOGETHER, inputs, WIDTH).ravel(), begin, stop)
+            for begin, stop in zip(ends[:-1], ends[1:], strict=True)
         ]
+        self._calls: list[tuple[Any, ...]] = []
         self._crew: Crew | None = None
         self.cars, self.out = self._cars[:, :count], self._cars[place.SIGNALS :, :count]
         self.counters = self._ways[place.COUNTER].view(np.uint64)
+        self.target = self.cars[place.TARGET]  # currents that are asked for [A] (count,)
+        self._write_to(self._said, self.seen)
+
+    def _write_to(self, said: np.ndarray, seen: np.ndarray) -> None:
+        self._said, self.seen = said, seen
+        self._calls = [(*self._drive_arguments, said, seen, *share) for share in self._shares]
+
+    def renew(self) -> None:
+        """What the last step said and showed is somebody else's now; the next one writes elsewhere."""
+        self._write_to(np.empty(self._said.shape), np.empty(self.seen.shape, np.float32))
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("cars", "out", "counters")
+        views = ("cars", "out", "counters", "target")
         return {
             k: v
             for k, v in self.__dict__.items()
-            if k not in (*views, "_drive", "_drive_arguments", "_shares", "_crew")
+            if k not in (*views, "_drive", "_drive_arguments", "_shares", "_calls", "_crew")
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -306,14 +322,12 @@ class Batch:
 
     def step(self) -> np.ndarray:
         """Run one control step with the currents in `current` (after `judge`: `target`); returns `out` (signals, count), SI units."""
-        if len(self._shares) == 1:
-            self.broken = self._drive(*self._drive_arguments, *self._shares[0])
+        if len(self._calls) == 1:
+            self.broken = self._drive(*self._calls[0])
         else:
             if self._crew is None or self._crew.process != os.getpid():  # threads do not outlive a fork
-                self._crew = Crew(len(self._shares))
-            self.broken = sum(
-                self._crew.do(self._drive, [(*self._drive_arguments, *share) for share in self._shares])
-            )
+                self._crew = Crew(len(self._calls))
+            self.broken = sum(self._crew.do(self._drive, self._calls))
         if self.points:
             self._ints[-1] = (self._ints[-1] + 1) % self.points
         return self.out
@@ -323,20 +337,26 @@ class Batch:
         """Present commanded current [A] (count,)."""
         return self.cars[place.CURRENT]
 
-    @property
-    def target(self) -> np.ndarray:
-        """Current that is asked for [A] (count,)."""
-        return self.cars[place.TARGET]
+    def alone(self) -> tuple[float, ...]:
+        """Of the first car: reward, four terms of the cost, dynamic tyre load [N], and 1 where it broke."""
+        return self._said[:, 0].tolist()
 
     @property
     def judged(self) -> np.ndarray:
-        """Reward and the four terms of the cost (5, count) of the last step."""
-        return self.cars[place.REWARD : place.BROKEN]
+        """Of the last step, rows: reward, four terms of the cost, dynamic tyre load [N] (6, count)."""
+        return self._said[: place.BROKEN, : self.count]
+
+    def forget(self, which: np.ndarray | slice) -> None:
+        """Nothing is said of the cars `which`, which have just begun; what has been handed out stays."""
+        said = self._said.copy()
+        said[: place.BROKEN, which] = 0.0
+        self.out[:, which] = 0.0
+        self._write_to(said, self.seen)
 
     @property
     def gone(self) -> np.ndarray:
         """Which cars left their bounds, or reason, in the last step (count,)."""
-        return self.cars[place.BROKEN] != 0.0
+        return self._said[place.BROKEN, : self.count] != 0.0
 
     @property
     def road_height(self) -> np.ndarray:

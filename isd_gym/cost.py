@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .errors import InputError
 
 Signal = TypeVar("Signal", float, np.ndarray)
+
+
+def squares(
+    by_a: Any, by_l: Any, by_f: Any, by_i: Any, a: Any, l: Any, f: Any, i: Any
+) -> tuple[Any, Any, Any, Any]:
+    """The terms of the cost, of floats or arrays, and in compiled code: factors times the squares of acceleration, travel, tyre load and current."""
+    return by_a * (a * a), by_l * (l * l), by_f * (f * f), by_i * (i * i)
 
 
 @dataclass(frozen=True)
@@ -59,13 +66,7 @@ class StageCost:
 
         acceleration [m/s^2], travel [m], tyre_load [N], current [A].
         """
-        a, l, f, i = self.quadratic
-        return (
-            a * acceleration * acceleration,
-            l * travel * travel,
-            f * tyre_load * tyre_load,
-            i * current * current,
-        )
+        return squares(*self.quadratic, acceleration, travel, tyre_load, current)
 
     def __call__(
         self,

@@ -46,9 +46,9 @@ PICTURES = 50.0  # a simulated second, in a window; `render` may be called at ev
 GRAVITY = 9.81  # m/s^2
 PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
 N_MEASURED = len(MEASURED)
-STEP_INFO = ("tyre_load", "cost_acceleration", "cost_travel", "cost_tyre_load", "cost_current")
+#: what `Batch.judged` says behind the reward
+STEP_INFO = ("cost_acceleration", "cost_travel", "cost_tyre_load", "cost_current", "tyre_load")
 OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
-TYRE_LOAD = SIGNALS.index("tyre_load")
 
 
 class Task:
@@ -76,7 +76,7 @@ class Task:
         self.network = net = Network.load(network)
         self.observation = observation
         self.cost = cost if isinstance(cost, StageCost) else StageCost(**(cost or {}))
-        extra = state_channels(net)
+        extra = state_channels(net) if observation == "full" or picture else []
         self.points = round(preview / control_step) if observation == "preview" else 0
         look = self.points * control_step
         if picture:  # the road in front of the car is part of the picture
@@ -137,7 +137,7 @@ class Task:
 
     def observe(self) -> np.ndarray:
         """Observations (count, width) float32 after a step; those of cars that broke are cut off at their bounds."""
-        obs = self.batch.seen.copy()
+        obs = self.batch.seen
         if self.faulty:
             obs = self._sense(obs)
         if self.batch.broken:
@@ -290,7 +290,7 @@ class ISDSuspensionEnv(gym.Env):
         self._total_cost = 0.0
         self._trail.clear()
         self._trail.append(0.0)
-        batch.out[:] = 0.0
+        batch.forget(slice(None))
         if self.render_mode == "human":
             self.render()
         self._speed = float(batch.speeds[0])
@@ -316,12 +316,12 @@ class ISDSuspensionEnv(gym.Env):
         batch.target[0] = target
         batch.step()
         self._steps += 1
-        broken = batch.broken > 0
+        reward, by_acceleration, by_travel, by_load, by_current, tyre_load, broke = batch.alone()
+        broken = broke != 0.0
         obs = self.task.observe()[0] if broken or self.task.faulty else batch.seen[0].copy()
-        reward, by_acceleration, by_travel, by_load, by_current = batch.judged[:, 0].tolist()
         info = {
             "speed": self._speed,
-            "tyre_load": batch.out.item(TYRE_LOAD, 0),
+            "tyre_load": tyre_load,
             "cost_acceleration": by_acceleration,
             "cost_travel": by_travel,
             "cost_tyre_load": by_load,
@@ -364,7 +364,7 @@ class ISDSuspensionEnv(gym.Env):
 def _currents(actions: Any) -> np.ndarray:
     """Actions as an array of floats; raises `InputError` for text, objects and numbers that no float holds."""
     if isinstance(actions, np.ndarray) and actions.dtype.kind == "f":
-        return actions.astype(float, copy=False)
+        return actions
     try:
         found = np.asarray(actions)
         if found.dtype.kind not in "fiub":
@@ -460,6 +460,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             deque(maxlen=window) for _ in range(num_envs if render_mode is not None else 0)
         ]
         self._total_cost = np.zeros(num_envs)
+        self._zeros = np.zeros(num_envs)
         self._renderers: list[Renderer] = []
 
     @property
@@ -498,19 +499,14 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
     def _info(self) -> dict[str, Any]:
         """`info` of all cars as they stand."""
-        batch = self.task.batch
-        terms = batch.judged[1:].copy()
-        return {
-            "speed": self._speeds,
-            **dict(zip(STEP_INFO, (batch.out[TYRE_LOAD].copy(), *terms), strict=True)),
-        }
+        return {"speed": self._speeds, **dict(zip(STEP_INFO, self.task.batch.judged[1:].copy(), strict=True))}
 
     def _restart(self, which: np.ndarray) -> None:
         batch = self.task.batch
         for i in which:
             batch.reset(int(i), self._rngs[i])
             self.task.forget(int(i), self._rngs[i])
-        batch.out[:, which] = batch.judged[:, which] = 0.0
+        batch.forget(which)
         self._speeds = batch.speeds.copy()
         self._speeds.setflags(write=False)  # one array is handed out until a car starts again
         for i in which if self._trails else ():
@@ -532,17 +528,16 @@ class ISDSuspensionVectorEnv(VectorEnv):
             raise InputError(
                 f"the actions must have shape ({self.num_envs}, 1), currents in A, not {target.shape}"
             )
-        target = target[:, 0]
-        # one sum tells whether all are finite: cheaper than a mask
-        if not math.isfinite(target.sum()) and not np.isfinite(target).all():
-            raise InputError(f"action {int(np.argmin(np.isfinite(target)))} is not finite")
         batch = self.task.batch
+        batch.target[:] = target[:, 0]
+        if batch.target.dot(self._zeros) != 0.0:  # 0 times what is not finite is nan: cheaper than a mask
+            raise InputError(f"action {int(np.argmin(np.isfinite(batch.target)))} is not finite")
         revived = (
             np.flatnonzero(self._done)
             if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
             else None
         )
-        batch.target[:] = target
+        batch.renew()
         batch.step()
         self.steps += 1
         self._oldest += 1
@@ -552,12 +547,13 @@ class ISDSuspensionVectorEnv(VectorEnv):
             self._restart(revived)
             obs[revived] = self.task.first(revived)
             terminated[revived] = False
-        reward, info = batch.judged[0].copy(), self._info()
+        reward, *terms = batch.judged
+        info = {"speed": self._speeds, **dict(zip(STEP_INFO, terms, strict=True))}
         if self._trails:
             self._total_cost -= reward
             for i in np.flatnonzero(self.steps):  # not where a car has just started again
                 self._trails[i].append(float(batch.road_height[i]))
-        if self._oldest >= self.max_episode_steps or terminated.any():
+        if self._oldest >= self.max_episode_steps or (batch.broken and terminated.any()):
             truncated = (self.steps >= self.max_episode_steps) & ~terminated
             self._done = terminated | truncated
             self._any_done = bool(self._done.any())

@@ -19,7 +19,7 @@ from scipy.linalg import expm
 
 from . import elements as el
 from .errors import InputError
-from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, layout
+from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
 from .units import convert
 
@@ -111,7 +111,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     own = list(range(f.start, f.stop))
     own = [own[j] for j in order]
     blank = np.zeros((n, nl * bool(differ.any())))
-    states = np.hstack([Ad, U0, U1, hold[:, m : m + nc], start, blank])
+    states = np.hstack([Ad, U0, U1, hold[:, m : m + nc], blank, start[:, :ns]])
 
     def seen(by: np.ndarray) -> np.ndarray:
         """Rows of what the laws see, without the forces at the end of the step."""
@@ -122,7 +122,8 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
 
     D, S = seen(E), seen(R)
     if differ.any():
-        S[:, -nl:] -= np.diag(differ / step)
+        last = n + 2 * m + nc
+        S[:, last : last + nl] -= np.diag(differ / step)
     GD, GS = E[:, x] @ end + E[:, own], R[:, x] @ end + R[:, own]
     smooth = ~dry[:, None]
     rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
@@ -131,9 +132,9 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     O = asm.outputs
     zero = np.zeros((len(O), 1))
     seen_outside = np.hstack(
-        [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], O[:, own], zero.repeat(blank.shape[1], 1)]
+        [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], zero.repeat(blank.shape[1], 1), O[:, own]]
     )
-    sizes = (n, m, nc, nl, ns, way, len(O), -(-len(rows) // 4) * 4, rows.shape[1], int(differ.any()))
+    sizes = (n, m, nc, nl, ns, way, len(O), -(-len(rows) // 4) * 4, seen_outside.shape[1], int(differ.any()))
     # velocities that both a current and a law's force reach at once: seen before the current steps
     early = np.array([c_.quantity == "velocity" for c_ in asm.channels], bool)
     early &= O[:, c].any(axis=1) & O[:, own].any(axis=1)
@@ -300,7 +301,7 @@ class Plant:
         self.n, self.n_laws, self.n_outputs = at.states, at.laws, at.outputs
         self.order = first.order
         if several:
-            self.mats = np.empty((self.groups, at.size, WIDTH))
+            self.mats = aligned(self.groups, at.size, WIDTH)
             self.mats[:] = parts[0].numbers[:, None]  # lanes that nobody uses must have numbers, too
             for lane, part in enumerate(parts):
                 self.place(self.mats, lane, part)
@@ -339,9 +340,11 @@ class Plant:
 
     def grouped(self, state: np.ndarray) -> np.ndarray:
         """A state (rows, lanes) as groups (groups, rows, 8)."""
-        wide = np.zeros((len(state), self.groups * WIDTH))
-        wide[:, : self.lanes] = state
-        return np.ascontiguousarray(wide.reshape(len(state), self.groups, WIDTH).transpose(1, 0, 2))
+        grouped = aligned(self.groups, len(state), WIDTH)
+        for group in range(self.groups):
+            some = state[:, group * WIDTH : (group + 1) * WIDTH]
+            grouped[group, :, : some.shape[1]] = some
+        return grouped
 
     @property
     def memory(self) -> list[int]:

@@ -7,6 +7,7 @@ import math
 import numba as nb
 import numpy as np
 
+from ..cost import squares
 from .lanes import bits, load, noise, select, spread, store
 from .layout import (
     AHEAD,
@@ -32,6 +33,8 @@ from .layout import (
     SIGNALS,
     SLEW_LIMIT,
     TARGET,
+    TOGETHER,
+    TYRE_LOAD,
     WEIGHTS,
     WHOLE,
     WIDTH,
@@ -43,7 +46,9 @@ from .steps import march, outputs, pool_of
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's step
 
 
-def drive(mats, ints, states, cars, ways, table, past, rings, ahead, settings, seen_out, room, begin, stop):
+def drive(
+    mats, ints, states, cars, ways, table, past, rings, ahead, settings, said, seen_out, room, begin, stop
+):
     """One control step of the groups of cars from `begin` to before `stop`; the number of cars that broke.
 
     ints[-9:] = cars, physics steps per control step, the columns of u that take the road's height, rate and acceleration
@@ -51,50 +56,91 @@ def drive(mats, ints, states, cars, ways, table, past, rings, ahead, settings, s
     given, what an observation shows (`MEASURED`, `WHOLE`, `AHEAD`), and where the road drawn ahead begins now. `cars`,
     `ways`, `settings`: `layout`. table: the fixed profiles, one after another. past (currents kept, cars): newest first.
     rings (substeps, points, cars): the road drawn ahead, a ring for each physics step of a control step, and ahead
-    (cars, points): the last of them, car by car. seen_out (cars, signals): the observations. `room`: for the inputs of a
-    control step.
+    (cars, points): the last of them, car by car. seen_out (cars, signals): the observations. said: `layout`. room: for the
+    inputs of a control step.
+    """
+    flat, whole, drawn, told = cars.reshape(-1), ways.reshape(-1), rings.reshape(-1), said.reshape(-1)
+    together = (
+        1 if mats.shape[0] != layout(ints).size else TOGETHER
+    )  # numbers of their own fill the processor's cache
+    broken = 0
+    for group in range(begin, stop, together):
+        broken += control(
+            mats, ints, states, flat, cars.shape[1], whole, table, past, drawn, ahead, settings, told, seen_out, room,
+            group, min(group + together, stop),
+        )  # fmt: skip
+    return broken
+
+
+def control(
+    mats,
+    ints,
+    states,
+    cars,
+    wide,
+    ways,
+    table,
+    past,
+    rings,
+    ahead,
+    settings,
+    said,
+    seen_out,
+    room,
+    begin,
+    stop,
+):
+    """One control step of a few groups of cars; arguments as `drive`'s, the rows of cars, ways and rings `wide`, flat.
+
+    The groups take turns step by step: while one waits for its friction, the processor has the next one's sums to do.
     """
     at = layout(ints)
-    total, substeps = ints[-9], ints[-8]
-    drives, asked, shows, now = ints[-4], ints[-3], ints[-2], ints[-1]
+    substeps, asked, shows = ints[-8], ints[-3], ints[-2]
     own = mats.shape[0] != at.size
-    m, nc = at.inputs, at.currents
-    size, wide = at.height * WIDTH, cars.shape[1]
-    flat = cars.reshape(-1)
-    c_at = (substeps + 1) * m * WIDTH
-    u, c = room[:c_at], room[c_at:]
+    nc, size = at.currents, at.height * WIDTH
+    c_at = (substeps + 1) * at.inputs
+    span = (c_at + substeps * nc) * WIDTH  # inputs of a group
+    for group in range(begin, stop):
+        first = group * WIDTH
+        u = room[(group - begin) * span : (group - begin + 1) * span]
+        count = min(WIDTH, ints[-9] - first)
+        current = load(cars, CURRENT * wide + first)
+        if asked:
+            target = clip(load(cars, TARGET * wide + first), spread(settings[CURRENT_LIMIT]))
+            current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
+            store(cars, CURRENT * wide + first, current)
+        travel(ints, cars, ways, table, rings, ahead, u, mats[0], wide, first, count)
+        for k in range(substeps * nc):
+            if ints[-4]:  # the drive does more than hold its current
+                for l in range(count):
+                    u[(c_at + k) * WIDTH + l] = driven(cars, past, wide, first + l)
+            else:
+                store(u, (c_at + k) * WIDTH, current)
+    for k in range(substeps):
+        for group in range(begin, stop):
+            u = room[(group - begin) * span : (group - begin + 1) * span]
+            pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
+            count = min(WIDTH, ints[-9] - group * WIDTH)
+            march(pool, own, at, ints, state, u, u[c_at * WIDTH :], k, k, 1, WIDTH, 0, count, k + 1)
     broken = 0
     for group in range(begin, stop):
         first = group * WIDTH
-        count = min(WIDTH, total - first)
-        pool, state = pool_of(mats, own, ints, group), states[group * size : (group + 1) * size]
-        current = load(flat, CURRENT * wide + first)
-        if asked:
-            target = clip(load(flat, TARGET * wide + first), spread(settings[CURRENT_LIMIT]))
-            current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
-            store(flat, CURRENT * wide + first, current)
-        travel(ints, flat, ways.reshape(-1), table, rings.reshape(-1), ahead, u, mats[0], wide, first, count)
-        for k in range(substeps * nc):
-            if drives:
-                for l in range(count):
-                    c[k * WIDTH + l] = driven(flat, past, wide, first + l)
-            else:
-                store(c, k * WIDTH, current)
-        march(pool, own, ints, state, u, c, 0, 0, substeps, WIDTH, 0, count, 1)
-        outputs(pool, own, ints, state)
-        broken += judge(ints, state, flat, settings, wide, first, count)
+        count = min(WIDTH, ints[-9] - first)
+        pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
+        outputs(pool, own, at, state)
+        broken += judge(at, state, cars, settings, said, wide, first, count)
         for l in range(count):
             for j in range(5):
                 seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
-            seen_out[first + l, 5] = flat[U(CURRENT * wide + first + l)]
+            seen_out[first + l, 5] = cars[U(CURRENT * wide + first + l)]
         if shows == WHOLE:
             for l in range(count):
-                height = flat[U(HEIGHT * wide + first + l)]
+                height = cars[U(HEIGHT * wide + first + l)]
                 for j in range(6, seen_out.shape[1]):
                     lift = settings[U(LIFTED + j)] * height
                     seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)] - lift
         elif shows == AHEAD:
-            look(ahead, (now + 1) % max(ahead.shape[1], 1), flat, wide, first, count, seen_out)
+            look(ahead, (ints[-1] + 1) % max(ahead.shape[1], 1), cars, wide, first, count, seen_out)
     return broken
 
 
@@ -165,12 +211,11 @@ def look(ahead, begin, cars, wide, first, count, seen_out):
             far[i] = row[i] - height
 
 
-def judge(ints, state, cars, settings, wide, first, count):
+def judge(at, state, cars, settings, said, wide, first, count):
     """Signals, costs and reward of a group after its control step; the number of cars that broke in it.
 
     A broken car's cost is that of the bounds it left.
     """
-    at = layout(ints)
     for i in range(at.outputs):
         store(cars, (SIGNALS + i) * wide + first, load(state, (at.outcome + i) * WIDTH))
     good = spread(0.0) < spread(1.0)
@@ -189,14 +234,16 @@ def judge(ints, state, cars, settings, wide, first, count):
         tyre = select(abs(tyre) < math.inf, tyre, spread(0.0))
         store(cars, (SIGNALS + 5) * wide + first, tyre)
     i = load(cars, CURRENT * wide + first)
-    by_a, by_l = settings[WEIGHTS] * (a * a), settings[WEIGHTS + 1] * (l * l)
-    by_f, by_i = settings[WEIGHTS + 2] * (tyre * tyre), settings[WEIGHTS + 3] * (i * i)
-    store(cars, COST * wide + first, by_a)
-    store(cars, (COST + 1) * wide + first, by_l)
-    store(cars, (COST + 2) * wide + first, by_f)
-    store(cars, (COST + 3) * wide + first, by_i)
-    store(cars, REWARD * wide + first, -(by_a + by_l + by_f + by_i))
-    store(cars, BROKEN * wide + first, select(good, spread(0.0), spread(1.0)))
+    by_a, by_l, by_f, by_i = squares(
+        settings[WEIGHTS], settings[WEIGHTS + 1], settings[WEIGHTS + 2], settings[WEIGHTS + 3], a, l, tyre, i
+    )
+    store(said, REWARD * wide + first, -(by_a + by_l + by_f + by_i))
+    store(said, COST * wide + first, by_a)
+    store(said, (COST + 1) * wide + first, by_l)
+    store(said, (COST + 2) * wide + first, by_f)
+    store(said, (COST + 3) * wide + first, by_i)
+    store(said, TYRE_LOAD * wide + first, tyre)
+    store(said, BROKEN * wide + first, select(good, spread(0.0), spread(1.0)))
     number_wrong = 0
     while wrong:
         number_wrong += wrong & 1

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numba as nb
 from numba.core.options import DefaultOptions
 
+from .. import cost
 from .. import elements as el
 from . import cars, contact, lanes, laws, layout, linear, newton, solve, steps
 
@@ -56,6 +57,7 @@ def _stamp_of(registered: tuple[tuple[str, Any], ...]) -> int:
         files = resources.files(package).iterdir()  # the package may lie in a zip
         for file in sorted((f for f in files if f.name.endswith(".py")), key=lambda f: f.name):
             digest.update(file.read_bytes())
+    digest.update(resources.files(__name__.partition(".")[0]).joinpath("cost.py").read_bytes())
     for name, law in registered:
         digest.update(name.encode() + law.__code__.co_code + repr(law.__code__.co_consts).encode())
     return int.from_bytes(digest.digest()[:6], "big")
@@ -78,7 +80,17 @@ _LAWS = (
     newton.eliminate, newton.answers, newton.newton,
     solve.settle, solve.busy, solve.finish, solve.solved,
 )  # fmt: skip
-_STEPS = (steps.march, steps.outputs, steps.pool_of, cars.driven, cars.travel, cars.look, cars.judge)
+_STEPS = (
+    cost.squares,
+    steps.march,
+    steps.outputs,
+    steps.pool_of,
+    cars.driven,
+    cars.travel,
+    cars.look,
+    cars.judge,
+    cars.control,
+)
 _ENTRIES = (steps.advance, steps.measure, steps.record, cars.drive)
 _MODULES = (
     math,
@@ -103,6 +115,8 @@ _INLINE = (
     solve.unsolved,
     steps.march,
 )
+#: put in by the optimiser: a call would hand over seven numbers for every array
+_CLOSE = (linear.take, linear.sums, contact.touch, contact.apply, cars.control)
 _INNER: dict[str, Any] = {
     "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True
 }  # fmt: skip
@@ -126,7 +140,7 @@ def _bind(of: int, with_laws: bool) -> Kernel:
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
         twin.__qualname__ = f"{plain.__name__}_{'laws' if with_laws else 'closed'}_{of:x}"
         name = "solved" if plain is solve.unsolved else plain.__name__
-        options = _ENTRY if plain in _ENTRIES else _INNER
+        options = {**(_ENTRY if plain in _ENTRIES else _INNER), "forceinline": plain in _CLOSE}
         names[name] = nb.njit(twin, **options, inline="always" if plain in _INLINE else "never")
     return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
 

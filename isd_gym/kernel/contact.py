@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from .lanes import fused, load, select, some, spread, store
-from .layout import CONTACT, WIDTH, layout
-from .linear import clip, pooled
+from .layout import CONTACT, WIDTH
+from .linear import U, clip, pooled
 
 
-def touch(mats, own, ints, state):
+def touch(mats, own, at, state):
     """End a step of at most one stop (or play) and one constant friction, which may stick.
 
     Clear of the stop the friction is ``clip(-r / g)``. On it, the force of the stop is linear in the friction; with it
     put in, so is the rate, and the friction a clip again. A stop that would pull is not touched.
     """
-    at = layout(ints)
     n, nl, ns = at.states, at.laws, at.smooth
     friction, push = spread(0.0), spread(0.0)
     level, rate = spread(0.0), spread(0.0)
@@ -75,19 +74,34 @@ def touch(mats, own, ints, state):
         store(state, at.force * WIDTH, push)
     elif rubs:
         store(state, at.force * WIDTH, friction)
-    apply(mats, own, ints, state, push, friction)
+    apply(mats, own, at, state, push, friction)
 
 
-def apply(mats, own, ints, state, push, friction):
-    """States, elongation of the stop and rate of the friction with the forces that were found."""
-    at = layout(ints)
+def apply(mats, own, at, state, push, friction):
+    """States, and what tells a quiet car of each law, with the forces that were found of the stop and of the friction."""
     n, nl, ns = at.states, at.laws, at.smooth
     stop, rub = at.gains, at.gains + ns * at.rows
-    for i in range(n + nl):
+    pushes, rubs = ns > 0 and at.way == CONTACT and some(push != 0.0), nl > ns
+    if own:
+        for i in range(n):
+            x = load(state, (at.step + i) * WIDTH)
+            if rubs:
+                x = fused(load(mats, (rub + i) * WIDTH), friction, x)
+            if pushes:
+                x = fused(load(mats, (stop + i) * WIDTH), push, x)
+            store(state, i * WIDTH, x)
+    else:
+        for i in range(n):
+            x = load(state, (at.step + i) * WIDTH)
+            if rubs:
+                x = fused(spread(mats[U(rub + i)]), friction, x)
+            if pushes:
+                x = fused(spread(mats[U(stop + i)]), push, x)
+            store(state, i * WIDTH, x)
+    for i in range(n, n + nl):
         x = load(state, (at.step + i) * WIDTH)
-        if nl > ns:
+        if rubs:
             x = fused(pooled(mats, own, rub + i), friction, x)
-        if ns > 0 and at.way == CONTACT:
+        if pushes:
             x = fused(pooled(mats, own, stop + i), push, x)
-        to = i if i < n else at.elongation + i - n if i < n + ns else at.rate + i - n
-        store(state, to * WIDTH, x)
+        store(state, ((at.elongation if i < n + ns else at.rate) + i - n) * WIDTH, x)

@@ -17,7 +17,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 WIDTH = 8  # lanes of a group
+TOGETHER = 4  # groups of cars that take turns step by step
 #: ways through a step: every law is solved for; only those of lanes in which a smooth one acts; in closed form
 GENERAL, QUIET, CONTACT = 0, 1, 2
 
@@ -36,10 +39,14 @@ SATURATION = 7  # [A]
 DELAY = 8  # [physics steps]
 ROUGH = 9  # height of the rough road [m]
 TARGET = 10  # current that was asked for [A]
-REWARD = 11
-COST = 12  # four terms: acceleration, travel, tyre load, current
-BROKEN = 16  # 1 where an observation left its bounds or is no number
-SIGNALS = 17  # outputs from here on
+SIGNALS = 11  # outputs from here on
+
+# What a control step says of a car: rows of `said`.
+REWARD = 0
+COST = 1  # four terms: acceleration, travel, tyre load, current
+TYRE_LOAD = 5  # [N], finite even where the car broke
+BROKEN = 6  # 1 where an observation left its bounds or is no number
+SAID = 7  # rows
 
 # Whole numbers of a car: rows of `ways`.
 PROFILE = 0  # next place in the table of fixed profiles
@@ -65,7 +72,7 @@ class Layout(NamedTuple):
     way: int  # GENERAL, QUIET or CONTACT
     outputs: int
     rows: int  # of a step, a multiple of four
-    columns: int
+    columns: int  # of the outputs' matrix
     differ: int  # 1 where the rate of any law is a difference of elongations
     parameters: int  # that a law may read
     # places in `ints`
@@ -75,8 +82,8 @@ class Layout(NamedTuple):
     start: int  # inputs at the start of the step
     end: int
     current: int
-    force: int  # of the laws, at the start of the step
     last: int  # elongations of the laws at the start of the step, where `differ`
+    force: int  # of the laws, at the start of the step; it depends on those of the smooth ones, the outputs on all
     # what a step makes of it before the forces at its end act
     step: int
     first: int  # of every law, what tells a quiet car
@@ -97,6 +104,7 @@ class Layout(NamedTuple):
     height: int  # rows in all
     # numbers of `mats`
     matrix: int
+    step_columns: int
     gains: int  # what the force of a law at the end of the step adds to the rows
     spans: int  # |elongation| below which a smooth law rests
     upper: int  # contact in closed form: elongations at which the stop is met
@@ -118,16 +126,17 @@ def layout(ints: Any) -> Layout:
     n, m, nc, nl, ns = ints[0], ints[1], ints[2], ints[3], ints[4]
     rows, columns, differ, parameters = ints[7], ints[8], ints[9], ints[10]
     start, end, current = n, n + m, n + 2 * m
-    force = current + nc
-    last = force + nl
-    step = last + nl * differ
+    last = current + nc
+    force = last + nl * differ
+    step = force + nl
+    step_columns = force + ns
     acting = step + rows
     failed = acting + 9 * nl
     scratch = failed + 2
     outcome = scratch + (nl * (nl + 4) + WIDTH - 1) // WIDTH
     ny = ints[6]
     out_rows = (ny + 3) // 4 * 4
-    gains = 1 + rows * columns
+    gains = 1 + rows * step_columns
     spans = gains + nl * rows
     upper = spans + ns
     out = upper + 8
@@ -135,10 +144,18 @@ def layout(ints: Any) -> Layout:
     return Layout(
         n, m, nc, nl, ns, ints[5], ny, rows, columns, differ, parameters,
         11, 11 + nl,
-        start, end, current, force, last,
+        start, end, current, last, force,
         step, step + n, step + n + nl,
         acting, acting + nl, acting + 2 * nl, acting + 3 * nl, acting + 4 * nl, acting + 5 * nl, acting + 6 * nl,
         acting + 7 * nl, acting + 8 * nl, failed, scratch, outcome, outcome + out_rows,
-        1, gains, spans, upper, upper + 1, upper + 2, upper + 3, upper + 4, upper + 5, upper + 6, upper + 7,
+        1, step_columns, gains, spans, upper, upper + 1, upper + 2, upper + 3, upper + 4, upper + 5, upper + 6, upper + 7,
         out, out_rows, own, own + nl * parameters,
     )  # fmt: skip
+
+
+def aligned(*shape: int) -> np.ndarray:
+    """Zeros that begin where eight lanes are one access to memory; twice as fast as where they are not."""
+    count = int(np.prod(shape))
+    raw = np.zeros(count + WIDTH)
+    skip = -(raw.ctypes.data // raw.itemsize) % WIDTH
+    return raw[skip : skip + count].reshape(shape)

@@ -11,8 +11,11 @@ U = nb.uintp  # an unsigned index spares the code for negative ones
 
 
 def sums(mats, own, at, height, columns, state, result, rows):
-    """Rows `result`... of the state = a matrix of the pool, stored column by column, times its first `columns` rows."""
-    for i in range(0, rows, 4):
+    """Rows `result`... of the state = a matrix of the pool, stored column by column, times its first `columns` rows.
+
+    The last rows first: what a step does next begins with them, and the processor does not wait.
+    """
+    for i in range(rows - 4, -1, -4):
         a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
         k = at + i
         if own:

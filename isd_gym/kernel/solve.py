@@ -22,7 +22,7 @@ def solved(mats, own, ints, state, count, now):
         friction = spread(0.0)
         if at.laws > at.smooth:
             friction = load(state, (at.force + at.smooth) * WIDTH)
-        apply(mats, own, ints, state, friction, friction)
+        apply(mats, own, at, state, friction, friction)
     if left:
         finish(mats, own, ints, state, left)
     for l in range(count):

@@ -11,13 +11,12 @@ from .linear import U, sums, take
 from .solve import solved
 
 
-def march(mats, own, ints, state, u, c, u_at, c_at, steps, width, first, count, now):
+def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, count, now):
     """Run a group of `count` lanes in place for `steps` steps, the first of them number `now`.
 
     u (.., m, width) from row u_at and c (.., nc, width) from row c_at, flat; `width` 1: all lanes have the same inputs, else
     the group's are those from `first` on.
     """
-    at = layout(ints)
     m, nc, nl = at.inputs, at.currents, at.laws
     for k in range(steps):
         for j in range(2 * m):
@@ -26,22 +25,20 @@ def march(mats, own, ints, state, u, c, u_at, c_at, steps, width, first, count, 
             take(state, at.current + j, c, (c_at + k) * nc + j, width, first, count)
         for j in range(nl * at.differ):
             store(state, (at.last + j) * WIDTH, load(state, (at.elongation + j) * WIDTH))
-        sums(mats, own, at.matrix, at.rows, at.columns, state, at.step, at.rows)
+        sums(mats, own, at.matrix, at.rows, at.step_columns, state, at.step, at.rows)
         if at.way == CONTACT:
-            touch(mats, own, ints, state)
+            touch(mats, own, at, state)
         else:
             solved(mats, own, ints, state, count, now + k)
 
 
-def outputs(mats, own, ints, state):
+def outputs(mats, own, at, state):
     """The outputs now, into their rows of the state."""
-    at = layout(ints)
     sums(mats, own, at.out, at.out_rows, at.columns, state, at.outcome, at.out_rows)
 
 
-def pool_of(mats, own, ints, group):
-    size = layout(ints).size
-    return mats[group * size * WIDTH : (group + 1) * size * WIDTH] if own else mats
+def pool_of(mats, own, at, group):
+    return mats[group * at.size * WIDTH : (group + 1) * at.size * WIDTH] if own else mats
 
 
 def record(mats, ints, states, u, c, every, width, lanes, out):
@@ -62,22 +59,22 @@ def record(mats, ints, states, u, c, every, width, lanes, out):
     for group in range((lanes + WIDTH - 1) // WIDTH):
         first = group * WIDTH
         count = min(WIDTH, lanes - first)
-        pool, state = pool_of(mats, own, ints, group), states[group * size : (group + 1) * size]
+        pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
         for j in range(m):  # before the first step
             take(state, at.end + j, u, j, width, first, count)
         for k in range(out.shape[0]):
             if k > 0:
                 begin = (k - 1) * every
-                march(pool, own, ints, state, u, c, begin, begin, every, width, first, count, begin + 1)
+                march(pool, own, at, ints, state, u, c, begin, begin, every, width, first, count, begin + 1)
             if some_early:
-                outputs(pool, own, ints, state)
+                outputs(pool, own, at, state)
                 for i in range(ny):
                     if ints[U(early + i)] != 0:
                         for l in range(count):
                             out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
             for j in range(nc):  # a current acts from its sample on
                 take(state, at.current + j, c, min(k * every, last) * nc + j, width, first, count)
-            outputs(pool, own, ints, state)
+            outputs(pool, own, at, state)
             for i in range(ny):
                 if ints[U(early + i)] == 0:
                     for l in range(count):
@@ -96,8 +93,8 @@ def advance(mats, ints, state, u, c, lanes):
         for i in range(at.scratch):
             for l in range(count):
                 work[U(i * WIDTH + l)] = state[i, first + l]
-        pool = pool_of(pools, own, ints, group)
-        march(pool, own, ints, work, flat_u, flat_c, 0, 0, u.shape[0] - 1, lanes, first, count, 1)
+        pool = pool_of(pools, own, at, group)
+        march(pool, own, at, ints, work, flat_u, flat_c, 0, 0, u.shape[0] - 1, lanes, first, count, 1)
         for i in range(at.scratch):
             for l in range(count):
                 state[i, first + l] = work[U(i * WIDTH + l)]
@@ -117,7 +114,7 @@ def measure(mats, ints, state, u, c, lanes, out):
                 state[at.current + j, first + l] = c[j, first + l]
             for i in range(at.columns):
                 work[U(i * WIDTH + l)] = state[i, first + l]
-        outputs(pool_of(pools, own, ints, group), own, ints, work)
+        outputs(pool_of(pools, own, at, group), own, at, work)
         for i in range(at.outputs):
             for l in range(min(WIDTH, lanes - first)):
                 out[i, first + l] = work[U((at.outcome + i) * WIDTH + l)]
