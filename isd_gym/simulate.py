@@ -27,6 +27,7 @@ PHYSICS_STEP = 1e-3  # s
 #: parts of the base vector that are the motion of a node, each the derivative of the one before
 PARTS = ("r", "v", "alpha")
 TOLD = dict(zip(MOTIONS, PARTS, strict=True))
+AT_ONCE = 1e-12  # m/s per N or A: below is rounding; a damper of 1e12 N s/m
 WAY = Layout._fields.index("way")
 
 
@@ -128,16 +129,31 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     smooth = ~dry[:, None]
     rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
     gains = np.vstack([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)])
-    way, of_laws, parameters = _law_numbers(laws, ns, GD, GS, bool(differ.any()))
     O = asm.outputs
+    # massless terminals: what friction and currents do to a law's rate there, they do at once
+    jumps = asm.elongation_rate[order][~differ]
+    jumps = np.hstack([jumps[:, c], jumps[:, [j for j, is_dry in zip(own, dry, strict=True) if is_dry]]])
+    instant = bool(np.abs(jumps).max(initial=0.0) > AT_ONCE)
+    if instant:
+        O = np.vstack([O, asm.elongation[order], np.where(differ[:, None], 0.0, asm.elongation_rate[order])])
+    way, of_laws, parameters = _law_numbers(laws, ns, GD, GS, bool(differ.any()), instant)
     zero = np.zeros((len(O), 1))
     seen_outside = np.hstack(
         [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], zero.repeat(blank.shape[1], 1), O[:, own]]
     )
-    sizes = (n, m, nc, nl, ns, way, len(O), -(-len(rows) // 4) * 4, seen_outside.shape[1], int(differ.any()))
-    # velocities that both a current and a law's force reach at once: seen before the current steps
-    early = np.array([c_.quantity == "velocity" for c_ in asm.channels], bool)
-    early &= O[:, c].any(axis=1) & O[:, own].any(axis=1)
+    sizes = (
+        n,
+        m,
+        nc,
+        nl,
+        ns,
+        way,
+        len(asm.outputs),
+        -(-len(rows) // 4) * 4,
+        seen_outside.shape[1],
+        int(differ.any()),
+    )
+    O = asm.outputs
     return Discrete(
         blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
         outputs=(O[:, x], O[:, u], _pad(O[:, c]), O[:, f]),
@@ -145,13 +161,13 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
         numbers=np.concatenate(
             [[step], _stored(rows), _stored(gains), of_laws, _stored(seen_outside), parameters.ravel()]
         ),
-        ints=np.array([*sizes, parameters.shape[1], *codes, *differ, *early], np.int64),
+        ints=np.array([*sizes, parameters.shape[1], instant, *codes, *differ], np.int64),
         order=tuple(int(j) for j in order),
     )
 
 
 def _law_numbers(
-    laws: Sequence[el.Element], ns: int, GD: np.ndarray, GS: np.ndarray, differ: bool
+    laws: Sequence[el.Element], ns: int, GD: np.ndarray, GS: np.ndarray, differ: bool, instant: bool
 ) -> tuple[int, np.ndarray, np.ndarray]:
     """The way through a step that is open to a car with these laws, what it reads of them, and their parameters (law, number)."""
     lists = [e.law_parameters() for e in laws]
@@ -167,7 +183,7 @@ def _law_numbers(
     own = GS[ns, ns] if rubs else -1.0
     closed = np.array([np.inf, -np.inf, 0.0, 0.0, 0.0, level, -1.0 / own if own < 0 else 0.0, 0.0])
     contact = laws[0].contact() if ns == 1 else None
-    if differ or len(laws) - ns > 1 or not constant or own >= 0:
+    if differ or len(laws) - ns > 1 or not constant or own >= 0 or (instant and ns):
         way = GENERAL
     elif contact is not None:
         upper, lower, stiffness, damping = contact
@@ -189,7 +205,7 @@ def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
     """The same network with other parameters of its laws (in the assembly's order): its linear part is the same."""
     at = part.layout
     way, of_laws, parameters = _law_numbers(
-        [laws[i] for i in part.order], at.smooth, *part.yields, bool(at.differ)
+        [laws[i] for i in part.order], at.smooth, *part.yields, bool(at.differ), bool(at.instant)
     )
     numbers, ints = part.numbers.copy(), part.ints.copy()
     numbers[at.spans : at.out], numbers[at.own :] = of_laws, parameters.ravel()

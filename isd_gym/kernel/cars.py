@@ -127,7 +127,7 @@ def control(
         first = group * WIDTH
         count = min(WIDTH, ints[-9] - first)
         pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
-        outputs(pool, own, at, state)
+        outputs(pool, own, at, ints, state, count)
         broken += judge(at, state, cars, settings, said, wide, first, count)
         for l in range(count):
             for j in range(5):

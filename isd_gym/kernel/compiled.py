@@ -78,8 +78,9 @@ _CLOSED = (
 _LAWS = (
     laws.parameters, laws.held, laws.seen, laws.ask, laws.rub, laws.push,
     newton.eliminate, newton.answers, newton.newton,
-    solve.settle, solve.busy, solve.finish, solve.solved,
+    solve.settle, solve.busy, solve.finish, solve.solved, solve.at_once,
 )  # fmt: skip
+_INSTEAD = {solve.unsolved: "solved", solve.as_it_is: "at_once"}
 _STEPS = (
     cost.squares,
     steps.march,
@@ -134,12 +135,12 @@ def _bind(of: int, with_laws: bool) -> Kernel:
     if with_laws:
         names["law_force"] = _dispatch([c.law for c in smooth], laws.law_force)  # type: ignore[misc]
         names["law_bound"] = _dispatch([c.bound for c in dry], laws.law_bound)  # type: ignore[misc]
-    for plain in (*_CLOSED, *(_LAWS if with_laws else (solve.unsolved,)), *_STEPS, *_ENTRIES):
+    for plain in (*_CLOSED, *(_LAWS if with_laws else tuple(_INSTEAD)), *_STEPS, *_ENTRIES):
         # compiled functions read constants and one another from `names`; the name of a function is part of its key
         # in numba's cache on disk: the stamp keeps old laws out
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
         twin.__qualname__ = f"{plain.__name__}_{'laws' if with_laws else 'closed'}_{of:x}"
-        name = "solved" if plain is solve.unsolved else plain.__name__
+        name = _INSTEAD.get(plain, plain.__name__)
         options = {**(_ENTRY if plain in _ENTRIES else _INNER), "forceinline": plain in _CLOSE}
         names[name] = nb.njit(twin, **options, inline="always" if plain in _INLINE else "never")
     return Kernel(names["advance"], names["measure"], names["record"], names["drive"])

@@ -75,6 +75,7 @@ class Layout(NamedTuple):
     columns: int  # of the outputs' matrix
     differ: int  # 1 where the rate of any law is a difference of elongations
     parameters: int  # that a law may read
+    instant: int  # 1 where friction or a current moves the terminals of a law at once: see `steps.outputs`
     # places in `ints`
     code: int  # >= 0 a smooth law, < 0 a dry one
     differs: int
@@ -100,7 +101,7 @@ class Layout(NamedTuple):
     tried_rate: int
     failed: int  # number of the first step that was not solved (0: none), and its law
     scratch: int
-    outcome: int  # outputs
+    outcome: int  # outputs; where `instant`, then elongations and rates of all laws
     height: int  # rows in all
     # numbers of `mats`
     matrix: int
@@ -124,7 +125,7 @@ class Layout(NamedTuple):
 def layout(ints: Any) -> Layout:
     """The `Layout` of `ints` (compiled code calls it, too)."""
     n, m, nc, nl, ns = ints[0], ints[1], ints[2], ints[3], ints[4]
-    rows, columns, differ, parameters = ints[7], ints[8], ints[9], ints[10]
+    rows, columns, differ, parameters, instant = ints[7], ints[8], ints[9], ints[10], ints[11]
     start, end, current = n, n + m, n + 2 * m
     last = current + nc
     force = last + nl * differ
@@ -135,15 +136,15 @@ def layout(ints: Any) -> Layout:
     scratch = failed + 2
     outcome = scratch + (nl * (nl + 4) + WIDTH - 1) // WIDTH
     ny = ints[6]
-    out_rows = (ny + 3) // 4 * 4
+    out_rows = (ny + 2 * nl * instant + 3) // 4 * 4
     gains = 1 + rows * step_columns
     spans = gains + nl * rows
     upper = spans + ns
     out = upper + 8
     own = out + out_rows * columns
     return Layout(
-        n, m, nc, nl, ns, ints[5], ny, rows, columns, differ, parameters,
-        11, 11 + nl,
+        n, m, nc, nl, ns, ints[5], ny, rows, columns, differ, parameters, instant,
+        12, 12 + nl,
         start, end, current, last, force,
         step, step + n, step + n + nl,
         acting, acting + nl, acting + 2 * nl, acting + 3 * nl, acting + 4 * nl, acting + 5 * nl, acting + 6 * nl,

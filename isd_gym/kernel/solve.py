@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from .contact import apply
 from .lanes import bits, load, spread, store
-from .laws import law_bound, parameters, push, rub, seen
+from .laws import law_bound, law_force, parameters, push, rub, seen
 from .layout import GENERAL, QUIET, WIDTH, layout
-from .linear import U, clip, pooled
+from .linear import U, clip, number, pooled
 from .newton import newton
 
 SWEEPS = 40  # of Gauss-Seidel
+INSTANTS = 200  # the same for the forces of one instant
 
 
 def solved(mats, own, ints, state, count, now):
@@ -28,6 +31,57 @@ def solved(mats, own, ints, state, count, now):
     for l in range(count):
         if state[U(at.failed * WIDTH + l)] < 0.0:
             state[U(at.failed * WIDTH + l)] = now
+
+
+def at_once(mats, own, ints, state, count):
+    """Outputs with forces that all laws agree to at this instant: states, inputs and currents stay, massless terminals give way.
+
+    Newton steps law by law. A law whose rate is only a difference keeps its force. What does not settle has no outputs.
+    """
+    at = layout(ints)
+    nl, ns = at.laws, at.smooth
+    elongation, rate = at.outcome + at.outputs, at.outcome + at.outputs + nl
+    for l in range(count):
+        for j in range(nl):
+            state[U((at.acting + j) * WIDTH + l)] = state[U((at.force + j) * WIDTH + l)]
+        turns, moved = 0, True
+        while moved and turns < INSTANTS:
+            turns, moved = turns + 1, False
+            for j in range(nl):
+                if ints[U(at.differs + j)]:
+                    continue
+                p, f = parameters(mats, own, at, j, l), state[U((at.acting + j) * WIDTH + l)]
+                d, s = state[U((elongation + j) * WIDTH + l)], state[U((rate + j) * WIDTH + l)]
+                column = at.out + (at.force + j) * at.out_rows
+                by_d = number(mats, own, column + at.outputs + j, l)
+                by_s = number(mats, own, column + at.outputs + nl + j, l)
+                if j < ns:
+                    code, z = ints[U(at.code + j)], state[U((at.memory + j) * WIDTH + l)]
+                    last = state[U((at.elongation + j) * WIDTH + l)]
+                    now = law_force(code, p, d, s, last, z, mats[0])[0]
+                    away = 1e-7 * (1.0 + abs(f))
+                    slope = (
+                        law_force(code, p, d + by_d * away, s + by_s * away, last, z, mats[0])[0] - now
+                    ) / away
+                    new = f + (now - f) / (1.0 - slope if slope < 0.0 else 1.0)
+                elif by_s < 0.0:
+                    level = law_bound(-1 - ints[U(at.code + j)], p, d, s)
+                    still = f - s / by_s
+                    new = level if still > level else (-level if still < -level else still)
+                else:
+                    new = f
+                if abs(new - f) > 1e-10 * (1.0 + abs(f)):
+                    moved = True
+                    for i in range(at.out_rows):
+                        state[U((at.outcome + i) * WIDTH + l)] += number(mats, own, column + i, l) * (new - f)
+                    state[U((at.acting + j) * WIDTH + l)] = new
+        if moved:
+            for i in range(at.outputs):
+                state[U((at.outcome + i) * WIDTH + l)] = math.nan
+
+
+def as_it_is(mats, own, ints, state, count):
+    """In the place of `at_once` where all networks go the way CONTACT."""
 
 
 def unsolved(mats, own, ints, state, count, now):

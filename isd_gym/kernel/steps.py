@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from .contact import touch
-from .lanes import load, store
+from .lanes import fused, load, select, spread, store
 from .layout import CONTACT, WIDTH, layout
-from .linear import U, sums, take
-from .solve import solved
+from .linear import U, clip, pooled, sums, take
+from .solve import at_once, solved
 
 
 def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, count, now):
@@ -32,9 +32,28 @@ def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, cou
             solved(mats, own, ints, state, count, now + k)
 
 
-def outputs(mats, own, at, state):
-    """The outputs now, into their rows of the state."""
+def outputs(mats, own, at, ints, state, count):
+    """The outputs now, into their rows of the state; the forces of the laws are what they are between the steps.
+
+    Where friction or a current moves the terminals of a law at once (`instant`: they have no mass), the forces with which the step
+    ended are not of one instant: friction acted in the mean over the step, the current has just changed. There they
+    are solved for once more, at rest in time.
+    """
     sums(mats, own, at.out, at.out_rows, at.columns, state, at.outcome, at.out_rows)
+    if at.instant:
+        if at.way == CONTACT:
+            rate, gain = load(state, (at.outcome + at.outputs + at.laws) * WIDTH), spread(0.0)
+            for j in range(at.laws):  # one friction
+                old = load(state, (at.force + j) * WIDTH)
+                column = at.out + (at.force + j) * at.out_rows
+                gain = pooled(mats, own, column + at.outputs + at.laws)
+                still = select(gain < 0.0, fused(-gain, old, rate) / -gain, old)
+                change = clip(still, pooled(mats, own, at.level)) - old
+                for i in range(at.outputs):
+                    to = (at.outcome + i) * WIDTH
+                    store(state, to, fused(pooled(mats, own, column + i), change, load(state, to)))
+        else:
+            at_once(mats, own, ints, state, count)
 
 
 def pool_of(mats, own, at, group):
@@ -44,17 +63,12 @@ def pool_of(mats, own, at, group):
 def record(mats, ints, states, u, c, every, width, lanes, out):
     """A whole record: flat u (N*every+1, m, width) and c (N*every, nc, width); the lanes share inputs if width is 1.
 
-    out (N+1, ny, lanes) holds the outputs at every `every`-th step. `states`: of the groups, one after another. The last
-    numbers of `ints` say of every output whether it sees a current before its sample (`Plant.early`).
+    out (N+1, ny, lanes) holds the outputs at every `every`-th step. `states`: of the groups, one after another.
     """
     at = layout(ints)
     own = mats.shape[0] != at.size
-    m, nc, ny, nl = at.inputs, at.currents, at.outputs, at.laws
+    m, nc, ny = at.inputs, at.currents, at.outputs
     size = at.height * WIDTH
-    early = at.differs + nl
-    some_early = False
-    for i in range(ny):
-        some_early |= ints[U(early + i)] != 0
     last = c.shape[0] // max(nc * width, 1) - 1
     for group in range((lanes + WIDTH - 1) // WIDTH):
         first = group * WIDTH
@@ -66,19 +80,12 @@ def record(mats, ints, states, u, c, every, width, lanes, out):
             if k > 0:
                 begin = (k - 1) * every
                 march(pool, own, at, ints, state, u, c, begin, begin, every, width, first, count, begin + 1)
-            if some_early:
-                outputs(pool, own, at, state)
-                for i in range(ny):
-                    if ints[U(early + i)] != 0:
-                        for l in range(count):
-                            out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
             for j in range(nc):  # a current acts from its sample on
                 take(state, at.current + j, c, min(k * every, last) * nc + j, width, first, count)
-            outputs(pool, own, at, state)
+            outputs(pool, own, at, ints, state, count)
             for i in range(ny):
-                if ints[U(early + i)] == 0:
-                    for l in range(count):
-                        out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
+                for l in range(count):
+                    out[k, i, first + l] = state[U((at.outcome + i) * WIDTH + l)]
 
 
 def advance(mats, ints, state, u, c, lanes):
@@ -107,14 +114,15 @@ def measure(mats, ints, state, u, c, lanes, out):
     work = np.zeros(at.height * WIDTH)
     for group in range((lanes + WIDTH - 1) // WIDTH):
         first = group * WIDTH
-        for l in range(min(WIDTH, lanes - first)):
+        count = min(WIDTH, lanes - first)
+        for l in range(count):
             for j in range(at.inputs):
                 state[at.end + j, first + l] = u[j, first + l]
             for j in range(at.currents):
                 state[at.current + j, first + l] = c[j, first + l]
-            for i in range(at.columns):
+            for i in range(at.scratch):
                 work[U(i * WIDTH + l)] = state[i, first + l]
-        outputs(pool_of(pools, own, at, group), own, at, work)
+        outputs(pool_of(pools, own, at, group), own, at, ints, work, count)
         for i in range(at.outputs):
-            for l in range(min(WIDTH, lanes - first)):
+            for l in range(count):
                 out[i, first + l] = work[U((at.outcome + i) * WIDTH + l)]
