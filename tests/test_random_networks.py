@@ -163,7 +163,9 @@ def test_a_motor_on_a_terminal_without_mass(law):
         model["outputs"].append({"name": "law", "quantity": "force", "element": "law", "unit": "N"})
     time = np.arange(2001) * 1e-3
     current = np.repeat(np.random.default_rng(3).uniform(-5, 5, 101), 20)[: len(time)]
-    out = {k: v[:-1] for k, v in simulate(model, time, {"current": current}).items()}  # no current from the last sample on
+    out = {
+        k: v[:-1] for k, v in simulate(model, time, {"current": current}).items()
+    }  # no current from the last sample on
     push = thrust * current[:-1]  # on the terminal, towards the mass
     rest = push - damping * out["v"] - out.get("law", 0.0)
     np.testing.assert_allclose(out["damper"], damping * out["v"], rtol=1e-9, atol=1e-6)

@@ -7,7 +7,7 @@ from itertools import combinations
 
 from .. import elements as el
 from ..network import GROUND, Network
-from ..network.assembly import frames
+from ..network.frames import frames
 from .structure import Hypothesis
 
 __all__ = ["Hypothesis", "hypotheses", "pairs"]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..network import Channel, Network, assemble
-from ..network.assembly import frames
+from ..network.frames import frames
 from .problem import Array, Problem, bare, led, motion_rows_of
 from .structure import Structure, twin
 

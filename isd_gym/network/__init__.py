@@ -1,14 +1,15 @@
 """A suspension as a network: masses, named nodes, and two-terminal elements between them.
 
 `Network` is the model (`model`), `isd-model/1` its JSON file (`format`); `assemble` turns it into equations of motion
-without any hand derivation, and `linearise` into a state space with named signals, for controllers and frequency
-responses (`assembly`).
+without any hand derivation (`assembly`, `frames`), and `linearise` into a state space with named signals, for controllers and frequency
+responses (`linear`).
 """
 
 from ..units import UNITS
-from .assembly import Assembly, StateSpace, assemble, linearise
+from .assembly import Assembly, assemble
 from .cut import cut, rejoin
 from .format import SCHEMA, builtin_networks
+from .linear import StateSpace, linearise
 from .model import GROUND, MOTIONS, Channel, Network
 
 __all__ = [

@@ -1,0 +1,89 @@
+"""Frames that move with a node of which only the velocity or the acceleration is known, and what these do not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..units import TURNING
+from .model import GROUND, MOTIONS, Network
+
+
+def frames(network: Network) -> dict[str, int]:
+    """Free nodes that are seen from the frame of a moved one: node -> number of the input that moves it (of `moving`).
+
+    network: the model. Raises `InputError` where a part of the network has a moved node that is told by its velocity or
+    acceleration, and another moved node besides.
+    """
+    out: dict[str, int] = {}
+    for j, c in enumerate(network.moving):
+        if c.quantity == "displacement":
+            continue
+        part = network.tied[str(c.at)]
+        other = next((o for o in network.moving if o is not c and network.tied[str(o.at)] == part), None)
+        if other is not None:
+            raise InputError(
+                f"input '{c.name}': the {c.spoken} of '{c.at}' says nothing of its distance from '{other.at}', which "
+                f"'{other.name}' moves and the network ties to it: give both as displacements, or leave one out"
+            )
+        out |= {n: j for n, p in network.tied.items() if p == part and n != c.at}
+    return out
+
+
+def unknown(network: Network, spans: Mapping[str, slice]) -> list[tuple[int, str]]:
+    """Columns of the base vector that no input tells, and what each is."""
+    told = [MOTIONS.index(c.quantity) for c in network.moving]
+    places = [(spans["r"].start + j, "displacement") for j, order in enumerate(told) if order > 0]
+    return places + [(spans["v"].start + j, "velocity") for j, order in enumerate(told) if order > 1]
+
+
+def complete(
+    network: Network, unknown: Sequence[tuple[int, str]], rate: Any, d: Any, v: Any, outputs: Sequence[Any]
+) -> None:
+    """Raise `InputError` where equations or outputs need what the velocity or the acceleration of a node does not tell.
+
+    unknown: columns of the base vector that are not known, and what each is.
+    """
+    moving = [c for c in network.moving if c.quantity != "displacement"]
+
+    def first(rows: Any) -> tuple[int, str] | None:
+        """Row and what it lacks."""
+        for k, row in enumerate(rows):
+            for column, lacking in unknown:
+                if abs(row[column]) > 1e-9 * max(np.abs(row).max(), 1e-300):
+                    return k, lacking
+        return None
+
+    dynamics = first(rate) or first(d) or first(v)
+    if dynamics is not None:
+        for c in moving:
+            part = network.tied[str(c.at)]
+            ties = [e for e in network.elements if e.place == "between" and GROUND in e.where]
+            ties = [e for e in ties if network.tied[next(n for n in e.where if n != GROUND)] == part]
+            lacking = dynamics[1]
+            ties = [
+                e for e in ties if e.law is not None or e.bound is not None or any(e.linear()[:2])
+            ] or ties
+            if ties:
+                what = {("displacement", True): "angle", ("velocity", True): "angular velocity"}.get(
+                    (lacking, c.si in TURNING), lacking
+                )
+                raise InputError(
+                    f"input '{c.name}': element '{ties[0].name}' ties '{ties[0].where[0]}' to '{ties[0].where[1]}', and needs "
+                    f"the {what} of '{c.at}', which its {c.spoken.replace('_', ' ')} does not tell: measure that too and "
+                    "give it as the input instead"
+                )
+        raise InputError(f"input '{moving[0].name}': the {dynamics[1]} of '{moving[0].at}' is missing")
+    seen = first(outputs)
+    if seen is not None:
+        every = {k: c for k, c in enumerate(network.outputs)}
+        name = f"output '{every[seen[0]].name}'" if seen[0] in every else "a channel"
+        node = every[seen[0]].at if seen[0] in every else None
+        raise InputError(
+            f"{name}: the {seen[1]} {f'of {node!r} ' if node else ''}against the ground is not told by input "
+            f"'{moving[0].name}', the {moving[0].spoken.replace('_', ' ')} of '{moving[0].at}': measure it \"between\" "
+            "that node and another"
+        )

@@ -1,0 +1,107 @@
+"""A network about rest as a linear state space with named signals, for controllers and frequency responses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import elements as el
+from ..errors import InputError
+from .assembly import TOO_FAR_APART, assemble
+from .model import MOTIONS, Channel, Network
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """``dx/dt = A x + B u``, ``y = C x + D u``, SI units, with the names of inputs u and outputs y."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Complex frequency response, shape (len(frequency), outputs, inputs), at `frequency` [Hz]."""
+        s = 2j * np.pi * np.asarray(frequency, float)
+        eye = np.eye(len(self.A))
+        return np.array([self.C @ np.linalg.solve(si * eye - self.A, self.B) + self.D for si in s])
+
+
+def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness [N/m] and damping [N s/m] of each law at rest, or of `damping` where it names the law."""
+    slopes_k, slopes_c = np.zeros(len(laws)), np.zeros(len(laws))
+    for j, e in enumerate(laws):
+        if e.name in damping:
+            slopes_c[j] = damping[e.name]
+        elif e.law is not None:
+            p, d, h = np.array(e.law_parameters()), 1e-7, 1e-9
+            slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]) / (2 * d)
+            slopes_c[j] = (e.law(p, 0.0, d, 0.0, 0.0, h)[0] - e.law(p, 0.0, -d, 0.0, 0.0, h)[0]) / (2 * d)
+    return slopes_k, slopes_c
+
+
+def linearise(
+    network: Network | str | Path | Mapping[str, Any],
+    *,
+    outputs: Sequence[Channel] = (),
+    damping: Mapping[str, float] | None = None,
+    laws: bool = False,
+) -> StateSpace:
+    """State space of a network about rest, for controllers and frequency responses.
+
+    `outputs` adds channels to the network's own. A law counts as a linear damper of `damping[element name]`
+    [N s/m] (statistical linearisation of friction, equation 9), else by its slope at rest; with `laws=True` its
+    force is an input of that name instead. Velocities and accelerations of moved nodes appear as inputs
+    ``road'`` and ``road''`` where something acts through them.
+
+    network: a network, a built-in one's name, a file or its content.
+    """
+    network = Network.load(network)
+    asm = assemble(network, outputs)
+    X, f = asm.columns("x"), asm.columns("f")
+    rate, out = asm.rate, asm.outputs
+    if any(asm.outputs_by_difference):
+        raise InputError("the velocity of an algebraic node has no state-space form")
+    if not laws and asm.laws:
+        try:
+            slopes_k, slopes_c = _slopes(asm.laws, damping or {})
+            # f = Kd d + Kc v with d, v = rows @ base and base containing f: solve for f
+            rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
+            gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f], rows)
+        except (ArithmeticError, np.linalg.LinAlgError):  # a law without a slope, or one that nothing holds
+            raise InputError(TOO_FAR_APART) from None
+        rate, out = rate + rate[:, f] @ gain, out + out[:, f] @ gain
+        if not (np.isfinite(rate).all() and np.isfinite(out).all()):
+            raise InputError(TOO_FAR_APART)
+    names: list[str] = []
+    keep: list[int] = []
+    told = {c.name: MOTIONS.index(c.quantity) for c in network.moving}
+    groups = [
+        ("r", [name if at == 0 else "" for name, at in told.items()]),
+        ("v", [name + "'" * (1 - at) if at < 2 else "" for name, at in told.items()]),
+        ("alpha", [name + "'" * (2 - at) for name, at in told.items()]),
+        ("F", [c.name for c in network.inputs if c.quantity == "force"]),
+        ("I", [c.name for c in network.inputs if c.quantity == "current"]),
+        ("f", [e.name for e in asm.laws] if laws else []),
+    ]
+    for part, labels in groups:
+        for j, label in enumerate(labels):
+            column = asm.columns(part).start + j
+            derived = label == "" or label.endswith("'")
+            if not derived or np.any(rate[:, column]) or np.any(out[:, column]):
+                names.append(label)
+                keep.append(column)
+    return StateSpace(
+        A=rate[:, X].copy(),
+        B=rate[:, keep],
+        C=out[:, X].copy(),
+        D=out[:, keep],
+        inputs=tuple(names),
+        outputs=tuple(c.name for c in (*network.outputs, *outputs)),
+    )
