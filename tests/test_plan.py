@@ -130,6 +130,7 @@ def test_laws_at_two_places_that_one_force_passes_are_not_told_apart() -> None:
     assert [e.status for e in own.effects] == ["named", "named"]
 
 
+@pytest.mark.slow
 def test_a_parameter_that_may_move_hides_what_looks_like_it() -> None:
     """A gain of the only sensor, an accelerometer above a spring that may be anything, is a mass and a spring that are off."""
     free = {**MASS, "uncertainty": {"table.mass": 2.0, "spring.stiffness": 2.0, "damper.damping": 2.0}}
