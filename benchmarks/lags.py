@@ -83,7 +83,12 @@ def main() -> None:
                     _, (found,) = aligned(
                         [record], network, lambda r, known, net=network: read_again(r, known, net)
                     )
-                    row |= {"found": found.value, "low": found.low, "high": found.high, "doubt": found.doubt}
+                    told = (found.value, found.low, found.high)
+                    if (
+                        found.clock == "first"
+                    ):  # the clock with more channels is the one that others are told by
+                        told = (-found.value, -found.high, -found.low)
+                    row |= dict(zip(("found", "low", "high"), told, strict=True)) | {"doubt": found.doubt}
                     row |= {"step": record.step, "pace": record.pace}
                 except InputError as error:
                     row["error"] = str(error)

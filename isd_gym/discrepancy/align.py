@@ -24,6 +24,8 @@ ROWS = 1500  # samples of a channel that it looks at
 ROUGH = 0.1  # share of a signal that a model may be off before anything is fitted
 BLOCKS = 20  # from whose scatter the interval comes
 ROUNDS = 6
+RIVAL, MANY = 4.0, 6  # of the least cost: lags that are fitted, too, and how many of them
+ALIKE = 1.3  # times the least cost: a lag that is nearly as good
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,10 @@ def aligned(
     problem = Problem(network, out, ["fit"] * len(out))
     for i, r in enumerate(out):
         if r.clocks and doubts is None:
-            found, doubt[i] = _first_look(problem, structure, i, limit)
+            found, doubt[i], others = _first_look(problem, structure, i, limit)
             out[i] = again(r, found)
+            if others:  # several periods fit: the one that fits best once parameters and initial state are fitted, too
+                out[i], doubt[i] = _fitted_best(out[i], others, network, again)
     x, fit = structure.start, None
     for _ in range(ROUNDS):
         problem = Problem(network, out, ["fit"] * len(out))
@@ -115,7 +119,9 @@ def told(problem: Problem, fit: Fit, index: int, doubt: str = "") -> list[Lag]:
     return out
 
 
-def _first_look(problem: Problem, base: Structure, index: int, limit: float) -> tuple[dict[str, float], str]:
+def _first_look(
+    problem: Problem, base: Structure, index: int, limit: float
+) -> tuple[dict[str, float], str, list[float]]:
     """The lag of every clock of a record at which the model, linear in parameters and initial state, comes closest; and a doubt.
 
     Clocks are looked at one after the other, the first with the channels of the reference clock alone beside it.
@@ -127,12 +133,13 @@ def _first_look(problem: Problem, base: Structure, index: int, limit: float) -> 
     y, dp, ds = tangent.outputs, tangent.by_parameter, tangent.by_state
     columns = np.concatenate([y[:, :, None], dp, ds], axis=2)
     if not np.isfinite(columns).all():
-        return dict(record.lags), "the model breaks down before anything is fitted"
+        return dict(record.lags), "the model breaks down before anything is fitted", []
     sigma = np.array([f.sigma for f in base.free])
     prior = np.concatenate([1 / sigma, np.full(ds.shape[2], 1e-9)])
     source = record.source
     assert source is not None
     lags, doubt = dict(record.lags), ""
+    others: list[float] = []
     grid = record.start + record.step * np.arange(len(y))
     known = [j for j, c in enumerate(network.outputs) if not any(own[j] for own in record.late)]
     reach = min(limit, 0.25 * (grid[-1] - grid[0]))
@@ -151,7 +158,7 @@ def _first_look(problem: Problem, base: Structure, index: int, limit: float) -> 
                 v = np.convolve(v, np.ones(stride) / stride, mode="same")
             blocks[j] = (t[::stride], v[::stride], max(float(v.std()), 1e-300), stride)
         if min(len(b[0]) for b in blocks.values()) < 16:
-            return lags, "too short to look for it"
+            return lags, "too short to look for it", []
 
         def rows(j: int, lag: float, blocks: dict = blocks) -> Array:
             t, v, size, _ = blocks[j]
@@ -202,9 +209,43 @@ def _first_look(problem: Problem, base: Structure, index: int, limit: float) -> 
             if other < 1.15 * least + 0.02 * n:
                 at = float(trials[far][int(np.argmin(costs[far]))])
                 doubt = f"{1e3 * at:.4g} ms would be nearly as good"
+        valleys = [
+            k
+            for k in range(1, len(trials) - 1)
+            if costs[k] <= min(costs[k - 1], costs[k + 1]) and abs(trials[k] - best) > record.pace
+        ]
+        valleys = [k for k in valleys if costs[k] < RIVAL * least]
+        small = sorted(valleys, key=lambda k: abs(trials[k]))[: MANY // 2]  # clocks are rather off by little
+        valleys = list(dict.fromkeys([*small, *sorted(valleys, key=lambda k: costs[k])]))[:MANY]
+        others = [float(trials[k]) for k in valleys]
         if abs(best) > 0.97 * reach:
             doubt = f"at the limit of {reach:.3g} s within which it was sought"
-    return lags, doubt
+    return lags, doubt, others if len(record.clocks) == 1 else []
+
+
+def _fitted_best(
+    record: Record,
+    others: Sequence[float],
+    network: Network,
+    again: Callable[[Record, Mapping[str, float]], Record],
+) -> tuple[Record, str]:
+    """Of the record as it is and with `others` for its clock's lag, the one that fits best by itself; and a doubt."""
+    (clock,) = record.clocks
+    structure, tried = base_structure(network), []
+    for r in [record, *(again(record, {clock: lag}) for lag in others)]:
+        weights = plain(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
+        try:
+            f = Fitter(Problem(network, [r], ["fit"]), weights).fit(structure, iterations=5)
+        except InputError:
+            continue
+        lag = r.lags[clock] + float(np.clip(f.offset[0][len(network.outputs)], -0.3 * r.pace, 0.3 * r.pace))
+        tried.append(((f.cost + f.prior) / len(r), lag))
+    if not tried:
+        return record, "the model breaks down before anything is fitted"
+    least, best = min(tried)
+    rivals = [lag for cost, lag in tried if cost < ALIKE * least and abs(lag - best) > record.pace]
+    doubt = f"{1e3 * min(rivals, key=abs):.4g} ms would be nearly as good" if rivals else ""
+    return again(record, {clock: best}), doubt
 
 
 def _alike(
