@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
+from isd_gym.network import Network
 
 IDS = ["ISDSuspension-v0", "ISDSuspensionEq8-v0"]
 
@@ -283,3 +284,32 @@ def test_ppo_learns_on_it_in_three_lines():
     model = sb3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, n_epochs=1, seed=0)
     model.learn(128)
     assert env.action_space.contains(model.predict(env.reset(seed=0)[0])[0])
+
+
+def test_a_car_that_diverges_is_terminated_with_finite_numbers():
+    """A damper that drives: reward, observation and info stay finite, alone and in a batch, and both end at the same step."""
+    net = Network.load("quarter-car-passive").with_element(
+        {
+            "name": "driver",
+            "type": "asymmetric_damping",
+            "between": ["body", "wheel"],
+            "extension": -20000.0,
+            "compression": -20000.0,
+        }
+    )
+    car = gym.make("isd_gym:ISDSuspension-v0", network=net)
+    cars = gym.make_vec("isd_gym:ISDSuspension-v0", 3, network=net)
+    car.reset(seed=4)
+    cars.reset(seed=4)
+    for _ in range(4000):
+        obs, reward, terminated, truncated, info = car.step(np.zeros(1, np.float32))
+        many, rewards, ended, _, infos = cars.step(np.zeros((3, 1), np.float32))
+        assert np.isfinite(obs).all() and np.isfinite(reward) and np.isfinite(list(info.values())).all()
+        assert (
+            np.isfinite(many).all() and np.isfinite(rewards).all() and np.isfinite(infos["tyre_load"]).all()
+        )
+        assert obs in car.observation_space
+        assert ended[0] == terminated and rewards[0] == reward
+        if terminated:
+            break
+    assert terminated and not truncated
