@@ -530,11 +530,14 @@ def test_every_number_of_every_element_has_a_hard_limit():
             for f in fields(cls)
             if "unit" in f.metadata
         }
-        cls(name="x", where=where, **usual)
+        table = {"elongation": [0.0, 1.0], "force": [0.0, 1.0]} if kind == "tabulated_force" else {}
+        cls(name="x", where=where, **usual, **table)
         for name in usual:
             for value in (1.5e33, -1e308, float("nan"), 10**400, "1", True, None, [1.0]):
                 refused(
-                    lambda cls=cls, v={**usual, name: value}, where=where: cls(name="x", where=where, **v),
+                    lambda cls=cls, v={**usual, **table, name: value}, where=where: cls(
+                        name="x", where=where, **v
+                    ),
                     f"{name} must be",
                 )
         assert kind
