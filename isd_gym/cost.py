@@ -16,7 +16,11 @@ Signal = TypeVar("Signal", float, np.ndarray)
 def squares(
     by_a: Any, by_l: Any, by_f: Any, by_i: Any, a: Any, l: Any, f: Any, i: Any
 ) -> tuple[Any, Any, Any, Any]:
-    """The terms of the cost, of floats or arrays, and in compiled code: factors times the squares of acceleration, travel, tyre load and current."""
+    """The terms of the cost, of floats or arrays, and in compiled code: factors times the squares of acceleration, travel, tyre load and current.
+
+    by_a [s^4/m^2], by_l [1/m^2], by_f [1/N^2], by_i [1/A^2]: the factors, `StageCost.quadratic`'s. a: acceleration
+    [m/s^2]; l: travel [m]; f: tyre load [N]; i: current [A].
+    """
     return by_a * (a * a), by_l * (l * l), by_f * (f * f), by_i * (i * i)
 
 

@@ -29,7 +29,7 @@ SAMPLES = 12000  # of a test that are simulated while tests are compared
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A set of effects at its values: `structure` and `x`, its free numbers (transformed)."""
+    """A set of effects at its values: `structure` and `x`, its free numbers (transformed). label: what it is called."""
 
     label: str
     structure: Structure
@@ -38,7 +38,9 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A test that was designed, in words (`text`), as numbers and as the record that plays it. separation: distance [standard deviations of the noise, over the whole record] of the two
+    """A test that was designed, in words (`text`), as numbers (`excitation`, played within `rig`) and as the `record` that plays it.
+
+    separation: distance [standard deviations of the noise, over the whole record] of the two
     rivals that stay closest, the one refitted to the other; `closest` names them, `watch` the channel that shows most of it.
     usual: the same for a multisine over all of the band. tried: how many tests there were to choose among. told: of a
     test that is for no rivals in particular: hypotheses that it tells, that the usual one tells, and how many there are.
@@ -82,19 +84,28 @@ class Design:
         }
 
     def save(self, path: str | Path, network: Network) -> None:
-        """Write the inputs as a table that a rig can play, and that `simulate` reads."""
+        """Write the inputs as a table that a rig can play, and that `simulate` reads.
+
+        path: of the table, its suffix tells the format; network: the model whose inputs they are.
+        """
         write_test(path, network, self.record)
 
 
 def played(network: Network, record: Record) -> Table:
-    """The inputs of a record as a table for a file without units of its own: a column ``name [unit]`` for each."""
+    """The inputs of a record as a table for a file without units of its own: a column ``name [unit]`` for each.
+
+    network: the model whose inputs they are, in its channels' units; record: holds them in SI units.
+    """
     table = table_of(network, record)
     named = {f"{k} [{table.units[k]}]": v for k, v in table.columns.items()}
     return replace(table, columns=named, units={})
 
 
 def write_test(path: str | Path, network: Network, record: Record) -> None:
-    """The inputs of a record as a table: time [s] and, in text files, a column ``name [unit]`` for each."""
+    """The inputs of a record as a table: time [s] and, in text files, a column ``name [unit]`` for each.
+
+    path: of the table, its suffix tells the format; network: the model whose inputs they are; record: holds them [SI unit].
+    """
     text = Path(path).suffix.lower() in (".csv", ".txt", ".tsv")
     write_table(path, played(network, record) if text else table_of(network, record))
 
@@ -170,8 +181,9 @@ def design(
 ) -> Design | None:
     """The test within `rig` under which the two of `rivals` that stay closest are furthest apart.
 
-    network: the owner's model. noise (channels,): RMS of the outputs [their units]. tests: to choose among. Returns None
-    where fewer than two rivals are left, or none of the tests can be simulated.
+    network: the owner's model. noise (channels,): RMS of the outputs [their units]. tests: to choose among, else
+    `candidates`. progress: called with a stage and its share. Returns None where fewer than two rivals are left, or none
+    of the tests can be simulated.
     """
     say = progress or (lambda name, share: None)
     rivals = list(rivals)[:MOST]
@@ -213,7 +225,10 @@ def _short(network: Network, rig: Rig, e: Excitation) -> Record:
 
 def noise_of(network: Network, rig: Rig, given: Mapping[str, float], records: Sequence[Record] = ()) -> Array:
     """RMS noise of every output [its unit] (channels,): as given, of the model file, as records of it tell, else 1 % of its
-    deviation under a multisine over all of the band."""
+    deviation under a multisine over all of the band.
+
+    network: the owner's model; rig: what can play that multisine. given: by the output's name; records: what was measured, where it was.
+    """
     from .stand import measured_noise
 
     known = measured_noise(records, network)
@@ -230,7 +245,11 @@ def noise_of(network: Network, rig: Rig, given: Mapping[str, float], records: Se
 
 
 def next_experiment(problem: Problem, contenders: Sequence[Candidate], floor: Array) -> Design | None:
-    """The test that would decide between what a diagnosis could not tell apart, within the range of its own records."""
+    """The test that would decide between what a diagnosis could not tell apart, within the range of its own records.
+
+    problem: the diagnosis', whose records to fit by tell what the rig can do. contenders: as fitted, the foremost first.
+    floor (channels,): RMS of the noise [the channels' units]. None where the model has no inputs, its records tell of no rig, or `design` finds none.
+    """
     if not problem.network.inputs:
         return None
     rivals = [Rival(c.label, c.fit.structure, c.fit.x) for c in contenders]
@@ -243,7 +262,10 @@ def next_experiment(problem: Problem, contenders: Sequence[Candidate], floor: Ar
 
 
 def rivals_of(network: Network, result: str | Path | Mapping[str, Any]) -> list[Rival]:
-    """The rivals that a diagnosis was left with, from its JSON. Raises `InputError` where there are none to tell apart."""
+    """The rivals that a diagnosis was left with, from its JSON. Raises `InputError` where there are none to tell apart.
+
+    network: the owner's model that was diagnosed; result: the path of its diagnosis.json, or what stands in it.
+    """
     data = result if isinstance(result, Mapping) else read_json(result)
     name = "the diagnosis" if isinstance(result, Mapping) else str(result)
     if not isinstance(data, Mapping) or not str(data.get("schema", "")).startswith("isd-diagnosis/"):

@@ -85,7 +85,10 @@ class Excitation:
             raise InputError(f"no excitation {shown(self.kind)} (there are {', '.join(KINDS)})")
 
     def signals(self, network: Network, rig: Rig) -> dict[str, Array]:
-        """Every input [SI unit] (samples,), within its limits, from zero to zero."""
+        """Every input [SI unit] (samples,), within its limits, from zero to zero.
+
+        network: the model whose inputs they are; rig: its limits, length and sampling step.
+        """
         time = rig.time
         window = _window(time)
         out = {}
@@ -103,7 +106,7 @@ class Excitation:
         return out
 
     def describe(self, network: Network, rig: Rig) -> str:
-        """In words, with the amplitudes: ``multisine, 0.5 to 15 Hz, 20 s: road to 8.2 mm``."""
+        """In words, with the amplitudes: ``multisine, 0.5 to 15 Hz, 20 s: road to 8.2 mm``. Arguments: `network` and `rig`, as `signals` has them."""
         played = self.signals(network, rig)
         by_name = {c.name: c for c in network.inputs}
         parts = [f"{n} to {_amount(float(np.abs(played[n]).max()), by_name[n])}" for n in self.at]
@@ -197,7 +200,7 @@ def rig_of(
 ) -> Rig:
     """What the rig can play: as the options say, else the range of `records`, else what any rig of that kind can do.
 
-    limits: by input. band [Hz]. length [s]. rate: sampling [Hz]. notes: gets a line for what nobody stated.
+    network: the model whose inputs are played. limits: by input. band: (low, high) [Hz]. length [s]. rate: sampling [Hz]. notes: gets a line for what nobody stated.
     """
     if not network.inputs:
         raise InputError(f"model '{network.name}' has no inputs: there is no test to play")
@@ -229,7 +232,7 @@ def rig_of(
             )
         given[c.name] = Limits(reach, SLOPE.get(c.si, math.inf))
         said.append(f"{c.name}: taken to reach {_amount(reach, c)} (--limit {c.name}=VALUE says otherwise)")
-    own = band or (_band_of(records, network) if records else natural_band(network))
+    own = band or (_band_of(records, network) if records else _natural_band(network))
     if band is None and not records:
         said.append(
             f"band: {own[0]:.3g} to {own[1]:.3g} Hz, about the model's own frequencies (--band says otherwise)"
@@ -242,7 +245,7 @@ def rig_of(
     return Rig(given, own, seconds, step)
 
 
-def natural_band(network: Network) -> tuple[float, float]:
+def _natural_band(network: Network) -> tuple[float, float]:
     """From a quarter of the lowest to half as much again of the highest frequency [Hz] at which the model swings."""
     asm = assemble(bare(network))
     found = np.linalg.eigvals(asm.rate[:, asm.columns("x")]) if asm.size[0] else np.zeros(0)
@@ -278,7 +281,10 @@ def _band_of(records: Sequence[Record], network: Network) -> tuple[float, float]
 
 def candidates(network: Network, rig: Rig, seed: int = 0) -> Iterator[Excitation]:
     """Tests among which a design chooses: every kind, all of the band and either half of it, strong and weak, at all
-    inputs and at each alone."""
+    inputs and at each alone.
+
+    network: the model whose inputs they are; rig: its band and length; seed: as every `Excitation` has it.
+    """
     low, high = rig.band
     middle = math.sqrt(low * high)
     names = tuple(c.name for c in network.inputs)
@@ -299,18 +305,27 @@ def candidates(network: Network, rig: Rig, seed: int = 0) -> Iterator[Excitation
 
 
 def default(network: Network, rig: Rig, kind: str = "multisine", seed: int = 0) -> Excitation:
-    """One test of that kind with all of the band at all inputs."""
+    """One test of that kind with all of the band at all inputs.
+
+    network: the model whose inputs they are; rig: its band; kind: one of `KINDS`; seed: as `Excitation` has it.
+    """
     return Excitation(kind, *rig.band, tuple(c.name for c in network.inputs), 1.0, seed)
 
 
 def record_of(network: Network, rig: Rig, e: Excitation, name: str = "planned") -> Record:
-    """A record of the test as it will be: inputs, and outputs that nobody measured yet."""
+    """A record of the test as it will be: inputs, and outputs that nobody measured yet (zeros).
+
+    network: the model whose inputs it plays; rig: what plays it; e: the test; name: the record's.
+    """
     inputs = e.signals(network, rig)
     return Record(name, rig.step, inputs, np.zeros((len(rig.time), len(network.outputs))))
 
 
 def table_of(network: Network, record: Record, source: str = "planned test") -> Table:
-    """The inputs of a record as a rig plays them: time [s] and a column ``name [unit]`` in the channel's own unit."""
+    """The inputs of a record as a rig plays them: time [s] and a column for each in the channel's own unit.
+
+    network: the model whose inputs they are; record: holds them [SI unit]; source: what the table calls its origin.
+    """
     columns, units = {}, {}
     for c in network.inputs:
         columns[c.name] = convert(np.asarray(record.inputs[c.name]), c.si, c.unit)
@@ -320,11 +335,12 @@ def table_of(network: Network, record: Record, source: str = "planned test") -> 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A test that was chosen: in words, as numbers, and as the record that plays it."""
+    """A test that was chosen: in words (`text`), as numbers (`excitation`), and as the `record` that plays it."""
 
     excitation: Excitation
     text: str
     record: Record = field(repr=False)
 
     def named(self, name: str) -> Chosen:
+        """The same with `name` for its record's."""
         return replace(self, record=replace(self.record, name=name))
