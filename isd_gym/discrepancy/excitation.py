@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -331,16 +331,3 @@ def table_of(network: Network, record: Record, source: str = "planned test") -> 
         columns[c.name] = convert(np.asarray(record.inputs[c.name]), c.si, c.unit)
         units[c.name] = c.unit
     return Table(record.step * np.arange(record.samples), columns, source, units)
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """A test that was chosen: in words (`text`), as numbers (`excitation`), and as the `record` that plays it."""
-
-    excitation: Excitation
-    text: str
-    record: Record = field(repr=False)
-
-    def named(self, name: str) -> Chosen:
-        """The same with `name` for its record's."""
-        return replace(self, record=replace(self.record, name=name))

@@ -97,7 +97,10 @@ class Foreseen:
 @dataclass(frozen=True)
 class Sensor:
     """A sensor more: `told` of the hypotheses that could not be told from one another now could be, and by which factor
-    (`factor`, median) what noise allows to tell would be smaller. noise: that was reckoned with, in `unit`."""
+    (`factor`, median) what noise allows to tell would be smaller.
+
+    name: of the channel; quantity: what it measures; where: the node, pair or elements at which it sits; noise: that was reckoned with, in `unit`.
+    """
 
     name: str
     quantity: str
@@ -120,7 +123,7 @@ class Plan:
     deviations of the noise, of the row's effect at its smallest nameable size (of a twentieth of the force where it has none) from the
     closest that the column's comes when it and the model are refitted, to first order; the diagonal is that of the
     refitted model alone. sensors: what one more would bring. test: in words; excitation: as numbers, where it was not
-    given as data. noise: of every output [its unit]. length [s], notes, seconds of work.
+    given as data. records: the inputs that were reckoned with. noise: of every output [its unit]. length [s], notes, seconds of work.
     """
 
     network: Network
@@ -174,7 +177,7 @@ class Plan:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write `to_dict` as JSON, whole or not at all."""
+        """Write `to_dict` as JSON to `path`, whole or not at all."""
         write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
 
 
