@@ -110,13 +110,14 @@ def drive(
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
     sensors: Sensors | None = None,
+    timed: int = TIMED,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Drive one policy over all episodes; episode i has the road of environment seed ``seed + i``.
 
     entry: the policy, on its own plant where it has one, else on `network`. road, randomize, speed [m/s],
-    duration [s], sensors: as the environment takes them. episodes: how many. cost: of the reward. progress(share): told
-    now and then.
+    duration [s], sensors: as the environment takes them. episodes: how many. cost: of the reward. timed: decisions of a policy
+    for many cars at once that are made again, one at a time, for their processor time. progress(share): told now and then.
     """
     from .env import CONTROL_STEP, ISDSuspensionVectorEnv
 
@@ -142,10 +143,10 @@ def drive(
         out, k = env.task.batch.out, leg.step
         signals[0, k], signals[1, k], signals[2, k], signals[3, k] = out[0], out[1], out[5], out[4]
         signals[4, k] = env.task.batch.current
-        if crew.batched and k < TIMED:
+        if crew.batched and k < timed:
             seen.append(leg.seen[0].copy())
     times = crew.times
-    if crew.batched:  # one decision at a time, as a controller on a car would make it
+    if seen:  # one decision at a time, as a controller on a car would make it
         timed = entry.make()
         timed.reset()
         for row in seen:

@@ -58,6 +58,7 @@ def drive_item(
         seed=seed,
         duration=duration,
         sensors=c.sensors,
+        timed=0,
     )
     found = measures(run, StageCost())
     return {

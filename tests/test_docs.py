@@ -5,13 +5,13 @@ import re
 import shlex
 import subprocess
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 import typer
 
 from isd_gym import cli, elements
+from isd_gym.plugins import COMMANDS, plugins
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
@@ -95,11 +95,16 @@ def commands(page):
 
 @pytest.fixture(scope="module")
 def program():
-    known = {c.name or c.callback.__name__ for c in cli.app.registered_commands}
-    for point in entry_points(group="isd_gym.commands"):
-        if point.name not in known:
-            cli.app.command(name=point.name)(point.load())
-    return typer.main.get_command(cli.app)
+    """The command line with every command loaded, whatever stand-ins a run in this process may have left."""
+    plugged = plugins(COMMANDS)
+    names = {point.name for point in plugged}
+    whole = typer.Typer()
+    whole.registered_commands = [
+        c for c in cli.app.registered_commands if (c.name or c.callback.__name__) not in names
+    ]
+    for point in plugged:
+        whole.command(name=point.name)(point.load())
+    return typer.main.get_command(whole)
 
 
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: any(commands(p))))
