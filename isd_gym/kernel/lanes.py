@@ -14,7 +14,7 @@ import operator
 from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import cgutils, config, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
@@ -100,8 +100,15 @@ def _call(builder: Any, name: str, *args: Any) -> Any:
 
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.Type) -> Any:
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+    held = context.make_array(array_type)(context, builder, array)
+    # NUMBA_BOUNDSCHECK=1, with a cache of its own: eight numbers at once are looked after, too
+    if config.BOUNDSCHECK:
+        last = builder.add(index, ir.Constant(index.type, WIDTH))
+        low = builder.icmp_signed("<", index, ir.Constant(index.type, 0))
+        wrong = builder.or_(low, builder.icmp_signed(">", last, held.nitems))
+        with builder.if_then(wrong, likely=False):
+            context.call_conv.return_user_exc(builder, IndexError, ("eight lanes reach beyond their array",))
+    return builder.bitcast(builder.gep(held.data, [index]), vector.as_pointer())
 
 
 def _flat(array: Any, dtype: Any) -> bool:
