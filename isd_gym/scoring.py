@@ -147,11 +147,11 @@ def drive(
             seen.append(leg.seen[0].copy())
     times = crew.times
     if seen:  # one decision at a time, as a controller on a car would make it
-        timed = entry.make()
-        timed.reset()
+        alone = entry.make()
+        alone.reset()
         for row in seen:
             begin = clock.process_time()
-            timed.act(row)
+            alone.act(row)
             times.append(clock.process_time() - begin)
     motor = next((e for e in plant.elements if isinstance(e, el.Motor)), None)
     return Run(

@@ -102,7 +102,7 @@ def _call(builder: Any, name: str, *args: Any) -> Any:
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.Type) -> Any:
     held = context.make_array(array_type)(context, builder, array)
     # NUMBA_BOUNDSCHECK=1, with a cache of its own: eight numbers at once are looked after, too
-    if config.BOUNDSCHECK:
+    if getattr(config, "BOUNDSCHECK", None):
         last = builder.add(index, ir.Constant(index.type, WIDTH))
         low = builder.icmp_signed("<", index, ir.Constant(index.type, 0))
         wrong = builder.or_(low, builder.icmp_signed(">", last, held.nitems))
