@@ -37,7 +37,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from hostile import KINDS, SHARES
 
-from isd_gym.errors import InputError
+from isd_gym.errors import InputError, harmless
 
 SECONDS = 10
 #: tries of one process; it costs a fraction of a second, and a second or two where libraries are loaded or laws compiled
@@ -67,7 +67,7 @@ def attempt(kind: str, seed: int, i: int, folder: Path) -> str:
         return "result"
     except InputError as error:
         text = str(error)
-        if text.isprintable() and 0 < len(text) <= 1200:
+        if harmless(text) and 0 < len(text) <= 1200:
             return "refused: " + text.replace(str(folder), "DIR")
         return f"a message of {len(text)} characters: {text[:80]!r}"
     except Hang:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from .loggers.match import Suggestion
     from .network import Network
 
+LAST_STAMP = 253402300799.0  # [s] the end of the year 9999: later ones are no dates
+
 
 @dataclass(frozen=True)
 class Inspection:
@@ -126,7 +128,7 @@ def head(raster: Raster) -> str:
         return f"{raster.name}: no stamps"
     span = t.max() - t.min()
     begin = f"from {t[0]:.6g} s"
-    if t[0] > EPOCH:
+    if EPOCH < t[0] < LAST_STAMP:
         from datetime import UTC, datetime
 
         begin = f"from {datetime.fromtimestamp(float(t[0]), UTC):%Y-%m-%d %H:%M:%S} UTC"

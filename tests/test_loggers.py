@@ -1,5 +1,6 @@
 """Channels with stamps of their own: each is compared at its own instants, and the lag of another clock is found."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from isd_gym.discrepancy.problem import Problem
 from isd_gym.discrepancy.rasters import record_of
 from isd_gym.discrepancy.records import read
 from isd_gym.errors import InputError
+from isd_gym.inspection import inspect, lines
 from isd_gym.loggers import ChannelMap, Recording, Signal
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
@@ -178,3 +180,12 @@ def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):
     (run,) = runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
     start, stop = run.together()
     assert start == pytest.approx(1.25, abs=0.03) and stop == pytest.approx(5.99, abs=0.03)
+
+
+@pytest.mark.parametrize("stamps", [[1.7e12, 1.7e12 + 1, 1.7e12 + 2], ["nan", "nan", "nan"]])
+def test_stamps_that_are_no_time_are_looked_into_all_the_same(stamps, tmp_path):
+    """Dates beyond the calendar, and none at all: a fuzzer's."""
+    rows = [f"{t},{x}" for t, x in zip(stamps, (1.0, 200.0, -300.0), strict=True)]
+    (tmp_path / "odd.csv").write_text("\n".join(["time [s],height [m]", *rows]) + "\n")
+    with contextlib.suppress(InputError):
+        assert lines(inspect([tmp_path / "odd.csv"]))

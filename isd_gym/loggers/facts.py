@@ -178,7 +178,7 @@ def _odd_scale(raster: Raster, facts: Facts, x: np.ndarray, quantity: str) -> li
     factor = convert(1.0, facts.unit, si)
     spread = factor * float(np.quantile(np.abs(x - np.median(x)), 0.995))
     speed = 0.0
-    if quantity == "displacement":
+    if quantity == "displacement" and raster.step > 0:  # of stamps that are no numbers there is no step
         lag = min(max(1, round(0.02 / raster.step)), len(x) - 1)
         speed = factor * float(np.std(x[lag:] - x[:-lag])) / (lag * raster.step)
     big, small = spread > doubtful or speed > 15.0, spread < 2 * least
