@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..data import Table, check, read_table
-from ..data.quality import CHECKS
+from ..data.quality import CHECKS, Finding
 from ..errors import InputError, shown
 from ..loggers.recording import Recording
 from ..network import Channel, Network
@@ -33,6 +33,20 @@ def known_check(name: str) -> None:
     if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
         known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
         raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
+
+
+def admit(table: Table, findings: Sequence[Finding], notes: list[str], accept: Sequence[str]) -> None:
+    """Note what the data gate found of a table; `InputError` where that stops it and nobody said to go on.
+
+    accept: checks that only warn (their names, or 'all').
+    """
+    for f in findings:
+        message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
+        if f.level == "error" and f.check in UNACCEPTABLE:
+            raise InputError(message)
+        if f.level == "error" and not {f.check, "all"} & set(accept):
+            raise InputError(f"{message} (--accept {f.check} goes on)")
+        notes.append(f"{Path(table.source).name}: {f}")
 
 
 def read(
@@ -60,13 +74,7 @@ def read(
         inputs={c.name: c.spoken for c in network.inputs},
         outputs={c.name: c.spoken for c in network.outputs},
     )
-    for f in findings:
-        message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
-        if f.level == "error" and f.check in UNACCEPTABLE:
-            raise InputError(message)
-        if f.level == "error" and not {f.check, "all"} & set(accept):
-            raise InputError(f"{message} (--accept {f.check} goes on)")
-        notes.append(f"{Path(table.source).name}: {f}")
+    admit(table, findings, notes, accept)
     table = table.uniform()
 
     def values(name: str, unit: str) -> Array:

@@ -24,7 +24,7 @@ from .evidence import Evidence
 from .explain import bands
 from .noise import Floor, floor_of, noise_of, quantum
 from .problem import Array, Record
-from .records import UNACCEPTABLE, known_check
+from .records import admit, known_check
 from .result import Diagnosis, Place, Trace
 
 UNCERTAIN = 0.2  # relative one-sigma of a unit's parameters where nobody states any
@@ -72,13 +72,7 @@ def _read(
         inputs={p.name: quantity[p.name] for p in model.inputs if p.name in quantity},
         outputs={p.name: quantity[p.name] for p in there if p.name in quantity},
     )
-    for f in findings:
-        message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
-        if f.level == "error" and f.check in UNACCEPTABLE:
-            raise InputError(message)
-        if f.level == "error" and not {f.check, "all"} & set(accept):
-            raise InputError(f"{message} (--accept {f.check} goes on)")
-        notes.append(f"{Path(table.source).name}: {f}")
+    admit(table, findings, notes, accept)
     table = table.uniform()
     inputs = {p.name: np.asarray(table[p.name]) for p in model.inputs}
     measured = np.stack([table[p.name] for p in there], axis=1)
