@@ -77,9 +77,8 @@ class SharedRoads(VectorWrapper):
         ended = np.flatnonzero(info.get("_final_obs", np.zeros(0)))
         for i in ended:  # the last of a road, in the features' terms, too
             final = info["final_obs"][i][None]
-            velocity = self._velocity[i] + CONTROL_STEP * (final[:, :1] - self._velocity[i] / FADES)
-            info["final_obs"][i] = self._features(final, last[i][None], velocity)[0]
-        self._velocity += CONTROL_STEP * (self._seen[:, :1] - self._velocity / FADES)
+            info["final_obs"][i] = self._features(final, last[i][None], _faded(self._velocity[i], final))[0]
+        self._velocity = _faded(self._velocity, self._seen)
         end = terminated | truncated
         begin = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else end
         self._ended = end
@@ -90,6 +89,12 @@ class SharedRoads(VectorWrapper):
         by_road = reward.reshape(-1, self.each)
         better = REWARD * (by_road - by_road.mean(axis=1, keepdims=True)).ravel()
         return self._told(last), better, terminated, truncated, info
+
+
+def _faded(velocity: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The body's velocity [m/s] a control step later: the leaky integral of its acceleration, the first signal."""
+    faded: np.ndarray = velocity + CONTROL_STEP * (seen[:, :1] - velocity / FADES)
+    return faded
 
 
 def cost_of(act: Callable[[np.ndarray], np.ndarray], *, roads: int = 32, steps: int = 4000) -> float:

@@ -386,6 +386,33 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
     assert any("only record" in n for n in notes)
 
 
+@pytest.mark.parametrize("thin", [1, 2])
+def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin: int) -> None:
+    from isd_gym.discrepancy.problem import Problem, Record, thinned
+    from isd_gym.discrepancy.records import FORGETS, dealt
+
+    model = Network.load("force-rig")
+    moved, first = model.inputs[0].name, model.outputs[0].between or (model.outputs[0].at, "ground")
+    net = model.with_element(
+        {"type": "hysteresis", "name": "rubs", "between": [*first], "level": 300.0, "stiffness": 1e6}
+    )
+    t = 2e-3 * np.arange(6000)
+    x = 0.01 * np.sin(9.0 * t)
+    still = Record("drive", 2e-3, {moved: x}, np.zeros((len(t), 1)))
+    said = Problem(net, [still], ["fit"]).simulate([net], 0)[:, :, 0]
+    drive = Record("drive", 2e-3, {moved: x}, said)
+    off = []
+    for lead in (0.0, FORGETS * drive.pace):
+        pieces, roles = dealt([drive], [drive], [], 0.1 * drive.pace, lead)
+        pieces = [thinned(r, thin, ()) for r in pieces] if thin > 1 else pieces
+        problem = Problem(net, pieces, roles)
+        errors = [problem.simulate([net], i)[:, :, 0] - r.measured for i, r in enumerate(pieces)][2:]
+        off.append(max(float(np.sqrt(np.mean(e[: len(e) // 2] ** 2))) for e in errors))
+        assert all(b.follows(a) for a, b in zip(pieces[1:], pieces[2:], strict=False)) or thin > 1
+        np.testing.assert_allclose(pieces[-1].time, t[-len(pieces[-1]) * thin :: thin][: len(pieces[-1])])
+    assert off[0] > 50.0 and off[1] < (1e-6 if thin == 1 else 3.0)  # N; a thinner one is another step's
+
+
 def test_what_is_held_at_many_levels_sticks_and_what_is_held_at_one_end_is_clipped() -> None:
     from isd_gym.data import check
 

@@ -99,8 +99,10 @@ def _imitate(
         def values_at(
             x: Array, fixed: dict[str, float] = fixed, unit: list[float] = unit
         ) -> dict[str, float]:
-            own = (u * math.exp(min(v, 50.0)) if lg else u * v for u, v, lg in zip(unit, x, log, strict=True))
-            return fixed | dict(zip([f.name for f in free], map(float, own), strict=True))
+            values = (
+                u * math.exp(min(v, 50.0)) if lg else u * v for u, v, lg in zip(unit, x, log, strict=True)
+            )
+            return fixed | dict(zip([f.name for f in free], map(float, values), strict=True))
 
         def miss(x: Array, values_at: Callable[..., dict[str, float]] = values_at) -> Array:
             curve = h.kind(name="trial", where=h.where, **values_at(x), **dict(h.options)).curve(axis)

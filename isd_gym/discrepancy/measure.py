@@ -240,8 +240,7 @@ def shapeless(search: Search, trial: Trial) -> float:
     if len(best.hypotheses) > 1:
         return float(len(_over_one_plane(search, best, best.elements[0])) >= BENDS)
     after = trial.of(best)
-    rest = after.excess(trial.floor) ** 2
-    if rest.max() < c.misses**2 and bool(np.all(rest < c.several * search.worth(best) ** 2)):
+    if after.excess(trial.floor).max() < c.misses and search.trifling(trial, best):
         return 0.0
     curve = in_its_place(search.judge, trial.base, best.elements[0])
     try:

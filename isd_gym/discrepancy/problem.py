@@ -50,6 +50,7 @@ class Record:
     margin: int = (
         0  # compared samples left out at either end, where the low-pass had to guess; inputs reach over them
     )
+    lead: int = 0  # compared samples' worth of inputs before the first: what remembers has forgotten its beginning by then
     reading: Reading | None = None  # of channels with stamps of their own: how the simulation is read at them
     clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
     late: tuple[Array, ...] = ()  # (channels,) of each: whether a channel has its stamps
@@ -73,7 +74,12 @@ class Record:
 
     @property
     def time(self) -> Array:
-        return np.asarray(self.start + self.rate * (self.margin + np.arange(len(self))), dtype=np.float64)
+        return np.asarray(self.start + self.rate * (self.before + np.arange(len(self))), dtype=np.float64)
+
+    @property
+    def before(self) -> int:
+        """Compared samples' worth of inputs before the first one that is compared."""
+        return self.lead + self.margin
 
     @cached_property
     def pace(self) -> float:
@@ -87,27 +93,37 @@ class Record:
 
     def unread(self) -> Record:
         """The same, so that a simulation is seen at every sample of the inputs."""
-        return replace(self, taps=None, thin=1, reading=None, clocks=(), late=())
+        return replace(self, taps=None, thin=1, lead=0, reading=None, clocks=(), late=())
 
     def seen(self, values: Array) -> Array:
         """Those of `values` (samples, ...) at the inputs' samples that are compared."""
-        return values[self.margin * self.thin :: self.thin][: len(self)]
+        return values[self.before * self.thin :: self.thin][: len(self)]
 
     def follows(self, other: Record) -> bool:
         """Whether this record is the stretch right after `other`."""
-        end = other.start + len(other) * other.rate
-        return self.name == other.name and abs(self.start - end) < 0.5 * self.rate
+        begin, end = self.start + self.lead * self.rate, other.start + (other.lead + len(other)) * other.rate
+        return self.name == other.name and abs(begin - end) < 0.5 * self.rate
 
-    def part(self, first: int, stop: int, name: str) -> Record:
-        """Compared samples first..stop-1 as a record of their own."""
-        cut = slice(first * self.thin, (stop - 1 + 2 * self.margin) * self.thin + 1)
+    def read(self, values: Array) -> Array:
+        """What is compared of simulated outputs at every sample of the inputs."""
+        if self.taps is None and not self.lead:
+            return values
+        return self.seen(values if self.taps is None else low_pass(values, self.taps))
+
+    def part(self, first: int, stop: int, name: str, lead: int = 0) -> Record:
+        """Compared samples first..stop-1 as a record of their own; `lead`: how many of those before at most lead it in."""
+        back = 0 if self.reading else min(max(lead, self.lead), self.lead + first)
+        back -= back % WHOLE  # so that it can be thinned
+        begin = self.lead + first - back
+        cut = slice(begin * self.thin, (self.lead + stop - 1 + 2 * self.margin) * self.thin + 1)
         return replace(
             self,
             name=name,
             inputs={k: v[cut] for k, v in self.inputs.items()},
             measured=self.measured[first:stop],
             slopes={k: (v[cut], a[cut]) for k, (v, a) in self.slopes.items()},
-            start=self.start + first * self.rate,
+            start=self.start + begin * self.rate,
+            lead=back,
             reading=None if self.reading is None else self.reading.part(first, stop, cut),
             size=self.size and cut.stop - cut.start,
         )
@@ -125,13 +141,14 @@ def thinned(record: Record, by: int, held: Collection[str]) -> Record:
             inputs={k: v[::by] for k, v in record.inputs.items()},
             slopes={k: (v[::by], a[::by]) for k, (v, a) in record.slopes.items()},
         )
-    taps, n = firwin(8 * by + 1, 0.9 / by, window=("kaiser", 5.0)), len(record)
+    taps, n = firwin(8 * by + 1, 0.9 / by, window=("kaiser", 5.0)), record.samples
     edges = np.arange(0, n, by)
     inputs = {
         k: np.add.reduceat(v, edges) / np.diff(np.append(edges, n)) if k in held else low_pass(v, taps, by)
         for k, v in record.inputs.items()
     }
-    return replace(record, step=record.step * by, inputs=inputs, measured=record.measured[::by])
+    lead = record.lead // by
+    return replace(record, step=record.step * by, inputs=inputs, lead=lead, measured=record.measured[::by])
 
 
 def pace(values: Array, step: float) -> float:
@@ -166,6 +183,7 @@ def bare(network: Network) -> Network:
 FINE, COARSE = 0.14, 0.3
 FINEST = 20  # physics steps a sample at most
 MOST, LEAST = 4, 500  # by how much a record is thinned at most, and how many samples it keeps
+WHOLE = math.lcm(*range(1, MOST + 1))
 LARGEST = 2_000_000  # samples of all lanes that run side by side
 
 
@@ -408,7 +426,7 @@ class Problem:
                         out[:, j, lane] = e.apply(out[:, j, lane], record.step)
         found = {i: out[:, :, k * wide : (k + 1) * wide] for k, i in enumerate(members)}
         return {
-            i: r.reading(y) if r.reading else y if r.taps is None else r.seen(low_pass(y, r.taps))
+            i: r.reading(y) if r.reading else r.read(y)
             for r, (i, y) in zip(records, found.items(), strict=True)
         }
 

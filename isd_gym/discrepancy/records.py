@@ -22,6 +22,8 @@ from .rasters import gate, record_of
 #: length of the stretches in which held-out records are judged, in the rig's own time scale: some thirty periods
 STRETCH = 200.0
 LEAST_STRETCH = 40.0
+#: how much before a stretch is simulated where laws remember and nothing else does
+FORGETS = 100.0
 LEAST_SAMPLES = 32  # of a record that is simulated to see its scale
 
 
@@ -217,12 +219,13 @@ def _bandwidth(record: Record, network: Network, channel: Channel, order: int) -
 
 
 def dealt(
-    data: list[Record], validate: list[Record], notes: list[str], time: float
+    data: list[Record], validate: list[Record], notes: list[str], time: float, lead: float = 0.0
 ) -> tuple[list[Record], list[Role]]:
     """Records with what each is for: to fit by, to choose among candidates by, to report by.
 
     What nobody set aside is set aside here: whole records, or the later part of a single one. Held-out records are cut
-    into stretches of `STRETCH` times the rig's own `time` [s], every other one to choose and to report by.
+    into stretches of `STRETCH` times the rig's own `time` [s], every other one to choose and to report by. `lead` [s]: how much of
+    what came before is simulated before each of them.
     """
     fit, held = data, validate
     if not held and len(fit) > 1:
@@ -233,7 +236,7 @@ def dealt(
         fit, held = _cut(fit[0])
         share = len(held[0]) / (len(held[0]) + len(fit[0]))
         notes.append(f"held out: the last {share:.0%} of the only record, a third of its motion")
-    pieces = [piece for r in held for piece in stretches(r, _length(r, time))]
+    pieces = [piece for r in held for piece in stretches(r, _length(r, time), lead=lead)]
     roles: list[Role] = ["choose"] * len(pieces)
     if len(pieces) > 1:
         roles = ["choose" if k % 2 == 0 else "report" for k in range(len(pieces))]
@@ -265,9 +268,13 @@ def _cut(record: Record) -> tuple[list[Record], list[Record]]:
     return [record.part(0, at, record.name)], [record.part(at, len(record), f"{record.name} (later part)")]
 
 
-def stretches(record: Record, seconds: float, least: int = 300) -> list[Record]:
-    """A record in stretches of so many seconds, each judged from an initial state of its own, none below `least` samples."""
+def stretches(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
+    """A record in stretches of so many seconds, each judged from an initial state of its own, none below `least` samples.
+
+    `lead` [s]: of what came before, led in by.
+    """
     count = max(1, int(len(record) * record.rate / seconds))
     count = min(count, max(1, len(record) // least))
     edges = np.linspace(0, len(record), count + 1).astype(int)
-    return [record.part(a, b, record.name) for a, b in pairwise(edges)]
+    before = int(lead / record.rate)
+    return [record.part(a, b, record.name, before) for a, b in pairwise(edges)]

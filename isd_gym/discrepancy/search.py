@@ -225,14 +225,20 @@ class Search:
         size = self.judge.sizes(now)[-1]
         wide = float(np.mean(a.excess(trial.floor))) > c.wide and share >= c.alone
         # records that are driven harder than those fitted to may show more of what is small than of what is missing
-        trifles = bool(np.all(b.excess(trial.floor) ** 2 < c.several * self.worth(now) ** 2))
-        removes = share >= c.half or (trifles and trial.fitted_explained(a, b) >= c.adequate)
+        removes = share >= c.half or (
+            self.trifling(trial, now) and trial.fitted_explained(a, b) >= c.adequate
+        )
         trial.notes.append(
             f"{now.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "
             f"error (needed {c.half:.0%}), moves a channel by {nearer:.1%} of its deviation (needed {c.material:.0%}), "
             f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
         return removes and b.score < a.score and nearer >= c.material and (size >= c.share or wide)
+
+    def trifling(self, trial: Trial, candidate: Candidate) -> bool:
+        """Whether what it leaves is no more than so many small effects make about it, whose powers add up."""
+        left = trial.of(candidate).excess(trial.floor) ** 2
+        return bool(np.all(left < self.criteria.several * self.worth(candidate) ** 2))
 
     def settle_again(self, chosen: Candidate, richer: Candidate) -> Candidate:
         """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""

@@ -9,6 +9,7 @@ import numpy as np
 from .candidate import BROKEN, Candidate
 from .judge import Judge, Outcome
 from .noise import Whitener
+from .problem import Array
 
 
 @dataclass(eq=False)
@@ -63,15 +64,13 @@ class Trial:
         """Share of the refitted model's excess that it removes, and no more than in the channel where the gap is widest."""
         refit, after = self.of(self.base), self.of(candidate)
         before, left = refit.excess(self.floor) ** 2, after.excess(self.floor) ** 2
-        widest = int(np.argmax(before))
-        return min(self.share(refit, after), 1.0 - float(left[widest] / max(before[widest], 1e-12)))
+        return min(self.share(refit, after), _removed_where_widest(before, left))
 
     def fitted_explained(self, last: Outcome, now: Outcome) -> float:
         """Share of the excess error that `now` removes on the records that were fitted to, in the channel with the widest gap."""
         floor = self.floor * self.judge.spread / self.judge.spread_fitted
         before, left = (np.maximum(o.fitted**2 - floor**2, 0.0) for o in (last, now))
-        widest = int(np.argmax(before))
-        return 1.0 - float(left[widest] / max(before[widest], 1e-12))
+        return _removed_where_widest(before, left)
 
     def rivals(self, count: int = 6) -> list[Candidate]:
         """Those that ran beside the foremost one and can be followed on the held-out records."""
@@ -84,3 +83,9 @@ class Trial:
                 continue
             out += [r] if r is not self.foremost else []
         return out
+
+
+def _removed_where_widest(before: Array, left: Array) -> float:
+    """Share that is removed of the power in the channel that has most of it."""
+    widest = int(np.argmax(before))
+    return 1.0 - float(left[widest] / max(before[widest], 1e-12))

@@ -30,7 +30,7 @@ from .measure import intervals, measure
 from .noise import plain, whitener
 from .problem import Problem, Record, Role, bare, pace
 from .rasters import fast_enough
-from .records import dealt, derivatives, read, stretches
+from .records import FORGETS, dealt, derivatives, read, stretches
 from .result import Contender, Diagnosis, Effect, Quantity, Tabulated, Trace
 from .screen import screen
 from .search import Say, Search
@@ -86,7 +86,9 @@ def diagnose(
     kept: list[Role] = ["fit"] * len(fit)
     kept += ["report"] * len(held)
     whole = Problem(network, filtered, kept)
-    records, roles = dealt(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time)
+    # a rig whose whole motion is prescribed begins a stretch with nothing but what its laws remember
+    lead = 0.0 if assemble(bare(network)).size[0] else FORGETS * whole.time
+    records, roles = dealt(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time, lead)
     problem = Problem(network, records, roles)
     flow = Workflow(problem, whole, progress or (lambda line: None), seed, steps, criteria)
     # sums in another order are other sums: the result is that of any number of cores
