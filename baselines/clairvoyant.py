@@ -35,6 +35,7 @@ from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT, signal_channels
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.files import write_text
+from isd_gym.kernel.layout import CONTACT
 from isd_gym.network import Network
 from isd_gym.road import Road
 from isd_gym.road import road as find_road
@@ -45,6 +46,7 @@ from .descent import (
     ALPHAS,
     PIECE,
     Car,
+    Compiled,
     Objective,
     Plan,
     Slopes,
@@ -113,6 +115,10 @@ class Episode:
         self.slew, self.most = slew_limit - SLACK, current_limit - SLACK
         self.penalty = penalty
 
+    @property
+    def _compiled(self) -> Compiled:
+        return compiled(self.single.at.way != CONTACT)
+
     def _car(self, plant: Plant, mats: np.ndarray) -> Car:
         return Car(
             mats=mats,
@@ -167,7 +173,7 @@ class Episode:
         N = self.steps
         path = Rollout(np.zeros((N, self.nz)), np.zeros((N, len(car.start))), np.zeros(N), np.zeros((N, 3)))
         chosen = np.zeros(-(-N // PIECE))
-        compiled().rollout(car, objective, plan, np.array(alphas), path, chosen)
+        self._compiled.rollout(car, objective, plan, np.array(alphas), path, chosen)
         return path, chosen
 
     def descend(
@@ -203,7 +209,7 @@ class Episode:
         failed = 0
         for _ in range(iterations):
             if not failed:
-                compiled().jacobian(many, path, 1e-7, slopes)
+                self._compiled.jacobian(many, path, 1e-7, slopes)
             plan = self._plan(path.current)._replace(z=path.z)
             while not backward(slopes, path, objective, duals, caution, plan):
                 caution = np.maximum(4 * caution, 1e-2)

@@ -94,6 +94,7 @@ def rollout(car, objective, plan, alphas, path, chosen):
     state, begin = car.start.copy(), car.start.copy()
     c = np.zeros((sub, car.currents, 1))
     y = np.empty((car.outputs, 1))
+    lanes = y.shape[1]  # a literal 1 would have the kernel compiled once more
     dz = np.empty(nz + 1)
     last_begin = 0.0
     many = alphas.shape[0]
@@ -134,8 +135,8 @@ def rollout(car, objective, plan, alphas, path, chosen):
                 path.current[k] = last
                 for i in range(sub):
                     c[i, 0, 0] = last
-                advance(car.mats, car.ints, state, car.road[k * sub : (k + 1) * sub + 1], c, 1)
-                measure(car.mats, car.ints, state, car.road[(k + 1) * sub], c[sub - 1], 1, y)
+                advance(car.mats, car.ints, state, car.road[k * sub : (k + 1) * sub + 1], c, lanes)
+                measure(car.mats, car.ints, state, car.road[(k + 1) * sub], c[sub - 1], lanes, y)
                 total += objective.current * last * last + objective.slope_i[k] * last
                 for m in range(3):
                     path.outputs[k, m] = y[m, 0]
@@ -287,16 +288,18 @@ class Compiled(NamedTuple):
 
 
 @functools.cache
-def _bind(of: int) -> Compiled:
-    names: dict[str, Any] = {**globals(), "advance": kernel().advance, "measure": kernel().measure}
+def _bind(of: int, with_laws: bool) -> Compiled:
+    own = kernel(with_laws)
+    names: dict[str, Any] = {**globals(), "advance": own.advance, "measure": own.measure}
     made = []
     for plain in (rollout, jacobian):
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
-        twin.__qualname__ = f"{plain.__name__}_{of:x}"  # as the kernel's: its laws are compiled in
+        # as the kernel's: its laws are compiled in
+        twin.__qualname__ = f"{plain.__name__}_{'laws' if with_laws else 'closed'}_{of:x}"
         made.append(nb.njit(twin, nogil=True, error_model="numpy", cache=True))
     return Compiled(*made)
 
 
-def compiled() -> Compiled:
-    """The descent's functions, compiled when first needed."""
-    return _bind(stamp())
+def compiled(with_laws: bool) -> Compiled:
+    """The descent's functions, compiled when first needed; `with_laws`: as of `kernel`."""
+    return _bind(stamp(), with_laws)

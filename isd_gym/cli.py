@@ -1078,13 +1078,19 @@ def _listen() -> list[int]:
         stopped.append(number)
         raise KeyboardInterrupt
 
+    def repeat() -> None:
+        if hasattr(signal, "pthread_kill"):  # wakes what sleeps or waits, too
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        else:
+            interrupt_main()
+
     usual = sys.unraisablehook
 
     def swallowed(unraisable: Any) -> None:
         if not stopped:
             usual(unraisable)
         elif isinstance(unraisable.exc_value, KeyboardInterrupt):
-            again = threading.Timer(0.2, interrupt_main)  # out of the callback
+            again = threading.Timer(0.2, repeat)  # out of the callback
             again.daemon = True
             again.start()
 

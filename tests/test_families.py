@@ -168,7 +168,7 @@ def test_seeds_decide_everything() -> None:
 
 
 def test_rigs_are_of_every_size() -> None:
-    cases = [make_case("spin.friction", s) for s in range(25)]
+    cases = [make_case("spin.friction", s) for s in range(6)]
     masses = np.array([next(iter(c.truth["model"]["masses"].values())) for c in cases])
     lengths = np.array([len(c.estimation["time"]) for c in cases])
     assert masses.max() / masses.min() > 1e4 and lengths.max() / lengths.min() > 5
