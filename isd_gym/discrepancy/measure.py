@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from .candidate import BROKEN, Candidate, level, reckoned
 from .evidence import EffectEvidence, Evidence, row
 from .fit import Fit, Fitter, gap, residuals
 from .imitate import repeats
-from .judge import replication
+from .judge import Outcome, replication
 from .motion import force_scale, motions, unmodelled
 from .noise import whitener
 from .problem import Array, Problem
@@ -25,8 +26,9 @@ from .trial import Trial
 
 #: share of the typical force that each small effect, unmodelled, may have (one sigma)
 SMALL = 0.005
-#: a law's force over the data's motion, as a multiple of their typical force, beyond which its values mean something else
-LARGEST = 30.0
+#: a law's force over the data's motion (RMS, as the typical force is: a decay begins far above it), as a multiple of their typical
+#: force, beyond which its values mean something else
+LARGEST = 10.0
 #: a length or a rate of a law, as a multiple of the motion, beyond which the data do not show it
 FURTHEST = 20.0
 
@@ -154,7 +156,7 @@ def complaint(problem: Problem, fit: Fit, element: el.Element) -> str:
     if element.plane != "time":
         axis = motion.v if element.plane == "rate" else motion.d
         force = element.curve(axis[:: max(1, len(axis) // 500)])
-        if np.max(np.abs(force)) > LARGEST * max(force_scale(problem), 1e-300):
+        if math.sqrt(float(np.mean(force**2))) > LARGEST * max(force_scale(problem), 1e-300):
             return "its force is many times what the data show"
     return ""
 
@@ -234,22 +236,39 @@ def shapeless(search: Search, trial: Trial) -> float:
     """Share of what the foremost candidate leaves that a free curve in its effect's place removes: then it is another law.
 
     Asked of a single effect, where much is left, or more than small effects make; else 0. Several over one plane at one place
-    which, with the owner's own laws that went to their limits there, are as many as a curve has bends: all of it (1).
+    which, with the owner's own laws that went to their limits there, are as many as a curve has bends: all of it (1). So are
+    as many anywhere, where one curve at one place explains the gap: one force without a name stands for many with one.
     """
     c, best = search.criteria, trial.foremost
     if len(best.hypotheses) > 1:
-        return float(len(_over_one_plane(search, best, best.elements[0])) >= BENDS)
+        if len(_over_one_plane(search, best, best.elements[0])) >= BENDS:
+            return 1.0
+        if len(best.hypotheses) < BENDS:
+            return 0.0
+        base = trial.of(trial.base)
+        one = (share for e in best.elements for share in _by_curve(search, trial, base, e))
+        return float(any(share >= c.adequate for share in one))
     after = trial.of(best)
     if after.excess(trial.floor).max() < c.misses and search.trifling(trial, best):
         return 0.0
-    curve = in_its_place(search.judge, trial.base, best.elements[0])
-    try:
-        now = trial.of(curve) if curve is not None else None
-    except BROKEN:
-        now = None
-    if now is None or replication(after, now) < c.replicated:
-        return 0.0
-    return trial.plain_share(after, now)
+    found = 0.0
+    for share in _by_curve(search, trial, after, best.elements[0]):
+        found = max(found, share)
+        if found >= c.half:
+            break
+    return found
+
+
+def _by_curve(search: Search, trial: Trial, without: Outcome, named: el.Element) -> Iterator[float]:
+    """Shares of what `without` leaves that free curves at an effect's place remove: over what its law reads, and over all there is."""
+    for over in (None, "both"):
+        curve = in_its_place(search.judge, trial.base, named, over)  # type: ignore[arg-type]
+        try:
+            now = trial.of(curve) if curve is not None else None
+        except BROKEN:
+            continue
+        if now is not None and replication(without, now) >= search.criteria.replicated:
+            yield trial.share(without, now)
 
 
 def _over_one_plane(search: Search, best: Candidate, named: el.Element) -> list[str]:

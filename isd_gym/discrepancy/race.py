@@ -31,6 +31,7 @@ from .noise import finer, plain, whitener
 from .problem import Array, Problem, Record
 from .screen import Screened, advanced, screen
 from .settings import SearchSettings
+from .shooting import begun, remembers
 from .structure import Structure, add
 
 #: multiples of the amplitude that the score test gives, and of one that it says little about
@@ -90,6 +91,11 @@ class Race:
     @cached_property
     def fitter(self) -> Fitter:
         return Fitter(self.problem, whitener(residuals(self.problem, self.current), self.hot))
+
+    @cached_property
+    def slight(self) -> bool:
+        """Whether the motion is remembered for many periods."""
+        return remembers(self.problem.network)
 
     @cached_property
     def windows(self) -> dict[int, Window]:
@@ -168,7 +174,12 @@ class Race:
             W = whitener(residuals(self.short, r.fit), reckoned(self.short, r.fit, self.floors))
             known = carried(self.problem, self.current.network, self.current.initial, r.fit.structure)
             known |= {i: r.fit.initial[i] for i, w in self.windows.items() if w.first == 0}
-            f = Fitter(self.problem, W).fit(r.fit.structure, r.fit.x, known, r.fit.offset, iterations=5)
+            fitter = Fitter(self.problem, W)
+            f = fitter.fit(r.fit.structure, r.fit.x, known, r.fit.offset, iterations=5)
+            there = begun(self.problem, f.structure, r.fit.x, fitter) if self.slight else None
+            if there is not None:
+                again = fitter.fit(f.structure, there, iterations=5)
+                f = again if again.cost + again.prior < f.cost + f.prior else f
         except BROKEN:
             return None
         return self._candidate(self.problem, f)

@@ -21,13 +21,15 @@ from .candidate import (
     with_fit,
 )
 from .criteria import Criteria
-from .fit import gap
+from .fit import Fitter, gap, residuals
 from .imitate import imitations
 from .initial import carried
 from .judge import Judge, Outcome, block_lead, moved
+from .noise import whitener
 from .problem import Array, Problem
 from .race import compete
 from .settings import SearchSettings
+from .shooting import begun, remembers
 from .structure import Structure, base_structure, in_line, twin
 from .trial import Trial
 
@@ -41,11 +43,28 @@ class Search:
         self.judge, self.settings, self.criteria, self.say = judge, settings, criteria, say
         self.problem: Problem = judge.problem
         self.floors: Array = judge.floors
+        self.slight = remembers(judge.problem.network)
 
     def refitted(self) -> Candidate:
         """The owner's model with the parameters that it holds moved within their stated uncertainty."""
         structure = base_structure(self.problem.network)
-        return settled(self.problem, structure, structure.start, self.floors)
+        found = settled(self.problem, structure, structure.start, self.floors)
+        again = self.by_stretches(structure, structure.start, found)
+        return again if again is not None and again.likelihood < found.likelihood else found
+
+    def by_stretches(
+        self, structure: Structure, x: Array, like: Candidate, least: Array | None = None
+    ) -> Candidate | None:
+        """A fit that begins where one over brief stretches ends; None where the motion is soon forgotten, or that breaks down."""
+        p = self.problem
+        if not self.slight:
+            return None
+        least = reckoned(p, like.fit, self.floors) if least is None else least
+        try:
+            there = begun(p, structure, x, Fitter(p, whitener(residuals(p, like.fit), least)))
+            return None if there is None else settled(p, structure, there, self.floors, rounds=2, least=least)
+        except BROKEN:
+            return None
 
     def worth(self, candidate: Candidate) -> Array:
         return self.judge.worth(candidate, self.criteria.small, self.criteria.material)
@@ -138,6 +157,8 @@ class Search:
         if not depth:
             return trial
         chosen = path[depth]
+        if depth < len(path) - 1:
+            chosen = self.stood_for(trial, chosen, path[depth + 1])
         if not chosen.well_formed(last=True):
             known = [r for r in stages[depth - 1] if r.well_formed()][:1]
             plainer = [
@@ -152,6 +173,29 @@ class Search:
         chosen = self.challenged(trial, self.refined(trial, self.prune(trial, chosen)))
         trial.chosen = trial.foremost = self.plainest(trial, chosen)
         return trial
+
+    def stood_for(self, trial: Trial, chosen: Candidate, richer: Candidate) -> Candidate:
+        """What was added first, or what it may have stood for: as many of those that were added together, where these explain more."""
+        best = chosen
+        for _, structure in simpler(self.problem, richer):
+            if (
+                len(structure.hypotheses) != len(chosen.hypotheses)
+                or structure.hypotheses == chosen.hypotheses
+            ):
+                continue
+            r = self.anew(trial, structure, richer)
+            try:
+                if (
+                    r is not None
+                    and r.well_formed()
+                    and self.criteria.ahead * trial.left(r) < trial.left(best)
+                ):
+                    best = r
+            except BROKEN:
+                continue
+        if best is not chosen:
+            trial.stages[len(chosen.hypotheses) - 1].insert(0, best)
+        return best
 
     def plainest(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Of those that explain as much with fewer parameters, the best by Schwarz's criterion."""
@@ -277,6 +321,9 @@ class Search:
         try:
             if not found or found[0].likelihood > near:
                 found.append(settled(p, structure, structure.start, self.floors, rounds=2, least=least))
+            if min(c.likelihood for c in found) > near:
+                again = self.by_stretches(structure, there, like, least)
+                found += [again] if again is not None else []
             best = min(found, key=lambda c: c.likelihood)
             # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
             return replace(best, about=carried(p, like.fit.network, trial.of(like).start, structure))
@@ -338,8 +385,8 @@ class Search:
         wider = gap(p, without.fit) / gap(p, chosen.fit)
         share = trial.share(then, now)
         if effect is None:
-            # small effects come in several: a law that alone takes away nearly all that is left is none of them
-            more = bool(np.any(change > self.worth(without))) or (share >= c.alone and loss > c.significant)
+            # small effects come in several: one law that alone takes away half of what is left is none of them
+            more = bool(np.any(change > self.worth(without))) or (share >= c.half and loss > c.significant)
             earned = loss > self.settings.chance or wider > 1.5
             return self.beaten(trial, without, chosen) and more and earned
         large = self.judge.sizes(chosen)[effect] >= c.share

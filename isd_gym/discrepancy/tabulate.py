@@ -210,10 +210,12 @@ def follow(judge: Judge, base: Candidate, criteria: Criteria) -> tuple[Candidate
     return weighed.best, _told(problem, floors, weighed.best, explained)
 
 
-def in_its_place(judge: Judge, base: Candidate, named: el.Element) -> Candidate | None:
+def in_its_place(
+    judge: Judge, base: Candidate, named: el.Element, over: Over | None = None
+) -> Candidate | None:
     """The owner's model with a table where a named effect stands, over the same plane; None where there is none to fit.
 
-    judge: of the records. base: the owner's model refitted. named: the effect, between two nodes.
+    judge: of the records. base: the owner's model refitted. named: the effect, between two nodes. over: another plane.
     """
     if named.place != "between" or named.series or named.plane not in PLANES:
         return None
@@ -221,7 +223,7 @@ def in_its_place(judge: Judge, base: Candidate, named: el.Element) -> Candidate 
     motion = motions(problem, base.fit).get(pair)
     if motion is None:
         return None
-    over, sigma = named.plane, STRONG * force_scale(problem)
+    over, sigma = over or named.plane, STRONG * force_scale(problem)  # type: ignore[assignment]
     try:
         return _settled(
             problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), judge.floors

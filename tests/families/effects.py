@@ -81,7 +81,9 @@ LINEAR = ("linear_damping", "linear_stiffness", "inertance", "sensor_gain", "sen
 
 def at(name: str, shape: Shape, place: Pair | str, **more: Any) -> Hidden:
     """An effect of the library at two terminals, a motor or a channel."""
-    answer: list[list[Any]] = [[name, list(place) if isinstance(place, tuple) else place]]
+    where: Any = list(place) if isinstance(place, tuple) else place
+    # an effect of the one drive is told with the drive's terminals
+    answer: list[list[Any]] = [[name, None if name in ("actuator_lag", "thrust_saturation") else where]]
     return Hidden(((shape, place),), answer, linear=name in LINEAR, **more)
 
 
