@@ -59,7 +59,7 @@ def test_a_law_that_alone_removes_what_is_left_is_not_given_up_for_its_special_c
     assert named(d) == {("stribeck_friction", frozenset({"mass", "base"}))}
     values = {k: q.value for k, q in d.effects[0].parameters.items()}
     assert values["static_level"] == pytest.approx(static, rel=0.1)
-    assert values["level"] == pytest.approx(level, rel=0.05)
+    assert values["level"] == pytest.approx(level, rel=0.1)
 
 
 def test_a_force_that_is_large_only_while_a_decay_begins_keeps_its_name() -> None:
