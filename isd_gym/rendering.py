@@ -27,7 +27,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError
+from .errors import InputError, how_to_install
 from .files import whole
 
 Colour = tuple[int, int, int]
@@ -1032,7 +1032,7 @@ def _extra(module: str, doing: str, package: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise InputError(f'{doing} needs {package}: pip install "isd-gym[render]"') from None
+        raise InputError(f"{doing} needs {package}: {how_to_install('render')}") from None
 
 
 def _pygame() -> Any:

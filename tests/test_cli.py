@@ -190,7 +190,7 @@ def test_a_missing_extra_is_named(missing, args, extra, tmp_path):
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
     )
     assert done.returncode == 2, done.stderr
-    assert f'pip install "isd-gym[{extra}]"' in done.stderr
+    assert f'pip install ".[{extra}]" in a clone' in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
