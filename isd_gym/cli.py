@@ -354,7 +354,10 @@ def _point(result: Any, signals: dict[str, Any]) -> dict[str, float]:
 
 
 def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str]:
-    """What puts the table in place, a line each: the clairvoyant optimum, and the causal bound beside the best policy."""
+    """What puts the table in place, a line each: the clairvoyant optimum, and the causal bound beside the best policy.
+
+    The bound holds for policies that do not see the road ahead.
+    """
     from .cost import StageCost
 
     lines = {}
@@ -363,7 +366,8 @@ def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str
         lines["clairvoyant"] = (
             f"Clairvoyant optimum, these very roads known in advance: cost J {least:.3f} ({100 * (least / own - 1):+.1f} %)"
         )
-    best = min(result.policies, key=lambda row: row["cost"]["value"])
+    blind = [row for row in result.policies if not row["preview"]["value"]]
+    best = min(blind, key=lambda row: row["cost"]["value"])
     changes = [
         best[f"{k}_rms"].get("change") for k in ("body_acceleration", "suspension_travel", "tyre_load")
     ]
@@ -435,10 +439,12 @@ def _print_score(result: Any) -> None:
         "processor ms\nper step": lambda r: f"{1e3 * r['control_time']['median']:.3f}",
         "\n99.9 %": lambda r: f"{1e3 * r['control_time']['p99_9']:.3f}",
     }
+    ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
+    sight = f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
     interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
     title = (
         f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
-        f"seeds {result.seed} to {result.seed + result.episodes - 1}; RMS, change against passive{interval}"
+        f"seeds {result.seed} to {result.seed + result.episodes - 1}{sight}; RMS, change against passive{interval}"
     )
     groups = [main, motion, share | work] if narrow else [main | share, motion | work]
     for k, group in enumerate(groups):
