@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from baselines.controller import steps_ahead
-from isd_gym.errors import InputError, shown
+from isd_gym.errors import InputError, how_to_install, shown
 from isd_gym.files import claim_folder, held, write_text
 from isd_gym.inputs import read_json
 from isd_gym.network import Network
@@ -82,7 +82,7 @@ def train(
     settings: those of the algorithm; the tuned ones unless given.
     """
     if not (find_spec("stable_baselines3") and find_spec("torch")):
-        raise InputError('training needs Stable-Baselines3 and torch: pip install "isd-gym[agents]"')
+        raise InputError(f"training needs Stable-Baselines3 and torch: {how_to_install('agents')}")
     if algorithm not in SETTINGS:
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
     if settings is None:

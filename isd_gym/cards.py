@@ -265,16 +265,21 @@ def show(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]]
         box=box.SIMPLE_HEAD,
         title=Text(f"{card['environment']} of {card['date']}, {name}: change against passive [%]"),
         title_justify="left",
+        pad_edge=False,
     )
-    for head in ("", "policy", "cost J", "change of J", "acceleration", "travel", "tyre load"):
-        made.add_column(head, justify="left" if head == "policy" else "right", overflow="fold")
+    narrow = console.width < 98
+    heads = ("accel-\neration", "travel", "tyre\nload") if narrow else ("acceleration", "travel", "tyre load")
+    for head in ("", "policy", "cost J", "change of J", *heads):
+        # names may be folded, figures never cut
+        name = head == "policy"
+        made.add_column(head, justify="left" if name else "right", no_wrap=not name, overflow="fold")
     for place, row in enumerate(rows, 1):
         q = row["cost"]
         made.add_row(
             str(place),
             Text(plain(row["policy"], 40), style="bold" if row["submitted"] else ""),
             f"{q['value']:.4f}",
-            f"{100 * q['change']:+.1f} [{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+            f"{100 * q['change']:+.1f}{chr(10) if narrow else ' '}[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
             if q["change"]
             else "",
             *(

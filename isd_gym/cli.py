@@ -91,6 +91,18 @@ JsonOption = Annotated[
 ]
 
 
+RenameOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--rename", help="A column's name in the files, and the channel it is.", metavar="COLUMN=CHANNEL"
+    ),
+]
+
+UnitOption = Annotated[
+    list[str] | None,
+    typer.Option("--unit", help="The unit a channel has in the files.", metavar="CHANNEL=UNIT"),
+]
+
 MapOption = Annotated[
     Path | None,
     typer.Option(
@@ -139,6 +151,26 @@ def _check_channels(names: Iterable[str], known: Iterable[str], option: str) -> 
     for name in names:
         if name not in known:
             raise InputError(f"{option}: the model has no channel '{name}'; {hint(name, known)}")
+
+
+def _names(
+    network: Any, rename: list[str] | None, unit: list[str] | None, map_file: Path | None
+) -> dict[str, Any]:
+    """Which column is which channel, from the options of a command, as `records_of` takes it."""
+    from .loggers import ChannelMap
+
+    named = {
+        "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
+        "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
+    }
+    channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
+    _check_channels(named["rename"].values(), channels, "--rename")
+    _check_channels(named["units"], [*channels, *named["rename"]], "--unit")
+    if map_file is None:
+        return named
+    if rename or unit:
+        raise InputError("--map says it all: write what --rename and --unit would say into it")
+    return {"by": ChannelMap.load(map_file)}
 
 
 def _check_records(data: list[Path], validate: list[Path]) -> None:
@@ -225,7 +257,7 @@ def score(
     from .scoring import score as run
     from .sensors import Sensors
 
-    check_file(json_file)
+    check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)
     card = None
     if against is not None:
@@ -322,7 +354,10 @@ def _point(result: Any, signals: dict[str, Any]) -> dict[str, float]:
 
 
 def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str]:
-    """What puts the table in place, a line each: the clairvoyant optimum, and the causal bound beside the best policy."""
+    """What puts the table in place, a line each: the clairvoyant optimum, and the causal bound beside the best policy.
+
+    The bound holds for policies that do not see the road ahead.
+    """
     from .cost import StageCost
 
     lines = {}
@@ -331,7 +366,8 @@ def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str
         lines["clairvoyant"] = (
             f"Clairvoyant optimum, these very roads known in advance: cost J {least:.3f} ({100 * (least / own - 1):+.1f} %)"
         )
-    best = min(result.policies, key=lambda row: row["cost"]["value"])
+    blind = [row for row in result.policies if not row["preview"]["value"]]
+    best = min(blind, key=lambda row: row["cost"]["value"])
     changes = [
         best[f"{k}_rms"].get("change") for k in ("body_acceleration", "suspension_travel", "tyre_load")
     ]
@@ -403,10 +439,12 @@ def _print_score(result: Any) -> None:
         "processor ms\nper step": lambda r: f"{1e3 * r['control_time']['median']:.3f}",
         "\n99.9 %": lambda r: f"{1e3 * r['control_time']['p99_9']:.3f}",
     }
+    ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
+    sight = f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
     interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
     title = (
         f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
-        f"seeds {result.seed} to {result.seed + result.episodes - 1}; RMS, change against passive{interval}"
+        f"seeds {result.seed} to {result.seed + result.episodes - 1}{sight}; RMS, change against passive{interval}"
     )
     groups = [main, motion, share | work] if narrow else [main | share, motion | work]
     for k, group in enumerate(groups):
@@ -449,6 +487,8 @@ def simulate(
         Path, typer.Option("--out", help="Where the outputs go; the suffix says the format.", metavar="FILE")
     ],
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
+    rename: RenameOption = None,
+    unit: UnitOption = None,
     map_file: MapOption = None,
     initial: Annotated[
         list[str] | None,
@@ -466,7 +506,7 @@ def simulate(
     import numpy as np
 
     from .data import Table, write_table
-    from .loggers import ChannelMap
+    from .loggers import files_of
     from .loggers.grid import inputs_of
     from .loggers.records import outputs_of, records_of
     from .loggers.start import motions_at, motions_of, state_of
@@ -474,15 +514,16 @@ def simulate(
     from .simulate import simulate as run
     from .units import convert
 
-    check_file(out)
+    check_file(out, model, *files_of(data))
     network = Network.load(model)
-    by = None if map_file is None else ChannelMap.load(map_file)
+    named = _names(network, rename, unit, map_file)
+    by = named.get("by")
     fitted = initial == ["fit"]
     if initial and "fit" in initial and not fitted:
         raise InputError("--initial fit finds how every node stands and moves: leave the others away")
-    measured = outputs_of(data, network, by) if fitted else []
+    measured = outputs_of(data, network, by, named.get("rename")) if fitted else []
     wanted = (*network.inputs, *network.with_outputs(measured).outputs) if fitted else network.inputs
-    pieces = records_of(data, network, wanted, by=by)
+    pieces = records_of(data, network, wanted, **named)
     if len(pieces) > 1:
         raise InputError(f"{data}: there are gaps in time ({pieces[0].notes[0]}): simulate a piece at a time")  # type: ignore[union-attr]
     table, start = pieces[0], None
@@ -547,14 +588,8 @@ def diagnose(
             metavar="DATA...",
         ),
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(help="A column's name in the files, and the channel it is.", metavar="COLUMN=CHANNEL"),
-    ] = None,
-    unit: Annotated[
-        list[str] | None,
-        typer.Option(help="The unit a channel has in the files.", metavar="CHANNEL=UNIT"),
-    ] = None,
+    rename: RenameOption = None,
+    unit: UnitOption = None,
     map_file: MapOption = None,
     accept: Annotated[
         list[str] | None,
@@ -619,7 +654,6 @@ def diagnose(
     from . import elements as el
     from .discrepancy import SearchSettings
     from .discrepancy import diagnose as run
-    from .loggers import ChannelMap
     from .loggers.records import records_of
     from .network import Network
     from .network import cut as cut_at
@@ -666,17 +700,8 @@ def diagnose(
     network = Network.load(model)
     if shares:
         network = replace(network, uncertainty={**network.uncertainty, **shares})
-    options: dict[str, Any] = {
-        "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
-        "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
-    }
-    channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
-    _check_channels(options["rename"].values(), channels, "--rename")
-    _check_channels(options["units"], [*channels, *options["rename"]], "--unit")
-    if map_file is not None:
-        if rename or unit:
-            raise InputError("--map says it all: write what --rename and --unit would say into it")
-        options = {"by": ChannelMap.load(map_file)}
+    options = _names(network, rename, unit, map_file)
+    if "by" in options:
         network = options["by"].measured(network)
     unmeasured = unmeasured or next((c.name for c in network.inputs if not c.measured and cut is None), None)
     if unmeasured is not None:
@@ -979,7 +1004,7 @@ def networks(
 
         if name is None:
             raise InputError("--draw wants a network: isd-gym networks NAME --draw FILE")
-        check_file(draw)
+        check_file(draw, name)
         check_suffix(draw)
         sketch(Network.load(name)).save(draw)
         typer.echo(f"{name} drawn to {draw}")

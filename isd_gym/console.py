@@ -27,10 +27,13 @@ def write_json(path: Path | None, data: dict[str, Any]) -> None:
         files.write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
-def check_file(path: Path | None) -> None:
-    """Raise `InputError` at once where FILE, if there is one, could not be written at the end of long work."""
+def check_file(path: Path | None, *read: str | Path | None) -> None:
+    """Raise `InputError` at once where FILE, if there is one, could not be written at the end of long work.
+
+    Nor may it be one of the files that are `read`.
+    """
     if path is not None:
-        files.check_file(path)
+        files.check_file(path, *read)
 
 
 @contextmanager

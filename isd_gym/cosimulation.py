@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import Array
-from .errors import InputError, shown
+from .errors import InputError, how_to_install, shown
 from .files import write_text
 from .guarded import Guarded
 from .inputs import memory_limit, plain_file, too_large
@@ -198,9 +198,7 @@ class Unit:
             raise InputError(f"{self.path}: its code broke down, or took more than {SECONDS:.0f} s")
         head, arrays = found
         if "lacks" in head:
-            raise InputError(
-                f'{self.path}: running it needs FMPy: pip install ".[fmu]" in a clone of the repository'
-            )
+            raise InputError(f"{self.path}: running it needs FMPy: {how_to_install('fmu')}")
         if "refused" in head:
             raise InputError(f"{self.path}: {head['refused']}")
         return head, arrays[0].reshape(head["shape"]) if arrays else None

@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError
+from .errors import InputError, how_to_install
 from .files import claim_folder, write_text
 from .inputs import read_json
 
@@ -252,7 +252,7 @@ def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answ
     try:
         import ray
     except ImportError:
-        raise InputError('the Ray engine needs Ray: pip install "isd-gym[scale]"') from None
+        raise InputError(f"the Ray engine needs Ray: {how_to_install('scale')}") from None
     own = not ray.is_initialized()
     if own:
         _reach(address)

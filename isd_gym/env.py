@@ -45,6 +45,8 @@ ROAD_BOUND = 10.0  # m, of the preview
 PICTURES = 50.0  # a simulated second, in a window; `render` may be called at every step
 GRAVITY = 9.81  # m/s^2
 PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
+PICTURE_PAST = 4.0  # s of its curves
+Past = deque[tuple[float, float, float]]  # a `moment` per control step
 N_MEASURED = len(MEASURED)
 #: what `Batch.judged` says behind the reward
 STEP_INFO = ("cost_acceleration", "cost_travel", "cost_tyre_load", "cost_current", "tyre_load")
@@ -220,12 +222,11 @@ class ISDSuspensionEnv(gym.Env):
     file, `C+bump`. `speed` [m/s]. `observation`: measured, full, preview. `preview` [s]. `cost`: a `StageCost` or its
     weights. `randomize`: {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}, factors on parameters of
     the network, drawn at every reset. `control_step` [s]. `render_mode`: human, rgb_array.
+    `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`. `sensors`: how imperfect
+    they are, see `isd_gym.sensors.Sensors`, e.g. {"noise": 1.0, "road_error": 0.001}.
 
     ## Versions
     v0: first release. `ISDSuspensionEq8-v0` is the same with the paper's equation (8) as printed.
-
-    `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`. `sensors`: how imperfect
-    they are, see `isd_gym.sensors.Sensors`, e.g. {"noise": 1.0, "road_error": 0.001}.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
@@ -272,6 +273,7 @@ class ISDSuspensionEnv(gym.Env):
         self._steps = 0
         self._total_cost = 0.0
         self._trail: deque[float] = deque(maxlen=1 + math.ceil(PICTURE_WINDOW / (speed * control_step)))
+        self._past: Past = deque(maxlen=1 + math.ceil(PICTURE_PAST / control_step))
 
     @property
     def network(self) -> Network:
@@ -290,6 +292,7 @@ class ISDSuspensionEnv(gym.Env):
         self._total_cost = 0.0
         self._trail.clear()
         self._trail.append(0.0)
+        self._past.clear()
         batch.forget(slice(None))
         if self.render_mode == "human":
             self.render()
@@ -330,6 +333,7 @@ class ISDSuspensionEnv(gym.Env):
         if self.render_mode is not None:
             self._total_cost -= reward
             self._trail.append(float(batch.road_height[0]))
+            self._past.append(moment(self.task, 0, self._steps))
             if self.render_mode == "human":
                 self.render()
         return obs, reward, broken, False, info
@@ -349,7 +353,12 @@ class ISDSuspensionEnv(gym.Env):
     def snapshot(self) -> Snapshot:
         """What a picture of the car needs."""
         return snapshot(
-            self.task, 0, self._steps, np.array(self._trail), self._total_cost / max(self._steps, 1)
+            self.task,
+            0,
+            self._steps,
+            np.array(self._trail),
+            self._past,
+            self._total_cost / max(self._steps, 1),
         )
 
     def close(self) -> None:
@@ -459,6 +468,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._trails: list[deque[float]] = [
             deque(maxlen=window) for _ in range(num_envs if render_mode is not None else 0)
         ]
+        kept = 1 + math.ceil(PICTURE_PAST / control_step)
+        self._pasts: list[Past] = [deque(maxlen=kept) for _ in self._trails]
         self._total_cost = np.zeros(num_envs)
         self._zeros = np.zeros(num_envs)
         self._renderers: list[Renderer] = []
@@ -512,6 +523,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         for i in which if self._trails else ():
             self._trails[i].clear()
             self._trails[i].append(0.0)
+            self._pasts[i].clear()
         self._total_cost[which] = 0.0
         self.steps[which] = 0
         self._done[which] = False
@@ -553,6 +565,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             self._total_cost -= reward
             for i in np.flatnonzero(self.steps):  # not where a car has just started again
                 self._trails[i].append(float(batch.road_height[i]))
+                self._pasts[i].append(moment(self.task, int(i), int(self.steps[i])))
         if self._oldest >= self.max_episode_steps or (batch.broken and terminated.any()):
             truncated = (self.steps >= self.max_episode_steps) & ~terminated
             self._done = terminated | truncated
@@ -595,7 +608,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             self._renderers = [Renderer(self.render_mode, fps=PICTURES) for _ in range(self.num_envs)]  # type: ignore[arg-type]
         mean = self._total_cost / np.maximum(self.steps, 1)
         shots = (
-            snapshot(self.task, i, int(self.steps[i]), np.array(trail), float(mean[i]))
+            snapshot(self.task, i, int(self.steps[i]), np.array(trail), self._pasts[i], float(mean[i]))
             for i, trail in enumerate(self._trails)
         )
         return tuple(r.draw(s) for r, s in zip(self._renderers, shots, strict=True))  # type: ignore[misc]
@@ -622,8 +635,14 @@ _MODES = {
 }
 
 
-def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, cost: float) -> Snapshot:
-    """Car i as a picture shows it; `trail` [m] is the road it has come over, a height per control step."""
+def moment(task: Task, i: int, steps: int) -> tuple[float, float, float]:
+    """Time [s], body acceleration [m/s^2] and suspension travel [m] of car i, for the curves of a picture."""
+    out = task.batch.out
+    return steps * task.batch.control_step, float(out[0, i]), float(out[1, i])
+
+
+def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, past: Past, cost: float) -> Snapshot:
+    """Car i as a picture shows it; `trail` [m] is the road it has come over, a height per control step, `past` its moments."""
     from .rendering import Snapshot
 
     batch, net = task.batch, task.network
@@ -656,4 +675,5 @@ def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, cost: float) -> 
         device_travel_limit=stops[0].clearance if stops else None,
         label=net.name,
         cost=cost,
+        past=tuple(past),
     )

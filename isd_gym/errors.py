@@ -48,6 +48,12 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
     return "an object" if isinstance(value, dict) else f"a {type(value).__name__}"
 
 
+def how_to_install(extra: str) -> str:
+    """The line that installs an extra of this package, which no registry of packages has yet."""
+    torch = "pip install torch==2.13.0 && " if extra == "agents" else ""  # a bare torch may bring gigabytes
+    return f'{torch}pip install ".[{extra}]" in a clone of the repository'
+
+
 def hint(name: object, known: Iterable[str]) -> str:
     """``did you mean 'mass'?`` where one of the `known` names is near `name`, else what there is.
 

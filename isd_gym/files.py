@@ -134,14 +134,21 @@ def reserve(folder: Path, size: int) -> None:
             path.unlink()
 
 
-def check_file(path: str | Path) -> None:
-    """Raise `InputError` where no file can be written: before long work, not after it."""
+def check_file(path: str | Path, *read: str | Path | None) -> None:
+    """Raise `InputError` where no file can be written, or where it is one of those that are `read`: before long work, not after it."""
     path = Path(path)
     _nameable(path)
     if not os.path.isdir(path.parent):
         raise InputError(f"cannot write '{path}': no folder '{path.parent}'")
     if os.path.isdir(path):
         raise InputError(f"cannot write '{path}': it is a folder; name a file")
+    for source in read:
+        if (
+            source is not None
+            and os.path.isfile(source)
+            and os.path.realpath(source) == os.path.realpath(path)
+        ):
+            raise InputError(f"cannot write '{path}': it is read; give another name")
 
 
 def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequence[str] = ()) -> None:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, how_to_install
 from .files import check_file, whole
 from .network import Network
 from .simulate import PHYSICS_STEP, Plant, effective_current, sense
@@ -300,7 +300,7 @@ def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = P
         raise InputError(f"cannot write a unit to '{path}': end the name in .fmu")
     check_file(path)
     if not find_spec("pythonfmu"):
-        raise InputError('an FMU needs PythonFMU: pip install ".[fmu]" in a clone of the repository')
+        raise InputError(f"an FMU needs PythonFMU: {how_to_install('fmu')}")
     if not step > 0:
         raise InputError(f"the step must be positive, not {step}")
     from pythonfmu import FmuBuilder

@@ -314,8 +314,9 @@ def command(
     """
     from .network import Network
 
-    for file in (out, html, json_file):
-        check_file(file)
+    files = [file for word in data for file in files_of(word)]
+    for page in (out, html, json_file):
+        check_file(page, model, *files)
     if out is not None and model is None:
         raise InputError("--out writes the columns of a model's channels: --model says which model")
     given: dict[str, str] = {}
@@ -328,7 +329,6 @@ def command(
         convert(1.0, value, value)
         given[name] = value
     network = None if model is None else Network.load(model)
-    files = [file for word in data for file in files_of(word)]
     found = inspect(files, network, units=given, stamps=stamps)
     width = _width()
     for line in lines(found, width):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .console import TrustOption
-from .errors import InputError
+from .errors import InputError, how_to_install
 from .files import reserve, whole_folder
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def write_dataset(
         from minari.data_collector import EpisodeBuffer
         from minari.dataset.minari_storage import MinariStorage
     except ImportError as error:
-        raise InputError(f'recording needs {error.name}: pip install "isd-gym[record]"') from None
+        raise InputError(f"recording needs {error.name}: {how_to_install('record')}") from None
     import gymnasium as gym
     import numpy as np
 

@@ -27,7 +27,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError
+from .errors import InputError, how_to_install
 from .files import whole
 
 Colour = tuple[int, int, int]
@@ -69,7 +69,8 @@ class Snapshot:
     """What one frame shows of one car. Displacements are absolute, upwards, about static equilibrium.
 
     `road_behind` [m]: how much of the profile lies behind the wheel. `static_tyre_load` [N]. `label`: the name
-    above the picture.
+    above the picture. `past`: time [s], body acceleration [m/s^2] and suspension travel [m] of the moments before, for the
+    curves; without it they go through the moments that were drawn.
     """
 
     time: float  # [s]
@@ -94,11 +95,12 @@ class Snapshot:
     device_travel_limit: float | None = None  # [m], end stop of the device; None: it has none
     cost: float | None = None  # [-], mean cost so far
     label: str = ""
+    past: Sequence[tuple[float, float, float]] = ()
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name in ("road_profile", "label") or value is None:
+            if field.name in ("road_profile", "label", "past") or value is None:
                 continue
             if not math.isfinite(value):
                 raise InputError(f"snapshot: {field.name} is {value}, not a finite number")
@@ -306,6 +308,8 @@ class _History:
         self.rows: deque[tuple[float, float, float]] = deque()
 
     def add(self, snapshot: Snapshot) -> None:
+        known = self.rows[-1][0] if self.rows else -math.inf
+        self.rows.extend((t, a, 1e3 * l) for t, a, l in snapshot.past if known < t < snapshot.time)
         self.rows.append((snapshot.time, snapshot.body_acceleration, 1e3 * snapshot.suspension_travel))
         while self.rows[0][0] < snapshot.time - _HISTORY:
             self.rows.popleft()
@@ -839,7 +843,7 @@ def _panel(
     each = (height - y - 22 * u) / 2
     for column, (key, (title, unit)) in enumerate(titles.items(), start=1):
         scale = scales[key]
-        scale.hold(max(float(np.abs(rows[-1, column])) for rows in data))
+        scale.hold(max(float(np.abs(rows[:, column]).max()) for rows in data))
         _plot(c, x0, y, x1, y + each - 12 * u, title, unit, scale, data, column)
         y += each
     foot = y - 5 * u
@@ -1032,7 +1036,7 @@ def _extra(module: str, doing: str, package: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise InputError(f'{doing} needs {package}: pip install "isd-gym[render]"') from None
+        raise InputError(f"{doing} needs {package}: {how_to_install('render')}") from None
 
 
 def _pygame() -> Any:

@@ -68,6 +68,22 @@ def _columns(asm: Assembly) -> list[int]:
     return [j for j in range(start, stop) if used[j]]
 
 
+def _instant(asm: Assembly) -> bool:
+    """Whether friction or a current moves a massless terminal at once, and with it what some law sees."""
+    from .kernel.compiled import law_code
+
+    c, f = asm.columns("I"), asm.columns("f")
+    seen = asm.elongation_rate[~np.array(asm.by_difference, bool)]
+    dry = [j for j, e in zip(range(f.start, f.stop), asm.laws, strict=True) if law_code(type(e)) < 0]
+    return bool(np.abs(np.hstack([seen[:, c], seen[:, dry]])).max(initial=0.0) > AT_ONCE)
+
+
+def side_by_side(asm: Assembly) -> tuple[object, ...]:
+    """What assemblies must have in common to be lanes of one `Plant`."""
+    laws = tuple(type(e).__name__ for e in asm.laws)
+    return asm.size, laws, asm.by_difference, asm.outputs_by_difference, _instant(asm)
+
+
 def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     """Exact discretisation of the linear part: `columns` first-order hold, currents and friction zero-order hold.
 
@@ -129,10 +145,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
     gains = np.vstack([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)])
     O = asm.outputs
-    # massless terminals: what friction and currents do to a law's rate there, they do at once
-    jumps = asm.elongation_rate[order][~differ]
-    jumps = np.hstack([jumps[:, c], jumps[:, [j for j, is_dry in zip(own, dry, strict=True) if is_dry]]])
-    instant = bool(np.abs(jumps).max(initial=0.0) > AT_ONCE)
+    instant = _instant(asm)
     if instant:
         O = np.vstack([O, asm.elongation[order], np.where(differ[:, None], 0.0, asm.elongation_rate[order])])
     way, of_laws, parameters = _law_numbers(laws, ns, GD, GS, bool(differ.any()), instant)

@@ -190,9 +190,10 @@ def sweep(
     are items.
     """
     tasks = grid.tasks()
+    mine = shard(tasks, which)
     folder = claim_folder(out, *FOLDER) / "items"
     outcome = run_tasks(
-        shard(tasks, which),
+        mine,
         folder,
         jobs=jobs,
         engine=engine,

@@ -108,7 +108,7 @@ def command(
     from .network import Network
 
     for file in (design, out, html):
-        check_file(file)
+        check_file(file, model, after, *data or (), *elements or ())
     if after is not None and design is None:
         raise InputError("--after wants --design FILE.csv: where the test that separates the rivals goes")
     for file in elements or ():

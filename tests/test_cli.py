@@ -93,6 +93,38 @@ def test_simulate_writes_the_models_channels(tmp_path):
     assert len(table.time) == len(t)
 
 
+def test_simulate_takes_other_names_and_writes_over_no_record(tmp_path):
+    t = np.arange(0, 1, 0.01)
+    (tmp_path / "d.csv").write_text(
+        "time,stroke\n" + "\n".join(f"{a:.2f},{5 * np.sin(6 * a):.6f}" for a in t)
+    )
+    before = (tmp_path / "d.csv").read_bytes()
+    refused = run("simulate", "force-rig", "d.csv", "--out", "./d.csv", cwd=tmp_path)
+    assert refused.returncode == 2 and "it is read; give another name" in refused.stderr
+    lost = run("simulate", "force-rig", "d.csv", "--out", "o.csv", cwd=tmp_path)
+    assert lost.returncode == 2 and "--rename COLUMN=displacement" in lost.stderr
+    named = ("--rename", "stroke=displacement", "--unit", "displacement=mm")
+    assert run("simulate", "force-rig", "d.csv", "--out", "o.csv", *named, cwd=tmp_path).returncode == 0
+    assert 100 < read_table(tmp_path / "o.csv")["force"].max() < 1000  # N, of 5 mm and not of 5 m
+    assert (tmp_path / "d.csv").read_bytes() == before
+
+
+def test_a_card_fits_a_narrow_terminal():
+    import contextlib
+    import io
+
+    from isd_gym import cards
+
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), pytest.MonkeyPatch.context() as narrow:
+        narrow.setattr("rich.console.Console.width", 80)
+        cards.show(cards.load("ISDSuspension-v0"), "preview-0.2")
+    lines = text.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("mpc-friction-preview" in line and "0.4074" in line for line in lines)
+    assert any("[-53.5, -51.4]" in line for line in lines)
+
+
 @pytest.mark.parametrize(
     ("args", "message"),
     [
@@ -136,6 +168,7 @@ def test_networks_can_be_printed_and_read_back(tmp_path):
         (["score", "passive", "--network", "force-rig"], "'force-rig' is no car"),
         (["score", "passive", "--network", "quater-car-isd"], "did you mean 'quarter-car-isd'?"),
         (["networks", "there"], "cannot read model 'there': it is a folder"),
+        (["sweep", "robust", "--out", "r", "--shard", "9/8"], "shard 9/8"),
         (["show", "mpc", "--against"], "(see isd-gym show --help)"),
     ],
 )
@@ -190,7 +223,7 @@ def test_a_missing_extra_is_named(missing, args, extra, tmp_path):
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
     )
     assert done.returncode == 2, done.stderr
-    assert f'pip install "isd-gym[{extra}]"' in done.stderr
+    assert f'pip install ".[{extra}]" in a clone' in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
 

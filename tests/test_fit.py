@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from isd_gym.discrepancy.fit import Fitter
+from isd_gym.discrepancy.hypotheses import hypotheses
+from isd_gym.discrepancy.motion import together
 from isd_gym.discrepancy.noise import plain
 from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.screen import trials
 from isd_gym.discrepancy.structure import base_structure
 from isd_gym.discrepancy.tangent import tangents
+from isd_gym.errors import InputError
 from isd_gym.network import Network
+from isd_gym.simulate import simulate
 
 STEP = 2e-3
 
@@ -112,3 +117,46 @@ def test_nothing_to_fit_is_a_fit_too() -> None:
     problem = Problem(net, [Record("dyno", STEP, {"base": base}, 3e3 * base[:, None])], ["fit"])
     fit = Fitter(problem, plain(np.ones(1))).fit(base_structure(net))
     assert fit.cost == pytest.approx(0.0, abs=1e-9)
+
+
+def test_every_place_of_a_law_is_simulated_beside_the_others() -> None:
+    """Friction acts at once on a massless terminal and not on a mass: such lanes are no plant together, and none is lost."""
+    net = Network.load("quarter-car-isd").without_element("seal")
+    time = 2.5e-3 * np.arange(200)
+    inputs = {"road": 0.01 * np.sin(20 * time), "current": np.sign(np.sin(9 * time))}
+    y = np.stack([simulate(net, time, inputs)[c.name] for c in net.outputs], axis=1)
+    problem = Problem(net, [Record("run", 2.5e-3, inputs, y, {})], ["fit"])
+    fit = Fitter(problem, plain(y.std(axis=0))).fit(
+        base_structure(net), base_structure(net).start, iterations=0
+    )
+    tried = [h for h in hypotheses(net) if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")]
+    built = [ways[0] for _, _, ways in trials(problem, fit, tried)]
+    seen = {
+        k: y
+        for chunk, _, lanes in together(problem, fit, [b.network for b in built])
+        for k, y in zip(chunk, np.moveaxis(lanes, 2, 0), strict=True)
+    }
+    assert len(seen) == len(built) > 10
+    places = {b.hypotheses[-1].where for b in built if b.hypotheses[-1].effect == "coulomb_friction"}
+    assert {("piston", "joint"), ("body", "wheel")} <= places
+    base = problem.simulate([fit.network], 0, fit.initial[0][:, None], like=fit.network)[:, :, 0]
+    assert all(np.abs(y - base).max() > 0 for y in seen.values())
+
+
+def test_one_that_breaks_down_takes_no_other_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    net = shaken()
+    problem = Problem(net, [record(net)], ["fit"])
+    fit = Fitter(problem, plain(np.ones(len(net.outputs)))).fit(
+        base_structure(net), base_structure(net).start, iterations=0
+    )
+    whole, bad = Problem.simulate_all, shaken(5000.0)
+
+    def breaks(self: Problem, networks: list[Network], *args: object, **more: object) -> object:
+        if any(n is bad for n in networks):
+            raise InputError("broken")
+        return whole(self, networks, *args, **more)
+
+    monkeypatch.setattr(Problem, "simulate_all", breaks)
+    networks = [shaken(3000.0 + 10 * k) for k in range(5)]
+    networks.insert(2, bad)
+    assert sorted(k for chunk, _, _ in together(problem, fit, networks) for k in chunk) == [0, 1, 3, 4, 5]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from isd_gym import rendering
-from isd_gym.errors import InputError
+from isd_gym.errors import InputError, how_to_install
 from isd_gym.rendering import Renderer, Snapshot, write_video
 
 pygame = rendering._pygame()
@@ -294,7 +294,7 @@ def test_without_pygame_the_answer_is_one_line(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(InputError) as caught:
         Renderer("rgb_array")
-    assert str(caught.value) == 'drawing needs pygame: pip install "isd-gym[render]"'
+    assert str(caught.value) == f"drawing needs pygame: {how_to_install('render')}"
 
 
 @pytest.mark.skipif(
@@ -406,7 +406,7 @@ def test_a_film_that_cannot_be_is_refused_in_one_line(
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(InputError) as caught:
         write_video(tmp_path / "car.mp4", frames, 25)
-    assert str(caught.value) == 'writing an MP4 needs imageio-ffmpeg: pip install "isd-gym[render]"'
+    assert str(caught.value) == f"writing an MP4 needs imageio-ffmpeg: {how_to_install('render')}"
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, how_to_install
 from ..guarded import Guarded
 from ..inputs import memory_limit, plain_file, too_large
 
@@ -85,7 +85,7 @@ def read(
         )
     head, arrays = found
     if "lacks" in head:
-        raise InputError(f'{path}: reading {path.suffix} needs {head["lacks"]}: pip install "isd-gym[io]"')
+        raise InputError(f"{path}: reading {path.suffix} needs {head['lacks']}: {how_to_install('io')}")
     if "refused" in head:
         raise InputError(f"{path}: {head['refused']}")
     if "too_large" in head:

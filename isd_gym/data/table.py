@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, MissingColumn, shown
+from ..errors import InputError, MissingColumn, how_to_install, shown
 from ..files import whole
 from ..inputs import plain_file
 from ..units import convert
@@ -104,7 +104,7 @@ def read_columns(
         raise
     except ImportError as error:
         raise InputError(
-            f'{path}: reading {path.suffix} needs {error.name}: pip install "isd-gym[io]"'
+            f"{path}: reading {path.suffix} needs {error.name}: {how_to_install('io')}"
         ) from None
     except Exception as error:  # whatever it is, it is the file's fault
         raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
@@ -305,6 +305,6 @@ def write_table(path: str | Path, table: Table) -> None:
                         )
                         mdf.save(temporary, overwrite=True)
     except ImportError as error:
-        raise InputError(f'{path}: writing {suffix} needs {error.name}: pip install "isd-gym[io]"') from None
+        raise InputError(f"{path}: writing {suffix} needs {error.name}: {how_to_install('io')}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or _one_line(error)})") from None

@@ -10,6 +10,7 @@ import numpy as np
 from ..elements import PROBE, Motion, Setting
 from ..errors import InputError
 from ..network import Channel, Network, assemble
+from ..simulate import side_by_side
 from .fit import Fit
 from .hypotheses import hypotheses, pairs
 from .problem import Array, Problem, bare, pace
@@ -104,18 +105,20 @@ def together(
     for k, net in enumerate(networks):
         asm = assemble(bare(net))
         outside = tuple(type(e).__name__ for e in net.elements if e.place != "between")
-        groups.setdefault((outside, asm.size, tuple(type(e).__name__ for e in asm.laws)), []).append(k)
-    for members in groups.values():
-        for begin in range(0, len(members), LANES):
-            chunk = members[begin : begin + LANES]
-            nets = [networks[k] for k in chunk]
-            begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
-            try:
-                seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
-            except (InputError, np.linalg.LinAlgError):
-                continue
-            for i, y in seen.items():
-                yield chunk, i, y
+        groups.setdefault((outside, *side_by_side(asm)), []).append(k)
+    chunks = [m[k : k + LANES] for m in groups.values() for k in range(0, len(m), LANES)]
+    while chunks:
+        chunk = chunks.pop(0)
+        nets = [networks[k] for k in chunk]
+        begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
+        try:
+            seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
+        except (InputError, np.linalg.LinAlgError):
+            half = len(chunk) // 2  # one that breaks down does not take the others along
+            chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
+            continue
+        for i, y in seen.items():
+            yield chunk, i, y
 
 
 def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:

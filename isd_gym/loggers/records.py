@@ -34,7 +34,8 @@ def records_of(
         try:
             table = read_table(files[0], rename=rename, units=units, expected=expected)
         except MissingColumn as error:
-            raise InputError(f"{error}{without(network, error.name)}") from None
+            helps = f"; --rename COLUMN={error.name} where it has another name"
+            raise InputError(f"{error}{helps}{without(network, error.name)}") from None
         return _pieces(table, wanted)
     found = runs(path, network, wanted, by=by, rename=rename, units=units)
     out: list[Table | Recording] = []
@@ -44,12 +45,22 @@ def records_of(
     return out
 
 
-def outputs_of(path: str | Path, network: Network, by: ChannelMap | None = None) -> list[str]:
+def outputs_of(
+    path: str | Path,
+    network: Network,
+    by: ChannelMap | None = None,
+    rename: Mapping[str, str] | None = None,
+) -> list[str]:
     """Those of the model's outputs that are there: in the files of `path`, or in the map `by` that says which column is which.
 
-    network: the model.
+    network: the model. rename: the channels that columns of other names are.
     """
-    there = by.channels if by else {n for f in files_of(path) for r in rasters(f) for n in r.columns}
+    names = dict(rename or {})
+    there = (
+        by.channels
+        if by
+        else {names.get(n, n) for f in files_of(path) for r in rasters(f) for n in r.columns}
+    )
     return [c.name for c in network.outputs if c.name in there]
 
 

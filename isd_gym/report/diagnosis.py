@@ -398,6 +398,14 @@ def _window(view: View, seconds: float) -> slice:
     return slice(start, start + width)
 
 
+def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
+    """An axis that a peak of a few samples does not rule, as at the start of a stretch from a state that is not the rig's."""
+    usual = max(noise, *(float(np.quantile(np.abs(r), 0.99)) for r in left))
+    if max(float(np.abs(r).max()) for r in left) <= 3 * usual:
+        return axis
+    return replace(axis, low=-1.5 * usual, high=1.5 * usual)
+
+
 def draw_time(view: View) -> Chart | None:
     """Every record to walk through, signals and what is left over; the picture is the stretch that errs most."""
     trace = view.trace
@@ -443,7 +451,7 @@ def draw_time(view: View) -> Chart | None:
             out.append(
                 Panel(
                     Axis("time", "s", low=float(time[0]), high=float(time[-1])),
-                    y_axis,
+                    _steady(y_axis, [k * (t.measured[c] - y) for y in list(says.values())[1:]], noise),
                     tuple(rest),
                     title="measured minus simulated",
                     link="rest",
@@ -468,7 +476,7 @@ def draw_time(view: View) -> Chart | None:
         "In time",
         "Measured and simulated signals, and what is left over, over time",
         f"{kind} record “{trace.name}”. Left, the {window[1] - window[0]:.3g} s where the refitted model errs most (shaded on the right). "
-        f"Right, what is left over{': orange without, blue with what was found' if view.named else ''}; dotted, twice the noise.{more}",
+        f"Right, what is left over{': orange without, blue with what was found' if view.named else ''}; dotted, twice the noise; a peak of a few samples may pass the edge.{more}",
         choices,
         columns=2,
         size=(7.6, 1.45 * len(few) + 0.7),

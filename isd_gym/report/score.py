@@ -390,7 +390,7 @@ def trade_off(shown: Shown) -> Chart:
         items.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, line, "", 1.1)))
     bound = (
         " Lines: the linear-quadratic optimum of any force between body and wheel, unlimited and without friction, at "
-        "the tyre load written there; no causal controller is below on average."
+        "the tyre load written there; no controller that does not see the road ahead is below on average."
         if curves
         else ""
     )
