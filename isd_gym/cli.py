@@ -642,8 +642,9 @@ def diagnose(
 
     Writes DIR/diagnosis.json, DIR/model.json (the model with what was found), DIR/report.html and its figures. Without
     --validate whole records of DATA are held out to judge by, or the last third of a single one. An .fmu is compared and
-    its parameters refitted (DIR/parameters.ssv); it shows no inside, so no effect and no place is named. A folder of
-    cases (a folder each, VEHICLE_2024-05-01) is diagnosed case by case and goes on where it stopped: DIR/fleet.html.
+    its parameters refitted (DIR/parameters.ssv); it shows no inside, so no effect and no place is named. A folder with
+    records, validation*.csv to judge by and model.json is one case. A folder of cases (a folder each,
+    VEHICLE_2024-05-01) is diagnosed case by case and goes on where it stopped: DIR/fleet.html.
 
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found
 
@@ -660,6 +661,12 @@ def diagnose(
     from .report import check_target, write_report
 
     check_file(json_file)
+    if len(data) == 1 and data[0].is_dir() and not validate:
+        from .fleet import case_itself
+
+        case = case_itself(data[0], model)
+        if case is not None:  # a folder that holds one case
+            data, validate, model = [*map(Path, case.data)], [*map(Path, case.validate)], case.model
     if len(data) == 1 and data[0].is_dir():
         if validate or rename or unit or elements or cut or unmeasured or uncertain:
             raise InputError(

@@ -50,29 +50,39 @@ def cases_of(folder: str | Path, model: str | None = None) -> list[Case]:
     folder: of cases. model: for those that have none of their own.
     """
     folder = Path(folder)
-    out = []
-    for place in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
-        runs = [r for p in sorted(place.iterdir()) if (r := _run(p))]
-        if not runs:
-            continue
-        own = place / "model.json"
-        if not own.is_file() and model is None:
-            raise InputError(f"{place}: holds no model.json; --model FILE is for all cases that have none")
-        held = tuple(
-            r for r in runs if Path(r.split("+")[0]).relative_to(place).parts[0].startswith("validation")
-        )
-        fit = tuple(r for r in runs if r not in held)
-        if not fit:
-            raise InputError(f"{place}: holds validation records alone, nothing to fit by")
-        found = DATE.search(place.name)
-        date = "-".join(found.groups()) if found else ""
-        vehicle = (DATE.sub("", place.name).strip("_- ") or place.name) if found else place.name
-        out.append(Case(place.name, vehicle, date, fit, held, str(own) if own.is_file() else str(model)))
+    places = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
+    out = [case for place in places if (case := _case(place, model)) is not None]
     if not out:
         raise InputError(
             f"{folder}: no folders of records in it (a case is a folder with tables: {' '.join(SUFFIXES)})"
         )
     return sorted(out, key=lambda c: (c.vehicle, c.date, c.name))
+
+
+def case_itself(folder: str | Path, model: str | None = None) -> Case | None:
+    """The case that a folder is, which holds tables and no folder with some; None where it is none."""
+    folder = Path(folder)
+    runs = [p for p in folder.iterdir() if _run(p)]
+    return _case(folder, model) if runs and not any(p.is_dir() for p in runs) else None
+
+
+def _case(place: Path, model: str | None) -> Case | None:
+    runs = [r for p in sorted(place.iterdir()) if (r := _run(p))]
+    if not runs:
+        return None
+    own = place / "model.json"
+    if not own.is_file() and model is None:
+        raise InputError(f"{place}: holds no model.json; --model FILE is for all cases that have none")
+    held = tuple(
+        r for r in runs if Path(r.split("+")[0]).relative_to(place).parts[0].startswith("validation")
+    )
+    fit = tuple(r for r in runs if r not in held)
+    if not fit:
+        raise InputError(f"{place}: holds validation records alone, nothing to fit by")
+    found = DATE.search(place.name)
+    date = "-".join(found.groups()) if found else ""
+    vehicle = (DATE.sub("", place.name).strip("_- ") or place.name) if found else place.name
+    return Case(place.name, vehicle, date, fit, held, str(own) if own.is_file() else str(model))
 
 
 def _run(path: Path) -> str:

@@ -7,7 +7,7 @@ import pytest
 
 from isd_gym.data import Table, write_table
 from isd_gym.errors import InputError
-from isd_gym.fleet import Case, _task, cases_of, check, fleet, lines, merge, page
+from isd_gym.fleet import Case, _task, case_itself, cases_of, check, fleet, lines, merge, page
 
 
 def case(folder, name, *files):
@@ -30,6 +30,17 @@ def test_cases_are_found_with_vehicle_date_and_loggers(tmp_path):
     run = tmp_path / "van7_2024-09-01"
     assert found[2].data == (f"{run}/run1/body.csv+{run}/run1/wheel.mf4",)
     assert found[2].validate == (f"{run}/validation.csv",)
+
+
+def test_a_folder_that_holds_one_case_is_that_case(tmp_path):
+    case(tmp_path, "rig", "first.csv", "second.csv", "validation.csv", "model.json")
+    rig = tmp_path / "rig"
+    one = case_itself(rig)
+    assert one is not None and one.data == (f"{rig}/first.csv", f"{rig}/second.csv")
+    assert one.validate == (f"{rig}/validation.csv",) and one.model == f"{rig}/model.json"
+    assert case_itself(tmp_path) is None  # of cases
+    case(tmp_path, ".", "stray.csv")
+    assert case_itself(tmp_path, "car.json") is None
 
 
 def test_a_case_without_a_model_and_a_folder_without_cases_are_one_line(tmp_path):
