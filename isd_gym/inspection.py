@@ -315,8 +315,8 @@ def command(
     from .network import Network
 
     files = [file for word in data for file in files_of(word)]
-    for page in (out, html, json_file):
-        check_file(page, model, *files)
+    for target in (out, html, json_file):
+        check_file(target, model, *files)
     if out is not None and model is None:
         raise InputError("--out writes the columns of a model's channels: --model says which model")
     given: dict[str, str] = {}
