@@ -184,6 +184,18 @@ def test_the_terminal_holds_80_columns_and_the_page_fetches_nothing(tmp_path, ru
     assert text.count("<path d=") == 4 and "src=" not in text.split("<main>")[1]
 
 
+def test_the_command_writes_its_page_and_over_no_record(tmp_path, program):
+    file = tmp_path / "rec.csv"
+    write_table(file, Table(0.01 * np.arange(400), {"x": np.sin(0.1 * np.arange(400))}))
+    before = file.read_bytes()
+    done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(tmp_path / "page.html")])
+    assert done.exit_code == 0, done.output
+    assert "<svg" in (tmp_path / "page.html").read_text()
+    done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(file)])
+    assert isinstance(done.exception, InputError) and "it is read" in str(done.exception)
+    assert file.read_bytes() == before
+
+
 def test_a_picture_of_whatever_a_column_holds():
     for x in (
         [1.0, np.inf, 2.0],
