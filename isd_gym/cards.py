@@ -271,8 +271,8 @@ def show(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]]
     heads = ("accel-\neration", "travel", "tyre\nload") if narrow else ("acceleration", "travel", "tyre load")
     for head in ("", "policy", "cost J", "change of J", *heads):
         # names may be folded, figures never cut
-        name = head == "policy"
-        made.add_column(head, justify="left" if name else "right", no_wrap=not name, overflow="fold")
+        words = head == "policy"
+        made.add_column(head, justify="left" if words else "right", no_wrap=not words, overflow="fold")
     for place, row in enumerate(rows, 1):
         q = row["cost"]
         made.add_row(

@@ -79,7 +79,7 @@ def _instant(asm: Assembly) -> bool:
 
 
 def side_by_side(asm: Assembly) -> tuple[object, ...]:
-    """What assemblies must have in common to be lanes of one `Plant`."""
+    """What assemblies must have in common to be lanes of one `Plant`. asm: one of them."""
     laws = tuple(type(e).__name__ for e in asm.laws)
     return asm.size, laws, asm.by_difference, asm.outputs_by_difference, _instant(asm)
 

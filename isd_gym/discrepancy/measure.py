@@ -262,7 +262,7 @@ def shapeless(search: Search, trial: Trial) -> float:
 def _by_curve(search: Search, trial: Trial, without: Outcome, named: el.Element) -> Iterator[float]:
     """Shares of what `without` leaves that free curves at an effect's place remove: over what its law reads, and over all there is."""
     for over in (None, "both"):
-        curve = in_its_place(search.judge, trial.base, named, over)  # type: ignore[arg-type]
+        curve = in_its_place(search.judge, trial.base, named, over)
         try:
             now = trial.of(curve) if curve is not None else None
         except BROKEN:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from .. import elements as el
 from .candidate import (
     BROKEN,
     Candidate,
@@ -15,59 +15,20 @@ from .candidate import (
     level,
     reckoned,
     relative,
-    settled,
     simpler,
-    transferred,
-    with_fit,
 )
-from .criteria import Criteria
-from .fit import Fitter, gap, residuals
+from .fit import gap
 from .imitate import imitations
-from .initial import carried
-from .judge import Judge, Outcome, block_lead, moved
-from .noise import whitener
-from .problem import Array, Problem
+from .judge import Outcome, block_lead, moved
+from .motion import motions
 from .race import compete
-from .settings import SearchSettings
-from .shooting import begun, remembers
-from .structure import Structure, base_structure, in_line, twin
+from .refits import Refits
+from .structure import Structure, in_line, twin
 from .trial import Trial
 
-Say = Callable[[str], None]
 
-
-class Search:
-    """A problem, its judge, and the numbers that steer and decide."""
-
-    def __init__(self, judge: Judge, settings: SearchSettings, criteria: Criteria, say: Say):
-        self.judge, self.settings, self.criteria, self.say = judge, settings, criteria, say
-        self.problem: Problem = judge.problem
-        self.floors: Array = judge.floors
-        self.slight = remembers(judge.problem.network)
-
-    def refitted(self) -> Candidate:
-        """The owner's model with the parameters that it holds moved within their stated uncertainty."""
-        structure = base_structure(self.problem.network)
-        found = settled(self.problem, structure, structure.start, self.floors)
-        again = self.by_stretches(structure, structure.start, found)
-        return again if again is not None and again.likelihood < found.likelihood else found
-
-    def by_stretches(
-        self, structure: Structure, x: Array, like: Candidate, least: Array | None = None
-    ) -> Candidate | None:
-        """A fit that begins where one over brief stretches ends; None where the motion is soon forgotten, or that breaks down."""
-        p = self.problem
-        if not self.slight:
-            return None
-        least = reckoned(p, like.fit, self.floors) if least is None else least
-        try:
-            there = begun(p, structure, x, Fitter(p, whitener(residuals(p, like.fit), least)))
-            return None if there is None else settled(p, structure, there, self.floors, rounds=2, least=least)
-        except BROKEN:
-            return None
-
-    def worth(self, candidate: Candidate) -> Array:
-        return self.judge.worth(candidate, self.criteria.small, self.criteria.material)
+class Search(Refits):
+    """The search itself: there, back, and the rivals."""
 
     # -- forward ------------------------------------------------------------------------------------------
     def walk(
@@ -236,11 +197,6 @@ class Search:
             return best
         return chosen
 
-    def schwarz(self, candidate: Candidate, best: Candidate) -> float:
-        """Schwarz's criterion (2 log L, a penalty for every parameter), with the noise that `best` leaves."""
-        samples = sum(map(len, best.fit.outputs.values()))
-        return level(self.problem, candidate, best, self.floors) + len(candidate.fit.x) * math.log(samples)
-
     def refined(self, trial: Trial, chosen: Candidate) -> Candidate:
         """The fit begun again with other shapes where more is left than noise: from one start it may end in a place of its own."""
         p, found = self.problem, chosen
@@ -283,57 +239,6 @@ class Search:
         """Whether what it leaves is no more than so many small effects make about it, whose powers add up."""
         left = trial.of(candidate).excess(trial.floor) ** 2
         return bool(np.all(left < self.criteria.several * self.worth(candidate) ** 2))
-
-    def settle_again(self, chosen: Candidate, richer: Candidate) -> Candidate:
-        """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""
-        p, structure = self.problem, chosen.fit.structure
-        there = dict(zip((f.path for f in richer.fit.structure.free), richer.fit.x, strict=True))
-        x = np.array([there.get(f.path, v) for f, v in zip(structure.free, chosen.fit.x, strict=True)])
-        least = reckoned(p, chosen.fit, self.floors)
-        try:
-            again = settled(p, structure, x, self.floors, rounds=2, least=least)
-        except BROKEN:
-            return chosen
-        gain = level(p, chosen, chosen, self.floors) - level(p, again, chosen, self.floors)
-        return with_fit(chosen, again.fit, chosen.likelihood - gain) if gain > 0 else chosen
-
-    def anew(
-        self, trial: Trial, structure: Structure, like: Candidate, outrun: float = math.inf
-    ) -> Candidate | None:
-        """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down.
-
-        `outrun`: or where, seen roughly, it errs so many times as much (in power).
-        """
-        p, least = self.problem, reckoned(self.problem, like.fit, self.floors)
-        near = level(p, like, like, self.floors) + self.criteria.significant
-        known = dict(zip((f.path for f in like.fit.structure.free), like.fit.x, strict=True))
-        there = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
-        found: list[Candidate] = []
-        try:  # from where it is, and, where that ends far off, from what the owner believes
-            begun = carried(p, like.fit.network, like.fit.initial, structure)
-            f = self.judge.rough.fit(structure, there, begun, like.fit.offset)
-            if outrun < math.inf and f.cost > outrun * self.roughly(like):
-                return None
-            f = f if p.rough is p else transferred(p, f, self.floors)
-            found.append(settled(p, structure, f.x, self.floors, f, rounds=2, least=least))
-        except BROKEN:
-            pass
-        try:
-            if not found or found[0].likelihood > near:
-                found.append(settled(p, structure, structure.start, self.floors, rounds=2, least=least))
-            if min(c.likelihood for c in found) > near:
-                again = self.by_stretches(structure, there, like, least)
-                found += [again] if again is not None else []
-            best = min(found, key=lambda c: c.likelihood)
-            # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
-            return replace(best, about=carried(p, like.fit.network, trial.of(like).start, structure))
-        except (*BROKEN, ValueError):
-            return None
-
-    def roughly(self, candidate: Candidate) -> float:
-        """What a candidate costs on no more samples than the motion needs."""
-        fit = candidate.fit
-        return self.judge.rough.cost(fit.structure, fit.x, fit.initial, fit.offset, self.problem.estimation)
 
     def prune(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
@@ -385,8 +290,11 @@ class Search:
         wider = gap(p, without.fit) / gap(p, chosen.fit)
         share = trial.share(then, now)
         if effect is None:
-            # small effects come in several: one law that alone takes away half of what is left is none of them
-            more = bool(np.any(change > self.worth(without))) or (share >= c.half and loss > c.significant)
+            more = bool(np.any(change > self.worth(without)))
+            if not more and loss > c.significant:
+                # small effects come in several: one law that takes away half of what is left with a force that none of them has, or
+                # nearly all of it with whatever force, is none of them
+                more = share >= c.alone or (share >= c.half and self.apart(chosen, without) >= c.small)
             earned = loss > self.settings.chance or wider > 1.5
             return self.beaten(trial, without, chosen) and more and earned
         large = self.judge.sizes(chosen)[effect] >= c.share
@@ -396,6 +304,26 @@ class Search:
             and large
             and (loss > c.significant or wider > 2.0)
         )
+
+    def apart(self, chosen: Candidate, without: Candidate) -> float:
+        """By how much the forces of the law that was replaced differ (RMS), as a share of the force at its place; 0 where no curve tells."""
+        p = self.problem
+        k = next(i for i, h in enumerate(chosen.hypotheses) if h not in without.hypotheses)
+        general, special = (
+            chosen.elements[k],
+            next(
+                e
+                for e, h in zip(without.elements, without.hypotheses, strict=True)
+                if h not in chosen.hypotheses
+            ),
+        )
+        motion = motions(p, chosen.fit).get(general.between) if general.place == "between" else None
+        if motion is None or general.plane not in ("rate", "elongation") or special.plane != general.plane:
+            return 0.0
+        axis = motion.v if general.plane == "rate" else motion.d
+        force = general.curve(axis)
+        differs = el.rms(force - special.curve(axis)) / max(el.rms(force), 1e-300)
+        return float(self.judge.sizes(chosen)[k] * differs)
 
     # -- rivals -------------------------------------------------------------------------------------------
     def beaten(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:

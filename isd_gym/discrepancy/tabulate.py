@@ -223,7 +223,7 @@ def in_its_place(
     motion = motions(problem, base.fit).get(pair)
     if motion is None:
         return None
-    over, sigma = over or named.plane, STRONG * force_scale(problem)  # type: ignore[assignment]
+    over, sigma = over or named.plane, STRONG * force_scale(problem)
     try:
         return _settled(
             problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), judge.floors

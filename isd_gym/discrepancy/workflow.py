@@ -31,9 +31,10 @@ from .noise import plain, whitener
 from .problem import Problem, Record, Role, bare, pace
 from .rasters import fast_enough
 from .records import FORGETS, dealt, derivatives, read, stretches
+from .refits import Say
 from .result import Contender, Diagnosis, Effect, Quantity, Tabulated, Trace
 from .screen import screen
-from .search import Say, Search
+from .search import Search
 from .settings import SearchSettings
 from .structure import base_structure, owner_pair
 from .tabulate import follow
