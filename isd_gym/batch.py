@@ -173,7 +173,7 @@ class Batch:
     def _arguments(self) -> None:
         """The arguments of the kernel, and what is seen of them from here: views, made once."""
         at, count = self.plant.at, self.count
-        self._drive = self.plant.kernel.drive
+        self._drive: Callable[..., int] | None = None
         self._drive_arguments = (
             *(self._mats.reshape(-1), self._ints, self._states.reshape(-1), self._cars, self._ways),
             *(self.table, self._past, self._rings, self._ahead, self._settings),
@@ -195,6 +195,7 @@ class Batch:
 
     def _write_to(self, said: np.ndarray, seen: np.ndarray) -> None:
         self._said, self.seen = said, seen
+        self._first_said, self.first_seen = said[:, 0], seen[0]
         self._calls = [(*self._drive_arguments, said, seen, *share) for share in self._shares]
 
     def renew(self) -> None:
@@ -206,7 +207,17 @@ class Batch:
         return {
             k: v
             for k, v in self.__dict__.items()
-            if k not in (*views, "_drive", "_drive_arguments", "_shares", "_calls", "_crew")
+            if k
+            not in (
+                *views,
+                "_drive",
+                "_drive_arguments",
+                "_shares",
+                "_calls",
+                "_crew",
+                "_first_said",
+                "first_seen",
+            )
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -324,15 +335,23 @@ class Batch:
 
     def step(self) -> np.ndarray:
         """Run one control step with the currents in `current` (after `judge`: `target`); returns `out` (signals, count), SI units."""
+        drive = self._drive or self._compiled()
         if len(self._calls) == 1:
-            self.broken = self._drive(*self._calls[0])
+            self.broken = drive(*self._calls[0])
         else:
             if self._crew is None or self._crew.process != os.getpid():  # threads do not outlive a fork
                 self._crew = Crew(len(self._calls))
-            self.broken = sum(self._crew.do(self._drive, self._calls))
+            self.broken = sum(self._crew.do(drive, self._calls))
         if self.points:
             self._ints[-1] = (self._ints[-1] + 1) % self.points
         return self.out
+
+    def _compiled(self) -> Callable[..., int]:
+        """The kernel for the types of these arguments, which stay: they need not be looked up at every step."""
+        from numba import typeof
+
+        self._drive = self.plant.kernel.drive.compile(tuple(map(typeof, self._calls[0])))  # type: ignore[attr-defined]
+        return self._drive  # type: ignore[return-value]
 
     @property
     def current(self) -> np.ndarray:
@@ -341,7 +360,7 @@ class Batch:
 
     def alone(self) -> tuple[float, ...]:
         """Of the first car: reward, four terms of the cost, dynamic tyre load [N], and 1 where it broke."""
-        return self._said[:, 0].tolist()
+        return self._first_said.tolist()
 
     @property
     def judged(self) -> np.ndarray:

@@ -304,11 +304,10 @@ class ISDSuspensionEnv(gym.Env):
             raise gym.error.ResetNeeded("call reset() before step()")
         try:
             (target,) = action.tolist() if isinstance(action, np.ndarray) else action
-            if isinstance(target, str | bytes) or isinstance(
-                action, bytes
-            ):  # float() would make a number of it
-                raise TypeError
-            target = float(target)
+            if type(target) is not float:
+                if isinstance(target, str | bytes) or isinstance(action, bytes):
+                    raise TypeError  # float() would make a number of it
+                target = float(target)
         except (TypeError, ValueError, OverflowError):
             raise InputError(
                 f"the action must have shape (1,), a current in A, not {plain(repr(action), 60)}"
@@ -321,7 +320,7 @@ class ISDSuspensionEnv(gym.Env):
         self._steps += 1
         reward, by_acceleration, by_travel, by_load, by_current, tyre_load, broke = batch.alone()
         broken = broke != 0.0
-        obs = self.task.observe()[0] if broken or self.task.faulty else batch.seen[0].copy()
+        obs = self.task.observe()[0] if broken or self.task.faulty else batch.first_seen.copy()
         info = {
             "speed": self._speed,
             "tyre_load": tyre_load,

@@ -220,7 +220,7 @@ def test_an_extra_that_is_missing_is_named(
         lambda: read_table(tmp_path / f"x{suffix}"),
         lambda: write_table(tmp_path / f"x{suffix}", car()),
     ):
-        with pytest.raises(InputError, match=r'pip install "isd-gym\[io\]"'):
+        with pytest.raises(InputError, match=r'pip install "\.\[io\]"'):
             use()
 
 

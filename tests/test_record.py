@@ -111,5 +111,5 @@ def test_bad_input(change, message, tmp_path, monkeypatch):
 
 def test_a_missing_extra_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(InputError, match=r'recording needs h5py: pip install "isd-gym\[record\]"'):
+    with pytest.raises(InputError, match=r'recording needs h5py: pip install "\.\[record\]"'):
         write_dataset(find("isd-passive", CAR), tmp_path / "set", CAR, **SHORT)
