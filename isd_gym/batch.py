@@ -351,7 +351,7 @@ class Batch:
         from numba import typeof
 
         self._drive = self.plant.kernel.drive.compile(tuple(map(typeof, self._calls[0])))  # type: ignore[attr-defined]
-        return self._drive  # type: ignore[return-value]
+        return self._drive
 
     @property
     def current(self) -> np.ndarray:
