@@ -142,9 +142,10 @@ class Workflow:
         evidence, quantities, abreast = self.measured(trial)
         decision = decide(evidence, self.criteria)
         if decision.verdict == "unknown_effect" and not early:
-            found = self.briefly(notes, begun, named_only=True)
-            if found is not None:
-                return found
+            for times in (1.0, 2.0):
+                found = self.briefly(notes, begun, named_only=True, times=times)
+                if found is not None:
+                    return found
         return self.report(
             trial, evidence, decision, quantities, abreast, [*notes, *self.tried(trial)], begun
         )
@@ -181,11 +182,15 @@ class Workflow:
         share = left / np.maximum(self.problem.measured().std(axis=0), 1e-300)
         return self.movable() and float(share.mean()) > self.settings.astray
 
-    def brief(self) -> tuple[Problem, float]:
-        """The same records in brief stretches (and how long they are [s]), each from a state of its own."""
+    def brief(self, times: float | None = None) -> tuple[Problem, float]:
+        """The same records in brief stretches (and how long they are [s]), each from a state of its own.
+
+        times: as many times the usual length, whatever the slowest channel, which in detents is slower than what holds in them.
+        """
         p = self.problem
         slowest = max(pace(r.measured[:, j], r.rate) for r in p.records for j in range(len(p.channels)))
-        seconds = max(self.settings.brief * p.time, self.settings.least_brief * slowest)
+        seconds = self.settings.brief * p.time * (times or 1.0)
+        seconds = seconds if times else max(seconds, self.settings.least_brief * slowest)
         pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
         for r, role in zip(p.records, p.roles, strict=True):
             pieces[role] += stretches(r, seconds, self.settings.shortest)
@@ -197,15 +202,17 @@ class Workflow:
             roles += [role] * len(kept)
         return Problem(self.network, records, roles, p.step, p.time), seconds
 
-    def briefly(self, notes: list[str], begun: float, *, named_only: bool) -> Diagnosis | None:
+    def briefly(
+        self, notes: list[str], begun: float, *, named_only: bool, times: float | None = None
+    ) -> Diagnosis | None:
         """The search over brief stretches; None where it comes to nothing.
 
         What has many rests, what hits stops while it resonates, what drifts: no simulation stays with it for long.
-        `named_only`: only what repeats over travel is looked for, and only a name counts.
+        `named_only`: only what repeats over travel is looked for, and only a name counts. `times`: as of `brief`.
         """
         if not self.movable():
             return None
-        problem, seconds = self.brief()
+        problem, seconds = self.brief(times)
         self.say(f"comparing over stretches of {seconds:.2g} s, each from its own state")
         flow = replace(self, problem=problem)
         search = flow.search
