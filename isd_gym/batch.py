@@ -179,7 +179,7 @@ class Batch:
             *(self.table, self._past, self._rings, self._ahead, self._settings),
         )
         threads = max(1, min(self.threads, self.groups))
-        late = min(LATE, self.groups // threads) if threads > 1 else 0
+        late = min(LATE, self.groups // threads)
         ends = [0, *(late + (self.groups - late) * i // threads for i in range(1, threads + 1))]
         inputs = (self.substeps + 1) * at.inputs + self.substeps * at.currents
         self._shares = [

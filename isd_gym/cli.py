@@ -666,7 +666,8 @@ def diagnose(
 
         case = case_itself(data[0], model)
         if case is not None:  # a folder that holds one case
-            data, validate, model = [*map(Path, case.data)], [*map(Path, case.validate)], case.model
+            data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
+            model = model or case.model
     if len(data) == 1 and data[0].is_dir():
         if validate or rename or unit or elements or cut or unmeasured or uncertain:
             raise InputError(

@@ -4,7 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from isd_gym.cli import app
 from isd_gym.data import Table, write_table
 from isd_gym.errors import InputError
 from isd_gym.fleet import Case, _task, case_itself, cases_of, check, fleet, lines, merge, page
@@ -41,6 +43,13 @@ def test_a_folder_that_holds_one_case_is_that_case(tmp_path):
     assert case_itself(tmp_path) is None  # of cases
     case(tmp_path, ".", "stray.csv")
     assert case_itself(tmp_path, "car.json") is None
+
+
+def test_a_model_that_is_named_goes_before_the_folders_own(tmp_path):
+    case(tmp_path, "rig", "first.csv", "second.csv", "model.json")
+    words = ["diagnose", str(tmp_path / "rig"), "--model", "nosuch.json", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, InputError) and "nosuch.json" in str(done.exception)
 
 
 def test_a_case_without_a_model_and_a_folder_without_cases_are_one_line(tmp_path):

@@ -87,8 +87,8 @@ class Refits:
         there = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
         found: list[Candidate] = []
         try:  # from where it is, and, where that ends far off, from what the owner believes
-            begun = carried(p, like.fit.network, like.fit.initial, structure)
-            f = self.judge.rough.fit(structure, there, begun, like.fit.offset)
+            initial = carried(p, like.fit.network, like.fit.initial, structure)
+            f = self.judge.rough.fit(structure, there, initial, like.fit.offset)
             if outrun < math.inf and f.cost > outrun * self.roughly(like):
                 return None
             f = f if p.rough is p else transferred(p, f, self.floors)

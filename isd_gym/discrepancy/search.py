@@ -309,14 +309,8 @@ class Search(Refits):
         """By how much the forces of the law that was replaced differ (RMS), as a share of the force at its place; 0 where no curve tells."""
         p = self.problem
         k = next(i for i, h in enumerate(chosen.hypotheses) if h not in without.hypotheses)
-        general, special = (
-            chosen.elements[k],
-            next(
-                e
-                for e, h in zip(without.elements, without.hypotheses, strict=True)
-                if h not in chosen.hypotheses
-            ),
-        )
+        new = next(j for j, h in enumerate(without.hypotheses) if h not in chosen.hypotheses)
+        general, special = chosen.elements[k], without.elements[new]
         motion = motions(p, chosen.fit).get(general.between) if general.place == "between" else None
         if motion is None or general.plane not in ("rate", "elongation") or special.plane != general.plane:
             return 0.0
