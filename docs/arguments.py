@@ -61,6 +61,14 @@ def comments(thing: griffe.Class) -> dict[str, str]:
     return out
 
 
+def once(rows: dict[str, str]) -> dict[str, str]:
+    """What tells several arguments stands beside the first of them."""
+    first: dict[str, str] = {}
+    return {
+        n: t if len(t) < 25 or first.setdefault(t, n) == n else f"see `{first[t]}`" for n, t in rows.items()
+    }
+
+
 def told(text: str, names: list[str], more: dict[str, str], title: str = "Args") -> str:
     """A docstring with sections for its arguments (or attributes: `title`) and errors."""
     known, rows, errors, kept = set(names), dict(more), [], []
@@ -78,7 +86,7 @@ def told(text: str, names: list[str], more: dict[str, str], title: str = "Args")
             kept.append(rest)
     prose, summary = " ".join(kept), (kept or [""])[0]
     lines = ["\n\n".join(kept)]
-    rows = {n: rows.get(n) or sentence(summary, prose, n) for n in names}
+    rows = once({n: rows.get(n) or sentence(summary, prose, n) for n in names})
     if any(rows.values()):
         lines += ["", f"{title}:", *(f"    {n}: {t or '–'}" for n, t in rows.items())]
     if errors:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sized
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -950,9 +950,13 @@ def export(
 
     network = Network.load(model)
     export_fmu(network, fmu, step=step)
+
+    def counted(things: Sized, one: str) -> str:
+        return f"{len(things)} {one}{'s' if len(things) != 1 else ''}"
+
     typer.echo(
-        f"{len(network.inputs)} inputs, {len(network.outputs)} outputs and {len(network.parameters)} parameters of "
-        f"{network.name} in {fmu}"
+        f"{counted(network.inputs, 'input')}, {counted(network.outputs, 'output')} and "
+        f"{counted(network.parameters, 'parameter')} of {network.name} in {fmu}"
     )
 
 

@@ -359,7 +359,7 @@ def _print(merged: Mapping[str, Any]) -> None:
 
 
 def warm() -> None:
-    """Compile what policies and environments need, once, into the cache of this machine (or NUMBA_CACHE_DIR).
+    """Compile what simulations, policies and environments need, once, into the cache of this machine (or NUMBA_CACHE_DIR).
 
     On a fresh node the first step otherwise costs tens of seconds, in every worker at once.
 
@@ -369,9 +369,24 @@ def warm() -> None:
 
     from .policies import find
     from .scoring import drive
+    from .simulate import simulate
+
+    def ready(what: str, begin: float) -> None:
+        typer.echo(f"{what}: ready after {time.perf_counter() - begin:.1f} s")
 
     plant = Network.load("quarter-car-isd")
-    for name in ("passive", "lqg-preview", "mpc-friction", "mpc"):
+    # the kernel with every law: what a model of one's own asks for, and the diagnosis
+    more = plant.with_element(
+        {"name": "more", "type": "cubic_stiffness", "between": ["body", "wheel"], "stiffness": 1.0}
+    )
+    times = np.linspace(0.0, 0.05, 51)
+    for what, network in (("simulation", plant), ("simulation with every law", more)):
+        begin = time.perf_counter()
+        simulate(network, times, {c.name: 0.0 * times for c in network.inputs})
+        for episodes in (1, 2):
+            drive(find("passive", network), network, episodes=episodes, duration=0.05)
+        ready(what, begin)
+    for name in ("lqg-preview", "mpc-friction", "mpc"):
         begin = time.perf_counter()
         for episodes in (1, 2):
             drive(
@@ -381,4 +396,4 @@ def warm() -> None:
                 duration=0.05,
                 sensors=Condition(noise=1.0, road_error=1e-3).sensors,
             )
-        typer.echo(f"{name}: ready after {time.perf_counter() - begin:.1f} s")
+        ready(name, begin)

@@ -87,12 +87,14 @@ def simulation(study: Study) -> Section:
     want7 = [q / p - 1 for p, q in zip(b7, a7, strict=True)]
     want8 = [q / p - 1 for p, q in zip(b8, a8, strict=True)]
     lucky = np.all(np.array(strays) <= np.array(want7)[:, None], axis=0)
+    count = int(lucky.sum())
+    meet = f"{count} of {len(lucky)} records {'meets' if count == 1 else 'meet'}"
     study.claims.append(
         Claim(
             "Section 4.3",
             "predictive control lowers all three of acceleration, travel and tyre load",
             f"{name}, from measured signals, under every limit: {percent(change[0])}, {percent(change[1])}, {percent(change[2])}; in single records of "
-            f"10 s from {percent(low[0])} to {percent(high[0])} in acceleration; {int(lucky.sum())} of {len(lucky)} records meet Table 7 in all three",
+            f"10 s from {percent(low[0])} to {percent(high[0])} in acceleration; {meet} Table 7 in all three",
             "holds in direction for acceleration and travel"
             + ("" if change[2] > 0 else " and tyre load")
             + ", not in size",
