@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from isd_gym.discrepancy.criteria import CRITERIA, Criteria, decide, gates_of, table
 from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
+from isd_gym.discrepancy.imitate import repeats
+from isd_gym.elements import TYPES, Motion
 
 FRICTION = EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=0.05)
 GAIN = EffectEvidence("sensor_gain at position", share=0.2, spread=0.05, sensor=True, fault=0.1)
@@ -48,6 +51,7 @@ def test_a_name_passes_every_gate() -> None:
         ("adequate", {"explained": 0.6, "after": (0.2,), "closest": (0.2,)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, complaint="beyond its reach"),)}, "unknown_effect"),
+        ("plausible", {"limits": ("spring.stiffness",)}, "unknown_effect"),
         ("ahead", {"abreast": ("hysteresis at mass-ground",), "lead": 1.0}, "ambiguous"),
         ("shape", {"shapeless": 0.8}, "unknown_effect"),
         ("likely", {"sure": 0.4}, "unknown_effect"),
@@ -59,6 +63,11 @@ def test_each_gate_can_fail_and_the_verdict_follows(gate: str, change: dict, ver
     d = decide(replace(GOOD, **change))
     assert [g.name for g in d.gates if not g.passed] == [gate]
     assert d.verdict == verdict
+
+
+def test_a_limit_that_the_model_stood_at_before_is_no_fault_of_the_name() -> None:
+    both = {"limits": ("spring.stiffness",), "refit_limits": ("spring.stiffness",)}
+    assert decide(replace(GOOD, **both)).verdict == "missing_effect"
 
 
 def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either() -> None:
@@ -96,6 +105,26 @@ def test_agreement_needs_a_noise_that_is_known_or_a_small_error() -> None:
     assert decide(broad).verdict == "unknown_effect"
 
 
+def test_a_name_explains_what_it_was_fitted_to() -> None:
+    # nine tenths of the held-out gap, by chance, and the fitted records worse than before
+    lucky = replace(GOOD, fitted_refit=(0.3,), fitted_after=(0.4,), fitted_explained=-0.9)
+    d = decide(lucky)
+    assert d.verdict == "unknown_effect"
+    assert [g.name for g in d.gates if not g.passed] == ["adequate"]
+    assert decide(replace(lucky, fitted_after=(0.03,), fitted_explained=0.97)).verdict == "missing_effect"
+
+
+def test_what_noise_may_hide_is_no_finding() -> None:
+    clean = replace(
+        GOOD, before=(0.16,), refit=(0.051,), after=(0.051,), floor=(0.041,), worth=(0.01,), effects=()
+    )
+    assert decide(replace(clean, closest=())).verdict == "parameters_only"
+    assert decide(replace(clean, closest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
+    # what gains something is looked at whatever the noise
+    small = replace(clean, effects=(FRICTION,), after=(0.041,), gain=300.0, explained=0.6, shapeless=0.7)
+    assert decide(small).verdict == "unknown_effect"
+
+
 def test_criteria_are_arguments_and_say_why_they_are() -> None:
     strict = Criteria(share=0.5)
     assert decide(replace(GOOD, explained=0.89, closest_share=0.9), strict).verdict == "unknown_effect"
@@ -103,3 +132,11 @@ def test_criteria_are_arguments_and_say_why_they_are() -> None:
     assert {r["id"] for r in rows} == set(Criteria.__dataclass_fields__)
     assert all(r["unit"] and r["why"] and r["source"] for r in rows)
     assert {g.name for g in gates_of(GOOD, CRITERIA)} >= {"material", "ahead", "forces first"}
+
+
+def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition() -> None:
+    wave = TYPES["cogging_force"](name="wave", where=("mass", "base"), amplitude=1.0, pitch=2.0, phase=0.0)
+    rare = np.concatenate([np.random.default_rng(0).uniform(-1.0, 1.0, 1000), [-2.0, 2.0]])
+    often = np.linspace(-2.0, 2.0, 1000)
+    assert not repeats(wave, Motion(rare, 0 * rare, 0 * rare))  # two periods end to end
+    assert repeats(wave, Motion(often, 0 * often, 0 * often))

@@ -104,12 +104,24 @@ class Evidence:
     def agrees_before(self) -> bool:
         return all(x < w for x, w in zip(self.excess_before, self.worth, strict=True))
 
+    @property
+    def driven_out(self) -> tuple[str, ...]:
+        """Parameters that stand at the limit of what the owner allows beside the candidate, and did not without it.
+
+        What is really missing brings them back.
+        """
+        return tuple(x for x in self.limits if x not in self.refit_limits)
+
     def adequate_rest(self, several: float) -> bool:
         """Whether what is left is no more than so many small effects make, whose powers add up."""
         return all(
             x**2 < several * w**2
             for x, w in zip(self.excess_after, self.worth_after or self.worth, strict=True)
         )
+
+    def fits(self, least: float) -> bool:
+        """Whether the candidate explains that share of the excess on the records that it was fitted to."""
+        return not self.fitted_refit or self.fitted_explained >= least
 
     def closed_by_small(self, share: float) -> bool:
         """Whether effects too small to be named would close the gap."""

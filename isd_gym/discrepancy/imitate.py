@@ -19,6 +19,7 @@ POINTS = 240  # of the motion at which forces are compared
 NEAR = 0.5  # share of the found force that an imitation may miss
 MOST = 3  # imitations of one effect
 PERIODS = 1.5  # of a law that must lie within the travel: one alone is any curve that goes up and down again
+MOSTLY = 0.95  # share of the samples that lie within the travel that counts
 
 
 def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
@@ -60,7 +61,10 @@ def repeats(element: el.Element, motion: el.Motion) -> bool:
     """Whether an element is not periodic, or shows enough periods within the travel for that to be seen."""
     if not element.periodic:
         return True
-    return bool(PERIODS * getattr(element, element.periodic[0]) <= float(np.ptp(motion.d)))
+    low, high = np.quantile(
+        motion.d, [0.5 - 0.5 * MOSTLY, 0.5 + 0.5 * MOSTLY]
+    )  # rare reaches show nothing twice
+    return bool(PERIODS * getattr(element, element.periodic[0]) <= high - low)
 
 
 def _plain_curve(kind: type[el.Element]) -> bool:

@@ -156,7 +156,8 @@ def complaint(problem: Problem, fit: Fit, element: el.Element) -> str:
     if element.plane != "time":
         axis = motion.v if element.plane == "rate" else motion.d
         force = element.curve(axis[:: max(1, len(axis) // 500)])
-        if math.sqrt(float(np.mean(force**2))) > LARGEST * max(force_scale(problem), 1e-300):
+        moved = max(problem.network.masses.values(), default=0.0) * el.rms(motion.a)
+        if el.rms(force) > LARGEST * max(force_scale(problem), moved, 1e-300):
             return "its force is many times what the data show"
     return ""
 
