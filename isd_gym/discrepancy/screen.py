@@ -141,7 +141,7 @@ def _responses(
 
 
 def _scored(h: Hypothesis, start: Start, s: Array, residual: Residual, lost: bool) -> Screened | None:
-    if not np.isfinite(s).all():
+    if not (np.abs(s) < 1e100).all():  # it breaks down, or its squares would overflow
         return None
     size = np.linalg.norm(s, axis=0)
     if not np.all(size > 0):
