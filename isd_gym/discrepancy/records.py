@@ -24,6 +24,7 @@ STRETCH = 200.0
 LEAST_STRETCH = 40.0
 #: how much before a stretch is simulated where laws remember and nothing else does
 FORGETS = 100.0
+STILL = 4.0  # times the power of the quietest window, below which nothing moves
 LEAST_SAMPLES = 32  # of a record that is simulated to see its scale
 
 
@@ -234,8 +235,13 @@ def dealt(
         notes.append(f"held out: {', '.join(r.name for r in held)}")
     elif not held:
         fit, held = _cut(fit[0])
-        share = len(held[0]) / (len(held[0]) + len(fit[0]))
-        notes.append(f"held out: the last {share:.0%} of the only record, a third of its motion")
+        whole, used = len(data[0]), len(held[0]) + len(fit[0])
+        rest = (
+            ""
+            if used == whole
+            else f"; its last {1 - used / whole:.0%}, where nothing moves any more, is left out"
+        )
+        notes.append(f"held out: the last third of the motion of the only record{rest}")
     pieces = [piece for r in held for piece in stretches(r, _length(r, time), lead=lead)]
     roles: list[Role] = ["choose"] * len(pieces)
     if len(pieces) > 1:
@@ -263,9 +269,27 @@ def _cut(record: Record) -> tuple[list[Record], list[Record]]:
     width = max(1, int(0.2 * record.pace / record.rate))
     smooth = np.apply_along_axis(lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y)
     way = np.cumsum(np.sum(np.abs(np.diff(smooth, axis=0)) / np.maximum(y.std(axis=0), 1e-300), axis=1))
+    end = _rest(record, y)
+    way = way[: max(end - width, 1)]
     at = int(np.searchsorted(way, 2 / 3 * way[-1])) + width // 2
-    at = min(max(at, len(record) // 4), len(record) - max(len(record) // 6, 32))
-    return [record.part(0, at, record.name)], [record.part(at, len(record), f"{record.name} (later part)")]
+    at = min(max(at, end // 4), end - max(end // 6, 32))
+    return [record.part(0, at, record.name)], [record.part(at, end, f"{record.name} (later part)")]
+
+
+def _rest(record: Record, y: Array) -> int:
+    """The sample at which what is worth comparing ends: where over half of a record, at its end, shows nothing but noise.
+
+    y (n, channels): what was measured, without its mean.
+    """
+    length = max(16, math.ceil(6 * record.pace / record.rate))
+    count = len(y) // length
+    if count < 8:
+        return len(y)
+    power = y[: count * length].reshape(count, length, -1).var(axis=1)
+    moving = np.flatnonzero((power > STILL * power.min(axis=0)).any(axis=1))
+    last = (int(moving[-1]) + 1 if len(moving) else count) * length
+    # some of the rest stays: that it does not move is a fact, too
+    return len(y) if last > len(y) // 2 else last + last // 4
 
 
 def stretches(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
