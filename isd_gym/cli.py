@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from .console import TrustOption, check_file, lines, progress, resumable, warm_up, write_json
+from .console import TrustOption, check_file, counted, lines, progress, resumable, warm_up, write_json
 from .errors import InputError, hint, plain, shown
 from .plugins import COMMANDS, REFERENCES, plugins
 
@@ -753,9 +753,16 @@ def _identify(
     """A model without its road, in the likelihood."""
     from .discrepancy.unmeasured import FOLDER, identify
     from .files import check_folder
-    from .loggers.records import records_of
+    from .loggers.records import outputs_of, records_of
 
     check_folder(out, *FOLDER)
+    logged = set.intersection(
+        *(set(outputs_of(f, network, options.get("by"), options.get("rename"))) for f in data)
+    )
+    absent = [c.name for c in network.outputs if c.name not in logged]
+    if absent and logged:
+        typer.echo(f"not in the records, left out: {', '.join(plain(n, 40) for n in absent)}", err=True)
+        network = network.with_outputs(logged)
     wanted = [c for c in (*network.inputs, *network.outputs) if c.name != road]
     with lines() as say:
         records = [r for f in data for r in records_of(f, network, wanted, **options)]
@@ -781,7 +788,7 @@ def _diagnose_fleet(
     from .fleet import lines as told
 
     check(folder, out)
-    with resumable(), progress() as update:
+    with resumable(), counted("cases") as update:
         merged, outcome = fleet(
             folder,
             out,
@@ -789,7 +796,8 @@ def _diagnose_fleet(
             options=options,
             jobs=jobs,
             engine=engine,
-            progress=lambda done, every: update("cases", done / max(every, 1)),
+            progress=update,
+            say=lambda line: typer.echo(line, err=True),
         )
     write_json(json_file, merged)
     for line in told(merged, min(max(60, _columns()), 140)):
@@ -829,7 +837,7 @@ def _diagnose_unit(
     from .cosimulation import WHY_TRUST, Unit
     from .discrepancy import diagnose_unit
 
-    if trust:
+    if trust and os.path.exists(model):
         typer.echo(f"isd-gym: warning: {model}: {WHY_TRUST}", err=True)
     with lines() as say, Unit(model, trust=trust) as unit:
         known = [p.name for p in (*unit.model.inputs, *unit.model.outputs)]

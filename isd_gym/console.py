@@ -84,6 +84,35 @@ def progress() -> Iterator[Callable[[str, float], None]]:
         yield update
 
 
+#: [s] between lines of progress where there is no terminal for a bar
+SELDOM = 30.0
+
+
+@contextmanager
+def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar on stderr that counts (done, all); a line now and then where stderr is no terminal. what: 'cases'."""
+    import time
+
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    begun = told = time.monotonic()
+    if not sys.stderr.isatty():
+
+        def line(done: int, every: int) -> None:
+            nonlocal told
+            if time.monotonic() - told > SELDOM and done < every:
+                told = time.monotonic()
+                typer.echo(f"{told - begun:.0f} s: {done} of {every} {what}", err=True)
+
+        yield line
+        return
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, every: bar.update(task, completed=done, total=every)
+
+
 @contextmanager
 def resumable() -> Iterator[None]:
     """Work that is kept item by item: Ctrl-C says how to go on with it."""

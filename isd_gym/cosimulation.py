@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import Array
-from .errors import InputError, how_to_install, shown
+from .errors import InputError, hint, how_to_install, shown
 from .files import write_text
 from .guarded import Guarded
 from .inputs import memory_limit, plain_file, too_large
@@ -75,7 +75,9 @@ class UnitModel:
         """The same with other `values` of some parameters. Raises `InputError` for one that it does not have."""
         for name in values:
             if name not in self.parameters:
-                raise InputError(f"unit {shown(self.name)} has no parameter {shown(name)}")
+                raise InputError(
+                    f"unit {shown(self.name)} has no parameter {shown(name)}: {hint(name, self.parameters)}"
+                )
         return replace(self, parameters={**self.parameters, **values})
 
     def save(self, path: str | Path) -> None:

@@ -13,10 +13,12 @@ import json
 import logging
 import multiprocessing
 import os
+import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -180,9 +182,22 @@ def _serve(pipe: Connection) -> None:
     while True:
         try:
             job = pipe.recv()
-        except (EOFError, KeyboardInterrupt):
+        except EOFError:
             return
         pipe.send(answer(*job))
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes begun within do not hear Ctrl-C: who began them says what it means, and stops them."""
+    if threading.current_thread() is not threading.main_thread():  # only there can that be said
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Worker:
@@ -191,7 +206,8 @@ class _Worker:
     def __init__(self, context: Any) -> None:
         self.pipe, other = context.Pipe()
         self.process = context.Process(target=_serve, args=(other,), daemon=True)
-        self.process.start()
+        with _deaf():
+            self.process.start()
         other.close()
         self.task: Task | None = None
 

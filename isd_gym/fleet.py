@@ -223,7 +223,7 @@ def lines(merged: Mapping[str, Any], width: int = 80) -> list[str]:
     import textwrap
 
     rows = merged["cases"]
-    wide = min(max(len(r["vehicle"]) for r in rows), 20)
+    wide = min(max(len("vehicle"), *(len(r["vehicle"]) for r in rows)), 20)
     out = [f"{'vehicle':<{wide}} {'date':<10} verdict"]
     for r in rows:
         head = f"{plain(r['vehicle'], wide):<{wide}} {r['date'] or '-':<10} "
@@ -260,7 +260,7 @@ def lines(merged: Mapping[str, Any], width: int = 80) -> list[str]:
 def _effect(effect: Mapping[str, Any]) -> str:
     where = "-".join(effect.get("between") or [effect.get("channel") or ""])
     values = ", ".join(
-        f"{n} {q['value']:.4g} {q.get('unit', '')}".strip()
+        f"{n} {q['value']:.4g} {q.get('unit', '')}".strip().replace("^2", "²").replace("^3", "³")
         for n, q in effect["parameters"].items()
         if q["value"] is not None
     )

@@ -564,6 +564,10 @@ def simulate(
         )
     every = max(1, math.ceil(dt / step - 1e-9))
     plant = Plant(network, dt / every, extra=extra)
+    if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
+        raise InputError(
+            f"initial: wants the state ({plant.n},) in the assembly's coordinates, as isd_gym.loggers.start.state_of makes it of nodes' motions"
+        )
     needs = plant.differentiated
     fine, slopes = {}, {}
     for c in network.inputs:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from .console import resumable
+from .console import counted, resumable
 from .engine import Outcome, Task, shard, stored
 from .engine import run as run_tasks
 from .errors import InputError
@@ -290,22 +290,8 @@ def command(
 
     Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
     """
-    import sys
-
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
-
     made = Grid.load(grid)
-    bar = Progress(
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
-    with resumable(), bar:
-        line = bar.add_task("", total=None)
+    with resumable(), counted("items") as progress:
         merged, outcome = sweep(
             made,
             out,
@@ -313,7 +299,7 @@ def command(
             which=which,
             engine=engine,
             address=address,
-            progress=lambda done, all: bar.update(line, completed=done, total=all),
+            progress=progress,
             say=lambda text: typer.echo(text, err=True),
         )
     _print(merged)

@@ -199,7 +199,7 @@ def _designed(
         )
     chosen.save(design, network)
     notes.append(chosen.sentence)
-    typer.echo(f"{chosen.sentence}\n{len(chosen.record)} samples in {design}")
+    typer.echo(f"{len(chosen.record)} samples in {design}")
     known = {c.name: float(s) for c, s in zip(network.outputs, noise, strict=True)}
     return run(network, excitation=chosen.excitation, rig=rig, notes=notes, **{**options, "noise": known})
 

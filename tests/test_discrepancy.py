@@ -433,7 +433,9 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
     assert roles[0] == "fit" and len(records[0]) < 0.4 * len(decay)
     assert any("only record" in n for n in notes)
     # at rest after a third: noise is no motion, and most of the rest is left out
-    still = np.where(t < 10.0, decay.measured[:, 0], 0.0) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    still = np.where(t < 10.0, decay.measured[:, 0], 0.0) + 1e-3 * np.random.default_rng(0).standard_normal(
+        len(t)
+    )
     rested = Record("rested", 1e-2, {}, still[:, None])
     records, roles = dealt([rested], [], notes, rested.pace)
     assert len(records[0]) < 0.2 * len(rested)

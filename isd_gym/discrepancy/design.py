@@ -69,7 +69,10 @@ class Design:
                 f"({self.usual:.3g} by {usual}); watch {self.watch}."
             )
         told, before, of = self.told
-        return f"{head} most: {self.text} ({told} of {of} hypotheses, {before} by {usual})."
+        return (
+            f"{head} most: {self.text}. At a twentieth of the force it tells {told} of {of} hypotheses from all others, "
+            f"{usual} {before}."
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """As a diagnosis has it in `next_experiment`."""

@@ -47,6 +47,8 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
             )
         if os.path.isdir(source):
             raise InputError(f"cannot read {where}: it is a folder")
+        if text_name.lower().endswith(".fmu"):
+            raise InputError(f"{where}: an FMU shows no inside; only `isd-gym diagnose --model` takes one")
         data = parse_json(read_bytes(source), where)
     try:
         return from_dict(data)
