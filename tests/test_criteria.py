@@ -83,6 +83,7 @@ def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_i
     harder = replace(left, explained=0.3, worth_after=(0.1,))
     assert decide(harder).verdict == "unknown_effect"
     assert decide(replace(harder, fitted_explained=0.99)).verdict == "missing_effect"
+    assert decide(replace(harder, fitted_explained=0.87)).verdict == "unknown_effect"
     assert decide(replace(harder, fitted_explained=0.99, worth_after=(0.03,))).verdict == "unknown_effect"
 
 

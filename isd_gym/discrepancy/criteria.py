@@ -194,9 +194,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             e.fits(c.adequate)
             and (
                 e.explained >= c.adequate
-                or (
-                    e.adequate_rest(c.several) and (e.explained >= c.half or e.fitted_explained >= c.adequate)
-                )
+                or (e.adequate_rest(c.several) and (e.explained >= c.half or e.fitted_explained >= c.alone))
             ),
             e.explained,
             c.adequate,
