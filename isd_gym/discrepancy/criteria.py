@@ -191,7 +191,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
         ),
         Gate(
             "adequate",
-            e.fits(c.adequate)
+            e.fits
             and (
                 e.explained >= c.adequate
                 or (e.adequate_rest(c.several) and (e.explained >= c.half or e.fitted_explained >= c.alone))

@@ -119,9 +119,13 @@ class Evidence:
             for x, w in zip(self.excess_after, self.worth_after or self.worth, strict=True)
         )
 
-    def fits(self, least: float) -> bool:
-        """Whether the candidate explains that share of the excess on the records that it was fitted to."""
-        return not self.fitted_refit or self.fitted_explained >= least
+    @property
+    def fits(self) -> bool:
+        """Whether the candidate errs no more than the refitted model on the records that it was fitted to.
+
+        How much less says little: a refitted model makes up for a good part of what it lacks there.
+        """
+        return not self.fitted_refit or self.fitted_explained >= 0.0
 
     def closed_by_small(self, share: float) -> bool:
         """Whether effects too small to be named would close the gap."""
