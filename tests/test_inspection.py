@@ -404,6 +404,7 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
         ("base=1", "'base' is moved by an input"),
         ("mass=x", "wants NODE=VALUE"),
         ("no.json", "no such file"),
+        ("mass", "wants NODE=VALUE"),
     ],
 )
 def test_a_wrong_start_is_one_line(tmp_path, program, word, words):

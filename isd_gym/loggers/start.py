@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,10 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
     for word in words:
         name, joined, value = word.partition("=")
         if not joined:
+            if not os.path.exists(word) and "." not in word:  # a node, and its value forgotten
+                raise InputError(
+                    f"--initial {shown(word)}: wants NODE=VALUE, NODE.velocity=VALUE (SI), a file, or fit"
+                )
             data = read_json(Path(word))
             if not isinstance(data, dict) or not all(isinstance(v, dict) for v in data.values()):
                 raise InputError(f"{word}: wants {{node: {{displacement, velocity}}}}")
