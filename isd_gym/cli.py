@@ -959,12 +959,12 @@ def export(
     network = Network.load(model)
     export_fmu(network, fmu, step=step)
 
-    def counted(things: Sized, one: str) -> str:
+    def number_of(things: Sized, one: str) -> str:
         return f"{len(things)} {one}{'s' if len(things) != 1 else ''}"
 
     typer.echo(
-        f"{counted(network.inputs, 'input')}, {counted(network.outputs, 'output')} and "
-        f"{counted(network.parameters, 'parameter')} of {network.name} in {fmu}"
+        f"{number_of(network.inputs, 'input')}, {number_of(network.outputs, 'output')} and "
+        f"{number_of(network.parameters, 'parameter')} of {network.name} in {fmu}"
     )
 
 

@@ -106,7 +106,7 @@ def test_agreement_needs_a_noise_that_is_known_or_a_small_error() -> None:
     assert decide(broad).verdict == "unknown_effect"
 
 
-def test_a_name_explains_what_it_was_fitted_to() -> None:
+def test_a_name_makes_nothing_worse_that_it_was_fitted_to() -> None:
     # nine tenths of the held-out gap, by chance, and the fitted records worse than before
     lucky = replace(GOOD, fitted_refit=(0.3,), fitted_after=(0.4,), fitted_explained=-0.9)
     d = decide(lucky)

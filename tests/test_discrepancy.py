@@ -443,6 +443,17 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
     assert "nothing moves" in notes[-2]
 
 
+def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by() -> None:
+    from isd_gym.discrepancy.problem import Record
+    from isd_gym.discrepancy.records import dealt
+
+    counts = np.zeros(3000)  # an encoder's, which does not flicker
+    counts[:4] = [9, -9, 9, -9]
+    knock = Record("knock", 1e-2, {}, counts[:, None])
+    records, roles = dealt([knock], [], [], knock.pace)
+    assert roles[0] == "fit" and min(map(len, records)) >= 32
+
+
 @pytest.mark.parametrize("thin", [1, 2])
 def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin: int) -> None:
     from isd_gym.discrepancy.problem import Problem, Record, thinned

@@ -81,11 +81,10 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
         if width > 1 and (share, numbers) > best[0]:
             best = ((share, numbers), delimiter, comma, width)
     (_, numbers), delimiter, comma, width = best
-    if not numbers and sum(_number(s.strip(), False) is not None for _, s in rows[-20:]) > 0.5 * len(
-        rows[-20:]
-    ):
-        return ",", False, 1  # one column: the time of a rig that nothing drives
     if not numbers:
+        last = [_number(s.strip(), False) is not None for _, s in rows[-20:]]
+        if sum(last) > 0.5 * len(last):  # one column: the time of a rig that nothing drives
+            return ",", False, 1
         tried = "separators tried: comma, semicolon, tab, blank"
         raise InputError(f"{path}: no columns of numbers found ({tried})")
     return delimiter, comma, width

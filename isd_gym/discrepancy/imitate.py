@@ -61,9 +61,8 @@ def repeats(element: el.Element, motion: el.Motion) -> bool:
     """Whether an element is not periodic, or shows enough periods within the travel for that to be seen."""
     if not element.periodic:
         return True
-    low, high = np.quantile(
-        motion.d, [0.5 - 0.5 * MOSTLY, 0.5 + 0.5 * MOSTLY]
-    )  # rare reaches show nothing twice
+    # where the motion rarely goes, nothing is seen twice
+    low, high = np.quantile(motion.d, [0.5 - 0.5 * MOSTLY, 0.5 + 0.5 * MOSTLY])
     return bool(PERIODS * getattr(element, element.periodic[0]) <= high - low)
 
 

@@ -24,6 +24,7 @@ STRETCH = 200.0
 LEAST_STRETCH = 40.0
 #: how much before a stretch is simulated where laws remember and nothing else does
 FORGETS = 100.0
+WINDOWS = 8  # of a record in which its rest is looked for; so many stay
 STILL = 4.0  # times the power of the quietest window, below which nothing moves
 LEAST_SAMPLES = 32  # of a record that is simulated to see its scale
 
@@ -236,12 +237,8 @@ def dealt(
     elif not held:
         fit, held = _cut(fit[0])
         whole, used = len(data[0]), len(held[0]) + len(fit[0])
-        rest = (
-            ""
-            if used == whole
-            else f"; its last {1 - used / whole:.0%}, where nothing moves any more, is left out"
-        )
-        notes.append(f"held out: the last third of the motion of the only record{rest}")
+        rest = f"; its last {1 - used / whole:.0%}, where nothing moves any more, is left out"
+        notes.append(f"held out: the last third of the motion of the only record{rest * (used < whole)}")
     pieces = [piece for r in held for piece in stretches(r, _length(r, time), lead=lead)]
     roles: list[Role] = ["choose"] * len(pieces)
     if len(pieces) > 1:
@@ -283,13 +280,13 @@ def _rest(record: Record, y: Array) -> int:
     """
     length = max(16, math.ceil(6 * record.pace / record.rate))
     count = len(y) // length
-    if count < 8:
+    if count < WINDOWS:
         return len(y)
     power = y[: count * length].reshape(count, length, -1).var(axis=1)
     moving = np.flatnonzero((power > STILL * power.min(axis=0)).any(axis=1))
     last = (int(moving[-1]) + 1 if len(moving) else count) * length
     # some of the rest stays: that it does not move is a fact, too
-    return len(y) if last > len(y) // 2 else last + last // 4
+    return len(y) if last > len(y) // 2 else max(last + last // 4, WINDOWS * length)
 
 
 def stretches(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
