@@ -36,6 +36,7 @@ from .structure import Structure, add
 
 #: multiples of the amplitude that the score test gives, and of one that it says little about
 AMPLITUDES, LARGE = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0), (80.0,)
+COARSE = (1.0, 5.0, 30.0)  # of those, where every hypothesis is tried
 THREADS = 2  # the kernel and the linear algebra let go of the interpreter
 
 
@@ -131,12 +132,28 @@ class Race:
         tried = list(hypotheses(self.current.structure.network))
         moved = set(self.problem.network.moved_nodes)
         groups: dict[object, list[Screened]] = {}
-        for s in screen(self.problem, self.fitter, self.current, tried, self.lost):
+        found = screen(self.problem, self.fitter, self.current, tried, self.lost)
+        for s in found:
             # it says little about what is put in series
             always = s.hypothesis.kind.series and bool(set(s.hypothesis.where) & moved)
             if s.hypothesis in groups or len(groups) < self.settings.heats or always:
                 groups.setdefault(s.hypothesis, []).append(s)
-        return list(groups.values())
+        if gap(self.problem, self.current) < self.settings.far:
+            return list(groups.values())
+        return [*groups.values(), *(g for g in self.nearest(found) if g[0].hypothesis not in groups)]
+
+    def nearest(self, found: Sequence[Screened]) -> list[list[Screened]]:
+        """Of a gap so wide that small steps say little: the hypotheses that come nearest as they stand, at large amplitudes."""
+        every: dict[object, list[Screened]] = {}
+        for s in found:
+            every.setdefault(s.hypothesis, []).append(s)
+        came = []
+        for group in every.values():
+            scores = _misfit(self, [t for s in group for t in amplified(self, s, COARSE)])
+            if scores is not None and len(scores):
+                came.append((float(scores.min()), group))
+        came.sort(key=lambda t: t[0])
+        return [group for _, group in came[: self.settings.nearest]]
 
     def try_out(self, group: list[Screened]) -> Candidate | None:
         """A hypothesis fitted to the stretches, from its best starts."""
@@ -289,17 +306,11 @@ def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
         return [
             (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
         ]
-    tries: list[Structure] = []
-    for s in group[:6]:
-        factors = AMPLITUDES + LARGE * (s.start.inverse or race.lost) if s.start.grows else (1.0,)
-        for factor in factors:
-            values = dict(s.values)
-            for key in s.start.grows:
-                values[key] *= 1 / factor if s.start.inverse else factor
-            try:
-                tries.append(add(advanced(current), s.hypothesis, values))
-            except InputError:
-                continue
+    tries = [
+        t
+        for s in group[:6]
+        for t in amplified(race, s, AMPLITUDES + LARGE * (s.start.inverse or race.lost))
+    ]
     if not tries:
         return []
     scores = _misfit(race, tries)
@@ -313,9 +324,25 @@ def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
     return [(t, t.start) for t in picked]
 
 
+def amplified(race: Race, s: Screened, factors: Sequence[float]) -> list[Structure]:
+    """A screened start at multiples of its amplitude, where it has one."""
+    out = []
+    for factor in factors if s.start.grows else (1.0,):
+        values = dict(s.values)
+        for key in s.start.grows:
+            values[key] *= 1 / factor if s.start.inverse else factor
+        try:
+            out.append(add(advanced(race.current), s.hypothesis, values))
+        except InputError:
+            continue
+    return out
+
+
 def _misfit(race: Race, tries: Sequence[Structure]) -> Array | None:
     """Sum over channels of the logarithm of the residual's variance, as they stand: one that drifts does not drown others."""
     problem, current = race.short, race.current
+    if not tries:
+        return None
     scores, nets = np.zeros(len(tries)), [t.network for t in tries]
     begun = [carried(problem, current.network, race.begin, t) for t in tries]
     at = {i: np.stack([b[i] for b in begun], axis=1) for i in problem.estimation}

@@ -10,7 +10,8 @@ class SearchSettings:
     """How far the search goes: it may miss what it does not try, but decides nothing.
 
     heats, finals: how many hypotheses are fitted to the stretch of a record where the gap is widest, and how many of
-    them to all of it. depth: effects at once. turns: runners-up from which the search starts over where one effect is not
+    them to all of it. far, nearest: gap from which on the score test, which looks at small effects, says too little, and how many
+    hypotheses then join that come nearest as they stand. depth: effects at once. turns: runners-up from which the search starts over where one effect is not
     enough. window: share of a record that a heat sees, and the least samples of it. chance, sure (2 log L): what a richer
     relative may gain for nothing, and what a step must gain. lost: gap (power over the signal's) from which on a simulation
     that no input ties to the record has lost its phase. astray: error of the refitted model (share of the deviation,
@@ -23,6 +24,8 @@ class SearchSettings:
 
     heats: int = 8
     finals: int = 4
+    far: float = 0.1
+    nearest: int = 4
     depth: int = 3
     turns: int = 2
     window: float = 0.4

@@ -235,7 +235,7 @@ class Workflow:
         said = flow.report(
             trial, evidence, decision, quantities, abreast, [*notes, *flow.tried(trial)], begun
         )
-        why = f"Compared over stretches of {seconds:.2g} s: no simulation stays with these records for long."
+        why = f"Compared over stretches of {seconds:.2g} s: the old model does not stay with these records for long."
         return replace(said, summary=f"{said.summary} {why}")
 
     def repeats(self, base: Candidate) -> bool:
