@@ -307,9 +307,7 @@ def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
             (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
         ]
     tries = [
-        t
-        for s in group[:6]
-        for t in amplified(race, s, AMPLITUDES + LARGE * (s.start.inverse or race.lost))
+        t for s in group[:6] for t in amplified(race, s, AMPLITUDES + LARGE * (s.start.inverse or race.lost))
     ]
     if not tries:
         return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -32,12 +33,16 @@ class Search(Refits):
 
     # -- forward ------------------------------------------------------------------------------------------
     def walk(
-        self, path: Sequence[Candidate], stages: Sequence[list[Candidate]] = (), depth: int | None = None
+        self,
+        path: Sequence[Candidate],
+        stages: Sequence[list[Candidate]] = (),
+        depth: int | None = None,
+        worthwhile: Callable[[Candidate], bool] = lambda last: True,
     ) -> tuple[list[Candidate], list[list[Candidate]]]:
-        """Forward addition, one effect at a time, from the last candidate of `path` on."""
+        """Forward addition, one effect at a time, from the last candidate of `path` on, as long as the last is `worthwhile`."""
         c = self.criteria
         path, stages = list(path), list(stages)
-        while len(path) <= (depth or self.settings.depth):
+        while len(path) <= (depth or self.settings.depth) and worthwhile(path[-1]):
             now = path[-1]
             here = self.judge.outcome(now, self.judge.weights(now))
             left = here.excess(self.judge.floor(here))
@@ -372,6 +377,13 @@ class Search(Refits):
         ahead = self.criteria.ahead
         return mine < ahead * theirs if fewer else ahead * mine < theirs
 
+    def keeps_up(self, trial: Trial, candidate: Candidate) -> bool:
+        """Whether what began with a runner-up leaves no more than the first way did with as many effects."""
+        effects = len(candidate.hypotheses)
+        if effects < 2 or effects > len(trial.stages):
+            return True
+        return trial.left(candidate) < self.criteria.ahead * trial.left(trial.stages[effects - 1][0])
+
     def runners_up(self, trial: Trial, enough: Callable[[Trial], bool]) -> Trial:
         """What comes first may lead astray where it is not enough: those that do best on held-out records get their turn."""
         if enough(trial) or not trial.stages:
@@ -387,8 +399,12 @@ class Search(Refits):
         begun = first[0]
         for runner in [r for r in turns if r is not begun][: self.settings.turns]:
             self.say(f"starting over with {runner.hypotheses[-1].label}")
+            keeps_up = functools.partial(self.keeps_up, trial)
             try:
-                other = self.weigh(*self.walk([trial.base, runner], trial.stages[:1]))
+                path, stages = self.walk([trial.base, runner], trial.stages[:1], worthwhile=keeps_up)
+                if not keeps_up(path[-1]):
+                    continue
+                other = self.weigh(path, stages)
                 trial = other if self.better(other, trial) else trial
             except BROKEN:
                 continue
