@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -160,6 +161,17 @@ def simpler(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, St
 def relative(general: Hypothesis, special: Hypothesis) -> bool:
     """Whether the first holds the second as a special case, at the same place."""
     return special.effect in general.kind.contains and set(general.where) == set(special.where)
+
+
+def akin(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bool:
+    """Whether two sets of effects are the same, in whatever order, but for special cases of one another."""
+    rest = list(others)
+    for h in some:
+        twin = next((q for q in rest if q == h or relative(q, h) or relative(h, q)), None)
+        if twin is None:
+            return False
+        rest.remove(twin)
+    return not rest
 
 
 def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[Candidate]:

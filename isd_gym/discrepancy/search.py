@@ -12,6 +12,7 @@ from .. import elements as el
 from .candidate import (
     BROKEN,
     Candidate,
+    akin,
     begun_again,
     level,
     reckoned,
@@ -378,11 +379,14 @@ class Search(Refits):
         return mine < ahead * theirs if fewer else ahead * mine < theirs
 
     def keeps_up(self, trial: Trial, candidate: Candidate) -> bool:
-        """Whether what began with a runner-up leaves no more than the first way did with as many effects."""
+        """Whether what began with a runner-up is not where the first way had come by with as many effects, and leaves no more."""
         effects = len(candidate.hypotheses)
         if effects < 2 or effects > len(trial.stages):
             return True
-        return trial.left(candidate) < self.criteria.ahead * trial.left(trial.stages[effects - 1][0])
+        there = trial.stages[effects - 1][0]
+        if akin(candidate.hypotheses, there.hypotheses):
+            return False
+        return trial.left(candidate) < self.criteria.ahead * trial.left(there)
 
     def runners_up(self, trial: Trial, enough: Callable[[Trial], bool]) -> Trial:
         """What comes first may lead astray where it is not enough: those that do best on held-out records get their turn."""
