@@ -246,8 +246,9 @@ class Fitter(Objective):
         at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
         before = {j: i for i in records for j in records if j not in given and _goes_on(problem, i, j)}
         # one that fits like the others is where it belongs
-        usual = float(np.median([at.costs[i] / len(problem.records[i]) for i in records]))
-        before = {j: i for j, i in before.items() if at.costs[j] > UNUSUAL * usual * len(problem.records[j])}
+        each = [at.costs[i] / len(problem.records[i]) for i in records]
+        usual = min(UNUSUAL * float(np.median(each)), NEAR * min(each))  # most of them may be astray
+        before = {j: i for j, i in before.items() if at.costs[j] > usual * len(problem.records[j])}
         for _ in range(ROUNDS if n0 and before else 0):
             ends = along(problem, structure, x, {i: at.initial[i] for i in before.values()}, (-2, -1))
             ahead = {j: 2 * ends[i][1] - ends[i][0] for j, i in before.items()}

@@ -288,7 +288,11 @@ def steadfast(search: Search, trial: Trial, seed: int) -> float:
     best, refit = trial.of(trial.foremost), trial.of(trial.base)
     blocks: list[Array] = []
     for r in trial.rivals():
-        if search.same(r, trial.foremost) or search.outclassed(trial, r, trial.foremost):
+        if not r.well_formed() or search.same(
+            r, trial.foremost
+        ):  # one that is not what its name says is no choice
+            continue
+        if search.outclassed(trial, r, trial.foremost):
             continue
         try:
             blocks.append(trial.of(r).blocks)

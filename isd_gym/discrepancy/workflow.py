@@ -178,9 +178,16 @@ class Workflow:
 
     def lost(self, base: Candidate) -> bool:
         """Whether the model's simulation does not stay with the records: slight damping, stops, nothing that holds it."""
-        left = np.concatenate(residuals(self.problem, base.fit)).std(axis=0)
-        share = left / np.maximum(self.problem.measured().std(axis=0), 1e-300)
-        return self.movable() and float(share.mean()) > self.settings.astray
+        if not self.movable():
+            return False
+        judge = self.search.judge
+        try:
+            seen = judge.outcome(
+                base, judge.weights(base)
+            )  # held-out records may be longer, or driven harder
+        except BROKEN:
+            return True
+        return float(max(seen.fitted.mean(), seen.nrmse.mean())) > self.settings.astray
 
     def brief(self, times: float | None = None) -> tuple[Problem, float]:
         """The same records in brief stretches (and how long they are [s]), each from a state of its own.
