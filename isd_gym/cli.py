@@ -866,7 +866,7 @@ def _print_diagnosis(result: Any, json_file: Path | None, page: Path) -> None:
     for channel in result.gap["refit"]:
         made.add_row(Text(plain(channel, 40)), *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
     console.print(made)
-    if result.closed is not None:
+    if result.closed is not None and result.closed >= 0:
         console.print(
             f"{100 * result.closed:.1f} % of the gap that can be closed is closed.", highlight=False
         )

@@ -76,9 +76,11 @@ def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either() -> Non
 
 
 def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_itself() -> None:
-    left = replace(GOOD, explained=0.6, after=(0.12,), closest=(0.12,))
+    left = replace(GOOD, explained=0.6, after=(0.09,), closest=(0.09,))
     assert decide(left).verdict == "unknown_effect"
     assert decide(replace(left, worth_after=(0.1,))).verdict == "missing_effect"
+    left = replace(left, after=(0.12,), closest=(0.12,))  # a gap of its own, and half a name
+    assert decide(replace(left, worth_after=(0.1,))).verdict == "unknown_effect"
     # driven harder than what was fitted to, held-out records show more of what is small: then the fitted ones tell
     harder = replace(left, explained=0.3, worth_after=(0.1,))
     assert decide(harder).verdict == "unknown_effect"

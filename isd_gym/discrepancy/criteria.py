@@ -157,7 +157,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     """The gates with their figures."""
     size = min(x.share for x in e.effects)
     alone = len(e.effects) == 1 and e.explained >= c.alone and e.width > c.wide
-    left = "no more" if e.adequate_rest(c.several, c.wide) else "more"
+    left = "no more" if e.adequate_rest(c.several) else "more"
     worst = max((x.spread for x in e.effects), default=0.0)
     odd = [x for x in e.effects if x.complaint]
     sensors = [x for x in e.effects if x.sensor]
@@ -194,9 +194,10 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             e.fits
             and (
                 e.explained >= c.adequate
+                # small effects excuse what is left: half of a name where that is no wide gap itself, a whole one anyway
                 or (
-                    e.adequate_rest(c.several, c.wide)
-                    and (e.explained >= c.half or e.fitted_explained >= c.alone)
+                    e.adequate_rest(c.several)
+                    and ((e.explained >= c.half and e.width_after < c.wide) or e.fitted_explained >= c.alone)
                 )
             ),
             e.explained,

@@ -112,12 +112,17 @@ class Evidence:
         """
         return tuple(x for x in self.limits if x not in self.refit_limits)
 
-    def adequate_rest(self, several: float, wide: float) -> bool:
-        """Whether what is left is no more than so many small effects make, whose powers add up, and not a wide gap itself."""
-        left = self.excess_after
-        return sum(left) < wide * len(left) and all(
-            x**2 < several * w**2 for x, w in zip(left, self.worth_after or self.worth, strict=True)
+    def adequate_rest(self, several: float) -> bool:
+        """Whether what is left is no more than so many small effects make, whose powers add up."""
+        return all(
+            x**2 < several * w**2
+            for x, w in zip(self.excess_after, self.worth_after or self.worth, strict=True)
         )
+
+    @property
+    def width_after(self) -> float:
+        """How wide a gap the candidate leaves beyond the noise, in the mean over channels."""
+        return sum(self.excess_after) / len(self.channels)
 
     @property
     def fits(self) -> bool:

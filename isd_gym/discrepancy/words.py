@@ -11,6 +11,9 @@ from .candidate import Candidate
 from .evidence import Evidence
 from .result import Effect, Place, Tabulated
 
+#: where the records to report by err more with what was found
+NOT_BORNE_OUT = " The records set aside to report by, which took no part in choosing, do not bear it out: they err more with it."
+
 
 def plain_number(value: float) -> str:
     """Four significant digits, without an exponent where one can do without."""
@@ -91,7 +94,9 @@ def _core(
         return f"Parameters within their stated uncertainty explain the difference ({worst}: {percent('before')} before, {percent('refit')} refitted); nothing is missing."
     if verdict == "missing_effect":
         found = " and ".join(described(e) for e in effects)
-        return f"The model lacks {found}; with it the error in {worst} on held-out data falls from {percent('refit')} to {percent('after')} (noise {percent('noise_floor')})."
+        down = gap["after"][worst] <= gap["refit"][worst]
+        text = f"The model lacks {found}; with it the error in {worst} on held-out data {'falls' if down else 'rises'} from {percent('refit')} to {percent('after')} (noise {percent('noise_floor')})."
+        return text if down else text + NOT_BORNE_OUT
     if verdict == "ambiguous":
         names = " or ".join(r.label.replace("_", " ") for r in contenders)
         return f"Something is missing, and these data cannot tell which: {names}."
@@ -99,8 +104,11 @@ def _core(
     return f"Something is missing that no known effect explains{spot}."
 
 
-def unnamed(t: Tabulated | None) -> str:
-    """What is said of a force without a name, or of there being none that can be followed."""
+def unnamed(t: Tabulated | None, closed: float | None = None) -> str:
+    """What is said of a force without a name, or of there being none that can be followed.
+
+    closed: the share of the gap that the table closes on the records to report by.
+    """
     if t is None:
         return (
             " No force between two nodes that is a function of their rate, their distance or both explains half of it on held-out "
@@ -112,4 +120,5 @@ def unnamed(t: Tabulated | None) -> str:
     return (
         f" A force between {t.between[0]} and {t.between[1]} that depends on {over} removes {t.explained:.0%} of what is missing on "
         f"held-out records{said}; it stands in the model as '{t.element}'."
+        + (NOT_BORNE_OUT if closed is not None and closed < 0 else "")
     )

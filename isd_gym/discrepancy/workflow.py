@@ -374,7 +374,7 @@ class Workflow:
         return Diagnosis(
             verdict=verdict,
             summary=sentence(verdict, found, small, contenders, where, gap, evidence, material, left)
-            + (unnamed(tabulated) if verdict == "unknown_effect" else ""),
+            + (unnamed(tabulated, closed(rows)) if verdict == "unknown_effect" else ""),
             tabulated=tabulated,
             effects=tuple(found),
             small_effects=tuple(small),

@@ -229,11 +229,11 @@ class View:
     @property
     def sums(self) -> str:
         """The gap in one clause: how much of what could be closed is closed."""
-        return (
-            ""
-            if self.d.closed is None
-            else f"{percent(self.d.closed, 1, sign=False)} of the gap that can be closed is closed"
-        )
+        if self.d.closed is None:
+            return ""
+        if self.d.closed < 0:
+            return "the records set aside to report by err more with it"
+        return f"{percent(self.d.closed, 1, sign=False)} of the gap that can be closed is closed"
 
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
