@@ -302,7 +302,7 @@ def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
     current, kind = race.current, group[0].hypothesis.kind
     if kind.periodic:  # a step too far leads to another period: from the base as fitted
         known = dict(zip((f.path for f in current.structure.free), current.x, strict=True))
-        near = [s.structure_at(current) for s in group[:3]]
+        near = [t for s in group[:3] for t in amplified(race, s, (1.0,))]
         return [
             (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
         ]

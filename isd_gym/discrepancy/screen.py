@@ -26,9 +26,6 @@ class Screened:
     values: dict[str, float]
     gain: float
 
-    def structure_at(self, fit: Fit) -> Structure:
-        return add(advanced(fit), self.hypothesis, self.values)
-
 
 def advanced(fit: Fit) -> Structure:
     """The structure with the effects found so far at their fitted values, the base at its prior."""

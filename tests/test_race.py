@@ -1,0 +1,34 @@
+"""Where the fits of a stage begin."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+from isd_gym.discrepancy.hypotheses import hypotheses
+from isd_gym.discrepancy.race import Race, amplified, starts
+from isd_gym.discrepancy.screen import Screened
+from isd_gym.discrepancy.structure import base_structure
+from isd_gym.elements import Start
+from isd_gym.network import Network
+
+
+def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Race, Screened]:
+    structure = base_structure(Network.load("quarter-car-isd"))
+    race = cast(Race, SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
+    h = next(h for h in hypotheses(structure.network) if h.effect == effect)
+    return race, Screened(h, Start(values, **start), values, 1.0)
+
+
+def test_a_start_that_no_law_can_have_is_left_out() -> None:
+    """The score test may ask for a force without end; a case of it ended a whole diagnosis."""
+    race, much = screened("cogging_force", {"amplitude": 1e12, "pitch": 0.01, "phase": 0.0})
+    assert starts(race, [much]) == []
+    race, little = screened("cogging_force", {"amplitude": 10.0, "pitch": 0.01, "phase": 0.0})
+    assert len(starts(race, [little])) == 1
+
+
+def test_a_start_grows_in_what_scales_it() -> None:
+    race, s = screened("coulomb_friction", {"level": 100.0}, grows=("level",))
+    levels = [t.network.element(t.names[-1]).level for t in amplified(race, s, (0.5, 5.0, 1e9))]
+    assert levels == [50.0, 500.0]
