@@ -117,6 +117,8 @@ class Objective:
                 return None
             rows, columns = stack.shape[0] * stack.shape[1], stack.shape[2]
             by = self.weights(stack).reshape(rows, columns) if columns else np.zeros((rows, 0))
+            if not (np.abs(by) < 1e100).all():  # their squares would overflow
+                return None
             gram = by.T @ by
             p, n0 = t.by_parameter.shape[2], t.by_state.shape[2]
             own = gram[p:, p:].copy()
