@@ -51,7 +51,7 @@ def test_a_name_passes_every_gate() -> None:
         ("adequate", {"explained": 0.6, "after": (0.2,), "closest": (0.2,)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, complaint="beyond its reach"),)}, "unknown_effect"),
-        ("plausible", {"limits": ("spring.stiffness",)}, "unknown_effect"),
+        ("plausible", {"limits": ("damper.damping",), "beside": ("damper.damping",)}, "unknown_effect"),
         ("ahead", {"abreast": ("hysteresis at mass-ground",), "lead": 1.0}, "ambiguous"),
         ("shape", {"shapeless": 0.8}, "unknown_effect"),
         ("likely", {"sure": 0.4}, "unknown_effect"),
@@ -66,8 +66,14 @@ def test_each_gate_can_fail_and_the_verdict_follows(gate: str, change: dict, ver
 
 
 def test_a_limit_that_the_model_stood_at_before_is_no_fault_of_the_name() -> None:
-    both = {"limits": ("spring.stiffness",), "refit_limits": ("spring.stiffness",)}
-    assert decide(replace(GOOD, **both)).verdict == "missing_effect"
+    own = {"limits": ("damper.damping",), "beside": ("damper.damping",)}
+    assert decide(replace(GOOD, **own)).verdict == "unknown_effect"
+    assert decide(replace(GOOD, **own, refit_limits=("damper.damping",))).verdict == "missing_effect"
+    # nor is one of a law elsewhere, which small effects there may ask for
+    assert (
+        decide(replace(GOOD, limits=("leak.damping",), beside=("damper.damping",))).verdict
+        == "missing_effect"
+    )
 
 
 def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either() -> None:
@@ -115,6 +121,20 @@ def test_a_name_makes_nothing_worse_that_it_was_fitted_to() -> None:
     assert d.verdict == "unknown_effect"
     assert [g.name for g in d.gates if not g.passed] == ["adequate"]
     assert decide(replace(lucky, fitted_after=(0.03,), fitted_explained=0.97)).verdict == "missing_effect"
+
+
+def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name() -> None:
+    four = {
+        k: v * 4
+        for k, v in {"channels": ("a",), "before": (0.4,), "refit": (0.3,), "after": (0.021,)}.items()
+    }
+    four |= {
+        k: v * 4
+        for k, v in {"floor": (0.02,), "floor_known": (True,), "worth": (0.03,), "closest": (0.021,)}.items()
+    }
+    drifts = replace(GOOD, **four, fitted_refit=(0.05, 0.05, 0.04, 0.3), fitted_after=(0.02, 0.02, 0.02, 0.6))
+    assert decide(drifts).verdict == "missing_effect"
+    assert decide(replace(drifts, fitted_after=(0.06, 0.05, 0.05, 0.6))).verdict == "unknown_effect"
 
 
 def test_what_noise_may_hide_is_no_finding() -> None:

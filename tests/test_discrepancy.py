@@ -302,6 +302,34 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
     assert "Nothing worth a name" in d.summary
 
 
+@pytest.mark.slow
+def test_held_out_stretches_begin_where_the_one_before_ended_even_where_most_went_astray() -> None:
+    """A cubic spring of a gantry, whose place the sensors leave open: three stretches of four began far off."""
+    d = of_family("gantry.cubic_load", 308)
+    assert named(d) == {("cubic_stiffness", frozenset({"load", "bridge"}))}
+    assert max(d.gap["after"].values()) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "effect", "place"),
+    [
+        (
+            "three.quadratic_foot",
+            "quadratic_damping",
+            {"one", "ground"},
+        ),  # a rising Stribeck curve is no rival
+        (
+            "resonator.softening",
+            "cubic_stiffness",
+            {"mass", "ground"},
+        ),  # no simulation stays with what is held out
+    ],
+)
+def test_what_seed_308_had_refused_is_named(kind: str, effect: str, place: set[str]) -> None:
+    assert named(of_family(kind, 308)) == {(effect, frozenset(place))}
+
+
 def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
     from isd_gym.discrepancy.structure import in_line
 
@@ -432,6 +460,10 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
     records, roles = dealt([decay], [], notes, decay.pace)
     assert roles[0] == "fit" and len(records[0]) < 0.4 * len(decay)
     assert any("only record" in n for n in notes)
+    # a steep one: what is held out has a third of its way, and not the noise at its end alone
+    steep = Record("steep", 1e-2, {}, (7.0 / (1.0 + 2.0 * t))[:, None])
+    records, _ = dealt([steep], [], notes, steep.pace)
+    assert len(records[0]) < 0.15 * len(steep) < 0.15 * 1.01 * sum(map(len, records))
     # at rest after a third: noise is no motion, and most of the rest is left out
     still = np.where(t < 10.0, decay.measured[:, 0], 0.0) + 1e-3 * np.random.default_rng(0).standard_normal(
         len(t)

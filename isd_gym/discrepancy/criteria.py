@@ -218,7 +218,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             not e.driven_out,
             len(e.driven_out),
             0,
-            "parameters of the owner's that the name drives to the limit of what the owner allows"
+            "parameters of the owner's laws over the same plane at its place that the name drives to the limit of what the owner allows"
             + (f": {', '.join(e.driven_out)}" if e.driven_out else ""),
         ),
         Gate(

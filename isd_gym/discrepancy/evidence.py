@@ -42,7 +42,8 @@ class Evidence:
     shapeless: share of what it leaves that a free curve in its effect's place removes.
     fitted_refit, fitted_after, fitted_explained: errors, and the share that is explained, on the records that were fitted to.
     closest: errors of the richest candidate, and `closest_share` the largest share of its effects. limits, refit_limits: what the candidate, and
-    the model refitted, ask for beyond what the owner allows.
+    the model refitted, ask for beyond what the owner allows; beside: parameters of the owner's laws over the same plane at an effect's
+    place, which may make one law of another.
     """
 
     channels: tuple[str, ...]
@@ -66,6 +67,7 @@ class Evidence:
     closest_share: float = 1.0
     limits: tuple[str, ...] = ()
     refit_limits: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
     worth_after: tuple[float, ...] = ()
     fitted_explained: float = 0.0
     sure: float = 1.0
@@ -106,11 +108,11 @@ class Evidence:
 
     @property
     def driven_out(self) -> tuple[str, ...]:
-        """Parameters that stand at the limit of what the owner allows beside the candidate, and did not without it.
+        """Parameters over the candidate's plane at its place that stand at the limit of what the owner allows, and did not without it.
 
-        What is really missing brings them back.
+        What is really missing brings them back; another law needs them for the rest of its curve.
         """
-        return tuple(x for x in self.limits if x not in self.refit_limits)
+        return tuple(x for x in self.limits if x in self.beside and x not in self.refit_limits)
 
     def adequate_rest(self, several: float) -> bool:
         """Whether what is left is no more than so many small effects make, whose powers add up."""
@@ -126,11 +128,13 @@ class Evidence:
 
     @property
     def fits(self) -> bool:
-        """Whether the candidate errs no more than the refitted model on the records that it was fitted to.
+        """Whether the candidate errs no more than the refitted model on the records that it was fitted to, in the channels' geometric mean.
 
-        How much less says little: a refitted model makes up for a good part of what it lacks there.
+        How much less says little: a refitted model makes up for a good part of what it lacks there; and where dry friction lets one
+        channel drift, that one says nothing.
         """
-        return not self.fitted_refit or self.fitted_explained >= 0.0
+        pairs = zip(self.fitted_refit, self.fitted_after, strict=True)
+        return sum(math.log(max(after, 1e-12) / max(refit, 1e-12)) for refit, after in pairs) <= 0.0
 
     def closed_by_small(self, share: float) -> bool:
         """Whether effects too small to be named would close the gap."""

@@ -60,6 +60,7 @@ class Judge:
         self.spread_reported = np.maximum(problem.measured(problem.reporting).std(axis=0), 1e-300)
         self.spread_fitted = np.maximum(deviation, 1e-300)
         self._worth: dict[int, tuple[Candidate, Array]] = {}
+        self._fitted: dict[int, tuple[Candidate, Array]] = {}
 
     @cached_property
     def plain(self) -> Fitter:
@@ -79,6 +80,17 @@ class Judge:
     def error(self, fit: Fit, records: Sequence[int], spread: Array) -> Array:
         r = np.concatenate([self.problem.records[i].measured - fit.outputs[i] for i in records])
         return np.asarray(np.sqrt(np.mean(r**2, axis=0)) / spread, dtype=np.float64)
+
+    def fitted(self, candidate: Candidate) -> Array:
+        """NRMSE on the records that it was fitted to, as it is on others: initial states and offsets from the plain error.
+
+        A fit under coloured noise may leave slow errors there that nobody weighed.
+        """
+        if id(candidate) not in self._fitted:
+            p, fit = self.problem, candidate.fit
+            f = self.plain.follow(fit.structure, fit.x, p.estimation, fit.initial)
+            self._fitted[id(candidate)] = candidate, self.error(f, p.estimation, self.spread_fitted)
+        return self._fitted[id(candidate)][1]
 
     def owner(self) -> tuple[Array, Array]:
         """NRMSE of the owner's model as it is, on the records to choose by and to report by."""

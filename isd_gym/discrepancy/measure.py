@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -90,6 +90,17 @@ def beyond_limits(search: Search, candidate: Candidate) -> tuple[str, ...]:
         if q.owner < 0 and (x <= q.low + 1e-6 * q.sigma or x >= q.high - 1e-6 * q.sigma):
             out.append(q.path)
     return tuple(out)
+
+
+def beside(network: Network, elements: Sequence[el.Element]) -> tuple[str, ...]:
+    """Parameters of the owner's laws that stand at the place of one of these, over its plane."""
+    out = []
+    for e in elements:
+        here = el.beside(network, e.where) if e.place == "between" else []
+        out += [
+            f"{o.name}.{f.name}" for o in here if o.plane == e.plane for f in el.parameter_fields(type(o))
+        ]
+    return tuple(dict.fromkeys(out))
 
 
 def difference(
@@ -224,8 +235,9 @@ def measure(
         lead=min((trial.of(r).score - trial.quiet for r in others), default=math.inf) / own,
         abreast=tuple(r.label for r in abreast),
         force_lead=min(trial.of(r).score - trial.quiet for r in forces) / own,
-        fitted_refit=row(refit.fitted),
-        fitted_after=row(after.fitted),
+        fitted_refit=row(judge.fitted(base)),
+        fitted_after=row(judge.fitted(best)),
+        beside=beside(problem.network, best.elements),
         closest=row(closest.nrmse),
         closest_share=max(judge.sizes(trial.richest), default=1.0),
         **common,  # type: ignore[arg-type]

@@ -69,7 +69,7 @@ class Trial:
     def fitted_explained(self, last: Outcome, now: Outcome) -> float:
         """Share of the excess error that `now` removes on the records that were fitted to, in the channel with the widest gap."""
         floor = self.floor * self.judge.spread / self.judge.spread_fitted
-        before, left = (np.maximum(o.fitted**2 - floor**2, 0.0) for o in (last, now))
+        before, left = (np.maximum(self.judge.fitted(o.candidate) ** 2 - floor**2, 0.0) for o in (last, now))
         return _removed_where_widest(before, left)
 
     def rivals(self, count: int = 6) -> list[Candidate]:
