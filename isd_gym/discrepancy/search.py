@@ -232,7 +232,7 @@ class Search(Refits):
         wide = float(np.mean(a.excess(trial.floor))) > c.wide and share >= c.alone
         # records that are driven harder than those fitted to may show more of what is small than of what is missing
         removes = share >= c.half or (
-            self.trifling(trial, now) and trial.fitted_explained(a, b) >= c.adequate
+            self.trifling(trial, now) and trial.fitted_explained(a, b, self.worth(last)) >= c.adequate
         )
         trial.notes.append(
             f"{now.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "

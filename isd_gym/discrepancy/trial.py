@@ -60,17 +60,20 @@ class Trial:
         top = float(np.sum((last.nrmse**2 - now.nrmse**2) / f**2))
         return top / max(float(np.sum(np.maximum(last.nrmse**2 - self.floor**2, 0.0) / f**2)), 1e-12)
 
-    def explained(self, candidate: Candidate) -> float:
-        """Share of the refitted model's excess that it removes, and no more than in the channel where the gap is widest."""
+    def explained(self, candidate: Candidate, worth: Array) -> float:
+        """Share of the refitted model's excess that it removes, and no more than in the channel where the gap is widest.
+
+        worth (channels,): what small effects make there; it is the measure, since friction lets some channels drift for little.
+        """
         refit, after = self.of(self.base), self.of(candidate)
         before, left = refit.excess(self.floor) ** 2, after.excess(self.floor) ** 2
-        return min(self.share(refit, after), _removed_where_widest(before, left))
+        return min(self.share(refit, after), _removed_where_widest(before, left, worth))
 
-    def fitted_explained(self, last: Outcome, now: Outcome) -> float:
-        """Share of the excess error that `now` removes on the records that were fitted to, in the channel with the widest gap."""
+    def fitted_explained(self, last: Outcome, now: Outcome, worth: Array) -> float:
+        """The same of what `now` removes of the excess of `last` on the records that were fitted to."""
         floor = self.floor * self.judge.spread / self.judge.spread_fitted
         before, left = (np.maximum(self.judge.fitted(o.candidate) ** 2 - floor**2, 0.0) for o in (last, now))
-        return _removed_where_widest(before, left)
+        return _removed_where_widest(before, left, worth)
 
     def rivals(self, count: int = 6) -> list[Candidate]:
         """Those that ran beside the foremost one and can be followed on the held-out records."""
@@ -85,7 +88,7 @@ class Trial:
         return out
 
 
-def _removed_where_widest(before: Array, left: Array) -> float:
-    """Share that is removed of the power in the channel that has most of it."""
-    widest = int(np.argmax(before))
+def _removed_where_widest(before: Array, left: Array, worth: Array) -> float:
+    """Share that is removed of the power in the channel that has most of it, by what small effects make there."""
+    widest = int(np.argmax(before / worth**2))
     return 1.0 - float(left[widest] / max(before[widest], 1e-12))
