@@ -98,7 +98,9 @@ def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_i
 def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told() -> None:
     small = (replace(FRICTION, share=0.02),)
     assert decide(replace(GOOD, effects=small)).verdict == "missing_effect"
-    narrow = replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02)
+    # of a gap of 8 % it is what small effects make that tells
+    assert decide(replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02)).verdict == "missing_effect"
+    narrow = replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02, worth=(0.085,))
     d = decide(narrow)
     assert d.verdict == "parameters_only"
     assert d.small

@@ -54,7 +54,7 @@ class Criteria:
     wide: float = limit(
         0.10,
         "share of the deviation, mean over channels",
-        "a gap so wide is worth a name whatever the force, where one effect closes it",
+        "a gap so wide, or wider than small effects make it, is worth a name whatever the force, where one effect closes it",
         "slightly damped rigs, where 3 % of the force is a quarter of the motion",
     )
     alone: float = limit(
@@ -156,7 +156,7 @@ class Decision:
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     """The gates with their figures."""
     size = min(x.share for x in e.effects)
-    alone = len(e.effects) == 1 and e.explained >= c.alone and e.width > c.wide
+    alone = len(e.effects) == 1 and e.explained >= c.alone and (e.width > c.wide or e.beyond_small)
     left = "no more" if e.adequate_rest(c.several) else "more"
     worst = max((x.spread for x in e.effects), default=0.0)
     odd = [x for x in e.effects if x.complaint]
@@ -184,7 +184,7 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             c.material,
             f"share of a channel's standard deviation that it moves; {size:.1%} of the force, current or signal at its place "
             + (
-                f"(less than {c.share:.0%}, but it closes {e.explained:.0%} of a wide gap)"
+                f"(less than {c.share:.0%}, but it closes {e.explained:.0%} of a gap that is wide, or beyond what small effects make)"
                 if alone and size < c.share
                 else f"(needed {c.share:.0%})"
             ),

@@ -229,7 +229,9 @@ class Search(Refits):
         share = trial.share(a, b)
         nearer = moved(a, b)
         size = self.judge.sizes(now)[-1]
-        wide = float(np.mean(a.excess(trial.floor))) > c.wide and share >= c.alone
+        gap_before = a.excess(trial.floor)
+        wide = float(gap_before.mean()) > c.wide or bool(np.any(gap_before > self.worth(last)))
+        alone = wide and share >= c.alone
         # records that are driven harder than those fitted to may show more of what is small than of what is missing
         removes = share >= c.half or (
             self.trifling(trial, now) and trial.fitted_explained(a, b, self.worth(last)) >= c.adequate
@@ -239,7 +241,7 @@ class Search(Refits):
             f"error (needed {c.half:.0%}), moves a channel by {nearer:.1%} of its deviation (needed {c.material:.0%}), "
             f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
-        return removes and b.score < a.score and nearer >= c.material and (size >= c.share or wide)
+        return removes and b.score < a.score and nearer >= c.material and (size >= c.share or alone)
 
     def trifling(self, trial: Trial, candidate: Candidate) -> bool:
         """Whether what it leaves is no more than so many small effects make about it, whose powers add up."""
