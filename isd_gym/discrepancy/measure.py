@@ -300,9 +300,8 @@ def steadfast(search: Search, trial: Trial, seed: int) -> float:
     best, refit = trial.of(trial.foremost), trial.of(trial.base)
     blocks: list[Array] = []
     for r in trial.rivals():
-        if not r.well_formed() or search.same(
-            r, trial.foremost
-        ):  # one that is not what its name says is no choice
+        # one that is not what its name says is no choice
+        if not r.well_formed() or search.same(r, trial.foremost):
             continue
         if search.outclassed(trial, r, trial.foremost):
             continue

@@ -182,9 +182,8 @@ class Workflow:
             return False
         judge = self.search.judge
         try:
-            seen = judge.outcome(
-                base, judge.weights(base)
-            )  # held-out records may be longer, or driven harder
+            # held-out records may be longer, or driven harder
+            seen = judge.outcome(base, judge.weights(base))
         except BROKEN:
             return True
         return float(max(seen.fitted.mean(), seen.nrmse.mean())) > self.settings.astray
