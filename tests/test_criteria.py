@@ -99,7 +99,11 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
     small = (replace(FRICTION, share=0.02),)
     assert decide(replace(GOOD, effects=small)).verdict == "missing_effect"
     # of a gap of 8 % it is what small effects make that tells
-    assert decide(replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02)).verdict == "missing_effect"
+    more = (replace(FRICTION, share=0.03),)
+    assert decide(replace(GOOD, effects=more, refit=(0.08,), closest_share=0.03)).verdict == "missing_effect"
+    assert (
+        decide(replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02)).verdict == "parameters_only"
+    )
     narrow = replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02, worth=(0.085,))
     d = decide(narrow)
     assert d.verdict == "parameters_only"

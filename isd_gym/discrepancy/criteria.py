@@ -156,7 +156,9 @@ class Decision:
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     """The gates with their figures."""
     size = min(x.share for x in e.effects)
-    alone = len(e.effects) == 1 and e.explained >= c.alone and (e.width > c.wide or e.beyond_small)
+    # one of those small effects is no name, however much it moves
+    large = e.width > c.wide or (e.beyond_small and size > c.small)
+    alone = len(e.effects) == 1 and e.explained >= c.alone and large
     left = "no more" if e.adequate_rest(c.several) else "more"
     worst = max((x.spread for x in e.effects), default=0.0)
     odd = [x for x in e.effects if x.complaint]

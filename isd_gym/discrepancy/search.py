@@ -230,8 +230,8 @@ class Search(Refits):
         nearer = moved(a, b)
         size = self.judge.sizes(now)[-1]
         gap_before = a.excess(trial.floor)
-        wide = float(gap_before.mean()) > c.wide or bool(np.any(gap_before > self.worth(last)))
-        alone = wide and share >= c.alone
+        beyond_small = size > c.small and bool(np.any(gap_before > self.worth(last)))
+        alone = share >= c.alone and (float(gap_before.mean()) > c.wide or beyond_small)
         # records that are driven harder than those fitted to may show more of what is small than of what is missing
         removes = share >= c.half or (
             self.trifling(trial, now) and trial.fitted_explained(a, b, self.worth(last)) >= c.adequate
