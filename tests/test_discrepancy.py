@@ -314,16 +314,10 @@ def test_held_out_stretches_begin_where_the_one_before_ended_even_where_most_wen
 @pytest.mark.parametrize(
     ("kind", "effect", "place"),
     [
-        (
-            "three.quadratic_foot",
-            "quadratic_damping",
-            {"one", "ground"},
-        ),  # a rising Stribeck curve is no rival
-        (
-            "resonator.softening",
-            "cubic_stiffness",
-            {"mass", "ground"},
-        ),  # no simulation stays with what is held out
+        # a rising Stribeck curve is no rival
+        ("three.quadratic_foot", "quadratic_damping", {"one", "ground"}),
+        # no simulation stays with what is held out
+        ("resonator.softening", "cubic_stiffness", {"mass", "ground"}),
     ],
 )
 def test_what_seed_308_had_refused_is_named(kind: str, effect: str, place: set[str]) -> None:
