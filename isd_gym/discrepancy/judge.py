@@ -16,6 +16,7 @@ from ..network import Network
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
 from .fit import Fit, Fitter, residuals
+from .initial import along
 from .motion import force_scale, unmodelled, watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
 from .problem import Array, Problem
@@ -104,9 +105,8 @@ class Judge:
         `before`: an earlier outcome of the same candidate. Raises where it breaks down.
         """
         p, fit = self.problem, candidate.fit
-        f = Fitter(p, W).follow(
-            fit.structure, fit.x, p.held, before.start if before else None, candidate.about
-        )
+        about = self.onward(fit) | (candidate.about or {})
+        f = Fitter(p, W).follow(fit.structure, fit.x, p.held, before.start if before else None, about)
         blocks = []
         for i in p.choosing:
             e = W(p.records[i].measured - f.outputs[i]) ** 2
@@ -124,6 +124,15 @@ class Judge:
             f.initial,
             held,
         )
+
+    def onward(self, fit: Fit) -> dict[int, Array]:
+        """Where the simulation of fitted records ended: initial states of held-out ones that go on from there."""
+        p = self.problem
+        goes_on = {j: i for j in p.held for i in p.estimation if p.records[j].follows(p.records[i])}
+        if not goes_on or not len(next(iter(fit.initial.values()))):
+            return {}
+        ends = along(p, fit.structure, fit.x, {i: fit.initial[i] for i in goes_on.values()}, (-2, -1))
+        return {j: 2 * ends[i][1] - ends[i][0] for j, i in goes_on.items()}
 
     # -- noise --------------------------------------------------------------------------------------------
     def noise(self, outcome: Outcome) -> list[Noise]:

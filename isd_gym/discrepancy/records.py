@@ -271,7 +271,7 @@ def _cut(record: Record) -> tuple[list[Record], list[Record]]:
     at = int(np.searchsorted(way, 2 / 3 * way[-1])) + width // 2
     # a steep decay has most of its way in its first moments
     at = min(max(at, end // 8, 32), end - max(end // 6, 32))
-    return [record.part(0, at, record.name)], [record.part(at, end, f"{record.name} (later part)")]
+    return [record.part(0, at, record.name)], [record.part(at, end, record.name)]
 
 
 def _rest(record: Record, y: Array) -> int:

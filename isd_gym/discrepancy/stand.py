@@ -29,7 +29,6 @@ from .records import dealt, derivatives
 from .structure import Structure, base_structure
 
 MOST = 16000  # compared samples that are simulated; of a longer test a part stands for the whole
-LATER = " (later part)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +77,7 @@ class Stand:
         by_name = {r.name: k for k, r in enumerate(seen)}
         self.cuts = []
         for p in pieces:
-            k = by_name[p.name.removesuffix(LATER)]
+            k = by_name[p.name]
             first = round((p.start - seen[k].start) / p.rate)
             self.cuts.append((k, first, first + len(p)))
         shown_outputs = self.outputs(self.network)
