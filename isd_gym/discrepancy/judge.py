@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -21,9 +21,12 @@ from .motion import force_scale, unmodelled, watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
 from .problem import Array, Problem
 from .structure import base_structure
+from .tangent import tangents
 
 BLOCKS = 20  # in which a held-out stretch is weighed
 LEAST_NOISE = 0.01  # share of the signal: no model is better
+#: share of the typical force that each small effect, unmodelled, may have (one sigma)
+SMALL = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +65,7 @@ class Judge:
         self.spread_fitted = np.maximum(deviation, 1e-300)
         self._worth: dict[int, tuple[Candidate, Array]] = {}
         self._fitted: dict[int, tuple[Candidate, Array]] = {}
+        self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: the last alone
 
     @cached_property
     def plain(self) -> Fitter:
@@ -99,17 +103,24 @@ class Judge:
         f = self.plain.follow(structure, structure.start, p.held)
         return self.error(f, p.choosing, self.spread), self.error(f, p.reporting, self.spread_reported)
 
-    def outcome(self, candidate: Candidate, W: Whitener, before: Outcome | None = None) -> Outcome:
+    def outcome(
+        self,
+        candidate: Candidate,
+        W: Whitener,
+        before: Outcome | None = None,
+        small: Mapping[int, Array] | None = None,
+    ) -> Outcome:
         """Parameters as found; initial states and offsets from each record's own samples.
 
-        `before`: an earlier outcome of the same candidate. Raises where it breaks down.
+        `before`: an earlier outcome of the same candidate. `small`: what small effects make there, one sigma of each
+        (`Judge.small`), which with the noise is what a candidate may leave. Raises where it breaks down.
         """
         p, fit = self.problem, candidate.fit
         about = self.onward(fit) | (candidate.about or {})
         f = Fitter(p, W).follow(fit.structure, fit.x, p.held, before.start if before else None, about)
         blocks = []
-        for i in p.choosing:
-            e = W(p.records[i].measured - f.outputs[i]) ** 2
+        left = {i: W(p.records[i].measured - f.outputs[i]) for i in p.choosing}
+        for e in beyond_small(left, small) if small else [r**2 for r in left.values()]:
             edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
             blocks += [e[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a]
         rows = np.array(blocks)
@@ -133,6 +144,35 @@ class Judge:
             return {}
         ends = along(p, fit.structure, fit.x, {i: fit.initial[i] for i in goes_on.values()}, (-2, -1))
         return {j: 2 * ends[i][1] - ends[i][0] for j, i in goes_on.items()}
+
+    # -- small effects --------------------------------------------------------------------------------------
+    def responses(self, candidate: Candidate) -> dict[int, Array]:
+        """What small effects, `SMALL` of the typical force each, do to the records fitted to: record -> (n, channels, laws)."""
+        if self._responses is None or self._responses[0] is not candidate:
+            self._responses = candidate, unmodelled(self.problem, candidate.fit, SMALL)
+        return self._responses[1]
+
+    def small(self, candidate: Candidate, W: Whitener) -> dict[int, Array] | None:
+        """What they make of the records to choose by: record -> (n, channels, laws), whitened; None where it breaks down.
+
+        To first order, with the parameters where a refit to the others would put them, and initial states of their own.
+        """
+        p, fit = self.problem, candidate.fit
+        try:
+            shift, _ = Fitter(p, W).refit(fit, self.responses(candidate))
+            held = self.outcome(candidate, W).held
+            begun = {i: held.initial[i] for i in p.choosing}
+            over = replace(held, initial=begun, outputs={i: held.outputs[i] for i in begun})
+            made, out = unmodelled(p, fit, SMALL, over), {}
+            for i, t in tangents(p, fit.structure, fit.x, begun).items():
+                c = W(made[i] - t.by_parameter @ shift)
+                own = W(np.concatenate([t.by_state, p.nuisances(i, t.outputs)], axis=2))
+                Q, _ = np.linalg.qr(own.reshape(-1, own.shape[2]))
+                rows = c.reshape(len(Q), -1)
+                out[i] = (rows - Q @ (Q.T @ rows)).reshape(c.shape)
+        except BROKEN:
+            return None
+        return out if all(np.isfinite(c).all() for c in out.values()) else None
 
     # -- noise --------------------------------------------------------------------------------------------
     def noise(self, outcome: Outcome) -> list[Noise]:
@@ -168,7 +208,7 @@ class Judge:
         """
         if id(candidate) not in self._worth:
             p = self.problem
-            change = unmodelled(p, candidate.fit, small)
+            change = {i: y * (small / SMALL) for i, y in self.responses(candidate).items()}
             worth = np.full(len(p.channels), least)
             if next(iter(change.values())).shape[2]:
                 _, left = self.plain.refit(candidate.fit, change)
@@ -183,6 +223,20 @@ class Judge:
     def sizes(self, candidate: Candidate) -> list[float]:
         """What each of its effects does, as a share of the force, current or signal at its place."""
         return [share_at_place(self.problem, candidate.fit, name) for name in candidate.fit.structure.names]
+
+
+def beyond_small(left: Mapping[int, Array], small: Mapping[int, Array]) -> list[Array]:
+    """Squares (n, channels), record by record, of what is left under noise and small effects together.
+
+    Their sum is the residual's quadratic form by the inverse of I + S S': the least of what is left, squared, and the effects'
+    sizes in their sigmas, squared. They have one size in all records.
+    """
+    laws = next(iter(small.values())).shape[2]
+    S = np.concatenate([small[i].reshape(-1, laws) for i in left])
+    e = np.concatenate([r.ravel() for r in left.values()])
+    size = np.linalg.solve(S.T @ S + np.eye(laws), S.T @ e)
+    spent = float(size @ size) / len(e)
+    return [(r - small[i] @ size) ** 2 + spent for i, r in left.items()]
 
 
 def share_at_place(problem: Problem, fit: Fit, name: str) -> float:

@@ -15,7 +15,7 @@ from .evidence import EffectEvidence, Evidence, row
 from .fit import Fit, Fitter, gap, residuals
 from .imitate import repeats
 from .judge import Outcome, replication
-from .motion import force_scale, motions, unmodelled
+from .motion import force_scale, motions
 from .noise import whitener
 from .problem import Array, Problem
 from .result import Quantity
@@ -24,8 +24,6 @@ from .structure import Hypothesis, Structure
 from .tabulate import in_its_place
 from .trial import Trial
 
-#: share of the typical force that each small effect, unmodelled, may have (one sigma)
-SMALL = 0.005
 #: a law's force over the data's motion (RMS, as the typical force is: a decay begins far above it), as a multiple of their typical
 #: force, beyond which its values mean something else
 LARGEST = 10.0
@@ -51,7 +49,7 @@ def covariance(search: Search, candidate: Candidate) -> Array | None:
     sigma = np.array([q.sigma for q in f.structure.free])
     out = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))
     try:
-        dragged, left = Fitter(problem, W).refit(f, unmodelled(problem, f, SMALL))
+        dragged, left = Fitter(problem, W).refit(f, search.judge.responses(candidate))
         # none is larger than what is left allows: where nothing holds a mass, little goes a long way, and would be seen
         seen = np.sqrt(sum(np.sum(part**2, axis=(0, 1)) for part in left.values()))
         dragged = dragged * np.minimum(1.0, math.sqrt(f.cost) / np.maximum(seen, 1e-300))

@@ -21,7 +21,7 @@ from .criteria import CRITERIA, Criteria
 from .fit import Fit, Fitter, residuals
 from .initial import along, carried
 from .judge import LEAST_NOISE, Judge
-from .measure import SMALL
+from .judge import SMALL
 from .motion import force_scale, motions, unmodelled
 from .noise import floor_of, innovations, plain, whitener
 from .problem import Array, Problem, Record, bare

@@ -32,13 +32,14 @@ class Trial:
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.base
         self._seen: dict[int, tuple[Candidate, Outcome]] = {}
+        self.small = self.judge.small(self.richest, self.filters)
         self.floor = self.judge.floor(self.of(self.richest))
         self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
 
     def of(self, candidate: Candidate) -> Outcome:
         """Its outcome. Raises where it breaks down on the held-out records."""
         if id(candidate) not in self._seen:
-            self._seen[id(candidate)] = candidate, self.judge.outcome(candidate, self.filters)
+            self._seen[id(candidate)] = candidate, self.judge.outcome(candidate, self.filters, small=self.small)
         return self._seen[id(candidate)][1]
 
     def beyond(self, candidate: Candidate) -> float:
