@@ -20,8 +20,7 @@ from .candidate import BROKEN
 from .criteria import CRITERIA, Criteria
 from .fit import Fit, Fitter, residuals
 from .initial import along, carried
-from .judge import LEAST_NOISE, Judge
-from .judge import SMALL
+from .judge import LEAST_NOISE, SMALL, Judge
 from .motion import force_scale, motions, unmodelled
 from .noise import floor_of, innovations, plain, whitener
 from .problem import Array, Problem, Record, bare

@@ -39,7 +39,10 @@ class Trial:
     def of(self, candidate: Candidate) -> Outcome:
         """Its outcome. Raises where it breaks down on the held-out records."""
         if id(candidate) not in self._seen:
-            self._seen[id(candidate)] = candidate, self.judge.outcome(candidate, self.filters, small=self.small)
+            self._seen[id(candidate)] = (
+                candidate,
+                self.judge.outcome(candidate, self.filters, small=self.small),
+            )
         return self._seen[id(candidate)][1]
 
     def beyond(self, candidate: Candidate) -> float:
