@@ -64,6 +64,12 @@ def test_a_law_that_alone_removes_what_is_left_is_not_given_up_for_its_special_c
     assert values["level"] == pytest.approx(level, rel=0.1)
 
 
+def test_a_held_out_stretch_that_begins_where_friction_holds_is_begun_twice() -> None:
+    # behind filters the first of them began with a rate that nothing shows, and the right law was given up for plain friction
+    d = of_family("shaken.stribeck", 309)
+    assert named(d) == {("stribeck_friction", frozenset({"mass", "base"}))}
+
+
 def test_a_force_that_is_large_only_while_a_decay_begins_keeps_its_name() -> None:
     d = of_family("decay.quadratic", 306)
     assert named(d) == {("quadratic_damping", frozenset({"mass", "ground"}))}

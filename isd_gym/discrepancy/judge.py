@@ -118,13 +118,14 @@ class Judge:
         p, fit = self.problem, candidate.fit
         about = self.onward(fit) | (candidate.about or {})
         f = Fitter(p, W).follow(fit.structure, fit.x, p.held, before.start if before else None, about)
+        held = self.plain.follow(fit.structure, fit.x, p.held, f.initial)
+        f = self.lower(f, held, W)
         blocks = []
         left = {i: W(p.records[i].measured - f.outputs[i]) for i in p.choosing}
         for e in beyond_small(left, small) if small else [r**2 for r in left.values()]:
             edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
             blocks += [e[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a]
         rows = np.array(blocks)
-        held = self.plain.follow(fit.structure, fit.x, p.held, f.initial)
         return Outcome(
             candidate,
             float(rows.mean()),
@@ -134,6 +135,20 @@ class Judge:
             self.error(fit, p.estimation, self.spread_fitted),
             f.initial,
             held,
+        )
+
+    def lower(self, f: Fit, plainly: Fit, W: Whitener) -> Fit:
+        """The same, begun again where `plainly` errs less behind the filters, too: where friction holds there are many ways to begin."""
+
+        def cost(found: Fit, i: int) -> float:
+            return float(np.sum(W(self.problem.records[i].measured - found.outputs[i]) ** 2))
+
+        astray = {i: plainly.initial[i] for i in f.outputs if cost(plainly, i) < (1.0 - 1e-3) * cost(f, i)}
+        if not astray:
+            return f
+        g = Fitter(self.problem, W).follow(f.structure, f.x, list(astray), astray)
+        return replace(
+            f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
         )
 
     def onward(self, fit: Fit) -> dict[int, Array]:
