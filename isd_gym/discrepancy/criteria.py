@@ -153,12 +153,19 @@ class Decision:
     small: bool = False
 
 
+def wide_enough(width: float, beyond_small: bool, size: float, c: Criteria = CRITERIA) -> bool:
+    """Whether a gap is worth a name whatever the force of the one effect that closes it.
+
+    width: of the gap, mean over channels; beyond_small: whether it is wider, in a channel, than small effects make it. One of those
+    small effects, by its `size`, is no name, however much it moves.
+    """
+    return width > c.wide or (beyond_small and size > c.small)
+
+
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     """The gates with their figures."""
     size = min(x.share for x in e.effects)
-    # one of those small effects is no name, however much it moves
-    large = e.width > c.wide or (e.beyond_small and size > c.small)
-    alone = len(e.effects) == 1 and e.explained >= c.alone and large
+    alone = len(e.effects) == 1 and e.explained >= c.alone and wide_enough(e.width, e.beyond_small, size, c)
     left = "no more" if e.adequate_rest(c.several) else "more"
     worst = max((x.spread for x in e.effects), default=0.0)
     odd = [x for x in e.effects if x.complaint]

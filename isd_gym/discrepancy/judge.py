@@ -65,6 +65,7 @@ class Judge:
         self.spread_fitted = np.maximum(deviation, 1e-300)
         self._worth: dict[int, tuple[Candidate, Array]] = {}
         self._fitted: dict[int, tuple[Candidate, Array]] = {}
+        self._own: dict[int, tuple[Candidate, Outcome]] = {}
         self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: the last alone
 
     @cached_property
@@ -137,6 +138,12 @@ class Judge:
             held,
         )
 
+    def own(self, candidate: Candidate) -> Outcome:
+        """The outcome behind the filters of its own residual, once."""
+        if id(candidate) not in self._own:
+            self._own[id(candidate)] = candidate, self.outcome(candidate, self.weights(candidate))
+        return self._own[id(candidate)][1]
+
     def lower(self, f: Fit, plainly: Fit, W: Whitener) -> Fit:
         """The same, begun again where `plainly` errs less behind the filters, too: where friction holds there are many ways to begin."""
 
@@ -167,15 +174,15 @@ class Judge:
             self._responses = candidate, unmodelled(self.problem, candidate.fit, SMALL)
         return self._responses[1]
 
-    def small(self, candidate: Candidate, W: Whitener) -> dict[int, Array] | None:
-        """What they make of the records to choose by: record -> (n, channels, laws), whitened; None where it breaks down.
+    def small(self, candidate: Candidate) -> dict[int, Array] | None:
+        """What they make of the records to choose by: record -> (n, channels, laws), behind its filters; None where it breaks down.
 
         To first order, with the parameters where a refit to the others would put them, and initial states of their own.
         """
-        p, fit = self.problem, candidate.fit
+        p, fit, W = self.problem, candidate.fit, self.weights(candidate)
         try:
             shift, _ = Fitter(p, W).refit(fit, self.responses(candidate))
-            held = self.outcome(candidate, W).held
+            held = self.own(candidate).held
             begun = {i: held.initial[i] for i in p.choosing}
             over = replace(held, initial=begun, outputs={i: held.outputs[i] for i in begun})
             made, out = unmodelled(p, fit, SMALL, over), {}

@@ -19,6 +19,7 @@ from .candidate import (
     relative,
     simpler,
 )
+from .criteria import wide_enough
 from .fit import gap
 from .imitate import imitations
 from .judge import Outcome, block_lead, moved
@@ -45,7 +46,7 @@ class Search(Refits):
         path, stages = list(path), list(stages)
         while len(path) <= (depth or self.settings.depth) and worthwhile(path[-1]):
             now = path[-1]
-            here = self.judge.outcome(now, self.judge.weights(now))
+            here = self.judge.own(now)
             left = here.excess(self.judge.floor(here))
             # a noise that is only bounded must not hide what is wide
             sure = all(k.known or e < c.misses for k, e in zip(self.judge.known, here.nrmse, strict=True))
@@ -116,7 +117,7 @@ class Search(Refits):
     def weigh(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> Trial:
         """Of the effects added on the way, those that earn their place."""
         richest = path[-1]
-        trial = Trial(self.judge, path[0], richest, stages, self.judge.weights(richest))
+        trial = Trial(self.judge, path[0], richest, stages)
         depth = len(path) - 1
         while depth > 0 and not self.earns(trial, path[depth - 1], path[depth]):
             depth -= 1
@@ -230,8 +231,8 @@ class Search(Refits):
         nearer = moved(a, b)
         size = self.judge.sizes(now)[-1]
         gap_before = a.excess(trial.floor)
-        beyond_small = size > c.small and bool(np.any(gap_before > self.worth(last)))
-        alone = share >= c.alone and (float(gap_before.mean()) > c.wide or beyond_small)
+        beyond = bool(np.any(gap_before > self.worth(last)))
+        alone = share >= c.alone and wide_enough(float(gap_before.mean()), beyond, size, c)
         # records that are driven harder than those fitted to may show more of what is small than of what is missing
         removes = share >= c.half or (
             self.trifling(trial, now) and trial.fitted_explained(a, b, self.worth(last)) >= c.adequate

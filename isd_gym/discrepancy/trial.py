@@ -8,13 +8,12 @@ import numpy as np
 
 from .candidate import BROKEN, Candidate
 from .judge import Judge, Outcome
-from .noise import Whitener
 from .problem import Array
 
 
 @dataclass(eq=False)
 class Trial:
-    """Candidates weighed against one another on the same held-out records, all behind the same filters.
+    """Candidates weighed against one another on the same held-out records, behind the filters and beside the small effects of the richest.
 
     `chosen`: the one that earned its place, the model refitted where none did; `foremost`: the best that there was to
     weigh; `richest`: with everything that was added; `stages`: who ran at each stage, best first.
@@ -24,7 +23,6 @@ class Trial:
     base: Candidate
     richest: Candidate
     stages: list[list[Candidate]]
-    filters: Whitener
     chosen: Candidate = field(init=False)
     foremost: Candidate = field(init=False)
     notes: list[str] = field(default_factory=list)
@@ -32,17 +30,16 @@ class Trial:
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.base
         self._seen: dict[int, tuple[Candidate, Outcome]] = {}
-        self.small = self.judge.small(self.richest, self.filters)
+        self.filters, self.small = self.judge.weights(self.richest), self.judge.small(self.richest)
         self.floor = self.judge.floor(self.of(self.richest))
         self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
 
     def of(self, candidate: Candidate) -> Outcome:
         """Its outcome. Raises where it breaks down on the held-out records."""
         if id(candidate) not in self._seen:
-            self._seen[id(candidate)] = (
-                candidate,
-                self.judge.outcome(candidate, self.filters, small=self.small),
-            )
+            before = self.judge.own(candidate) if candidate is self.richest else None
+            found = self.judge.outcome(candidate, self.filters, before, self.small)
+            self._seen[id(candidate)] = candidate, found
         return self._seen[id(candidate)][1]
 
     def beyond(self, candidate: Candidate) -> float:

@@ -183,7 +183,7 @@ class Workflow:
         judge = self.search.judge
         try:
             # held-out records may be longer, or driven harder
-            seen = judge.outcome(base, judge.weights(base))
+            seen = judge.own(base)
         except BROKEN:
             return True
         return float(max(seen.fitted.mean(), seen.nrmse.mean())) > self.settings.astray
