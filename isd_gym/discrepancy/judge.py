@@ -188,10 +188,12 @@ class Judge:
             made, out = unmodelled(p, fit, SMALL, over), {}
             for i, t in tangents(p, fit.structure, fit.x, begun).items():
                 c = W(made[i] - t.by_parameter @ shift)
-                own = W(np.concatenate([t.by_state, p.nuisances(i, t.outputs)], axis=2))
-                Q, _ = np.linalg.qr(own.reshape(-1, own.shape[2]))
-                rows = c.reshape(len(Q), -1)
-                out[i] = (rows - Q @ (Q.T @ rows)).reshape(c.shape)
+                rows = c.reshape(-1, c.shape[2])
+                own = np.concatenate([t.by_state, p.nuisances(i, t.outputs)], axis=2)
+                if own.shape[2]:
+                    Q, _ = np.linalg.qr(W(own).reshape(len(rows), -1))
+                    rows = rows - Q @ (Q.T @ rows)
+                out[i] = rows.reshape(c.shape)
         except BROKEN:
             return None
         return out if all(np.isfinite(c).all() for c in out.values()) else None
