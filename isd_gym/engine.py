@@ -275,6 +275,10 @@ def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answ
         try:
             ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
         except Exception as error:  # a cluster can be missing in many ways
+            if address is None and isinstance(error, ConnectionError):
+                raise InputError(
+                    "no Ray cluster runs on this machine: 'ray start --head' starts one, RAY_ADDRESS names another"
+                ) from None
             text = str(error).splitlines()[0]
             raise InputError(f"no Ray cluster at '{address or 'auto'}': {text}") from None
     pending: dict[Any, Task] = {}

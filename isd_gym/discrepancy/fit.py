@@ -227,22 +227,23 @@ class Fitter(Objective):
         x: Array,
         records: Sequence[int],
         initial: dict[int, Array] | None = None,
-        about: dict[int, Array] | None = None,
+        about: Sequence[Mapping[int, Array]] = (),
         *,
         iterations: int = 4,
     ) -> Fit:
         """Initial states and offsets of `records` with the parameters as they are.
 
-        `initial`: where to begin. Else the cheaper of a guess and of `about`; and, for a record that goes on where the one
+        `initial`: where to begin. Else the cheapest of a guess and of those `about`; and, for a record that goes on where the one
         before it ended, of where the simulation of that one ended.
         """
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
         given = {i: v for i, v in (initial or {}).items() if len(v) == n0}
         begun = {i: [given[i] if i in given else guess(problem, net, i)] for i in records}
-        for i, v in (about or {}).items():
-            if i in begun and i not in given and len(v) == n0:
-                begun[i].append(v)
+        for known in about:
+            for i, v in known.items():
+                if i in begun and i not in given and len(v) == n0:
+                    begun[i].append(v)
         at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
         before = {j: i for i in records for j in records if j not in given and _goes_on(problem, i, j)}
         # one that fits like the others is where it belongs

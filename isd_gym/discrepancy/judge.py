@@ -117,7 +117,7 @@ class Judge:
         (`Judge.small`), which with the noise is what a candidate may leave. Raises where it breaks down.
         """
         p, fit = self.problem, candidate.fit
-        about = self.onward(fit) | (candidate.about or {})
+        about = (self.onward(fit), candidate.about or {})
         f = Fitter(p, W).follow(fit.structure, fit.x, p.held, before.start if before else None, about)
         held = self.plain.follow(fit.structure, fit.x, p.held, f.initial)
         f = self.lower(f, held, W)

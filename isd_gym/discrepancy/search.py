@@ -22,6 +22,7 @@ from .candidate import (
 from .criteria import wide_enough
 from .fit import gap
 from .imitate import imitations
+from .initial import carried
 from .judge import Outcome, block_lead, moved
 from .motion import motions
 from .race import compete
@@ -95,7 +96,7 @@ class Search(Refits):
         """The best single addition to `now`; who ran is appended to `stages`. None where nothing is gained."""
         p, c = self.problem, self.criteria
         finish = compete(p, now.fit, self.floors, self.settings)
-        ranked = list(finish.ranked)
+        ranked = [self.informed(r, now) for r in finish.ranked]
         if not ranked:
             return None
         here = level(p, now, now, np.maximum(self.floors, 0.1 * finish.white))
@@ -112,6 +113,15 @@ class Search(Refits):
         stages.append(ranked)
         weak = gain < c.significant and c.half * gap(p, now.fit) < gap(p, best.fit)
         return None if weak else best
+
+    def informed(self, candidate: Candidate, last: Candidate) -> Candidate:
+        """With where the held-out records began by the last one: a guess may end elsewhere, where the motion has many rests or hits stops."""
+        try:
+            begun, fit = self.judge.own(last).start, last.fit
+            about = carried(self.problem, fit.network, begun, candidate.fit.structure)
+        except BROKEN:
+            return candidate
+        return replace(candidate, about=about)
 
     # -- back ---------------------------------------------------------------------------------------------
     def weigh(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> Trial:
