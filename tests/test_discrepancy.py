@@ -337,6 +337,33 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     assert seen.nrmse < 0.02  # 0.011 of it noise
 
 
+def test_held_out_records_are_also_begun_where_the_last_explanation_began_them() -> None:
+    from isd_gym.discrepancy import CRITERIA, SearchSettings
+    from isd_gym.discrepancy.judge import Judge
+    from isd_gym.discrepancy.problem import Problem
+    from isd_gym.discrepancy.records import dealt, read
+    from isd_gym.discrepancy.search import Search
+
+    case = families.make_case("shaken.cubic", 306)
+    net = Network.load(case.model)
+    fit, held = (read(table(c, n), net, [], ()) for c, n in ((case.estimation, "e"), (case.validation, "v")))
+    problem = Problem(net, *dealt([fit], [held], [], fit.pace))
+    search = Search(Judge(problem), SearchSettings(), CRITERIA, lambda line: None)
+    base, stages = search.refitted(), []
+    best = search.stage(base, stages)
+    begun = search.judge.own(base).start
+    assert best is not None and best in stages[0]
+    for r in stages[0]:  # each in the coordinates of its own states
+        assert set(r.about) == set(begun) == set(problem.held)
+        assert {len(x) for x in r.about.values()} == {len(next(iter(r.fit.initial.values())))}
+    # of those that are worth trying the nearest is gone on with
+    far = {i: 3.0 * x for i, x in best.about.items()}
+    fitter = search.judge.plain
+    lost = fitter.follow(best.fit.structure, best.fit.x, problem.held, far, iterations=0)
+    there = fitter.follow(best.fit.structure, best.fit.x, problem.held, None, [far, best.about], iterations=0)
+    assert there.cost < lost.cost
+
+
 @pytest.mark.slow
 def test_held_out_stretches_begin_where_the_one_before_ended_even_where_most_went_astray() -> None:
     """A cubic spring of a gantry, whose place the sensors leave open: three stretches of four began far off."""
