@@ -461,7 +461,7 @@ def test_detents_at_the_cars_device_are_named_with_their_pitch() -> None:
 
 
 def test_noise_and_small_effects_are_one_gaussian() -> None:
-    from isd_gym.discrepancy.judge import beyond_small
+    from isd_gym.discrepancy.judge import marginal
 
     rng = np.random.default_rng(3)
     left = {k: rng.standard_normal((n, 2)) for k, n in ((1, 40), (2, 25))}
@@ -469,7 +469,7 @@ def test_noise_and_small_effects_are_one_gaussian() -> None:
     r = np.concatenate([x.ravel() for x in left.values()])
     S = np.concatenate([x.reshape(-1, 4) for x in small.values()])
     by_hand = r @ np.linalg.solve(np.eye(len(r)) + S @ S.T, r)
-    assert sum(e.sum() for e in beyond_small(left, small)) == pytest.approx(by_hand)
+    assert sum(e.sum() for e in marginal(left, small)) == pytest.approx(by_hand)
 
 
 def test_what_a_small_effect_leaves_counts_little_and_what_is_missing_all_the_same() -> None:

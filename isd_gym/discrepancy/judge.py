@@ -123,7 +123,7 @@ class Judge:
         f = self.lower(f, held, W)
         blocks = []
         left = {i: W(p.records[i].measured - f.outputs[i]) for i in p.choosing}
-        for e in beyond_small(left, small) if small else [r**2 for r in left.values()]:
+        for e in marginal(left, small) if small else [r**2 for r in left.values()]:
             edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
             blocks += [e[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a]
         rows = np.array(blocks)
@@ -249,7 +249,7 @@ class Judge:
         return [share_at_place(self.problem, candidate.fit, name) for name in candidate.fit.structure.names]
 
 
-def beyond_small(left: Mapping[int, Array], small: Mapping[int, Array]) -> list[Array]:
+def marginal(left: Mapping[int, Array], small: Mapping[int, Array]) -> list[Array]:
     """Squares (n, channels), record by record, of what is left under noise and small effects together.
 
     Their sum is the residual's quadratic form by the inverse of I + S S': the least of what is left, squared, and the effects'
