@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +21,6 @@ from .motion import force_scale, unmodelled, watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
 from .problem import Array, Problem
 from .structure import base_structure
-from .tangent import tangents
 
 BLOCKS = 20  # in which a held-out stretch is weighed
 LEAST_NOISE = 0.01  # share of the signal: no model is better
@@ -104,17 +103,10 @@ class Judge:
         f = self.plain.follow(structure, structure.start, p.held)
         return self.error(f, p.choosing, self.spread), self.error(f, p.reporting, self.spread_reported)
 
-    def outcome(
-        self,
-        candidate: Candidate,
-        W: Whitener,
-        before: Outcome | None = None,
-        small: Mapping[int, Array] | None = None,
-    ) -> Outcome:
+    def outcome(self, candidate: Candidate, W: Whitener, before: Outcome | None = None) -> Outcome:
         """Parameters as found; initial states and offsets from each record's own samples.
 
-        `before`: an earlier outcome of the same candidate. `small`: what small effects make there, one sigma of each
-        (`Judge.small`), which with the noise is what a candidate may leave. Raises where it breaks down.
+        `before`: an earlier outcome of the same candidate. Raises where it breaks down.
         """
         p, fit = self.problem, candidate.fit
         about = (self.onward(fit), candidate.about or {})
@@ -122,8 +114,8 @@ class Judge:
         held = self.plain.follow(fit.structure, fit.x, p.held, f.initial)
         f = self.lower(f, held, W)
         blocks = []
-        left = {i: W(p.records[i].measured - f.outputs[i]) for i in p.choosing}
-        for e in marginal(left, small) if small else [r**2 for r in left.values()]:
+        for i in p.choosing:
+            e = W(p.records[i].measured - f.outputs[i]) ** 2
             edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
             blocks += [e[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a]
         rows = np.array(blocks)
@@ -167,36 +159,11 @@ class Judge:
         ends = along(p, fit.structure, fit.x, {i: fit.initial[i] for i in goes_on.values()}, (-2, -1))
         return {j: 2 * ends[i][1] - ends[i][0] for j, i in goes_on.items()}
 
-    # -- small effects --------------------------------------------------------------------------------------
     def responses(self, candidate: Candidate) -> dict[int, Array]:
         """What small effects, `SMALL` of the typical force each, do to the records fitted to: record -> (n, channels, laws)."""
         if self._responses is None or self._responses[0] is not candidate:
             self._responses = candidate, unmodelled(self.problem, candidate.fit, SMALL)
         return self._responses[1]
-
-    def small(self, candidate: Candidate) -> dict[int, Array] | None:
-        """What they make of the records to choose by: record -> (n, channels, laws), behind its filters; None where it breaks down.
-
-        To first order, with the parameters where a refit to the others would put them, and initial states of their own.
-        """
-        p, fit, W = self.problem, candidate.fit, self.weights(candidate)
-        try:
-            shift, _ = Fitter(p, W).refit(fit, self.responses(candidate))
-            held = self.own(candidate).held
-            begun = {i: held.initial[i] for i in p.choosing}
-            over = replace(held, initial=begun, outputs={i: held.outputs[i] for i in begun})
-            made, out = unmodelled(p, fit, SMALL, over), {}
-            for i, t in tangents(p, fit.structure, fit.x, begun).items():
-                c = W(made[i] - t.by_parameter @ shift)
-                rows = c.reshape(-1, c.shape[2])
-                own = np.concatenate([t.by_state, p.nuisances(i, t.outputs)], axis=2)
-                if own.shape[2]:
-                    Q, _ = np.linalg.qr(W(own).reshape(len(rows), -1))
-                    rows = rows - Q @ (Q.T @ rows)
-                out[i] = rows.reshape(c.shape)
-        except BROKEN:
-            return None
-        return out if all(np.isfinite(c).all() for c in out.values()) else None
 
     # -- noise --------------------------------------------------------------------------------------------
     def noise(self, outcome: Outcome) -> list[Noise]:
@@ -247,20 +214,6 @@ class Judge:
     def sizes(self, candidate: Candidate) -> list[float]:
         """What each of its effects does, as a share of the force, current or signal at its place."""
         return [share_at_place(self.problem, candidate.fit, name) for name in candidate.fit.structure.names]
-
-
-def marginal(left: Mapping[int, Array], small: Mapping[int, Array]) -> list[Array]:
-    """Squares (n, channels), record by record, of what is left under noise and small effects together.
-
-    Their sum is the residual's quadratic form by the inverse of I + S S': the least of what is left, squared, and the effects'
-    sizes in their sigmas, squared. They have one size in all records.
-    """
-    laws = next(iter(small.values())).shape[2]
-    S = np.concatenate([small[i].reshape(-1, laws) for i in left])
-    e = np.concatenate([r.ravel() for r in left.values()])
-    size = np.linalg.solve(S.T @ S + np.eye(laws), S.T @ e)
-    spent = float(size @ size) / len(e)
-    return [(r - small[i] @ size) ** 2 + spent for i, r in left.items()]
 
 
 def share_at_place(problem: Problem, fit: Fit, name: str) -> float:

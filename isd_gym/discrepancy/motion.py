@@ -95,13 +95,12 @@ def setting(
 
 
 def together(
-    problem: Problem, fit: Fit, networks: Sequence[Network], records: Sequence[int] | None = None
+    problem: Problem, fit: Fit, networks: Sequence[Network]
 ) -> Iterator[tuple[list[int], int, Array]]:
-    """Outputs of many networks over every record to fit by, or `records`: (which networks, record, outputs (n, channels, lanes)).
+    """Outputs of many networks over every record to fit by: (which networks, record, outputs (n, channels, lanes)).
 
     Lanes of one structure run together; what breaks down is left out.
     """
-    records = problem.estimation if records is None else list(records)
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, net in enumerate(networks):
         asm = assemble(bare(net))
@@ -111,9 +110,9 @@ def together(
     while chunks:
         chunk = chunks.pop(0)
         nets = [networks[k] for k in chunk]
-        begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in records}
+        begun = {i: np.repeat(fit.initial[i][:, None], len(nets), axis=1) for i in problem.estimation}
         try:
-            seen = problem.simulate_all(nets, records, begun, like=fit.network)
+            seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
         except (InputError, np.linalg.LinAlgError):
             half = len(chunk) // 2  # one that breaks down does not take the others along
             chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
@@ -122,11 +121,10 @@ def together(
             yield chunk, i, y
 
 
-def unmodelled(problem: Problem, fit: Fit, share: float, held: Fit | None = None) -> dict[int, Array]:
+def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
     """What each force law of the library, too small to be named, would do: record -> (n, channels, laws).
 
-    Every law that acts beside what stands at its place gives `share` of the data's typical force. held: the same parameters
-    over other records, which are looked at instead.
+    Every law that acts beside what stands at its place gives `share` of the data's typical force.
     """
     motion, force = motions(problem, fit), force_scale(problem)
     networks = []
@@ -142,10 +140,9 @@ def unmodelled(problem: Problem, fit: Fit, share: float, held: Fit | None = None
             except (InputError, np.linalg.LinAlgError):
                 continue
             networks.append(built)
-    over = held or fit
-    out = {i: np.zeros((*y.shape, len(networks))) for i, y in over.outputs.items()}
-    point = {i: y for _, i, y in together(problem, over, [fit.network], list(out))}
-    for chunk, i, y in together(problem, over, networks, list(out)):
+    out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
+    point = {i: y for _, i, y in together(problem, fit, [fit.network])}
+    for chunk, i, y in together(problem, fit, networks):
         with np.errstate(over="ignore", invalid="ignore"):
             change = (y - point[i]) * (share / PROBE)
             most = np.abs(change).max(axis=(0, 1))

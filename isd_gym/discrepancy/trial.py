@@ -13,7 +13,7 @@ from .problem import Array
 
 @dataclass(eq=False)
 class Trial:
-    """Candidates weighed against one another on the same held-out records, behind the filters and beside the small effects of the richest.
+    """Candidates weighed against one another on the same held-out records, behind the filters of the richest.
 
     `chosen`: the one that earned its place, the model refitted where none did; `foremost`: the best that there was to
     weigh; `richest`: with everything that was added; `stages`: who ran at each stage, best first.
@@ -30,7 +30,7 @@ class Trial:
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.base
         self._seen: dict[int, tuple[Candidate, Outcome]] = {}
-        self.filters, self.small = self.judge.weights(self.richest), self.judge.small(self.richest)
+        self.filters = self.judge.weights(self.richest)
         self.floor = self.judge.floor(self.of(self.richest))
         self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
 
@@ -38,7 +38,7 @@ class Trial:
         """Its outcome. Raises where it breaks down on the held-out records."""
         if id(candidate) not in self._seen:
             before = self.judge.own(candidate) if candidate is self.richest else None
-            found = self.judge.outcome(candidate, self.filters, before, self.small)
+            found = self.judge.outcome(candidate, self.filters, before)
             self._seen[id(candidate)] = candidate, found
         return self._seen[id(candidate)][1]
 
