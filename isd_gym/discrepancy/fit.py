@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..network import Network, assemble
-from .initial import along, guess
+from .initial import guess, next_states
 from .least_squares import bounded_step
 from .objective import Objective, Point, Slope
 from .problem import Array, Problem, bare
@@ -251,8 +251,8 @@ class Fitter(Objective):
         usual = min(UNUSUAL * float(np.median(each)), NEAR * min(each))  # most of them may be astray
         before = {j: i for j, i in before.items() if at.costs[j] > usual * len(problem.records[j])}
         for _ in range(ROUNDS if n0 and before else 0):
-            ends = along(problem, structure, x, {i: at.initial[i] for i in before.values()}, (-2, -1))
-            ahead = {j: 2 * ends[i][1] - ends[i][0] for j, i in before.items()}
+            ends = next_states(problem, structure, x, {i: at.initial[i] for i in before.values()})
+            ahead = {j: ends[i] for j, i in before.items()}
             from_there = self._cheapest(
                 structure, x, {j: [guess(problem, net, j, s), s] for j, s in ahead.items()}
             )

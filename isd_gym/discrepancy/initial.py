@@ -120,6 +120,14 @@ def _seen(network: Network, node: str) -> Channel:
     return network.probe(name, "displacement", at=node)
 
 
+def next_states(
+    problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array]
+) -> dict[int, Array]:
+    """The state (states,) one sample after the end of each record's simulation from its `initial`."""
+    ends = along(problem, structure, x, initial, (-2, -1))
+    return {i: 2 * last - before for i, (before, last) in ends.items()}
+
+
 def carried(
     problem: Problem, network: Network, initial: dict[int, Array], structure: Structure
 ) -> dict[int, Array]:

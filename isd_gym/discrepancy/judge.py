@@ -16,7 +16,7 @@ from ..network import Network
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
 from .fit import Fit, Fitter, residuals
-from .initial import along
+from .initial import next_states
 from .motion import force_scale, unmodelled, watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
 from .problem import Array, Problem
@@ -109,8 +109,10 @@ class Judge:
         `before`: an earlier outcome of the same candidate. Raises where it breaks down.
         """
         p, fit = self.problem, candidate.fit
-        about = (self.onward(fit), candidate.about or {})
-        f = Fitter(p, W).follow(fit.structure, fit.x, p.held, before.start if before else None, about)
+        start, about = (
+            (before.start, ()) if before else (None, (self.after_fitted(fit), candidate.about or {}))
+        )
+        f = Fitter(p, W).follow(fit.structure, fit.x, p.held, start, about)
         held = self.plain.follow(fit.structure, fit.x, p.held, f.initial)
         f = self.lower(f, held, W)
         blocks = []
@@ -150,14 +152,14 @@ class Judge:
             f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
         )
 
-    def onward(self, fit: Fit) -> dict[int, Array]:
+    def after_fitted(self, fit: Fit) -> dict[int, Array]:
         """Where the simulation of fitted records ended: initial states of held-out ones that go on from there."""
         p = self.problem
         goes_on = {j: i for j in p.held for i in p.estimation if p.records[j].follows(p.records[i])}
         if not goes_on or not len(next(iter(fit.initial.values()))):
             return {}
-        ends = along(p, fit.structure, fit.x, {i: fit.initial[i] for i in goes_on.values()}, (-2, -1))
-        return {j: 2 * ends[i][1] - ends[i][0] for j, i in goes_on.items()}
+        ends = next_states(p, fit.structure, fit.x, {i: fit.initial[i] for i in goes_on.values()})
+        return {j: ends[i] for j, i in goes_on.items()}
 
     def responses(self, candidate: Candidate) -> dict[int, Array]:
         """What small effects, `SMALL` of the typical force each, do to the records fitted to: record -> (n, channels, laws)."""
