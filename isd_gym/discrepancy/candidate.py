@@ -22,14 +22,10 @@ BROKEN = (InputError, np.linalg.LinAlgError)
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A set of effects as it was fitted. `likelihood`: -2 log L on the records to fit by, under its own coloured noise.
-
-    `about`: initial states of held-out records that are worth trying.
-    """
+    """A set of effects as it was fitted. `likelihood`: -2 log L on the records to fit by, under its own coloured noise."""
 
     fit: Fit
     likelihood: float
-    about: dict[int, Array] | None = None
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:

@@ -233,8 +233,8 @@ class Fitter(Objective):
     ) -> Fit:
         """Initial states and offsets of `records` with the parameters as they are.
 
-        `initial`: where to begin. Else the cheapest of a guess and of those `about`; and, for a record that goes on where the one
-        before it ended, of where the simulation of that one ended.
+        `initial`: where to begin, else a guess; or the cheapest of that and of those `about`. Without `initial`, a record that goes on
+        where the one before it ended may also begin where the simulation of that one ended.
         """
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
@@ -242,7 +242,7 @@ class Fitter(Objective):
         begun = {i: [given[i] if i in given else guess(problem, net, i)] for i in records}
         for known in about:
             for i, v in known.items():
-                if i in begun and i not in given and len(v) == n0:
+                if i in begun and len(v) == n0:
                     begun[i].append(v)
         at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
         before = {j: i for i in records for j in records if j not in given and _goes_on(problem, i, j)}

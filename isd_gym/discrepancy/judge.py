@@ -16,11 +16,11 @@ from ..network import Network
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
 from .fit import Fit, Fitter, residuals
-from .initial import next_states
+from .initial import carried, next_states
 from .motion import force_scale, unmodelled, watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
 from .problem import Array, Problem
-from .structure import base_structure
+from .structure import Structure, base_structure
 
 BLOCKS = 20  # in which a held-out stretch is weighed
 LEAST_NOISE = 0.01  # share of the signal: no model is better
@@ -65,6 +65,7 @@ class Judge:
         self._worth: dict[int, tuple[Candidate, Array]] = {}
         self._fitted: dict[int, tuple[Candidate, Array]] = {}
         self._own: dict[int, tuple[Candidate, Outcome]] = {}
+        self._begun: dict[int, tuple[float, Fit]] = {}  # held-out record -> least plain error, and whose
         self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: the last alone
 
     @cached_property
@@ -109,12 +110,12 @@ class Judge:
         `before`: an earlier outcome of the same candidate. Raises where it breaks down.
         """
         p, fit = self.problem, candidate.fit
-        start, about = (
-            (before.start, ()) if before else (None, (self.after_fitted(fit), candidate.about or {}))
-        )
+        begun = self.begun(fit.structure)
+        start, about = (before.start, ()) if before else (None, (self.after_fitted(fit), begun))
         f = Fitter(p, W).follow(fit.structure, fit.x, p.held, start, about)
-        held = self.plain.follow(fit.structure, fit.x, p.held, f.initial)
+        held = self.plain.follow(fit.structure, fit.x, p.held, f.initial, (begun,))
         f = self.lower(f, held, W)
+        self.remember(held)
         blocks = []
         for i in p.choosing:
             e = W(p.records[i].measured - f.outputs[i]) ** 2
@@ -151,6 +152,22 @@ class Judge:
         return replace(
             f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
         )
+
+    def remember(self, held: Fit) -> None:
+        """Where held-out records begin is a matter of the records: who came nearest to one says it to all who follow."""
+        for i, y in held.outputs.items():
+            error = float(np.sum(((self.problem.records[i].measured - y) / self.floors) ** 2))
+            if i not in self._begun or error < self._begun[i][0]:
+                self._begun[i] = error, held
+
+    def begun(self, structure: Structure) -> dict[int, Array]:
+        """That, for each held-out record, in the coordinates of `structure`."""
+        whose = {id(fit): fit for _, fit in self._begun.values()}
+        out: dict[int, Array] = {}
+        for key, fit in whose.items():
+            its = {i: fit.initial[i] for i, (_, f) in self._begun.items() if id(f) == key}
+            out |= carried(self.problem, fit.network, its, structure)
+        return out
 
     def after_fitted(self, fit: Fit) -> dict[int, Array]:
         """Where the simulation of fitted records ended: initial states of held-out ones that go on from there."""

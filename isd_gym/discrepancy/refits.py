@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from .problem import Array, Problem
 from .settings import SearchSettings
 from .shooting import begun, remembers
 from .structure import Structure, base_structure
-from .trial import Trial
 
 Say = Callable[[str], None]
 
@@ -74,9 +72,7 @@ class Refits:
         gain = level(p, chosen, chosen, self.floors) - level(p, again, chosen, self.floors)
         return with_fit(chosen, again.fit, chosen.likelihood - gain) if gain > 0 else chosen
 
-    def anew(
-        self, trial: Trial, structure: Structure, like: Candidate, outrun: float = math.inf
-    ) -> Candidate | None:
+    def anew(self, structure: Structure, like: Candidate, outrun: float = math.inf) -> Candidate | None:
         """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down.
 
         `outrun`: or where, seen roughly, it errs so many times as much (in power).
@@ -101,9 +97,7 @@ class Refits:
             if min(c.likelihood for c in found) > near:
                 again = self.by_stretches(structure, there, like, least)
                 found += [again] if again is not None else []
-            best = min(found, key=lambda c: c.likelihood)
-            # the held-out records begin as they did: where motion is rough, a guess may end elsewhere
-            return replace(best, about=carried(p, like.fit.network, trial.of(like).start, structure))
+            return min(found, key=lambda c: c.likelihood)
         except (*BROKEN, ValueError):
             return None
 

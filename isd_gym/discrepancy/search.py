@@ -22,7 +22,6 @@ from .candidate import (
 from .criteria import wide_enough
 from .fit import gap
 from .imitate import imitations
-from .initial import carried
 from .judge import Outcome, block_lead, moved
 from .motion import motions
 from .race import compete
@@ -96,7 +95,7 @@ class Search(Refits):
         """The best single addition to `now`; who ran is appended to `stages`. None where nothing is gained."""
         p, c = self.problem, self.criteria
         finish = compete(p, now.fit, self.floors, self.settings)
-        ranked = [self.informed(r, now) for r in finish.ranked]
+        ranked = list(finish.ranked)
         if not ranked:
             return None
         here = level(p, now, now, np.maximum(self.floors, 0.1 * finish.white))
@@ -113,15 +112,6 @@ class Search(Refits):
         stages.append(ranked)
         weak = gain < c.significant and c.half * gap(p, now.fit) < gap(p, best.fit)
         return None if weak else best
-
-    def informed(self, candidate: Candidate, last: Candidate) -> Candidate:
-        """With where the held-out records began by the last one: a guess may end elsewhere, where the motion has many rests or hits stops."""
-        try:
-            begun, fit = self.judge.own(last).start, last.fit
-            about = carried(self.problem, fit.network, begun, candidate.fit.structure)
-        except BROKEN:
-            return candidate
-        return replace(candidate, about=about)
 
     # -- back ---------------------------------------------------------------------------------------------
     def weigh(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> Trial:
@@ -140,9 +130,7 @@ class Search(Refits):
         if not chosen.well_formed(last=True):
             known = [r for r in stages[depth - 1] if r.well_formed()][:1]
             plainer = [
-                self.anew(trial, s, chosen)
-                for _, s in simpler(self.problem, chosen)
-                if len(s.hypotheses) == depth
+                self.anew(s, chosen) for _, s in simpler(self.problem, chosen) if len(s.hypotheses) == depth
             ]
             known += [r for r in plainer if r is not None and r.well_formed()]
             chosen = min(known, key=lambda r: level(self.problem, r, chosen, self.floors), default=chosen)
@@ -161,7 +149,7 @@ class Search(Refits):
                 or structure.hypotheses == chosen.hypotheses
             ):
                 continue
-            r = self.anew(trial, structure, richer)
+            r = self.anew(structure, richer)
             try:
                 if (
                     r is not None
@@ -196,7 +184,7 @@ class Search(Refits):
         runners = trial.stages[len(chosen.hypotheses) - 1]
         best = chosen
         for structure in imitations(self.problem, chosen):
-            r = self.anew(trial, structure, chosen, self.settings.outrun)
+            r = self.anew(structure, chosen, self.settings.outrun)
             if r is None:
                 continue
             try:
@@ -296,7 +284,7 @@ class Search(Refits):
         swapped = len(structure.hypotheses) == len(chosen.hypotheses)
         r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
         if r is None or (swapped and rank(r) > rank(chosen) + self.settings.chance):
-            tried = [q for q in (r, self.anew(trial, structure, chosen)) if q is not None]
+            tried = [q for q in (r, self.anew(structure, chosen)) if q is not None]
             r = min(tried, key=rank, default=None)
         return r
 
