@@ -178,10 +178,10 @@ def bare(network: Network) -> Network:
     return network if len(kept) == len(network.elements) else replace(network, elements=kept)
 
 
-#: steps of the physics, in the time in which the motion changes, in fits and in searches: 45 and 21 a period. Dry friction is
-#: of first order in them: where it rules the motion, outputs are off by 2 to 4 % of their deviation in fits
-FINE, COARSE = 0.14, 0.3
-FINEST = 20  # physics steps a sample at most
+#: steps of the physics, in the time in which the motion changes, in fits and in searches: 126 and 21 a period. Dry friction is
+#: of first order in them: where it rules the motion, outputs are off by about 1 % of their deviation in fits
+FINE, COARSE = 0.05, 0.3
+FINEST = 60  # physics steps a sample at most
 MOST, LEAST = 4, 500  # by how much a record is thinned at most, and how many samples it keeps
 WHOLE = math.lcm(*range(1, MOST + 1))
 LARGEST = 2_000_000  # samples of all lanes that run side by side

@@ -298,10 +298,11 @@ class Search(Refits):
         share = trial.share(then, now)
         if effect is None:
             more = bool(np.any(change > self.worth(without)))
-            if not more and loss > c.significant:
-                # small effects come in several: one law that takes away half of what is left with a force that none of them has, or
-                # nearly all of it with whatever force, is none of them
-                more = share >= c.alone or (share >= c.half and self.apart(chosen, without) >= c.small)
+            if not more:
+                # small effects come in several: one law that takes away nearly all of what is left with whatever force, or half of it
+                # with a force that none of them has, is none of them
+                apart = loss > c.significant and share >= c.half and self.apart(chosen, without) >= c.small
+                more = apart or share >= c.alone
             earned = loss > self.settings.chance or wider > 1.5
             return self.beaten(trial, without, chosen) and more and earned
         large = self.judge.sizes(chosen)[effect] >= c.share

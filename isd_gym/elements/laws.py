@@ -348,9 +348,9 @@ class Backlash(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        # stiff beside what it stands in series with
-        stiff = 50.0 * at.force / at.moves.reach
-        return [Start({"gap": s * rms(at.moves.d), "stiffness": stiff}, grows=("gap",)) for s in (0.02, 0.2)]
+        # its faces give by a fiftieth of the play under the usual force: beside a damper a softer one would be a compliance
+        gaps = [s * rms(at.moves.d) for s in (0.02, 0.2)]
+        return [Start({"gap": gap, "stiffness": 50.0 * at.force / gap}, grows=("gap",)) for gap in gaps]
 
 
 @register
