@@ -145,7 +145,12 @@ def simpler(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, St
             if simple in here:  # that would be another value of a parameter which is known
                 continue
             special = h.kind.special(simple, values, motion.get((h.where[0], h.where[-1])))
-            swaps.append([(Hypothesis(simple, h.where), special)])
+            plainer = replace(
+                h, effect=simple, options=(), behind=h.behind if el.TYPES[simple].series else ""
+            )
+            if plainer.behind and not plainer.stands(problem.network):
+                continue
+            swaps.append([(plainer, special)])
         for swap in swaps:
             try:
                 out.append((h, rebuilt(problem.network, [*found[:k], *swap, *found[k + 1 :]])))
@@ -156,7 +161,8 @@ def simpler(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, St
 
 def relative(general: Hypothesis, special: Hypothesis) -> bool:
     """Whether the first holds the second as a special case, at the same place."""
-    return special.effect in general.kind.contains and set(general.where) == set(special.where)
+    there = set(general.where) == set(special.where) and general.behind == special.behind
+    return special.effect in general.kind.contains and there
 
 
 def akin(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bool:

@@ -284,7 +284,9 @@ def rivals_of(network: Network, result: str | Path | Mapping[str, Any]) -> list[
         for effect, where, value, options in zip(
             row["effects"], row["where"], values, row.get("options") or [{}] * len(values), strict=True
         ):
-            effects.append((Hypothesis(effect, tuple(where), tuple(options.items())), value))
+            chosen = dict(options)
+            behind = chosen.pop("behind", "")
+            effects.append((Hypothesis(effect, tuple(where), tuple(chosen.items()), behind), value))
         try:
             structure = rebuilt(network, effects)
         except (KeyError, StopIteration, TypeError) as error:

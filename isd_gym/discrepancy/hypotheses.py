@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 
 from .. import elements as el
@@ -51,6 +52,14 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
     el.discover()
     for kind in el.TYPES.values():
         for where in places(network, kind):
-            if kind.stands(network, where):
-                for options in kind.variants(network, where):
-                    yield Hypothesis(kind.type, where, tuple(options.items()))
+            for behind in carried(network, kind, where):
+                bare = Hypothesis(kind.type, where, (), behind)
+                if bare.stands(network):
+                    for options in kind.variants(network, where):
+                        yield replace(bare, options=tuple(options.items()))
+
+
+def carried(network: Network, kind: type[el.Element], where: tuple[str, ...]) -> list[str]:
+    """What an element could be put in series with: all that stands there (""), and each of several side by side alone."""
+    here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
+    return ["", *here] if len(here) > 1 else [""]

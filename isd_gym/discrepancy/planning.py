@@ -345,7 +345,7 @@ def _told(stand: Stand, h: Hypothesis, status: str, **more: Any) -> Foreseen:
         if key in more:
             more[key] = {k: Amount(float(v), units.get(k, "")) for k, v in more[key].items() if k in units}
     where = owner_pair(stand.network, h) or h.where
-    return Foreseen(h.label, h.effect, tuple(where), h.options, status, **more)
+    return Foreseen(h.label, h.effect, tuple(where), tuple(h.choices.items()), status, **more)
 
 
 # -------------------------------------------------------------------------------------------------------- sensors

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError
+from ..network import GROUND
 from .candidate import (
     BROKEN,
     Candidate,
@@ -25,7 +26,7 @@ from .candidate import (
 )
 from .detents import comb
 from .fit import Fit, Fitter, gap, residuals
-from .hypotheses import hypotheses
+from .hypotheses import Hypothesis, hypotheses
 from .initial import along, carried, guess
 from .noise import finer, plain, whitener
 from .problem import Array, Problem, Record
@@ -129,7 +130,7 @@ class Race:
     # -- stages -----------------------------------------------------------------------------------------
     def shortlist(self) -> list[list[Screened]]:
         """The hypotheses that the score test puts first, each with its starts."""
-        tried = list(hypotheses(self.current.structure.network))
+        tried = [h for h in hypotheses(self.current.structure.network) if self.sensible(h)]
         moved = set(self.problem.network.moved_nodes)
         groups: dict[object, list[Screened]] = {}
         found = screen(self.problem, self.fitter, self.current, tried, self.lost)
@@ -141,6 +142,14 @@ class Race:
         if gap(self.problem, self.current) < self.settings.far:
             return list(groups.values())
         return [*groups.values(), *(g for g in self.nearest(found) if g[0].hypothesis not in groups)]
+
+    def sensible(self, h: Hypothesis) -> bool:
+        """Whether a hypothesis of the network as it is now is one: what was found is not put in line again, and detents are between
+        parts that the owner knows (at a node without mass, which a joint brought, they leave the motion many ways to go on)."""
+        joint = (
+            not {*self.problem.network.nodes, GROUND}.issuperset(h.where) if h.place == "between" else False
+        )
+        return h.behind not in self.current.structure.names and not (h.kind.periodic and joint)
 
     def nearest(self, found: Sequence[Screened]) -> list[list[Screened]]:
         """Of a gap so wide that small steps say little: the hypotheses that come nearest as they stand, at large amplitudes."""

@@ -55,7 +55,8 @@ class Quantity:
 class Effect:
     """An effect that was found: what, where, how sure, how large. `element`: its name in the new model.
 
-    between: its terminals, or channel: of a sensor. confidence: in [0, 1]. parameters: by name.
+    between: its terminals, or channel: of a sensor. confidence: in [0, 1]. parameters: by name. behind: of what is in series there,
+    the one element of several side by side that it carries; empty for all of them.
     """
 
     effect: str
@@ -64,6 +65,7 @@ class Effect:
     confidence: float
     parameters: dict[str, Quantity]
     element: str
+    behind: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """As the contract has it."""
@@ -72,6 +74,8 @@ class Effect:
             out["channel"] = self.channel
         else:
             out["between"] = list(self.between) if self.between else None
+        if self.behind:
+            out["behind"] = self.behind
         out["confidence"] = self.confidence
         out["parameters"] = {k: q.to_dict() for k, q in self.parameters.items()}
         return out

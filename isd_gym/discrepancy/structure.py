@@ -40,11 +40,15 @@ class Free:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """An effect of the library at a place: two nodes, a motor or a channel. `options` are its non-numeric choices."""
+    """An effect of the library at a place: two nodes, a motor or a channel. `options` are its non-numeric choices.
+
+    behind: of what is put in series, the one element of several side by side that it carries; all that stand there without.
+    """
 
     effect: str
     where: tuple[str, ...]
     options: tuple[tuple[str, str], ...] = ()
+    behind: str = ""
 
     @property
     def kind(self) -> type[el.Element]:
@@ -55,8 +59,21 @@ class Hypothesis:
         return self.kind.place
 
     @property
+    def choices(self) -> dict[str, str]:
+        """What is not a number: its options, and what it is put in series with."""
+        return dict(self.options) | ({"behind": self.behind} if self.behind else {})
+
+    def stands(self, network: Network) -> bool:
+        """Whether it makes sense there, and is more than another value of a parameter of `network`."""
+        if not self.behind:
+            return self.kind.stands(network, self.where)
+        here = [e.name for e in el.beside(network, self.where)]
+        alone = [e for e in network.elements if e.name not in here or e.name == self.behind]
+        return self.kind.stands(_opened(network, tuple(alone)), self.where)
+
+    @property
     def label(self) -> str:
-        extra = "".join(f" ({v})" for _, v in self.options)
+        extra = "".join(f" ({v})" for _, v in self.options) + (f" (of {self.behind})" if self.behind else "")
         return f"{self.effect} at {'-'.join(self.where)}{extra}"
 
 
@@ -164,7 +181,7 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     free, ties = list(structure.free), list(structure.ties)
     found = list(zip(structure.hypotheses, structure.names, strict=True))
     if cls.series:
-        network, where = split(network, where, name)
+        network, where = split(network, where, name, h.behind)
     for e in el.beside(network, where) if cls.place == "between" else ():
         if e.type in cls.replaces:
             network = drop(network, e.name)
@@ -219,18 +236,23 @@ def drop(network: Network, name: str) -> Network:
     return replace(network, elements=elements, outputs=tuple(outputs), uncertainty=kept)
 
 
-def split(network: Network, pair: tuple[str, ...], stem: str) -> tuple[Network, tuple[str, str]]:
-    """Everything between the pair moved behind a new node next to its first terminal; the gap is what is returned.
+def split(
+    network: Network, pair: tuple[str, ...], stem: str, behind: str = ""
+) -> tuple[Network, tuple[str, str]]:
+    """Everything between the pair, or the element `behind` alone, moved behind a new node next to its first terminal; the gap is
+    what is returned.
 
-    A moved terminal goes first, so that the rig still moves it.
+    A moved terminal goes first, so that the rig still moves it. Raises `InputError` where `behind` does not stand there.
     """
+    if behind and behind not in {e.name for e in el.beside(network, pair)}:
+        raise InputError(f"'{behind}' does not stand between {' and '.join(pair)}")
     first, second = pair
     if second in network.moved_nodes and first not in network.moved_nodes:
         first, second = second, first
     node = network.free_name(f"{first}_{stem}" if first != GROUND else f"{second}_{stem}")
     moved = []
     for e in network.elements:
-        if e.place == "between" and set(e.where) == {first, second}:
+        if e.place == "between" and set(e.where) == {first, second} and behind in ("", e.name):
             e = replace(e, where=tuple(node if n == first else n for n in e.where))
         moved.append(e)
     # two terminals in the owner's order, so that the sign of elongation stays

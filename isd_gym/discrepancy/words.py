@@ -26,7 +26,7 @@ def described(e: Effect) -> str:
     spot = f"in channel {e.channel}" if e.channel else f"between {' and '.join(e.between or ())}"
     what = e.effect.replace("_", " ")
     if TYPES[e.effect].series:
-        what, spot = f"{what},", f"in series with what stands {spot}"
+        what, spot = f"{what},", f"in series with {e.behind or 'what stands'} {spot}"
     figures = ", ".join(
         f"{k.replace('_', ' ')} {plain_number(q.value)} {q.unit}" for k, q in e.parameters.items()
     )

@@ -277,7 +277,7 @@ class Workflow:
                 if path.rpartition(".")[0] == element
             }
             channel = h.where[0] if h.place == "channel" else None
-            out.append(Effect(h.effect, owner_pair(self.network, h), channel, sure, own, element))
+            out.append(Effect(h.effect, owner_pair(self.network, h), channel, sure, own, element, h.behind))
         return out
 
     def drawn(self, base: Candidate) -> tuple[Candidate | None, Tabulated | None]:
@@ -308,7 +308,7 @@ class Workflow:
                     r.likelihood - best.likelihood,
                     why,
                     tuple(values_of(e) for e in r.elements),
-                    tuple(dict(h.options) for h in r.hypotheses),
+                    tuple(h.choices for h in r.hypotheses),
                 )
             )
         return out

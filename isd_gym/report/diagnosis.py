@@ -180,7 +180,7 @@ class View:
             return f"{channel_text(e.effect)} in {channel_text(e.channel)}"
         if not e.between:
             return channel_text(e.effect)
-        how = ", in series with what stands" if el.TYPES[e.effect].series else ""
+        how = f", in series with {e.behind or 'what stands'}" if el.TYPES[e.effect].series else ""
         return f"{channel_text(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
 
     def contender_text(self, c: Any) -> str:
