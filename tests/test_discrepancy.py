@@ -422,6 +422,14 @@ def test_laws_of_friction_are_told_apart_where_the_steps_are_fine_enough(kind, s
 
 
 @pytest.mark.slow
+def test_one_law_for_several_at_one_place_begins_where_it_gives_their_sum() -> None:
+    """The level of a falling friction was found first, as an asymmetric one, then the rest: the law itself, begun from the rest, was lost."""
+    d, case = run("stribeck_device", 312)
+    assert named(d) == {(effect, frozenset(place)) for effect, place in case.answer}
+    assert any("explains as much as asymmetric_friction" in note for note in d.notes)
+
+
+@pytest.mark.slow
 def test_a_play_in_the_spring_alone_is_named() -> None:
     d = of_family("shaken.play", 305)
     assert named(d) == {("backlash", frozenset({"mass", "base"}))}

@@ -35,19 +35,11 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
         # an arc of a wave is steep, whatever spring it lies on
         own = _yielding(problem, element) if curve else []
         near: list[tuple[float, Hypothesis, dict[str, float]]] = []
-        for h in hypotheses(problem.network):
-            same = set(h.where) == set(element.where) and h.kind.plane == element.plane
+        for h in curves(problem, element):
             # special and general cases of one law are weighed against one another elsewhere
-            related = element.type in h.kind.contains or h.effect in element.contains
-            if (
-                h.place != "between"
-                or not same
-                or related
-                or not _plain_curve(h.kind)
-                or h.effect == element.type
-            ):
+            if element.type in h.kind.contains or h.effect in (element.type, *element.contains):
                 continue
-            fitted = _imitate(h, element, setting(problem, problem.network, h, m, force), own)
+            fitted = _imitate(h, [element], setting(problem, problem.network, h, m, force), own)
             if fitted is not None and fitted[0] < NEAR:
                 near.append((fitted[0], h, fitted[1]))
         for _, h, values in sorted(near, key=lambda t: t[0])[:MOST]:
@@ -55,6 +47,42 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
                 yield rebuilt(problem.network, [*found[:k], (h, values), *found[k + 1 :]])
             except (*BROKEN, KeyError, StopIteration):
                 continue
+
+
+def joined(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
+    """The candidate with one law for several over one plane at one place: begun from the values of one of those, it may end in a
+    place of its own."""
+    found = [(h, values_of(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
+    motion, force = motions(problem, candidate.fit), force_scale(problem)
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for k, e in enumerate(candidate.elements):
+        # what is a function of the rate has no memory
+        if e.place == "between" and e.between in motion and (_plain_curve(type(e)) or e.plane == "rate"):
+            alike.setdefault((e.between, e.plane), []).append(k)
+    for members in alike.values():
+        several = [candidate.elements[k] for k in members]
+        if len(several) < 2:
+            continue
+        near: list[tuple[float, Hypothesis, dict[str, float]]] = []
+        for h in curves(problem, several[0]):
+            at = setting(problem, problem.network, h, motion[several[0].between], force)
+            fitted = _imitate(h, several, at)
+            if fitted is not None and fitted[0] < NEAR:
+                near.append((fitted[0], h, fitted[1]))
+        rest = [effect for k, effect in enumerate(found) if k not in members]
+        for _, h, values in sorted(near, key=lambda t: t[0])[:MOST]:
+            try:
+                yield rebuilt(problem.network, [*rest, (h, values)])
+            except (*BROKEN, KeyError, StopIteration):
+                continue
+
+
+def curves(problem: Problem, like: el.Element) -> Iterator[Hypothesis]:
+    """The laws whose force is a curve over the plane of `like`, at its place."""
+    for h in hypotheses(problem.network):
+        there = h.place == "between" and set(h.where) == set(like.where) and h.kind.plane == like.plane
+        if there and _plain_curve(h.kind):
+            yield h
 
 
 def repeats(element: el.Element, motion: el.Motion) -> bool:
@@ -79,15 +107,15 @@ def _yielding(problem: Problem, element: el.Element) -> list[el.Element]:
 
 
 def _imitate(
-    h: Hypothesis, element: el.Element, at: el.Setting, own: Sequence[el.Element] = ()
+    h: Hypothesis, found: Sequence[el.Element], at: el.Setting, own: Sequence[el.Element] = ()
 ) -> tuple[float, dict[str, float]] | None:
-    """(share of the force that is missed, values) of the best imitation of an element by another law.
+    """(share of the force that is missed, values) of the best imitation of what was `found`, over one plane, by another law.
 
     own: laws beside it that may give more or less than they do.
     """
-    travel = at.moves.v if element.plane == "rate" else at.moves.d
+    travel = at.moves.v if h.kind.plane == "rate" else at.moves.d
     axis = np.sort(travel[:: max(1, len(travel) // POINTS)])
-    target = element.curve(axis)
+    target = np.sum([e.curve(axis) for e in found], axis=0)
     scale = el.rms(target)
     taken, _ = (
         np.linalg.qr(np.stack([e.curve(axis) for e in own], axis=1)) if own else (np.zeros((len(axis), 0)), 0)

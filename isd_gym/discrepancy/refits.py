@@ -79,7 +79,9 @@ class Refits:
         """
         p, least = self.problem, reckoned(self.problem, like.fit, self.floors)
         near = level(p, like, like, self.floors) + self.criteria.significant
-        known = dict(zip((f.path for f in like.fit.structure.free), like.fit.x, strict=True))
+        # the owner's parameters as they are there; what was added begins as `structure` says
+        own = zip(like.fit.structure.free, like.fit.x, strict=True)
+        known = {f.path: v for f, v in own if f.owner < 0}
         there = np.array([known.get(f.path, v) for f, v in zip(structure.free, structure.start, strict=True)])
         found: list[Candidate] = []
         try:  # from where it is, and, where that ends far off, from what the owner believes

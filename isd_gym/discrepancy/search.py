@@ -21,7 +21,7 @@ from .candidate import (
 )
 from .criteria import wide_enough
 from .fit import gap
-from .imitate import imitations
+from .imitate import imitations, joined
 from .judge import Outcome, block_lead, moved
 from .motion import motions
 from .race import compete
@@ -136,7 +136,7 @@ class Search(Refits):
             chosen = min(known, key=lambda r: level(self.problem, r, chosen, self.floors), default=chosen)
         elif depth < len(path) - 1:
             chosen = self.settle_again(chosen, richest)
-        chosen = self.challenged(trial, self.refined(trial, self.prune(trial, chosen)))
+        chosen = self.challenged(trial, self.refined(trial, self.merged(trial, self.prune(trial, chosen))))
         trial.chosen = trial.foremost = self.plainest(trial, chosen)
         return trial
 
@@ -178,6 +178,25 @@ class Search(Refits):
         if best is not chosen:
             runners.append(chosen)
         return best
+
+    def merged(self, trial: Trial, chosen: Candidate) -> Candidate:
+        """One law for several over one plane at one place, where it explains as much: what was found first, and the rest, may be its parts."""
+        p, c = self.problem, self.criteria
+        for structure in joined(p, chosen):
+            r = self.anew(structure, chosen)
+            try:
+                as_much = r is not None and trial.left(r) < c.ahead * trial.left(chosen)
+            except BROKEN:
+                continue
+            if r is None or not as_much or not r.well_formed():
+                continue
+            loss = level(p, r, chosen, self.floors) - level(p, chosen, chosen, self.floors)
+            if loss < c.significant:
+                several = "; ".join(h.label for h in chosen.hypotheses)
+                trial.notes.append(f"{r.label}: explains as much as {several} together")
+                trial.stages[len(r.hypotheses) - 1].insert(0, r)
+                return r
+        return chosen
 
     def challenged(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Other laws that give the force which was found: they run, too, from there, and the best of them is chosen."""
