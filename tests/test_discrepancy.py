@@ -71,6 +71,13 @@ def test_a_held_out_stretch_that_begins_where_friction_holds_is_begun_twice() ->
     assert named(d) == {("stribeck_friction", frozenset({"mass", "base"}))}
 
 
+def test_an_effect_whose_sign_the_score_test_misses_is_begun_either_way() -> None:
+    # beside friction, small steps say little of a softening spring, and its sign wrongly: it was never begun the other way
+    d = of_family("decay.friction_and_sine", 312)
+    assert named(d) == {(e, frozenset({"mass", "ground"})) for e in ("coulomb_friction", "cubic_stiffness")}
+    assert next(e for e in d.effects if e.effect == "cubic_stiffness").parameters["stiffness"].value < 0
+
+
 def test_a_force_that_is_large_only_while_a_decay_begins_keeps_its_name() -> None:
     d = of_family("decay.quadratic", 306)
     assert named(d) == {("quadratic_damping", frozenset({"mass", "ground"}))}

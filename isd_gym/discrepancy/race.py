@@ -35,8 +35,8 @@ from .settings import SearchSettings
 from .shooting import begun, remembers
 from .structure import Structure, add
 
-#: multiples of the amplitude that the score test gives, and of one that it says little about
-AMPLITUDES, LARGE = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0), (80.0,)
+#: multiples of the amplitude that the score test gives, of one that it says little about, and of one whose sign may be either
+AMPLITUDES, LARGE, OTHER = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0), (80.0,), (-2.0, -12.0, -80.0)
 COARSE = (1.0, 5.0, 30.0)  # of those, where every hypothesis is tried
 THREADS = 2  # the kernel and the linear algebra let go of the interpreter
 
@@ -137,11 +137,17 @@ class Race:
         for s in found:
             # it says little about what is put in series
             always = s.hypothesis.kind.series and bool(set(s.hypothesis.where) & moved)
-            if s.hypothesis in groups or len(groups) < self.settings.heats or always:
+            if s.hypothesis in groups or len(groups) < self.entries or always:
                 groups.setdefault(s.hypothesis, []).append(s)
         if gap(self.problem, self.current) < self.settings.far:
             return list(groups.values())
         return [*groups.values(), *(g for g in self.nearest(found) if g[0].hypothesis not in groups)]
+
+    @property
+    def entries(self) -> int:
+        """How many hypotheses run: the score test, which looks at small steps, chooses only where not all can be afforded."""
+        samples = sum(len(self.short.records[i]) for i in self.short.estimation)
+        return max(self.settings.heats, self.settings.cheap // samples)
 
     def sensible(self, h: Hypothesis) -> bool:
         """Whether a hypothesis of the network as it is now is one: what was found is not put in line again, and detents are between
@@ -315,9 +321,10 @@ def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
         return [
             (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
         ]
-    tries = [
-        t for s in group[:6] for t in amplified(race, s, AMPLITUDES + LARGE * (s.start.inverse or race.lost))
-    ]
+    tries = []
+    for s in group[:6]:
+        more = LARGE * (s.start.inverse or race.lost) + OTHER * s.start.signed
+        tries += amplified(race, s, AMPLITUDES + more)
     if not tries:
         return []
     scores = _misfit(race, tries)

@@ -10,7 +10,7 @@ class SearchSettings:
     """How far the search goes: it may miss what it does not try, but decides nothing.
 
     heats, finals: how many hypotheses are fitted to the stretch of a record where the gap is widest, and how many of
-    them to all of it. far, nearest: gap from which on the score test, which looks at small effects, says too little, and how many
+    them to all of it. cheap: samples; where the stretches are short, as many hypotheses more as have so many together. far, nearest: gap from which on the score test, which looks at small effects, says too little, and how many
     hypotheses then join that come nearest as they stand. depth: effects at once. turns: runners-up from which the search starts over where one effect is not
     enough. window: share of a record that a heat sees, and the least samples of it. chance, sure (2 log L): what a richer
     relative may gain for nothing, and what a step must gain. lost: gap (power over the signal's) from which on a simulation
@@ -24,6 +24,7 @@ class SearchSettings:
 
     heats: int = 8
     finals: int = 4
+    cheap: int = 40_000
     far: float = 0.1
     nearest: int = 4
     depth: int = 3
