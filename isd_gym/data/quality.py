@@ -46,7 +46,7 @@ class Finding:
 #: impossible, for a suspension or its rig; and the least that a sensor of it could have seen
 QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "displacement": ("m", 2.0, 5.0, 1e-6),
-    "velocity": ("m/s", 10.0, 30.0, 1e-5),
+    "velocity": ("m/s", 10.0, 100.0, 1e-5),  # a vehicle coasts at 40
     "acceleration": ("m/s^2", 200.0, 2000.0, 1e-3),
     "force": ("N", 2e5, 1e6, 1e-2),
     "current": ("A", 200.0, 1000.0, 1e-4),
