@@ -443,6 +443,53 @@ def test_one_law_for_several_at_one_place_begins_where_it_gives_their_sum() -> N
     assert any("explains as much as asymmetric_friction" in note for note in d.notes)
 
 
+def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() -> None:
+    # along lines every sample of the base was a knock: an inertance came out with twice the acceleration, and a compliance beside it
+    from isd_gym.discrepancy.problem import Problem, Record
+
+    net = Network.from_dict(
+        {
+            "schema": "isd-model/1",
+            "name": "shaken",
+            "masses": {"mass": 20.0},
+            "elements": [
+                {"name": "k", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": 2000.0},
+                {"name": "c", "type": "linear_damping", "between": ["mass", "base"], "damping": 40.0},
+                {"name": "b", "type": "inertance", "between": ["mass", "base"], "inertance": 6.0},
+            ],
+            "inputs": [{"name": "base", "quantity": "displacement", "unit": "m", "at": "base"}],
+            "outputs": [{"name": "a", "quantity": "acceleration", "unit": "m/s^2", "at": "mass"}],
+        }
+    )
+    time = np.arange(0.0, 25.0, 0.016)  # what it began with has died out by the thousandth sample
+    w = 2.0 * math.pi * 4.5
+    base = 1e-4 * np.sin(w * time)
+    for every, bound in ((4, 0.05), (16, 0.03)):
+        record = Record("r", 0.016, {"base": base}, np.zeros((len(time), 1)))
+        problem = Problem(net, [record], ["fit"], step=0.16 / every, time=0.1)
+        assert problem.every(record) == every
+        seen = problem.simulate([net], 0)[1000:, 0, 0]
+        gain = (2000.0 - 6.0 * w**2 + 40.0j * w) / (2000.0 - 26.0 * w**2 + 40.0j * w)
+        exact = 1e-4 * (-(w**2) * gain * np.exp(1j * w * time)).imag[1000:]
+        assert np.std(seen - exact) < bound * np.std(exact), every
+
+
+def test_a_rig_that_moves_by_micrometres_may_have_a_stiff_cubic() -> None:
+    from isd_gym.elements import TYPES
+
+    for stiffness in (4.4e15, -1e20):
+        TYPES["cubic_stiffness"](name="x", where=("mass", "ground"), stiffness=stiffness)
+    with pytest.raises(InputError, match="stiffness"):
+        TYPES["cubic_stiffness"](name="x", where=("mass", "ground"), stiffness=1e30)
+
+
+@pytest.mark.slow
+def test_an_inertance_to_a_shaken_base_is_named_with_its_value() -> None:
+    d = of_family("shaken.inertance", 313)
+    assert named(d) == {("inertance", frozenset({"mass", "base"}))}
+    assert d.effects[0].parameters["inertance"].value == pytest.approx(5.887, rel=0.02)
+
+
 @pytest.mark.slow
 def test_a_play_in_the_spring_alone_is_named() -> None:
     d = of_family("shaken.play", 305)

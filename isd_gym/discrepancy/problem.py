@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.signal import firwin, oaconvolve, welch
 
 from ..arrays import Array as Array
 from ..network import Network, assemble
-from ..simulate import Plant, effective_current, upsample
+from ..simulate import Plant, effective_current
 from ..units import convert
+from .between import bent, finer
 from .memory import Memory
 from .states import carrier
 
@@ -187,14 +187,6 @@ WHOLE = math.lcm(*range(1, MOST + 1))
 LARGEST = 2_000_000  # samples of all lanes that run side by side
 
 
-def through(values: Array, every: int) -> Array:
-    """A record at `every` times its rate, by a cubic spline through its samples."""
-    n = len(values)
-    return np.asarray(
-        CubicSpline(np.arange(n), values)(np.arange(every * (n - 1) + 1) / every), dtype=np.float64
-    )
-
-
 class Problem:
     """A base model and records to judge it by.
 
@@ -254,6 +246,10 @@ class Problem:
     def every(self, record: Record) -> int:
         """Steps of the physics between two samples of the inputs."""
         return min(max(1, math.ceil(record.step / (self.step * self.scale(record)) - 1e-9)), FINEST)
+
+    def _sparse(self, record: Record) -> bool:
+        """Whether there are so few samples that lines between them would lack a part of the amplitude."""
+        return record.step > COARSE * self.scale(record)
 
     def span(self, index: int) -> float:
         """One sigma of what is known beforehand of a record's first motion [m]: wide, from its own motion."""
@@ -379,16 +375,12 @@ class Problem:
         records = [self.records[i] for i in members]
         record, wide = records[0], len(networks)
         every = self.every(record)
-        sparse = every > 1 and record.step > COARSE * self.scale(record)
+        sparse = self._sparse(record)
         first = networks[0]
         motored = any(e.place == "element" for e in first.elements)
         pure = {id(n): bare(n) for n in networks}  # lanes that differ in their initial state share a network
         h = record.step / every
         plant = Plant([pure[id(n)] for n in networks] * len(records), h)
-
-        def finer(values: Array, held: bool) -> Array:
-            # lines between so few samples would lack a part of the amplitude
-            return through(values, every) if sparse and not held else upsample(values, every, hold=held)
 
         def lanes(columns: Sequence[Array]) -> Array:
             """A column a record, for all of its lanes."""
@@ -396,20 +388,20 @@ class Problem:
                 return columns[0]
             return np.repeat(np.stack(columns, axis=1), wide, axis=1)
 
+        curves = {name: [self._bent(i, name, every) for i in members] for name in plant.differentiated}
         inputs: dict[str, Array] = {}
         for c in first.inputs:
             held = c.quantity == "current"
-            fine = [finer(r.inputs[c.name], held) for r in records]
+            if c.name in curves:
+                fine = [curve[0] for curve in curves[c.name]]
+            else:
+                fine = [finer(r.inputs[c.name], every, held=held, sparse=sparse) for r in records]
             if motored and held:
                 made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
                 inputs[c.name] = np.concatenate(made, axis=1)
             else:
                 inputs[c.name] = lanes(fine)
-        slopes = {}
-        for name in plant.differentiated:
-            if name in record.slopes:
-                v, a = ([upsample(r.slopes[name][k], every) for r in records] for k in (0, 1))
-                slopes[name] = lanes(v), lanes(a)
+        slopes = {n: (lanes([c[1] for c in own]), lanes([c[2] for c in own])) for n, own in curves.items()}
         start = None
         if plant.n:
             given = None
@@ -429,6 +421,15 @@ class Problem:
             i: r.reading(y) if r.reading else r.read(y)
             for r, (i, y) in zip(records, found.items(), strict=True)
         }
+
+    def _bent(self, index: int, name: str, every: int) -> tuple[Array, ...]:
+        key = ("input", index, name, every)
+        known = self.memory.get(key)
+        if known is None:
+            r = self.records[index]
+            known = bent(r.inputs[name], r.slopes.get(name), r.step, every, sparse=self._sparse(r))
+            self.memory.put(key, self, known)
+        return known
 
     def _start(self, plant: Plant, initial: Array | None, like: Network | None) -> Array:
         lanes = len(plant.networks)

@@ -24,7 +24,8 @@ from ..loggers.grid import sampled
 from ..loggers.recording import Recording, Signal
 from ..network import Network
 from ..units import convert
-from .problem import Array, Problem, Record, pace, through
+from .between import through
+from .problem import Array, Problem, Record, pace
 
 #: a channel that comes so much more often than the slowest is filtered, not picked from
 PICKED = 0.7

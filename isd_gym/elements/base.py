@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import re
 import runpy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
@@ -42,7 +43,8 @@ def parameter(
 ) -> Any:
     """A parameter [unit] with its plausible range (low, high) for a car corner, and the hard lower limit.
 
-    The hard upper limit is a million times the plausible end, for a magnitude where there is no lower limit.
+    The hard upper limit is a million times the plausible end, as often as the unit divides by a length: rigs that move by
+    micrometres do so, too. It holds for the magnitude where there is no lower limit.
 
     `fixed` parameters give the law its shape and are not fitted unless asked for. `spread`: how far from its default
     a value is plausible at all (one sigma, where a car's range says nothing about other rigs). `stride`: how far a
@@ -51,11 +53,15 @@ def parameter(
     unit: as in `units.TABLE`, or '-'. low, high: where a fit begins to look. default: in a model file that does not say.
     minimum: the hard lower limit, itself out of bounds with `open_end`.
     """
+    lengths = re.search(r"/m(?:\^(\d))?$", unit)
+    often = int(lengths[1] or 1) if lengths else 1
     meta = {
         "unit": unit,
         "range": (low, high),
         "minimum": minimum,
-        "maximum": 1e6 * max(abs(low), abs(high)) if math.isfinite(low) and math.isfinite(high) else 1e12,
+        "maximum": 1e6**often * max(abs(low), abs(high))
+        if math.isfinite(low) and math.isfinite(high)
+        else 1e12,
         "open": open_end,
         "fixed": fixed,
         "spread": spread,
