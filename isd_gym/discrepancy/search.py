@@ -211,15 +211,23 @@ class Search(Refits):
             except BROKEN:
                 continue
             runners.insert(1, r)
-            if (
-                r.well_formed()
-                and self.schwarz(r, chosen) < self.schwarz(best, chosen) - self.criteria.decisive
-            ):
+            if r.well_formed() and self.replaces(trial, r, best, chosen):
                 best = r
-        if best is not chosen and trial.beyond(best) < trial.beyond(chosen):
+        if best is not chosen:
             runners.append(chosen)
-            return best
-        return chosen
+        return best
+
+    def replaces(self, trial: Trial, other: Candidate, best: Candidate, chosen: Candidate) -> bool:
+        """Whether another law for the same force is the better one by Schwarz's criterion, and on held-out records; or explains as
+        much, where `best` is not what its name says."""
+        better = self.schwarz(other, chosen) < self.schwarz(best, chosen) - self.criteria.decisive
+        if better and trial.beyond(other) < trial.beyond(best):
+            return True
+        loss = level(self.problem, other, chosen, self.floors) - level(
+            self.problem, best, chosen, self.floors
+        )
+        as_much = trial.left(other) < self.criteria.ahead * trial.left(best)
+        return not best.well_formed() and as_much and loss < self.settings.sure
 
     def refined(self, trial: Trial, chosen: Candidate) -> Candidate:
         """The fit begun again with other shapes where more is left than noise: from one start it may end in a place of its own."""
