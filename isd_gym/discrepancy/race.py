@@ -133,7 +133,8 @@ class Race:
         tried = [h for h in hypotheses(self.current.structure.network) if self.sensible(h)]
         moved = set(self.problem.network.moved_nodes)
         groups: dict[object, list[Screened]] = {}
-        found = screen(self.problem, self.fitter, self.current, tried, self.lost)
+        # where the motion is remembered for long, its phase turns a sign about
+        found = screen(self.problem, self.fitter, self.current, tried, self.lost or self.slight)
         for s in found:
             # it says little about what is put in series
             always = s.hypothesis.kind.series and bool(set(s.hypothesis.where) & moved)
