@@ -326,10 +326,10 @@ class Search(Refits):
         if effect is None:
             more = bool(np.any(change > self.worth(without)))
             if not more:
-                # small effects come in several: one law that takes away nearly all of what is left with whatever force, or half of it
-                # with a force that none of them has, is none of them
-                apart = loss > c.significant and share >= c.half and self.apart(chosen, without) >= c.small
-                more = apart or share >= c.alone
+                # small effects come in several: one law that takes away nearly all of what is left with whatever force, or half of it,
+                # here or on the records fitted to, with a force that none of them has, is none of them
+                halved = loss > c.significant and (share >= c.half or wider > 1.0 / c.half)
+                more = share >= c.alone or (halved and self.apart(chosen, without) >= c.small)
             earned = loss > self.settings.chance or wider > 1.5
             return self.beaten(trial, without, chosen) and more and earned
         large = self.judge.sizes(chosen)[effect] >= c.share
