@@ -171,8 +171,11 @@ def settle(mats, own, ints, state, left):
     nl, ns = at.laws, at.smooth
     for l in range(WIDTH):
         if left >> l & 1:
+            lost = False
             for j in range(nl):
-                state[U((at.acting + j) * WIDTH + l)] = state[U((at.force + j) * WIDTH + l)]
+                force = state[U((at.force + j) * WIDTH + l)]
+                lost = lost or math.isnan(force)
+                state[U((at.acting + j) * WIDTH + l)] = force
                 if j >= ns:
                     # the bound is that of the rate at the start of the step: a falling (Stribeck) curve taken at its
                     # end would have several solutions
@@ -182,6 +185,8 @@ def settle(mats, own, ints, state, left):
                         state[U((at.elongation + j) * WIDTH + l)],
                         state[U((at.rate + j) * WIDTH + l)],
                     )
+            if lost:  # what was not found once is not looked for again: all would be tried in every step
+                left &= ~(1 << l)
     for sweep in range(SWEEPS):
         moved = 0
         if nl - ns > 1 or ns == 0:
