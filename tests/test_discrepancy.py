@@ -520,6 +520,24 @@ def test_what_seed_308_had_refused_is_named(kind: str, effect: str, place: set[s
     assert named(of_family(kind, 308)) == {(effect, frozenset(place))}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "seed", "answer"),
+    [
+        # stiffer, in N/m^3, than the class allowed for
+        ("pair.cubic", 312, {("cubic_stiffness", "left")}),
+        # its sign is turned about by the phase
+        ("resonator.gas", 313, {("gas_spring", "mass")}),
+        # a drag that a curve of friction came before
+        ("decay.drag_and_sine", 313, {("quadratic_damping", "mass"), ("cubic_stiffness", "mass")}),
+        # stick and slip leave much of what is held out to either law
+        ("cart.stribeck", 313, {("stribeck_friction", "mass")}),
+    ],
+)
+def test_what_seeds_312_and_313_had_wrong_is_named(kind, seed, answer) -> None:
+    assert named(of_family(kind, seed)) == {(effect, frozenset({node, "ground"})) for effect, node in answer}
+
+
 def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
     from isd_gym.discrepancy.structure import in_line
 

@@ -20,7 +20,7 @@ from .. import elements as el
 from ..elements.starts import generic_starts
 from ..errors import InputError
 from ..network import Network, assemble
-from .candidate import BROKEN, Candidate, reckoned, settled
+from .candidate import BROKEN, Candidate, reckoned, settled, transferred, with_fit
 from .criteria import Criteria
 from .fit import Fit, Fitter, residuals
 from .hypotheses import hypotheses, pairs
@@ -162,8 +162,9 @@ def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) ->
 
 
 def _ranked(problem: Problem, base: Candidate, floors: Array, sigma: float) -> list[Table]:
-    """Tables over rate and over elongation at every pair, the most promising first."""
+    """Tables over rate and over elongation at every pair, the most promising first, on no more samples than the motion needs."""
     motion = motions(problem, base.fit)
+    problem, base = problem.rough, _roughly(problem, base, floors)
     fitter = Fitter(problem, whitener(residuals(problem, base.fit), reckoned(problem, base.fit, floors)))
     ranked: list[tuple[float, Table]] = []
     for pair in pairs(base.fit.network):
@@ -251,11 +252,21 @@ class Weighed:
         return min(max(whitened, plain), 1.0), moved, replication(refit, after)
 
 
+def _roughly(problem: Problem, base: Candidate, floors: Array) -> Candidate:
+    if problem.rough is problem:
+        return base
+    return with_fit(base, transferred(problem.rough, base.fit, floors), base.likelihood)
+
+
 def _settled(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:
+    """The owner's model with a table, fitted: there by few samples, and to its end by all."""
     try:
-        return settled(
-            problem, structure, _started(base, structure), floors, base.fit, rounds=2, iterations=6
-        )
+        rough, x = _roughly(problem, base, floors), _started(base, structure)
+        found = settled(problem.rough, structure, x, floors, rough.fit, rounds=2, iterations=6)
+        if problem.rough is problem:
+            return found
+        f, least = transferred(problem, found.fit, floors), reckoned(problem, base.fit, floors)
+        return settled(problem, structure, f.x, floors, f, rounds=2, iterations=2, least=least)
     except BROKEN:
         return None
 
