@@ -340,3 +340,33 @@ def test_results_without_rivals_are_refused_with_one_line() -> None:
         with pytest.raises(InputError, match=word) as error:
             rivals_of(network, {**rivals((3.0, 14.0)), **change})
         assert "\n" not in str(error.value)
+
+
+def test_rivals_that_a_stranger_wrote_are_refused_with_one_line() -> None:
+    from isd_gym.discrepancy.design import rivals_of
+
+    network, whole = Network.load(MASS), rivals((3.0, 14.0))
+    row = whole["alternatives"][0]
+    for wrong in (
+        {"effects": "no_such"},
+        {"where": [["nowhere", "ground"]]},
+        {"where": 3},
+        {"values": [{"level": "much"}]},
+        {"values": [7]},
+        {"values": [{}, {}]},
+        {"options": 5},
+        {"options": [[1, 2]]},
+        {"options": [{"behind": 5}]},
+    ):
+        with pytest.raises(InputError) as error:
+            rivals_of(network, {**whole, "alternatives": [{**row, **wrong}, row]})
+        assert "\n" not in str(error.value), wrong
+    for change in (
+        {"alternatives": [1, 2]},
+        {"alternatives": {"a": 1}},
+        {"parameters": [1]},
+        {"parameters": {"a": {}}},
+    ):
+        with pytest.raises(InputError) as error:
+            rivals_of(network, {**whole, **change})
+        assert "\n" not in str(error.value), change

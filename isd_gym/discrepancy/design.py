@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import errors
 from ..data import Table, write_table
 from ..errors import InputError, shown
 from ..inputs import read_json
@@ -273,34 +274,44 @@ def rivals_of(network: Network, result: str | Path | Mapping[str, Any]) -> list[
     name = "the diagnosis" if isinstance(result, Mapping) else str(result)
     if not isinstance(data, Mapping) or not str(data.get("schema", "")).startswith("isd-diagnosis/"):
         raise InputError(f"{name}: is no result of a diagnosis (isd-diagnosis/1)")
-    fitted = {path: q["value"] for path, q in (data.get("parameters") or {}).items()}
     rows = data.get("alternatives") or []
-    out = []
-    for row in rows[:MOST]:
-        values = row.get("values")
-        if not values:
+    try:
+        if any(not row.get("values") for row in rows[:MOST]):
             raise InputError(f"{name}: its alternatives have no values; run the diagnosis again")
-        effects = []
-        for effect, where, value, options in zip(
-            row["effects"], row["where"], values, row.get("options") or [{}] * len(values), strict=True
-        ):
-            chosen = dict(options)
-            behind = chosen.pop("behind", "")
-            effects.append((Hypothesis(effect, tuple(where), tuple(chosen.items()), behind), value))
-        try:
-            structure = rebuilt(network, effects)
-        except (KeyError, StopIteration, TypeError) as error:
-            raise InputError(f"{name}: {shown(str(error))} does not fit the model '{network.name}'") from None
-        x = structure.start
-        for k, f in enumerate(structure.free):
-            if f.owner < 0 and f.path in fitted:
-                x[k] = min(max(f.forward(fitted[f.path]), f.low), f.high)
-        out.append(Rival(" and ".join(h.label for h, _ in effects), structure, x))
+        fitted = {path: float(q["value"]) for path, q in (data.get("parameters") or {}).items()}
+        fitted = {path: value for path, value in fitted.items() if math.isfinite(value)}
+        out = [_rival(network, row, fitted) for row in rows[:MOST]]
+    except (AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{name}: its alternatives do not fit the model '{network.name}' ({errors.plain(str(error))})"
+        ) from None
     if len(out) < 2:
         raise InputError(
             f"{name}: its verdict is {shown(str(data.get('verdict')))}, there are no rivals to tell apart"
         )
     return out
+
+
+def _rival(network: Network, row: Mapping[str, Any], fitted: Mapping[str, float]) -> Rival:
+    """One of the `alternatives` of a diagnosis, its owner's parameters as `fitted`."""
+    values = row["values"]
+    effects = []
+    for effect, where, value, options in zip(
+        row["effects"], row["where"], values, row.get("options") or [{}] * len(values), strict=True
+    ):
+        chosen = dict(options)
+        behind = chosen.pop("behind", "")
+        if behind and behind not in {e.name for e in network.elements}:
+            raise KeyError(behind)
+        effects.append((Hypothesis(effect, tuple(where), tuple(chosen.items()), behind), dict(value)))
+    structure = rebuilt(network, effects)
+    x = structure.start
+    for k, f in enumerate(structure.free):
+        if f.owner < 0 and f.path in fitted:
+            x[k] = min(max(f.forward(fitted[f.path]), f.low), f.high)
+    return Rival(" and ".join(h.label for h, _ in effects), structure, x)
 
 
 __all__ = ["Design", "Rival", "design", "next_experiment", "noise_of", "played", "rivals_of", "write_test"]
