@@ -20,7 +20,7 @@ from .noise import whitener
 from .problem import Array, Problem
 from .result import Quantity
 from .search import Search
-from .structure import Hypothesis, Structure
+from .structure import Hypothesis, Structure, owner_pair
 from .tabulate import in_its_place
 from .trial import Trial
 
@@ -252,7 +252,7 @@ def shapeless(search: Search, trial: Trial) -> float:
     """
     c, best = search.criteria, trial.foremost
     if len(best.hypotheses) > 1:
-        if len(_over_one_plane(search, best, best.elements[0])) >= BENDS:
+        if len(_over_one_plane(search, best)) >= BENDS:
             return 1.0
         if len(best.hypotheses) < BENDS:
             return 0.0
@@ -282,14 +282,20 @@ def _by_curve(search: Search, trial: Trial, without: Outcome, named: el.Element)
             yield trial.share(without, now)
 
 
-def _over_one_plane(search: Search, best: Candidate, named: el.Element) -> list[str]:
-    """Effects at the place of one and over its plane, all of them if they are, with the owner's laws there that went to their limits."""
-    same = [e for e in best.elements if set(e.where) == set(named.where) and e.plane == named.plane]
-    if named.place != "between" or len(same) < len(best.elements) or len(same) < 2:
+def _over_one_plane(search: Search, best: Candidate) -> list[str]:
+    """Several effects at one place and over one plane, if all of them are, with the owner's laws there that went to their limits.
+
+    What is in series along a chain without masses is at one place.
+    """
+    network = search.problem.network
+    where = {frozenset(owner_pair(network, h) or h.where) for h in best.hypotheses}
+    planes = {e.plane for e in best.elements}
+    between = all(e.place == "between" for e in best.elements)
+    if not between or len(best.elements) < 2 or len(where) > 1 or len(planes) > 1:
         return []
     bent = {path.rpartition(".")[0] for path in beyond_limits(search, best)}
-    own = el.beside(search.problem.network, named.where)
-    return [e.name for e in (*same, *(e for e in own if e.name in bent and e.plane == named.plane))]
+    own = el.beside(network, tuple(*where))
+    return [e.name for e in (*best.elements, *(e for e in own if e.name in bent and {e.plane} == planes))]
 
 
 def steadfast(search: Search, trial: Trial, seed: int) -> float:
