@@ -474,6 +474,25 @@ def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() 
         assert np.std(seen - exact) < bound * np.std(exact), every
 
 
+def test_noise_of_a_moved_node_does_not_rule_its_acceleration() -> None:
+    # of a spline's second derivative it did: a dyno's inertance, 10.7 to 1.4 % of the force, was refused
+    from isd_gym.discrepancy.between import bent
+
+    rng = np.random.default_rng(0)
+    for step, samples, noise, most in (
+        (1e-3, 4000, 1e-6, 0.7),
+        (0.05, 400, 0.0, 0.0),
+        (0.05, 400, 1e-6, 6.5),
+    ):
+        time = step * np.arange(samples)
+        x = 0.01 * np.sin(2.0 * math.pi * time)
+        for every in (1, 4):
+            seen = bent(x + noise * rng.standard_normal(samples), None, step, every, sparse=False)[2][::every]
+            wrong = (seen + (2.0 * math.pi) ** 2 * x)[5:-5]  # a spline's ends are free
+            allowed = most * noise / step**2 + 0.01 * 0.01 * (2.0 * math.pi) ** 2
+            assert np.sqrt(np.mean(wrong**2)) < allowed, (step, noise, every)
+
+
 def test_a_rig_that_moves_by_micrometres_may_have_a_stiff_cubic() -> None:
     from isd_gym.elements import TYPES
 

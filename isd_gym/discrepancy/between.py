@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..arrays import Array
 from ..simulate import upsample
+
+#: white noise of one unit in the first and second derivative of a spline through it, by the sample (RMS over frequencies)
+GAINS = 1.18, 6.0
+QUIET = 0.02  # share of a derivative that noise may have
+#: eighth differences of white noise of one unit, in which a motion hardly shows
+EIGHTH = math.sqrt(math.comb(16, 8))
 
 
 def through(values: Array, every: int, *, by: int = 0) -> Array:
@@ -27,9 +35,24 @@ def bent(
 ) -> tuple[Array, ...]:
     """An input at `every` times its rate, and its two derivatives by time, where something acts through them.
 
-    Along lines every sample would be a knock. slopes: the derivatives, where they are known at the samples; step [s]: of those.
+    Along lines every sample would be a knock: derivatives are those of the spline through the samples; where noise would rule
+    those, differences at the samples, which hardly see what is as quick as they are. slopes: the derivatives at the
+    samples, where they are known; step [s]: of those.
     """
-    if slopes is not None:
-        x = finer(values, every, held=False, sparse=sparse)
-        return x, upsample(slopes[0], every), upsample(slopes[1], every)
-    return tuple(through(values, every, by=by) / step**by for by in range(3))
+    if slopes is None:
+        v = np.gradient(values, step, edge_order=2)
+        slopes = v, np.gradient(v, step, edge_order=2)
+        noise = _rms(np.diff(values, 8)) / EIGHTH if len(values) > 8 else 0.0
+        splined = [GAINS[k] * noise / step ** (k + 1) < QUIET * _rms(slopes[k]) for k in (0, 1)]
+    else:
+        splined = [False, False]
+    x = finer(values, every, held=False, sparse=sparse or splined[0])
+    derived = [
+        through(values, every, by=k + 1) / step ** (k + 1) if splined[k] else upsample(slopes[k], every)
+        for k in (0, 1)
+    ]
+    return x, *derived
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(np.square(values)))) if len(values) else 0.0
