@@ -1,4 +1,4 @@
-"""Types of the arrays that physics and measurements are."""
+"""The arrays that physics and measurements are, and how large they are."""
 
 from __future__ import annotations
 
@@ -7,3 +7,8 @@ from numpy.typing import NDArray
 
 #: of real numbers, shape in the docstring of whoever hands it on
 Array = NDArray[np.float64]
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square of `values`, of any shape."""
+    return float(np.sqrt(np.mean(np.square(values))))

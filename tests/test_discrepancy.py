@@ -28,10 +28,13 @@ def table(columns, name: str) -> Table:
     return Table(columns.pop("time"), columns, name)
 
 
-def run(kind: str, seed: int, **choices) -> tuple[Diagnosis, object]:
+def run(kind: str, seed: int, settings: SearchSettings | None = None, **choices) -> tuple[Diagnosis, object]:
     case = make_case(kind, seed, **choices)
     d = diagnose(
-        [table(case.estimation, "estimation")], case.model, validate=[table(case.validation, "validation")]
+        [table(case.estimation, "estimation")],
+        case.model,
+        validate=[table(case.validation, "validation")],
+        settings=settings,
     )
     return d, case
 
@@ -431,14 +434,8 @@ def test_laws_of_friction_are_told_apart_where_the_steps_are_fine_enough(kind, s
 @pytest.mark.slow
 def test_one_law_for_several_at_one_place_begins_where_it_gives_their_sum() -> None:
     """The level of a falling friction was found first, as an asymmetric one, then the rest: the law itself, begun from the rest, was lost."""
-    case = make_case("stribeck_device", 312)
-    d = diagnose(
-        [table(case.estimation, "estimation")],
-        case.model,
-        validate=[table(case.validation, "validation")],
-        # the law itself, which the score test puts far behind, must come by way of its parts
-        settings=SearchSettings(cheap=0),
-    )
+    # the law itself, which the score test puts far behind, must come by way of its parts
+    d, case = run("stribeck_device", 312, SearchSettings(cheap=0))
     assert named(d) == {(effect, frozenset(place)) for effect, place in case.answer}
     assert any("explains as much as asymmetric_friction" in note for note in d.notes)
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..arrays import Array
+from ..arrays import Array, rms
 from ..simulate import upsample
 
 #: white noise of one unit in the first and second derivative of a spline through it, by the sample (RMS over frequencies)
@@ -30,6 +30,12 @@ def finer(values: Array, every: int, *, held: bool, sparse: bool) -> Array:
     return through(values, every) if sparse and not held else upsample(values, every, hold=held)
 
 
+def differences(values: Array, step: float) -> tuple[Array, Array]:
+    """Both derivatives by time at the samples of a record, from neighbours: noise as quick as they come hardly shows. step [s]: between them."""
+    v = np.gradient(values, step, edge_order=2)
+    return v, np.gradient(v, step, edge_order=2)
+
+
 def bent(
     values: Array, slopes: tuple[Array, Array] | None, step: float, every: int, *, sparse: bool
 ) -> tuple[Array, ...]:
@@ -40,10 +46,9 @@ def bent(
     samples, where they are known; step [s]: of those.
     """
     if slopes is None:
-        v = np.gradient(values, step, edge_order=2)
-        slopes = v, np.gradient(v, step, edge_order=2)
-        noise = _rms(np.diff(values, 8)) / EIGHTH if len(values) > 8 else 0.0
-        splined = [GAINS[k] * noise / step ** (k + 1) < QUIET * _rms(slopes[k]) for k in (0, 1)]
+        slopes = differences(values, step)
+        noise = rms(np.diff(values, 8)) / EIGHTH if len(values) > 8 else 0.0
+        splined = [GAINS[k] * noise / step ** (k + 1) < QUIET * rms(slopes[k]) for k in (0, 1)]
     else:
         splined = [False, False]
     x = finer(values, every, held=False, sparse=sparse or splined[0])
@@ -52,7 +57,3 @@ def bent(
         for k in (0, 1)
     ]
     return x, *derived
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(np.square(values)))) if len(values) else 0.0

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import errors
 from ..data import Table, write_table
 from ..errors import InputError, shown
+from ..errors import plain as one_line
 from ..inputs import read_json
 from ..network import Network
 from .candidate import BROKEN, Candidate
@@ -278,14 +278,14 @@ def rivals_of(network: Network, result: str | Path | Mapping[str, Any]) -> list[
     try:
         if any(not row.get("values") for row in rows[:MOST]):
             raise InputError(f"{name}: its alternatives have no values; run the diagnosis again")
-        fitted = {path: float(q["value"]) for path, q in (data.get("parameters") or {}).items()}
-        fitted = {path: value for path, value in fitted.items() if math.isfinite(value)}
+        told = {path: float(q["value"]) for path, q in (data.get("parameters") or {}).items()}
+        fitted = {path: value for path, value in told.items() if math.isfinite(value)}
         out = [_rival(network, row, fitted) for row in rows[:MOST]]
+    except InputError:
+        raise
     except (AttributeError, KeyError, StopIteration, TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(
-            f"{name}: its alternatives do not fit the model '{network.name}' ({errors.plain(str(error))})"
+            f"{name}: its alternatives do not fit the model '{network.name}' ({one_line(str(error))})"
         ) from None
     if len(out) < 2:
         raise InputError(

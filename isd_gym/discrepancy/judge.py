@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from .. import elements as el
+from ..arrays import rms
 from ..errors import InputError
 from ..network import Network
 from ..simulate import effective_current
@@ -257,7 +258,7 @@ def share_at_place(problem: Problem, fit: Fit, name: str) -> float:
     y = np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
     sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
     own = y[:, [x.name for x in here].index(name)] * e.own_share(here)
-    return _rms(own) / max(_rms(y @ sign), _reaction(problem, net, e), 1e-300)
+    return rms(own) / max(rms(y @ sign), _reaction(problem, net, e), 1e-300)
 
 
 def _reaction(problem: Problem, net: Network, e: el.Element) -> float:
@@ -272,7 +273,7 @@ def _share_of_signal(problem: Problem, fit: Fit, e: el.Element) -> float:
         [fit.network.without_element(e.name)], i, fit.initial[i][:, None], like=fit.network
     )[:, j, 0]
     change = fit.outputs[i][:, j] - fit.offset[i][j] - without
-    return _rms(change) / max(float(np.std(problem.records[i].measured[:, j])), 1e-300)
+    return rms(change) / max(float(np.std(problem.records[i].measured[:, j])), 1e-300)
 
 
 def _share_of_current(problem: Problem, net: Network, e: el.Element) -> float:
@@ -281,11 +282,7 @@ def _share_of_current(problem: Problem, net: Network, e: el.Element) -> float:
     current = record.inputs[command][:, None]
     others = effective_current(net.without_element(e.name), e.where[0], current, record.step)
     changed = effective_current(net, e.where[0], current, record.step)
-    return _rms(changed - others) / max(_rms(others), 1e-300)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+    return rms(changed - others) / max(rms(others), 1e-300)
 
 
 def moved(last: Outcome, now: Outcome) -> float:

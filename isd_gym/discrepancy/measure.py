@@ -295,7 +295,7 @@ def _over_one_plane(search: Search, best: Candidate) -> list[str]:
         return []
     bent = {path.rpartition(".")[0] for path in beyond_limits(search, best)}
     own = el.beside(network, tuple(*where))
-    return [e.name for e in (*best.elements, *(e for e in own if e.name in bent and {e.plane} == planes))]
+    return [e.name for e in (*best.elements, *(e for e in own if e.name in bent and e.plane in planes))]
 
 
 def steadfast(search: Search, trial: Trial, seed: int) -> float:

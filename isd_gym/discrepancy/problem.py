@@ -249,7 +249,7 @@ class Problem:
 
     def _sparse(self, record: Record) -> bool:
         """Whether there are so few samples that lines between them would lack a part of the amplitude."""
-        return record.step > COARSE * self.scale(record)
+        return self.every(record) > 1 and record.step > COARSE * self.scale(record)
 
     def span(self, index: int) -> float:
         """One sigma of what is known beforehand of a record's first motion [m]: wide, from its own motion."""
@@ -429,7 +429,7 @@ class Problem:
         if known is None:
             r = self.records[index]
             known = bent(r.inputs[name], r.slopes.get(name), r.step, every, sparse=self._sparse(r))
-            self.memory.put(key, self, known)
+            self.memory.put(key, r, known)
         return known
 
     def _start(self, plant: Plant, initial: Array | None, like: Network | None) -> Array:

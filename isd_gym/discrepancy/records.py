@@ -16,6 +16,7 @@ from ..errors import InputError, MissingColumn
 from ..loggers.recording import Recording
 from ..network import Channel, Network, own_time, without
 from ..units import convert
+from .between import differences
 from .problem import Array, Problem, Record, Role, low_pass
 from .rasters import gate, record_of
 
@@ -152,9 +153,8 @@ def _differentiated(
     inputs, slopes = dict(r.inputs), {}
     for c in needs:
         x = low_pass(r.inputs[c.name], taps)
-        v = np.gradient(x, r.step, edge_order=2)
         inputs[c.name] = x
-        slopes[c.name] = (v, np.gradient(v, r.step, edge_order=2))
+        slopes[c.name] = differences(x, r.step)
     return inputs, slopes
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from .. import arrays
 from ..arrays import Array as Array
 from ..errors import InputError, plain, shown
 from ..inputs import number
@@ -88,8 +89,8 @@ class Motion:
 
 
 def rms(values: Array) -> float:
-    """Root of the mean square of `values`."""
-    return max(float(np.sqrt(np.mean(np.square(values)))), 1e-12)
+    """Root of the mean square of `values`, and no less than what may be divided by."""
+    return max(arrays.rms(values), 1e-12)
 
 
 #: share of the data's typical force that the start of a fit gives
