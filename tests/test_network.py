@@ -94,6 +94,38 @@ def test_states_of_the_default_car():
     assert assemble(Network.load("quarter-car-isd")).size[0] == 7
 
 
+@pytest.mark.parametrize("path", ["body.mass", "wheel.mass", "inerter.inertance", "leak.damping"])
+def test_a_state_means_the_same_motion_for_the_next_digit_of_a_parameter(path):
+    """Fits keep a state while they move a parameter: it must not turn about, not even where two inertias are the same."""
+    net = Network.load("quarter-car-isd")
+    nodes = len(net.nodes) - 1  # the road is told
+    for value in np.geomspace(0.05, 20.0, 60) * net.parameters[path]:
+        here, near = (assemble(net.with_parameters({path: value * k})) for k in (1.0, 1.0 + 1e-7))
+        x = here.columns("x")
+        np.testing.assert_allclose(here.position[:nodes, x], near.position[:nodes, x], atol=1e-4)
+        # of rates, the largest is that with which the oil's spring moves what has no mass
+        largest = np.abs(here.velocity[:, x]).max()
+        np.testing.assert_allclose(here.velocity[:nodes, x], near.velocity[:nodes, x], atol=1e-5 * largest)
+
+
+def test_states_of_equal_masses_do_not_change_places():
+    two = {
+        "schema": "isd-model/1",
+        "name": "two",
+        "masses": {"one": 2.0, "other": 2.0},
+        "elements": [
+            {"name": f"spring_{k}", "type": "linear_stiffness", "between": pair, "stiffness": 1e3}
+            for k, pair in enumerate([["one", "ground"], ["one", "other"]])
+        ],
+        "inputs": [],
+        "outputs": [{"name": "x", "quantity": "displacement", "at": "one", "unit": "m"}],
+    }
+    net = Network.from_dict(two)
+    seen = [assemble(net.with_parameters({"one.mass": m})) for m in (1.9, 2.0, 2.1)]
+    for asm in seen:  # where the nodes are
+        np.testing.assert_array_equal(asm.position[:, :2], np.eye(2))
+
+
 def test_force_at_a_moved_node_is_equation_6():
     f = np.array([0.5, 3.0, 10.0])
     w = 2 * np.pi * f

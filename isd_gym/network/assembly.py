@@ -5,10 +5,10 @@ not linear (motors, friction, force laws f)::
 
     M q'' + C q' + K q + M_r r'' + C_r r' + K_r r + E f = F
 
-M is singular where nodes have no mass. Its singular value decomposition splits q into directions that carry
-momentum (two states each) and the rest; among the rest, those with damping are first-order states and those
-without are algebraic. The momentum p = a' + S^-1 U^T M_r r' is the state instead of the velocity, so that r'' is
-needed by no state, only by outputs.
+M is singular where nodes have no mass. Its singular value decomposition tells the directions V of q = V a + ... that carry
+momentum (two states each) from the rest; among the rest, those with damping are first-order states and those
+without are algebraic. The momentum p = a' + (U^T M V)^-1 U^T M_r r' is the state instead of the velocity, so that r'' is
+needed by no state, only by outputs. V hangs on which nodes have mass, not on how much (`_upright`).
 
 Where a node is moved by its velocity or its acceleration, which tell its place only up to constants, what is tied to it
 is seen from a frame that moves with it: q = q_rel + 1 r, and every mass feels -m r'' (`frames`). Then no r is needed where
@@ -78,7 +78,7 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     ties = _ties(network, nodes, matrices)
     split = _split(matrices, ties, nodes)
     counts = [sum(c.quantity == quantity for c in network.inputs) for quantity in ("force", "current")]
-    states = 2 * len(split.inertia) + len(split.damping)
+    states = 2 * len(split.accelerates) + len(split.yields)
     size = (states, len(nodes.moved), counts[0], counts[1], len(laws))
     pushes = _pushes(network, nodes, laws, size)
     motion = _motion(nodes, matrices, ties, split, pushes.nodes, size)
@@ -124,6 +124,7 @@ NO_MASS = 1e-10  # of the largest singular value: what is below carries no momen
 NO_SHARE = 1e-9  # of a direction in a row: below is rounding
 ROUNDING = 1e-12  # of the largest number of its kind: what cancels does so exactly
 NO_HOLD = 1e-12  # of the largest stiffness: what is below holds nothing
+UPRIGHT = 0.3  # of the largest share of a node in a space: one as large is its direction
 
 Size = tuple[int, int, int, int, int]
 
@@ -228,22 +229,19 @@ def _ties(network: Network, nodes: _Nodes, matrices: _Matrices) -> _Ties:
 
 @dataclass(frozen=True)
 class _Split:
-    """Directions of the free nodes, left (of equations) and right (of displacements), by singular value decomposition.
+    """Directions of the free nodes (free, .), and what becomes of the forces on them (., free).
 
-    inertial ones carry momentum; of the massless rest some are damped, the others algebraic. `damped` and `algebraic`
-    are within `massless`.
+    inertial ones carry momentum; of the `massless` rest some are damped, the others algebraic. accelerates, yields: acceleration
+    of the inertial and rate of the damped ones per force. left_algebraic: the equations without inertia and damping.
     """
 
-    left_inertial: np.ndarray
-    inertia: np.ndarray  # singular values, a column
     inertial: np.ndarray
-    left_massless: np.ndarray
+    accelerates: np.ndarray
     massless: np.ndarray
-    left_damped: np.ndarray
-    damping: np.ndarray  # singular values, a column
     damped: np.ndarray
-    left_algebraic: np.ndarray
+    yields: np.ndarray
     algebraic: np.ndarray
+    left_algebraic: np.ndarray
 
 
 def _split(matrices: _Matrices, ties: _Ties, nodes: _Nodes) -> _Split:
@@ -260,18 +258,35 @@ def _split(matrices: _Matrices, ties: _Ties, nodes: _Nodes) -> _Split:
     turn, strengths, turn_right = np.linalg.svd(left_massless.T @ damping @ massless)
     least = NO_MASS * max(np.abs(damping).max(initial=0.0), 1e-300)
     damped = int(np.sum(strengths > least)) if strengths.size else 0
+    inertial, resisted = _upright(right[:rank].T), _upright(massless @ turn_right[:damped].T)
+    pushed, dragged = _upright(left[:, :rank]), left_massless @ turn[:, :damped]
     return _Split(
-        left_inertial=left[:, :rank],
-        inertia=values[:rank, None],
-        inertial=right[:rank].T,
-        left_massless=left_massless,
+        inertial=inertial,
+        accelerates=np.linalg.solve(pushed.T @ inertia @ inertial, pushed.T),
         massless=massless,
-        left_damped=turn[:, :damped],
-        damping=strengths[:damped, None],
-        damped=turn_right[:damped].T,
-        left_algebraic=turn[:, damped:],
-        algebraic=turn_right[damped:].T,
+        damped=resisted,
+        yields=np.linalg.solve(dragged.T @ damping @ resisted, dragged.T),
+        algebraic=massless @ turn_right[damped:].T,
+        left_algebraic=left_massless @ turn[:, damped:],
     )
+
+
+def _upright(directions: np.ndarray) -> np.ndarray:
+    """Another orthonormal basis (free, .) of the space of `directions` (free, .): one that hangs on this space alone.
+
+    Singular vectors turn about where two values cross, or for no reason; a state that means another motion for the tenth digit
+    of a mass could not be kept while a mass is fitted. Node after node is cut down to what of it is in the space.
+    """
+    nodes, rank = directions.shape
+    if rank == nodes:
+        return np.eye(nodes)
+    out, left = np.zeros((nodes, rank)), directions @ directions.T
+    for k in range(rank):
+        size = np.linalg.norm(left, axis=0)
+        node = int(np.argmax(size > UPRIGHT * size.max()))
+        out[:, k] = left[:, node] / size[node]
+        left = left - np.outer(out[:, k], out[:, k] @ left)
+    return out
 
 
 @dataclass(frozen=True)
@@ -321,28 +336,28 @@ def _motion(
 ) -> _Motion:
     """Raises `InputError` where nothing holds a massless node."""
     (free, moved), s = ties.frame.shape, split
-    inertias, dampings = len(s.inertia), len(s.damping)
+    inertias, dampings = len(s.accelerates), len(s.yields)
     r, v, alpha = (_entries(size, part, moved) for part in ("r", "v", "alpha"))
     C, K = matrices.damping[:free, :free], matrices.stiffness[:free, :free]
     # states: displacement and momentum of the inertial directions, displacement of the damped ones
     inertial, momentum = _entries(size, "x", inertias), _entries(size, "x", inertias, inertias)
     damped = _entries(size, "x", dampings, 2 * inertias)
-    inertial_rate = momentum - (s.left_inertial.T @ ties.momentum @ v) / s.inertia
+    inertial_rate = momentum - s.accelerates @ ties.momentum @ v
     known = (
         C @ s.inertial @ inertial_rate
-        + K @ (s.inertial @ inertial + s.massless @ s.damped @ damped)
+        + K @ (s.inertial @ inertial + s.damped @ damped)
         + ties.damping @ v
         + ties.stiffness @ r
         - push[:free]
     )
     algebraic = _algebraic(K, split, known, nodes.free)
-    known_all = known + K @ s.massless @ s.algebraic @ algebraic
-    damped_rate = -(s.left_damped.T @ s.left_massless.T @ known_all) / s.damping
-    resisted = known_all + C @ s.massless @ s.damped @ damped_rate + ties.inertia @ alpha
-    inertial_acceleration = -(s.left_inertial.T @ resisted) / s.inertia
-    momentum_rate = inertial_acceleration + (s.left_inertial.T @ ties.momentum @ alpha) / s.inertia
-    position = s.inertial @ inertial + s.massless @ (s.damped @ damped + s.algebraic @ algebraic)
-    velocity = s.inertial @ inertial_rate + s.massless @ s.damped @ damped_rate
+    known_all = known + K @ s.algebraic @ algebraic
+    damped_rate = -s.yields @ known_all
+    resisted = known_all + C @ s.damped @ damped_rate + ties.inertia @ alpha
+    inertial_acceleration = -s.accelerates @ resisted
+    momentum_rate = inertial_acceleration + s.accelerates @ ties.momentum @ alpha
+    position = s.inertial @ inertial + s.damped @ damped + s.algebraic @ algebraic
+    velocity = s.inertial @ inertial_rate + s.damped @ damped_rate
     still = np.zeros((moved, s.massless.shape[1]))
     return _Motion(
         rate=np.vstack([inertial_rate, momentum_rate, damped_rate]),
@@ -350,19 +365,19 @@ def _motion(
         velocity=np.vstack([velocity + ties.frame @ v, v]),
         acceleration=np.vstack([s.inertial @ inertial_acceleration + ties.frame @ alpha, alpha]),
         massless=np.vstack([s.massless, still]),
-        algebraic=np.vstack([s.massless @ s.algebraic, still[:, : s.algebraic.shape[1]]]),
+        algebraic=np.vstack([s.algebraic, still[:, : s.algebraic.shape[1]]]),
     )
 
 
 def _algebraic(K: np.ndarray, split: _Split, known: np.ndarray, free: Sequence[str]) -> np.ndarray:
     """Displacements along the algebraic directions, in which springs alone balance what is `known`."""
-    left = split.left_algebraic.T @ split.left_massless.T
-    held = left @ K @ split.massless @ split.algebraic
+    left = split.left_algebraic.T
+    held = left @ K @ split.algebraic
     if not held.size:
         return np.zeros((split.algebraic.shape[1], known.shape[1]))
     scale = np.abs(K).max()
     if scale == 0.0 or np.linalg.svd(held, compute_uv=False)[-1] < NO_HOLD * scale:
-        direction = split.massless @ split.algebraic @ np.linalg.svd(held)[2][-1]
+        direction = split.algebraic @ np.linalg.svd(held)[2][-1]
         names = ", ".join(f"'{n}'" for n, share in zip(free, direction, strict=True) if abs(share) > 0.1)
         raise InputError(
             f"the massless part is singular: nothing holds {names} (add a spring, damper or mass)"
