@@ -71,7 +71,9 @@ class Search(Refits):
             except BROKEN:
                 break
             path.append(best)
-            if moved(here, then) < c.material or self.judge.sizes(best)[-1] < c.share:
+            rest = then.excess(self.judge.floor(then))
+            idle = len(path) > 2 and bool(np.all(c.ahead * rest**2 > left**2))  # nothing to build on
+            if moved(here, then) < c.material or self.judge.sizes(best)[-1] < c.share or idle:
                 break
         return path, stages
 
@@ -407,35 +409,32 @@ class Search(Refits):
         ahead = self.criteria.ahead
         return mine < ahead * theirs if fewer else ahead * mine < theirs
 
-    def keeps_up(self, trial: Trial, candidate: Candidate) -> bool:
-        """Whether what began with a runner-up is not where the first way had come by with as many effects, and leaves no more."""
+    def keeps_up(self, trial: Trial, candidate: Candidate, ahead: float) -> bool:
+        """Whether what began with a runner-up is not where the first way had come by with as many effects, and leaves less than `ahead`
+        times as much."""
         effects = len(candidate.hypotheses)
         if effects < 2 or effects > len(trial.stages):
             return True
         there = trial.stages[effects - 1][0]
         if akin(candidate.hypotheses, there.hypotheses):
             return False
-        return trial.left(candidate) < self.criteria.ahead * trial.left(there)
+        return trial.left(candidate) < ahead * trial.left(there)
 
     def runners_up(self, trial: Trial, enough: Callable[[Trial], bool]) -> Trial:
         """What comes first may lead astray where it is not enough: those that do best on held-out records get their turn."""
         if enough(trial) or not trial.stages:
             return trial
-        first = trial.stages[0]
-        scored = []
-        for r in first:
-            try:
-                scored.append((trial.of(r).score, r))
-            except BROKEN:
+        begun, base = trial.stages[0][0], trial.of(trial.base).score
+        for score, runner in trial.runners_up()[: self.settings.turns]:
+            # the first way went through it, or there is no way on
+            if relative(begun.hypotheses[-1], runner.hypotheses[-1]) or score > base:
                 continue
-        turns = [r for _, r in sorted(scored, key=lambda t: t[0])]
-        begun = first[0]
-        for runner in [r for r in turns if r is not begun][: self.settings.turns]:
             self.say(f"starting over with {runner.hypotheses[-1].label}")
-            keeps_up = functools.partial(self.keeps_up, trial)
+            # no further where it leaves as much as the first way; but what it came to may be what its names say
+            leads = functools.partial(self.keeps_up, trial, ahead=1.0 / self.criteria.ahead)
             try:
-                path, stages = self.walk([trial.base, runner], trial.stages[:1], worthwhile=keeps_up)
-                if not keeps_up(path[-1]):
+                path, stages = self.walk([trial.base, runner], trial.stages[:1], worthwhile=leads)
+                if not self.keeps_up(trial, path[-1], self.criteria.ahead):
                     continue
                 other = self.weigh(path, stages)
                 trial = other if self.better(other, trial) else trial

@@ -88,6 +88,16 @@ class Trial:
             out += [r] if r is not self.foremost else []
         return out
 
+    def runners_up(self) -> list[tuple[float, Candidate]]:
+        """Those that ran first beside what began the path, with their scores, best on held-out records first."""
+        scored = []
+        for r in self.stages[0][1:]:
+            try:
+                scored.append((self.of(r).score, r))
+            except BROKEN:
+                continue
+        return sorted(scored, key=lambda t: t[0])
+
 
 def _removed_where_widest(before: Array, left: Array, worth: Array) -> float:
     """Share that is removed of the power in the channel that has most of it, by what small effects make there."""

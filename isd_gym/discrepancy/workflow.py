@@ -138,7 +138,8 @@ class Workflow:
         found = self.briefly(notes, begun, named_only=False) if early else None
         if found is not None:
             return found
-        trial = self.search.run(base, self.enough)
+        # what came second had its turn over brief stretches
+        trial = self.search.weigh(*self.search.walk([base])) if early else self.search.run(base, self.enough)
         evidence, quantities, abreast = self.measured(trial)
         decision = decide(evidence, self.criteria)
         if decision.verdict == "unknown_effect" and not early:
@@ -224,7 +225,7 @@ class Workflow:
         search = flow.search
         try:
             base = search.refitted()
-            if named_only and not flow.repeats(base):
+            if named_only and (flow.little(base) or not flow.repeats(base)):
                 return None
             trial = (
                 search.weigh(*search.walk([base], depth=1)) if named_only else search.run(base, flow.enough)
@@ -243,6 +244,11 @@ class Workflow:
         )
         why = f"Compared over stretches of {seconds:.2g} s: the old model does not stay with these records for long."
         return replace(said, summary=f"{said.summary} {why}")
+
+    def little(self, base: Candidate) -> bool:
+        """Whether the refitted model leaves less than a named effect moves."""
+        here = self.search.judge.own(base)
+        return float(here.excess(self.search.judge.floor(here)).max()) < self.criteria.material
 
     def repeats(self, base: Candidate) -> bool:
         """Whether what repeats over travel is among the foremost in the score test."""
