@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 from isd_gym.discrepancy.hypotheses import hypotheses
 from isd_gym.discrepancy.race import Race, amplified, starts
 from isd_gym.discrepancy.screen import Screened
-from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.structure import Hypothesis, add, base_structure
 from isd_gym.elements import Start
 from isd_gym.network import Network
 
@@ -32,3 +33,23 @@ def test_a_start_grows_in_what_scales_it() -> None:
     race, s = screened("coulomb_friction", {"level": 100.0}, grows=("level",))
     levels = [t.network.element(t.names[-1]).level for t in amplified(race, s, (0.5, 5.0, 1e9))]
     assert levels == [50.0, 500.0]
+
+
+def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure() -> None:
+    """It may be met before the first; a stop whose clearance the owner is not sure of is refitted instead. Found, it is not put there again."""
+    car = Network.load("quarter-car-isd")
+
+    def stops(network: Network) -> list[Hypothesis]:
+        found = [h for h in hypotheses(network) if h.effect == "bump_stop"]
+        return [h for h in found if set(h.where) == {"piston", "joint"}]
+
+    assert car.element("end_stop").type == "bump_stop" and "end_stop.clearance" not in car.uncertainty
+    assert [dict(h.options)["side"] for h in stops(car)] == ["both", "extension", "compression"]
+    assert not stops(replace(car, uncertainty={**car.uncertainty, "end_stop.clearance": 0.1}))
+    found = add(base_structure(car), stops(car)[0], {"clearance": 0.01, "stiffness": 2e5})
+    race = cast(
+        Race, SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car))
+    )
+    assert not any(Race.sensible(race, h) for h in stops(found.network))
+    # two springs are one spring
+    assert not any(h.effect == "linear_stiffness" and h.where == ("body", "wheel") for h in hypotheses(car))

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..elements import beside
 from ..errors import InputError
 from ..network import GROUND
 from .candidate import (
@@ -151,12 +152,15 @@ class Race:
         return max(self.settings.heats, self.settings.cheap // samples)
 
     def sensible(self, h: Hypothesis) -> bool:
-        """Whether a hypothesis of the network as it is now is one: what was found is not put in line again, and detents are between
-        parts that the owner knows (at a node without mass, which a joint brought, they leave the motion many ways to go on)."""
-        joint = (
-            not {*self.problem.network.nodes, GROUND}.issuperset(h.where) if h.place == "between" else False
-        )
-        return h.behind not in self.current.structure.names and not (h.kind.periodic and joint)
+        """Whether a hypothesis of the network as it is now is one: what was found is not put in line again, nor beside itself, and
+        detents are between parts that the owner knows (at a node without mass, which a joint brought, they leave the motion many
+        ways to go on)."""
+        if h.place != "between":
+            return True
+        network, found = self.current.structure.network, self.current.structure.names
+        joint = not {*self.problem.network.nodes, GROUND}.issuperset(h.where)
+        twice = any(e.type == h.effect and e.name in found for e in beside(network, h.where))
+        return not twice and h.behind not in found and not (h.kind.periodic and joint)
 
     def nearest(self, found: Sequence[Screened]) -> list[list[Screened]]:
         """Of a gap so wide that small steps say little: the hypotheses that come nearest as they stand, at large amplitudes."""

@@ -270,11 +270,13 @@ class Element:
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        """Whether it makes sense as a missing effect at that place: by default where none of its type stands.
+        """Whether it makes sense as a missing effect at that place: by default where none of its type stands, or where a second one is
+        more than another value of the first: it has a shape (`shaped_by`), and that of the first is known for sure.
 
         network: the model; where: the place.
         """
-        return all(e.type != cls.type for e in beside(network, where))
+        alike = [e for e in beside(network, where) if e.type == cls.type]
+        return all(cls.shaped_by and f"{e.name}.{cls.shaped_by}" not in network.uncertainty for e in alike)
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
