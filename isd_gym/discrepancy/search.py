@@ -193,7 +193,9 @@ class Search(Refits):
             if r is None or not as_much or not r.well_formed():
                 continue
             loss = level(p, r, chosen, self.floors) - level(p, chosen, chosen, self.floors)
-            if loss < c.significant:
+            gain = level(p, trial.base, chosen, self.floors) - level(p, chosen, chosen, self.floors)
+            # a law that holds still ends each fit in a place of its own
+            if loss < max(c.significant, c.small * gain):
                 several = "; ".join(h.label for h in chosen.hypotheses)
                 trial.notes.append(f"{r.label}: explains as much as {several} together")
                 trial.stages[len(r.hypotheses) - 1].insert(0, r)
