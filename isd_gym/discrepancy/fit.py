@@ -26,6 +26,8 @@ CHORDS = 2
 #: how much dearer a sample than usual a record must be for what its forerunner says of its beginning to be tried, in how
 #: many rounds; and by which factor that may be dearer, as it stands, than what was fitted
 UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
+#: the same for a record to begin anew about where it does, of how many records at least; at which multiples of their spread
+ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
 
 
 @dataclass
@@ -260,14 +262,38 @@ class Fitter(Objective):
             if not near:
                 break
             other = self._states(structure, from_there, near, iterations, tolerance=1e-4)
-            better = [j for j in near if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
-            for j in better:
-                at.initial[j], at.offset[j] = other.initial[j], other.offset[j]
-                at.outputs[j], at.costs[j] = other.outputs[j], other.costs[j]
+            better = self._take(at, other, near)
             before = {j: i for j, i in before.items() if i in better}
             if not before:
                 break
+        self._recover(structure, at, iterations)
         return self._result(structure, at)
+
+    def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
+        """Records that err far more than most begin anew about where they do, by as much as records differ in it: where there is
+        play, or friction holds, one start in many ends in a place of its own."""
+        each = {i: cost / len(self.problem.records[i]) for i, cost in at.costs.items()}
+        if len(each) < FEW:
+            return
+        usual = float(np.median(list(each.values())))
+        astray = [i for i, cost in each.items() if not cost < ASTRAY * usual]
+        about = np.std([at.initial[i] for i in each], axis=0)
+        if not astray or len(astray) > len(each) / 2 or not about.any():
+            return
+        steps = [s * a * e for e, a in zip(np.eye(len(about)), about, strict=True) for s in ABOUT]
+        begun = self._cheapest(structure, at.x, {i: [at.initial[i] + step for step in steps] for i in astray})
+        astray = [i for i in astray if begun.costs[i] < NEAR * at.costs[i]]
+        if astray:
+            self._take(at, self._states(structure, begun, astray, iterations, tolerance=1e-4), astray)
+
+    @staticmethod
+    def _take(at: Point, other: Point, records: Sequence[int]) -> list[int]:
+        """Those of `records` that are cheaper at `other` are taken from there."""
+        better = [j for j in records if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
+        for j in better:
+            at.initial[j], at.offset[j] = other.initial[j], other.offset[j]
+            at.outputs[j], at.costs[j] = other.outputs[j], other.costs[j]
+        return better
 
     def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
         """Of several initial states a record, the one that errs least as it stands, whatever the free offsets."""

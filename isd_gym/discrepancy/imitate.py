@@ -94,6 +94,25 @@ def repeats(element: el.Element, motion: el.Motion) -> bool:
     return bool(PERIODS * getattr(element, element.periodic[0]) <= high - low)
 
 
+def sound(problem: Problem, candidate: Candidate) -> bool:
+    """Whether its effects are what their names say, and what repeats is seen to."""
+    there = motions(problem, candidate.fit)
+    between = [e for e in candidate.elements if e.place == "between" and e.between in there]
+    return candidate.well_formed() and all(repeats(e, there[e.between]) for e in between)
+
+
+def apart(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
+    """By how much the force of one effect differs from that of the law in its place (RMS, share); 0 where no curve tells."""
+    new = next(j for j, h in enumerate(other.hypotheses) if h not in candidate.hypotheses)
+    one, two = candidate.elements[effect], other.elements[new]
+    motion = motions(problem, candidate.fit).get(one.between) if one.place == "between" else None
+    if motion is None or one.plane not in ("rate", "elongation") or two.plane != one.plane:
+        return 0.0
+    axis = motion.v if one.plane == "rate" else motion.d
+    force = one.curve(axis)
+    return float(el.rms(force - two.curve(axis)) / max(el.rms(force), 1e-300))
+
+
 def _plain_curve(kind: type[el.Element]) -> bool:
     """Whether its force is a curve over its plane, without memory, and has one optimum."""
     return kind.plane != "time" and not kind.series and kind.curve is el.Element.curve and not kind.periodic

@@ -13,7 +13,7 @@ from ..network import Network
 from .candidate import BROKEN, Candidate, level, reckoned
 from .evidence import EffectEvidence, Evidence, row
 from .fit import Fit, Fitter, gap, residuals
-from .imitate import repeats
+from .imitate import repeats, sound
 from .judge import Outcome, replication
 from .motion import force_scale, motions
 from .noise import whitener
@@ -305,7 +305,7 @@ def steadfast(search: Search, trial: Trial, seed: int) -> float:
     blocks: list[Array] = []
     for r in trial.rivals():
         # one that is not what its name says is no choice
-        if not r.well_formed() or search.same(r, trial.foremost):
+        if not sound(search.problem, r) or search.same(r, trial.foremost):
             continue
         if search.outclassed(trial, r, trial.foremost):
             continue

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import elements as el
 from .candidate import (
     BROKEN,
     Candidate,
@@ -19,18 +18,17 @@ from .candidate import (
     relative,
     simpler,
 )
+from .compare import Compared
 from .criteria import wide_enough
 from .fit import gap
-from .imitate import imitations, joined
-from .judge import Outcome, block_lead, moved
-from .motion import motions
+from .imitate import imitations, joined, sound
+from .judge import Outcome, moved
 from .race import compete
-from .refits import Refits
-from .structure import Structure, in_line, twin
+from .structure import Structure
 from .trial import Trial
 
 
-class Search(Refits):
+class Search(Compared):
     """The search itself: there, back, and the rivals."""
 
     # -- forward ------------------------------------------------------------------------------------------
@@ -66,6 +64,15 @@ class Search(Refits):
             best = self.stage(now, stages)
             if best is None:
                 break
+            if len(path) == 1 and self.judge.sizes(best)[-1] < c.share:
+                # a force of next to nothing may only have led the owner's model out of a place of its own
+                again = self.settle_again(now, best)
+                if (
+                    level(self.problem, now, now, self.floors) - level(self.problem, again, now, self.floors)
+                    > c.significant
+                ):
+                    path, stages = [again], []
+                    continue
             try:
                 then = self.judge.outcome(best, self.judge.weights(now))
             except BROKEN:
@@ -146,10 +153,8 @@ class Search(Refits):
         """What was added first, or what it may have stood for: as many of those that were added together, where these explain more."""
         best = chosen
         for _, structure in simpler(self.problem, richer):
-            if (
-                len(structure.hypotheses) != len(chosen.hypotheses)
-                or structure.hypotheses == chosen.hypotheses
-            ):
+            swapped = len(structure.hypotheses) == len(chosen.hypotheses)
+            if not swapped or structure.hypotheses == chosen.hypotheses:
                 continue
             r = self.anew(structure, richer)
             try:
@@ -183,19 +188,15 @@ class Search(Refits):
 
     def merged(self, trial: Trial, chosen: Candidate) -> Candidate:
         """One law for several over one plane at one place, where it explains as much: what was found first, and the rest, may be its parts."""
-        p, c = self.problem, self.criteria
-        for structure in joined(p, chosen):
+        for structure in joined(self.problem, chosen):
             r = self.anew(structure, chosen)
             try:
-                as_much = r is not None and trial.left(r) < c.ahead * trial.left(chosen)
+                as_much = r is not None and trial.left(r) < self.criteria.ahead * trial.left(chosen)
             except BROKEN:
                 continue
             if r is None or not as_much or not r.well_formed():
                 continue
-            loss = level(p, r, chosen, self.floors) - level(p, chosen, chosen, self.floors)
-            gain = level(p, trial.base, chosen, self.floors) - level(p, chosen, chosen, self.floors)
-            # a law that holds still ends each fit in a place of its own
-            if loss < max(c.significant, c.small * gain):
+            if self.loses_little(trial, r, chosen):
                 several = "; ".join(h.label for h in chosen.hypotheses)
                 trial.notes.append(f"{r.label}: explains as much as {several} together")
                 trial.stages[len(r.hypotheses) - 1].insert(0, r)
@@ -204,34 +205,22 @@ class Search(Refits):
 
     def challenged(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Other laws that give the force which was found: they run, too, from there, and the best of them is chosen."""
-        runners = trial.stages[len(chosen.hypotheses) - 1]
-        best = chosen
+        runners, best = trial.stages[len(chosen.hypotheses) - 1], chosen
+        ran = list(runners)
         for structure in imitations(self.problem, chosen):
             r = self.anew(structure, chosen, self.settings.outrun)
-            if r is None:
-                continue
-            try:
-                trial.of(r)
-            except BROKEN:
-                continue
-            runners.insert(1, r)
-            if r.well_formed() and self.replaces(trial, r, best, chosen):
-                best = r
+            if r is not None and trial.follows(r):
+                runners.insert(1, r)
+                ran.append(r)
+                if r.well_formed() and self.replaces(trial, r, best, chosen):
+                    best = r
+        if not sound(self.problem, best):
+            able = [r for r in ran if sound(self.problem, r) and self.stands_in(trial, r, chosen)]
+            # of those that leave as little, the plainest
+            best = min(able, key=lambda r: (len(r.fit.x), self.schwarz(r, chosen)), default=best)
         if best is not chosen:
             runners.append(chosen)
         return best
-
-    def replaces(self, trial: Trial, other: Candidate, best: Candidate, chosen: Candidate) -> bool:
-        """Whether another law for the same force is the better one by Schwarz's criterion, and on held-out records; or explains as
-        much, where `best` is not what its name says."""
-        better = self.schwarz(other, chosen) < self.schwarz(best, chosen) - self.criteria.decisive
-        if better and trial.beyond(other) < trial.beyond(best):
-            return True
-        loss = level(self.problem, other, chosen, self.floors) - level(
-            self.problem, best, chosen, self.floors
-        )
-        as_much = trial.left(other) < self.criteria.ahead * trial.left(best)
-        return not best.well_formed() and as_much and loss < self.settings.sure
 
     def refined(self, trial: Trial, chosen: Candidate) -> Candidate:
         """The fit begun again with other shapes where more is left than noise: from one start it may end in a place of its own."""
@@ -272,11 +261,6 @@ class Search(Refits):
             f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
         return removes and b.score < a.score and nearer >= c.material and (size >= c.share or alone)
-
-    def trifling(self, trial: Trial, candidate: Candidate) -> bool:
-        """Whether what it leaves is no more than so many small effects make about it, whose powers add up."""
-        left = trial.of(candidate).excess(trial.floor) ** 2
-        return bool(np.all(left < self.criteria.several * self.worth(candidate) ** 2))
 
     def prune(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
@@ -319,98 +303,7 @@ class Search(Refits):
             r = min(tried, key=rank, default=None)
         return r
 
-    def needed(self, trial: Trial, chosen: Candidate, without: Candidate, effect: int | None) -> bool:
-        """Whether what `without` lacks (an effect, or parameters of one) earns more than small effects make."""
-        p, c = self.problem, self.criteria
-        now, then = trial.of(chosen), trial.of(without)
-        loss = level(p, without, chosen, self.floors) - level(p, chosen, chosen, self.floors)
-        change = np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0))
-        wider = gap(p, without.fit) / gap(p, chosen.fit)
-        share = trial.share(then, now)
-        if effect is None:
-            more = bool(np.any(change > self.worth(without)))
-            if not more:
-                # small effects come in several: one law that takes away nearly all of what is left with whatever force, or half of it,
-                # here or on the records fitted to, with a force that none of them has, is none of them
-                halved = loss > c.significant and (share >= c.half or wider > 1.0 / c.half)
-                more = share >= c.alone or (halved and self.apart(chosen, without) >= c.small)
-            earned = loss > self.settings.chance or wider > 1.5
-            return self.beaten(trial, without, chosen) and more and earned
-        large = self.judge.sizes(chosen)[effect] >= c.share
-        return (
-            share >= c.half
-            and moved(then, now) >= c.material
-            and large
-            and (loss > c.significant or wider > 2.0)
-        )
-
-    def apart(self, chosen: Candidate, without: Candidate) -> float:
-        """By how much the forces of the law that was replaced differ (RMS), as a share of the force at its place; 0 where no curve tells."""
-        p = self.problem
-        k = next(i for i, h in enumerate(chosen.hypotheses) if h not in without.hypotheses)
-        new = next(j for j, h in enumerate(without.hypotheses) if h not in chosen.hypotheses)
-        general, special = chosen.elements[k], without.elements[new]
-        motion = motions(p, chosen.fit).get(general.between) if general.place == "between" else None
-        if motion is None or general.plane not in ("rate", "elongation") or special.plane != general.plane:
-            return 0.0
-        axis = motion.v if general.plane == "rate" else motion.d
-        force = general.curve(axis)
-        differs = el.rms(force - special.curve(axis)) / max(el.rms(force), 1e-300)
-        return float(self.judge.sizes(chosen)[k] * differs)
-
     # -- rivals -------------------------------------------------------------------------------------------
-    def beaten(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:
-        """Whether the rival's held-out excess is larger by a tenth, and not by chance."""
-        if self.outclassed(trial, rival, best):
-            return True
-        ahead, theirs = self.criteria.ahead, trial.of(rival).score - trial.quiet
-        if theirs < ahead * trial.beyond(best):
-            return False
-        sure = rival.likelihood - best.likelihood > 50.0
-        return sure or block_lead(trial.of(rival), trial.of(best)) > self.criteria.replicated
-
-    def outclassed(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:
-        """Whether the rival has more parameters that gain nothing, here or on the held-out records (Schwarz's criterion)."""
-        richer = len(rival.fit.x) > len(best.fit.x)
-        if not richer or self.criteria.ahead * trial.left(rival) <= trial.left(best):
-            return False
-        return self.schwarz(rival, best) - self.schwarz(best, best) > self.criteria.decisive
-
-    def same(self, rival: Candidate, best: Candidate) -> bool:
-        """Whether the rival is no alternative.
-
-        It has more parameters without gain, the best as a special case, or is in series somewhere else along the same force.
-        """
-        a, b = rival.hypotheses[-1], best.hypotheses[-1]
-        # more parameters, a worse fit, and nothing gained on the held-out records: a mimic
-        wordy = (
-            len(rival.fit.x) > len(best.fit.x) and rival.likelihood - best.likelihood > self.settings.chance
-        )
-        if a.effect == b.effect:
-            known = self.problem.network.nodes
-            links = (tuple(twin(n, known) for n in h.where) for h in (a, b))
-            return a.where == b.where or (a.kind.series and in_line(self.problem.network, *links))
-        return relative(a, b) or wordy
-
-    def abreast(self, trial: Trial) -> list[Candidate]:
-        """Rivals of another kind that explain as much."""
-        best = trial.foremost
-        return [
-            r
-            for r in trial.rivals()
-            if r.well_formed() and not self.beaten(trial, r, best) and not self.same(r, best)
-        ]
-
-    def better(self, other: Trial, best: Trial) -> bool:
-        """Whether the excess that `other` leaves is smaller by a tenth, or as small with fewer effects."""
-        try:
-            mine, theirs = other.beyond(other.chosen), other.beyond(best.chosen)
-        except BROKEN:
-            return True
-        fewer = len(other.chosen.hypotheses) < len(best.chosen.hypotheses)
-        ahead = self.criteria.ahead
-        return mine < ahead * theirs if fewer else ahead * mine < theirs
-
     def keeps_up(self, trial: Trial, candidate: Candidate, ahead: float) -> bool:
         """Whether what began with a runner-up is not where the first way had come by with as many effects, and leaves less than `ahead`
         times as much."""

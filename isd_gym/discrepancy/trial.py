@@ -42,6 +42,14 @@ class Trial:
             self._seen[id(candidate)] = candidate, found
         return self._seen[id(candidate)][1]
 
+    def follows(self, candidate: Candidate) -> bool:
+        """Whether it can be followed on the held-out records."""
+        try:
+            self.of(candidate)
+        except BROKEN:
+            return False
+        return True
+
     def beyond(self, candidate: Candidate) -> float:
         """Excess of its score over that of noise."""
         return max(self.of(candidate).score - self.quiet, 0.01 * self.quiet)
@@ -79,23 +87,12 @@ class Trial:
     def rivals(self, count: int = 6) -> list[Candidate]:
         """Those that ran beside the foremost one and can be followed on the held-out records."""
         depth = len(self.foremost.hypotheses)
-        out = []
-        for r in self.stages[depth - 1][:count] if 0 < depth <= len(self.stages) else []:
-            try:
-                self.of(r)
-            except BROKEN:
-                continue
-            out += [r] if r is not self.foremost else []
-        return out
+        ran = self.stages[depth - 1][:count] if 0 < depth <= len(self.stages) else []
+        return [r for r in ran if r is not self.foremost and self.follows(r)]
 
     def runners_up(self) -> list[tuple[float, Candidate]]:
         """Those that ran first beside what began the path, with their scores, best on held-out records first."""
-        scored = []
-        for r in self.stages[0][1:]:
-            try:
-                scored.append((self.of(r).score, r))
-            except BROKEN:
-                continue
+        scored = [(self.of(r).score, r) for r in self.stages[0][1:] if self.follows(r)]
         return sorted(scored, key=lambda t: t[0])
 
 
