@@ -554,6 +554,30 @@ def test_what_seeds_312_and_313_had_wrong_is_named(kind, seed, answer) -> None:
     assert named(of_family(kind, seed)) == {(effect, frozenset({node, "ground"})) for effect, node in answer}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "answer"),
+    [
+        # a wave of less than a period came nearer, and cannot be named
+        ("resonator.cubic", {("cubic_stiffness", frozenset({"mass", "ground"}))}),
+        # three of forty stretches had lost their way, and a damper in the play's joint was named for them
+        ("shaken.play", {("backlash", frozenset({"mass", "base"}))}),
+        # a clean one: the fit of the owner's model had stuck
+        ("decay2.none", set()),
+    ],
+)
+def test_what_seed_315_had_wrong_is_named(kind, answer) -> None:
+    d = of_family(kind, 315)
+    assert named(d) == answer
+    assert answer or d.verdict in ("no_discrepancy", "parameters_only")
+
+
+@pytest.mark.slow
+def test_a_wave_that_is_not_seen_to_repeat_gives_way_to_a_spring() -> None:
+    d, case = run("stiffness_device", 316)
+    assert named(d) == {(effect, frozenset(place)) for effect, place in case.answer}
+
+
 def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
     from isd_gym.discrepancy.structure import in_line
 

@@ -2,7 +2,7 @@
 
 Data go one way: `records` and `problem` (what was measured), `structure` and `hypotheses` (what could be missing, where),
 `noise`, `objective`, `fit`, `initial`, `states`, `begin` (how a model is fitted, and where it stands at first), `candidate`, `screen`, `race`,
-`search` (which models are fitted),
+`refits`, `compare`, `search` (which models are fitted, which of two is kept),
 `judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
 `words`, `result` (how it is said), `workflow` (all of it);
 `blackbox` and `unit` do what can be done of that for a model without an inside.
