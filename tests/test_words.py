@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from isd_gym.discrepancy.criteria import CRITERIA
 from isd_gym.discrepancy.evidence import Evidence
 from isd_gym.discrepancy.result import Effect, Quantity, Tabulated
 from isd_gym.discrepancy.words import NOT_BORNE_OUT, sentence, unnamed
@@ -17,7 +18,7 @@ FRICTION = Effect(
 def said(after: float) -> str:
     rows = {"before": 0.4, "refit": 0.3, "after": after, "noise_floor": 0.02}
     gap = {row: {"travel": value} for row, value in rows.items()}
-    return sentence("missing_effect", [FRICTION], [], [], [], gap, SEEN, 0.03)
+    return sentence("missing_effect", [FRICTION], [], [], [], gap, SEEN, CRITERIA)
 
 
 def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:

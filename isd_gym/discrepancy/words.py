@@ -8,6 +8,7 @@ import numpy as np
 
 from ..elements import TYPES
 from .candidate import Candidate
+from .criteria import Criteria
 from .evidence import Evidence
 from .result import Effect, Place, Tabulated
 
@@ -41,7 +42,7 @@ def sentence(
     where: Sequence[Place],
     gap: dict[str, dict[str, float]],
     evidence: Evidence,
-    material: float,
+    criteria: Criteria,
     remainder: str = "",
 ) -> str:
     """What was found, with the figures of the channel that tells most; `remainder`: what is left beside it."""
@@ -51,10 +52,12 @@ def sentence(
     def percent(row: str) -> str:
         return f"{100 * gap[row][worst]:.1f} %"
 
-    text = _core(verdict, effects, contenders, where, worst, percent, gap, material) + remainder
+    text = _core(verdict, effects, contenders, where, worst, percent, gap, criteria.material) + remainder
     if small:
         shares = " and ".join(f"{x.share:.1%} of the force" for x in evidence.effects)
-        text += f" Too small to be named: {' and '.join(described(e) for e in small)}, {shares}."
+        little = all(x.share < criteria.share for x in evidence.effects)
+        why = "Too small to be named" if little else "Seen, and not borne out well enough to be named"
+        text += f" {why}: {' and '.join(described(e) for e in small)}, {shares}."
     unknown = [c for c, k in zip(evidence.channels, evidence.floor_known, strict=True) if not k]
     if unknown and verdict in ("no_discrepancy", "parameters_only", "unknown_effect"):
         text += f" How much of {', '.join(unknown)} is noise cannot be told from these data."

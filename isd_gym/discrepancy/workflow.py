@@ -371,14 +371,13 @@ class Workflow:
         laws = [law(p, final.fit, e.element, e.parameters) for e in found]
         laws += [table_law(p, final.fit, tabulated)] if tabulated else []
         contenders = [trial.foremost, *abreast]
-        material = self.criteria.material
         test = None
         if ambiguous:
             self.say("designing the test that would decide")
             test = next_experiment(self.whole, contenders, floor)
         return Diagnosis(
             verdict=verdict,
-            summary=sentence(verdict, found, small, contenders, where, gap, evidence, material, left)
+            summary=sentence(verdict, found, small, contenders, where, gap, evidence, self.criteria, left)
             + (unnamed(tabulated, closed(rows)) if verdict == "unknown_effect" else ""),
             tabulated=tabulated,
             effects=tuple(found),
