@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isd_gym.discrepancy.criteria import CRITERIA, Criteria, decide, gates_of, table
+from isd_gym.discrepancy.criteria import CRITERIA, Criteria, confidence, decide, gates_of, table
 from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.imitate import repeats
 from isd_gym.elements import TYPES, Motion
@@ -152,6 +152,12 @@ def test_what_noise_may_hide_is_no_finding() -> None:
     # what gains something is looked at whatever the noise
     small = replace(clean, effects=(FRICTION,), after=(0.041,), gain=300.0, explained=0.6, shapeless=0.7)
     assert decide(small).verdict == "unknown_effect"
+
+
+def test_a_name_that_small_effects_excuse_is_stated_with_less_confidence() -> None:
+    whole, part = (confidence(replace(GOOD, explained=x, sure=0.9)) for x in (0.95, 0.7))
+    assert whole == pytest.approx(0.9 * (1.0 - CRITERIA.mistaken))
+    assert part == pytest.approx(0.9 * (1.0 - CRITERIA.partly)) and part < whole
 
 
 def test_criteria_are_arguments_and_say_why_they_are() -> None:

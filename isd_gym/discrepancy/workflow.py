@@ -19,7 +19,7 @@ from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
 from .align import aligned, read_again
 from .candidate import BROKEN, Candidate, reckoned, values_of
-from .criteria import CRITERIA, Criteria, Decision, decide
+from .criteria import CRITERIA, Criteria, Decision, confidence, decide
 from .design import next_experiment, played
 from .evidence import Evidence
 from .explain import law, places, table_law
@@ -349,7 +349,7 @@ class Workflow:
         base, final = trial.base, trial.foremost if named else trial.base
         drawn, tabulated = self.drawn(base) if verdict == "unknown_effect" else (None, None)
         final = drawn or final
-        sure = (1.0 - self.criteria.mistaken) * evidence.sure
+        sure = confidence(evidence, self.criteria)
         found = self.effects(trial.foremost, quantities, sure) if named else []
         small = self.effects(trial.foremost, quantities, sure) if decision.small else []
         _, before = self.search.judge.owner()
