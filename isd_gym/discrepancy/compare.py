@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .candidate import BROKEN, Candidate, level, relative
+from .candidate import BROKEN, Candidate, relative
 from .fit import gap
 from .imitate import apart, sound
 from .judge import block_lead, moved
@@ -33,9 +33,8 @@ class Compared(Refits):
 
     def loses_little(self, trial: Trial, other: Candidate, best: Candidate) -> bool:
         """Whether what `other` loses is little beside what `best` gains: friction ends each fit in a place of its own."""
-        there = level(self.problem, best, best, self.floors)
-        loss, gain = (level(self.problem, r, best, self.floors) - there for r in (other, trial.base))
-        return loss < max(self.criteria.significant, self.criteria.small * gain)
+        gain = self.loss(trial.base, best)
+        return self.loss(other, best) < max(self.criteria.significant, self.criteria.small * gain)
 
     def trifling(self, trial: Trial, candidate: Candidate) -> bool:
         """Whether what it leaves is no more than so many small effects make about it, whose powers add up."""
@@ -47,7 +46,7 @@ class Compared(Refits):
         """Whether what `without` lacks (an effect, or parameters of one) earns more than small effects make."""
         p, c = self.problem, self.criteria
         now, then = trial.of(chosen), trial.of(without)
-        loss = level(p, without, chosen, self.floors) - level(p, chosen, chosen, self.floors)
+        loss = self.loss(without, chosen)
         change = np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0))
         wide = gap(p, without.fit)
         # a gap that nobody minds may halve by chance

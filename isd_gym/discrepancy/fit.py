@@ -255,14 +255,9 @@ class Fitter(Objective):
         for _ in range(ROUNDS if n0 and before else 0):
             ends = next_states(problem, structure, x, {i: at.initial[i] for i in before.values()})
             ahead = {j: ends[i] for j, i in before.items()}
-            from_there = self._cheapest(
-                structure, x, {j: [guess(problem, net, j, s), s] for j, s in ahead.items()}
+            better = self._again(
+                structure, at, {j: [guess(problem, net, j, s), s] for j, s in ahead.items()}, iterations
             )
-            near = [j for j in before if from_there.costs[j] < NEAR * at.costs[j]]
-            if not near:
-                break
-            other = self._states(structure, from_there, near, iterations, tolerance=1e-4)
-            better = self._take(at, other, near)
             before = {j: i for j, i in before.items() if i in better}
             if not before:
                 break
@@ -281,15 +276,18 @@ class Fitter(Objective):
         if not astray or len(astray) > len(each) / 2 or not about.any():
             return
         steps = [s * a * e for e, a in zip(np.eye(len(about)), about, strict=True) for s in ABOUT]
-        begun = self._cheapest(structure, at.x, {i: [at.initial[i] + step for step in steps] for i in astray})
-        astray = [i for i in astray if begun.costs[i] < NEAR * at.costs[i]]
-        if astray:
-            self._take(at, self._states(structure, begun, astray, iterations, tolerance=1e-4), astray)
+        self._again(structure, at, {i: [at.initial[i] + step for step in steps] for i in astray}, iterations)
 
-    @staticmethod
-    def _take(at: Point, other: Point, records: Sequence[int]) -> list[int]:
-        """Those of `records` that are cheaper at `other` are taken from there."""
-        better = [j for j in records if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
+    def _again(
+        self, structure: Structure, at: Point, begun: Mapping[int, Sequence[Array]], iterations: int
+    ) -> list[int]:
+        """Records begun anew from the cheapest of several initial states each; those that end cheaper stay there and are returned."""
+        there = self._cheapest(structure, at.x, begun)
+        near = [j for j in begun if there.costs[j] < NEAR * at.costs[j]]
+        if not near:
+            return []
+        other = self._states(structure, there, near, iterations, tolerance=1e-4)
+        better = [j for j in near if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
         for j in better:
             at.initial[j], at.offset[j] = other.initial[j], other.offset[j]
             at.outputs[j], at.costs[j] = other.outputs[j], other.costs[j]

@@ -96,9 +96,11 @@ def repeats(element: el.Element, motion: el.Motion) -> bool:
 
 def sound(problem: Problem, candidate: Candidate) -> bool:
     """Whether its effects are what their names say, and what repeats is seen to."""
-    there = motions(problem, candidate.fit)
-    between = [e for e in candidate.elements if e.place == "between" and e.between in there]
-    return candidate.well_formed() and all(repeats(e, there[e.between]) for e in between)
+    waves = [e for e in candidate.elements if e.periodic and e.place == "between"]
+    if not waves or not candidate.well_formed():
+        return candidate.well_formed()
+    there = motions(problem, candidate.fit)  # a simulation
+    return all(e.between not in there or repeats(e, there[e.between]) for e in waves)
 
 
 def apart(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .. import elements as el
-from ..errors import InputError
 from ..network import Network
 from .candidate import BROKEN, Candidate, level, reckoned
 from .evidence import EffectEvidence, Evidence, row
@@ -302,17 +301,14 @@ def steadfast(search: Search, trial: Trial, seed: int) -> float:
     """Share of block resamplings of the held-out records in which the foremost candidate stays the choice."""
     c, rng = search.criteria, np.random.default_rng(seed)
     best, refit = trial.of(trial.foremost), trial.of(trial.base)
-    blocks: list[Array] = []
-    for r in trial.rivals():
-        # one that is not what its name says is no choice
-        if not sound(search.problem, r) or search.same(r, trial.foremost):
-            continue
-        if search.outclassed(trial, r, trial.foremost):
-            continue
-        try:
-            blocks.append(trial.of(r).blocks)
-        except InputError:
-            continue
+    # one that is not what its name says is no choice
+    blocks = [
+        trial.of(r).blocks
+        for r in trial.rivals()
+        if sound(search.problem, r)
+        and not search.same(r, trial.foremost)
+        and not search.outclassed(trial, r, trial.foremost)
+    ]
     # where half is removed only of what was fitted to, on held-out records it has to be better
     part = c.half if trial.share(refit, best) >= c.half else 0.0
     count, hits, rounds = len(best.blocks), 0, 500

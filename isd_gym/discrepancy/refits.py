@@ -59,6 +59,10 @@ class Refits:
         samples = sum(map(len, best.fit.outputs.values()))
         return level(self.problem, candidate, best, self.floors) + len(candidate.fit.x) * math.log(samples)
 
+    def loss(self, other: Candidate, best: Candidate) -> float:
+        """By how much `other` is the less likely one (2 log L), with the noise that `best` leaves."""
+        return level(self.problem, other, best, self.floors) - level(self.problem, best, best, self.floors)
+
     def settle_again(self, chosen: Candidate, richer: Candidate) -> Candidate:
         """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""
         p, structure = self.problem, chosen.fit.structure
@@ -69,7 +73,7 @@ class Refits:
             again = settled(p, structure, x, self.floors, rounds=2, least=least)
         except BROKEN:
             return chosen
-        gain = level(p, chosen, chosen, self.floors) - level(p, again, chosen, self.floors)
+        gain = -self.loss(again, chosen)
         return with_fit(chosen, again.fit, chosen.likelihood - gain) if gain > 0 else chosen
 
     def anew(self, structure: Structure, like: Candidate, outrun: float = math.inf) -> Candidate | None:

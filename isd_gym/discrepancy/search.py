@@ -67,10 +67,7 @@ class Search(Compared):
             if len(path) == 1 and self.judge.sizes(best)[-1] < c.share:
                 # a force of next to nothing may only have led the owner's model out of a place of its own
                 again = self.settle_again(now, best)
-                if (
-                    level(self.problem, now, now, self.floors) - level(self.problem, again, now, self.floors)
-                    > c.significant
-                ):
+                if now.likelihood - again.likelihood > c.significant:
                     path, stages = [again], []
                     continue
             try:
@@ -157,15 +154,10 @@ class Search(Compared):
             if not swapped or structure.hypotheses == chosen.hypotheses:
                 continue
             r = self.anew(structure, richer)
-            try:
-                if (
-                    r is not None
-                    and r.well_formed()
-                    and self.criteria.ahead * trial.left(r) < trial.left(best)
-                ):
-                    best = r
-            except BROKEN:
+            if r is None or not r.well_formed() or not trial.follows(r):
                 continue
+            if self.criteria.ahead * trial.left(r) < trial.left(best):
+                best = r
         if best is not chosen:
             trial.stages[len(chosen.hypotheses) - 1].insert(0, best)
         return best
@@ -174,12 +166,9 @@ class Search(Compared):
         """Of those that explain as much with fewer parameters, the best by Schwarz's criterion."""
         best, runners = chosen, trial.stages[len(chosen.hypotheses) - 1]
         for r in list(runners):
-            if len(r.fit.x) >= len(best.fit.x) or not r.well_formed():
+            if len(r.fit.x) >= len(best.fit.x) or not r.well_formed() or not trial.follows(r):
                 continue
-            try:
-                as_much = trial.left(r) < self.criteria.ahead * trial.left(best)
-            except BROKEN:
-                continue
+            as_much = trial.left(r) < self.criteria.ahead * trial.left(best)
             if as_much and self.schwarz(r, chosen) < self.schwarz(best, chosen):
                 best = r
         if best is not chosen:
@@ -190,13 +179,10 @@ class Search(Compared):
         """One law for several over one plane at one place, where it explains as much: what was found first, and the rest, may be its parts."""
         for structure in joined(self.problem, chosen):
             r = self.anew(structure, chosen)
-            try:
-                as_much = r is not None and trial.left(r) < self.criteria.ahead * trial.left(chosen)
-            except BROKEN:
+            if r is None or not r.well_formed() or not trial.follows(r):
                 continue
-            if r is None or not as_much or not r.well_formed():
-                continue
-            if self.loses_little(trial, r, chosen):
+            as_much = trial.left(r) < self.criteria.ahead * trial.left(chosen)
+            if as_much and self.loses_little(trial, r, chosen):
                 several = "; ".join(h.label for h in chosen.hypotheses)
                 trial.notes.append(f"{r.label}: explains as much as {several} together")
                 trial.stages[len(r.hypotheses) - 1].insert(0, r)
@@ -277,11 +263,9 @@ class Search(Compared):
                 except BROKEN:
                     continue
                 if not needed:
-                    loss = level(self.problem, chosen, chosen, self.floors) - level(
-                        self.problem, r, chosen, self.floors
-                    )
+                    gain = -self.loss(r, chosen)
                     trial.notes.append(
-                        f"{gone.label}: not needed (without it, twice the log likelihood: {loss:+.0f})"
+                        f"{gone.label}: not needed (without it, twice the log likelihood: {gain:+.0f})"
                     )
                     chosen = r
                     break
