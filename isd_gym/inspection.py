@@ -11,14 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from .console import check_file, write_json
+from .console import ColumnsOption, check_file, column_names, write_json
 from .errors import InputError, plain, shown
 from .files import write_text
 from .loggers.facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
 from .loggers.mapping import files_of
-from .loggers.recording import EPOCH, Raster, rasters
+from .loggers.recording import EPOCH, Raster, continuous, rasters
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .loggers.mapping import ChannelMap
     from .loggers.match import Suggestion
     from .network import Network
 
@@ -34,6 +37,13 @@ class Inspection:
     oddities: list[Oddity]
     network: Network | None = None
     suggestion: Suggestion | None = None
+    columns: tuple[str, ...] = ()  # names that files without a header row were given
+
+    def map(self, model: str) -> ChannelMap:
+        """Return the suggestion as a file for ``--map``. Raises `InputError` where no column was found for any channel."""
+        if self.suggestion is None or not self.suggestion.channels:
+            raise InputError(f"no column was found for any channel of '{model}'")
+        return self.suggestion.map(self.files, model, self.columns)
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data, what is not finite as null."""
@@ -48,7 +58,8 @@ class Inspection:
             "oddities": [asdict(o) for o in self.oddities],
         }
         if self.suggestion is not None:
-            out["map"] = self.suggestion.map(self.files, self.network.name if self.network else "").to_dict()
+            name = self.network.name if self.network else ""
+            out["map"] = self.suggestion.map(self.files, name, self.columns).to_dict()
             out["missing"], out["remarks"] = self.suggestion.missing, self.suggestion.remarks
         return out
 
@@ -59,14 +70,15 @@ def inspect(
     *,
     units: dict[str, str] | None = None,
     stamps: str | None = None,
+    columns: Sequence[str] | None = None,
 ) -> Inspection:
     """Look at loggers' files of one run, and for a `network` at which column is which channel.
 
-    paths: the files. units: column -> unit, before what the files say. stamps: the column that holds the time. Raises
-    `InputError` for what cannot be read.
+    paths: the files. units: column -> unit, before what the files say. stamps: the column that holds the time.
+    columns: names for files without a header row. Raises `InputError` for what cannot be read.
     """
     units = dict(units or {})
-    groups = [rasters(p, stamp=stamps, unit=units.get(stamps or "time")) for p in paths]
+    groups = [rasters(p, stamp=stamps, unit=units.get(stamps or "time"), columns=columns) for p in paths]
     known = {n for group in groups for r in group for n in (*r.columns, r.stamp)} | {"time"}
     for name in units:
         if name not in known:
@@ -77,7 +89,9 @@ def inspect(
         [replace(r, units={**r.units, **{k: v for k, v in units.items() if k in r.columns}}) for r in group]
         for group in groups
     ]
-    facts, odd = [], []
+    facts: list[Facts] = []
+    odd: list[Oddity] = []
+    groups = [[_continuous(raster, odd) for raster in group] for group in groups]
     for i, group in enumerate(groups):
         for k, raster in enumerate(group):
             odd += odd_stamps(raster)
@@ -90,7 +104,17 @@ def inspect(
         from .loggers.match import suggest
 
         found = suggest(groups, facts, network)
-    return Inspection(groups, facts, odd, network, found)
+    return Inspection(groups, facts, odd, network, found, tuple(columns or ()))
+
+
+def _continuous(raster: Raster, odd: list[Oddity]) -> Raster:
+    """Return a raster whose angles go on over a turn, and say so among the oddities."""
+    smooth = dict(raster.columns)
+    for name, values in raster.columns.items():
+        smooth[name], note = continuous(name, values, raster.units.get(name, ""))
+        if note:
+            odd.append(Oddity(raster.name, name, note.removeprefix(f"{name}: ")))
+    return replace(raster, columns=smooth)
 
 
 def _twins(groups: list[list[Raster]], facts: list[Facts]) -> list[Oddity]:
@@ -139,19 +163,19 @@ def head(raster: Raster) -> str:
 def lines(found: Inspection, width: int = 80) -> list[str]:
     """All that was found as lines of a terminal of `width` characters."""
     pictures = _unicode()
-    name = min(max((len(f.name) for f in found.facts), default=6), 26, width - 54)
-    wide = max(width - name - 43, 10)
+    name = min(max((len(f.name) for f in found.facts), default=6), 26, width - 55)
+    wide = max(width - name - 44, 10)
     out: list[str] = []
     for i, group in enumerate(found.files):
         for k, raster in enumerate(group):
             out.append(head(raster))
-            out.append(f"  {'column':<{name}} {'unit':<6} {'least':>8} {'largest':>8} {'RMS':>7} {'Hz':>6}")
+            out.append(f"  {'column':<{name}} {'unit':<6} {'least':>8} {'largest':>8} {'RMS':>8} {'Hz':>6}")
             for f in found.facts:
                 if (f.file, f.raster) == (i, k):
                     picture = sparkline(raster.columns[f.name], wide) if pictures else ""
                     out.append(
                         f"  {_cut(f.name, name):<{name}} {_cut(f.unit or '-', 6):<6} {_number(f.least):>8} "
-                        f"{_number(f.largest):>8} {_number(f.deviation):>7} {_number(f.band):>6} {picture}".rstrip()
+                        f"{_number(f.largest):>8} {_number(f.deviation):>8} {_number(f.band):>6} {picture}".rstrip()
                     )
             out.append("")
     if found.facts:
@@ -279,7 +303,7 @@ def command(
     data: Annotated[
         list[Path],
         typer.Argument(
-            help="Files of one run, one a logger: CSV, TSV, .mat, Parquet, MDF.", metavar="FILE..."
+            help="Files of one run, one a logger: CSV, TSV, .lvm, .mat, Parquet, MDF.", metavar="FILE..."
         ),
     ],
     model: Annotated[
@@ -302,6 +326,7 @@ def command(
     stamps: Annotated[
         str | None, typer.Option(help="The column that holds the time.", metavar="COLUMN")
     ] = None,
+    columns: ColumnsOption = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
@@ -329,7 +354,7 @@ def command(
         convert(1.0, value, value)
         given[name] = value
     network = None if model is None else Network.load(model)
-    found = inspect(files, network, units=given, stamps=stamps)
+    found = inspect(files, network, units=given, stamps=stamps, columns=column_names(columns))
     width = _width()
     for line in lines(found, width):
         typer.echo(line)
@@ -339,9 +364,7 @@ def command(
     write_json(json_file, found.to_dict())
     if out is not None and found.suggestion is not None:
         made = found.suggestion
-        if not made.channels:
-            raise InputError(f"no column was found for any channel of '{model}': nothing to write to {out}")
-        made.map(found.files, str(model)).save(out)
+        found.map(str(model)).save(out)
         doubt = [n for n, (_, sure) in made.channels.items() if sure < 0.9]
         typer.echo(f"map: {out}" + (f" (look at {', '.join(doubt)})" if doubt else ""), err=True)
 

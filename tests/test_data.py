@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -23,7 +23,13 @@ from isd_gym.data import (
     smooth_derivatives,
     write_table,
 )
+from isd_gym.data.quality import held_samples
+from isd_gym.data.signals import stamp_rounding, unwrapped
+from isd_gym.data.table import read_columns, read_rasters
 from isd_gym.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 STEP = 0.002
@@ -158,7 +164,7 @@ def test_channels_are_renamed_and_converted(tmp_path: Path) -> None:
 BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "empty.csv": ("", "is empty"),
     "binary.csv": (b"\x00\x01\x02", "not a text table"),
-    "bare.csv": ("0,1\n1,2\n", "no header"),
+    "bare.csv": ("0,1\n1,2\n", "line 1 has 2 fields, no header row names them: --columns NAME,NAME"),
     "words.csv": ("time,travel\na,b\n", "no columns of numbers"),
     "ragged.csv": ("time,travel\n0,1\n1,2,3\n2,3\n", "line 3 has 3 fields, the header has 2"),
     "text.csv": ("time,travel\n0,1\n1,oops\n2,3\n", "line 3, column 'travel': 'oops' is not a number"),
@@ -182,6 +188,224 @@ def test_a_bad_file_is_answered_in_one_line(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=answer) as caught:
         read_table(path, expected={"travel": "m"})
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+# ---------------------------------------------------------------------------------------- headers of text tables
+HEADERS = {
+    "one row": ["time,force [kN],travel [mm]"],
+    "a row of units": ["time,force,travel", "s,kN,mm"],
+    "units beside gaps": ["time,force,travel,state", "s,kN,mm,-"],
+    "names that are units": ["t,A,V", "s,kN,mm"],
+    "numbered channels below": ["time,force,travel", "Channel 1,Channel 2,Channel 3", "s,kN,mm"],
+    "numbered channels above": ["CH1,CH2,CH3", "time [s],force [kN],travel [mm]"],
+    "descriptions below": ["Time,force,travel", "since the start,load cell,string pot", "[s],[kN],[mm]"],
+    "descriptions at the end": ["time,force,travel", "s,kN,mm", "clock,load cell A,string pot"],
+    "a preamble as wide": ["bench 4,rig B,", "time,force,travel", "s,kN,mm"],
+    "seconds by another name": ["time,force,travel", "sec,kN,mm"],
+    "units of which half are known": ["time,force,travel,x", "s,kN,mm,degC"],
+    "a preamble that ends in a letter": ["bench,A,V", "time,force [kN],travel [mm]"],
+    "without a name of time": ["Bench 4,by,Meier", "x1,x2,x3", "s,kN,mm"],
+}
+
+
+@pytest.mark.parametrize("how", HEADERS)
+def test_a_second_header_row_is_no_unit_and_no_name(tmp_path: Path, how: str) -> None:
+    head = HEADERS[how]
+    width = head[0].count(",") + 1
+    rows = [",".join(["0.5", "1.5", "-2", "7"][:width]), ",".join(["1.0", "2.5", "3", "7"][:width])]
+    path = tmp_path / "x.csv"
+    path.write_text("\n".join([*head, *rows]) + "\n")
+    names = {"names that are units": ["t", "A", "V"], "without a name of time": ["x1", "x2", "x3"]}.get(
+        how, ["Time" if how == "descriptions below" else "time", "force", "travel"]
+    )
+    columns = read_columns(path)
+    assert list(columns.values)[:3] == names
+    assert [columns.units.get(n) for n in names[1:]] == ["kN", "mm"]
+    assert [list(columns.values[n]) for n in names] == [[0.5, 1.0], [1.5, 2.5], [-2.0, 3.0]]
+
+
+def test_a_first_row_with_gaps_belongs_to_the_numbers(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("time,a,b\n0,,\n1,2,3\n2,3,4\n")
+    assert list(read_table(tmp_path / "x.csv").time) == [0, 1, 2]
+
+
+def test_a_file_without_a_header_is_named_by_the_user(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("0.0,1.5,-2\n0.5,2.5,3\n")
+    table = read_table(path, header=["time", "force [kN]", "travel"], expected={"force": "N", "travel": "m"})
+    assert list(table["force"]) == [1500, 2500] and list(table.time) == [0, 0.5]
+    with pytest.raises(InputError, match="--columns names 2 columns, line 1 has 3"):
+        read_table(path, header=["time", "force"])
+    path.write_text("time,load\n0.0,1.5\n0.5,2.5\n")
+    assert list(read_table(path, header=["a", "b"]).columns) == ["load"]  # its own header goes before
+
+
+@pytest.mark.parametrize("form", ["brackets", "row", "parquet"])
+def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path: Path, form: str) -> None:
+    path = tmp_path / ("x.parquet" if form == "parquet" else "x.csv")
+    first, second = ("Force [V]", "Force [N]") if form == "row" else ("Force (V)", "Force (N)")
+    if form == "parquet":
+        pyarrow = pytest.importorskip("pyarrow")
+        from pyarrow import parquet
+
+        data = {"time": [0.0, 1.0], first: [1.0, 2.0], second: [10.0, 20.0]}
+        parquet.write_table(pyarrow.table(data), path)
+    else:
+        head = "time,Force,Force\ns,V,N" if form == "row" else f"time,{first},{second}"
+        path.write_text(f"{head}\n0,1,10\n1,2,20\n")
+    columns = read_columns(path)
+    assert list(columns.values) == ["time", first, second]
+    assert (columns.units[first], columns.units[second]) == ("V", "N")
+    # the unit that fits the channel, under the column's name or a rename of it
+    assert list(read_table(path, expected={"Force": "kN"})["Force"]) == [0.01, 0.02]
+    assert list(read_table(path, expected={"Force": "mV"})["Force"]) == [1000, 2000]
+    load = read_table(path, rename={"Force": "load"}, expected={"load": "N"})
+    assert list(load["load"]) == [10, 20]
+    # each by its whole name
+    assert list(read_table(path, rename={first: "u"}, expected={"u": "V"})["u"]) == [1, 2]
+    assert list(read_table(path, rename={second: "load"})["load"]) == [10, 20]
+    with pytest.raises(InputError, match=r"'Force' is there as .* and .*: --rename COLUMN=CHANNEL"):
+        read_table(path, expected={"Force": "m"})
+
+
+def lvm(
+    columns: str = "One", separator: str = "Tab", comma: bool = False, segments: int = 1, extra: str = ""
+) -> str:
+    """A LabVIEW measurement file: a ramp and its square at 100 Hz, 300 samples a segment, in `columns` of stamps."""
+    cut = "\t" if separator == "Tab" else ","
+    names = ["Load", "Travel (mm)"]
+    head = ["LabVIEW Measurement", f"Writer_Version{cut}2", "Reader_Version" + cut + "2"]
+    head += [f"Separator{cut}{separator}"]
+    head += [f"Decimal_Separator{cut},"] if comma else []
+    head += [f"Multi_Headings{cut}Yes", f"X_Columns{cut}{columns}", f"Time_Pref{cut}Relative"]
+    head += [f"Date{cut}2024/05/01", f"Time{cut}12:00:00.5", "***End_of_Header***", cut]
+    out = head
+    for s in range(segments):
+        rows = [["Channels", "2"], ["Samples", "17", "17"]]  # some writers tell a wrong number
+        rows += [
+            ["Date", "2024/05/01", "2024/05/01"],
+            ["Time", f"12:00:{10 * s:02d}.5", f"12:00:{10 * s:02d}.5"],
+        ]
+        rows += [["Y_Unit_Label", "N", "mm"], ["X_Dimension", "Time", "Time"], ["X0", "0.0E+0", "0.0E+0"]]
+        rows += [["Delta_X", "0.010000", "0.010000"], ["***End_of_Header***"]]
+        x = {"One": [["X_Value"], []], "Multi": [["X_Value"], ["X_Value"]], "No": [["X_Value"], []]}[columns]
+        rows += [[*x[0], names[0], *x[1], names[1], "Comment"]]
+        for k in range(300):
+            t = [f"{0.01 * k:.6f}"] if columns != "No" else [""]
+            late = [f"{0.01 * k + 0.005:.6f}"] if columns == "Multi" else []
+            rows.append([*t, f"{0.5 * k:.6f}", *late, f"{k * k:.6f}", *(["begin"] if k == 0 else [])])
+        text = [cut.join(r) for r in rows]
+        out = [*out, *([s.replace(".", ",") for s in text] if comma else text), extra, ""]
+    return "\r\n".join(out)
+
+
+@pytest.mark.parametrize("columns", ["One", "Multi", "No"])
+@pytest.mark.parametrize(("separator", "comma"), [("Tab", False), ("Tab", True), ("Comma", False)])
+def test_labview_files_are_read(tmp_path: Path, columns: str, separator: str, comma: bool) -> None:
+    path = tmp_path / "x.lvm"
+    path.write_text(lvm(columns, separator, comma))
+    table = read_table(path, rename={"Load": "force"}, expected={"force": "kN"})
+    assert table.time == pytest.approx(0.01 * np.arange(300))
+    assert table["force"] == pytest.approx(5e-4 * np.arange(300))
+    if columns != "Multi":
+        both = read_table(path, expected={"Load": "N", "Travel": "m"})
+        assert both["Travel"] == pytest.approx(1e-3 * np.arange(300.0) ** 2)
+        assert list(read_table(path).units.values()) == ["N", "mm"]
+        return
+    first, second = read_rasters(path)
+    assert second.values["time"] == pytest.approx(0.01 * np.arange(300) + 0.005)
+    with pytest.raises(InputError, match="different rasters"):
+        read_table(path, expected={"Load": "N", "Travel": "m"})
+    between = read_table(path, expected={"Load": "N", "Travel": "m"}, resample=True)
+    assert between["Load"] == pytest.approx(50 * between.time)
+
+
+def test_segments_of_a_labview_file_follow_one_another(tmp_path: Path) -> None:
+    path = tmp_path / "x.lvm"
+    path.write_text(lvm(segments=2))
+    table = read_table(path)
+    assert len(table) == 600 and table.time[300] == pytest.approx(10.0)  # by the times in the headers
+    assert list(table["Load"][300:302]) == [0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.replace("0.500000", "oops", 1), "line 2[0-9], column 'Load': 'oops' is not a number"),
+        (lambda s: s[: s.index("X_Value")], "holds no data"),
+        (lambda s: s.replace("X_Dimension\tTime", "X_Dimension\tFrequency"), "told over 'Frequency'"),
+        (lambda s: s.replace("Travel (mm)", "Load").replace("Y_Unit", "Unit"), "names 'Load' twice"),
+        (lambda s: s[:30], "holds no data"),
+    ],
+)
+def test_a_bad_labview_file_is_answered_in_one_line(tmp_path: Path, change: Callable, words: str) -> None:
+    path = tmp_path / "x.lvm"
+    path.write_text(change(lvm(extra="***Start_Special***\r\n3 words here\r\n***End_Special***")))
+    with pytest.raises(InputError, match=words) as caught:
+        read_table(path)
+    assert "\n" not in str(caught.value)
+    path.write_text(change(lvm("No").replace("Delta_X", "Delta")))
+    with pytest.raises(InputError):
+        read_table(path)
+
+
+# ------------------------------------------------------------------------------------------------ rounded stamps
+@pytest.mark.parametrize("rate", [1024.0, 900.0, 256.0, 48.0, 2048.0])
+@pytest.mark.parametrize("begin", [0.0, 1.7e9])
+def test_the_rate_of_rounded_stamps_comes_from_the_whole_span(rate: float, begin: float) -> None:
+    count = 5000
+    table = car()
+    time = np.round(begin + 0.0003 + np.arange(count) / rate, 3)
+    rounded = Table(time, {n: x[:count] for n, x in table.columns.items()})
+    assert 1 / rounded.step == pytest.approx(rate, rel=2e-6)
+    assert np.abs(rounded.uniform().time - (begin + 0.0003 + np.arange(count) / rate)).max() < 1e-4
+    if begin == 0:  # what the stamps' unit says of absolute ones is for the reader
+        assert not [f for f in judged(rounded) if f.channel == "time" and f.level != "note"]
+
+
+def test_lost_samples_and_jitter_are_not_rounding() -> None:
+    time = 0.001 * np.arange(5000)
+    assert stamp_rounding(time) == 0
+    assert stamp_rounding(np.delete(time, [1000, 2000, 3001])) == 0
+    assert stamp_rounding(np.r_[time[:100], time[99:]]) == 0
+    jitter = np.sort(time + np.random.default_rng(0).uniform(-4e-4, 4e-4, 5000))
+    assert stamp_rounding(jitter) == 0 and stamp_rounding(np.round(jitter, 4)) == 0
+
+
+# ---------------------------------------------------------------------------------------------------------- turns
+TURNS = {"deg": 360.0, "rad": 2 * np.pi, "rev": 1.0}
+
+
+@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("centred", [True, False])
+@pytest.mark.parametrize("motion", ["many turns", "to and fro", "backwards"])
+def test_an_angle_that_begins_anew_each_turn_goes_on(turn: float, centred: bool, motion: str) -> None:
+    time = STEP * np.arange(5000)
+    turns = {
+        "many turns": 5 * time + 0.3 * np.sin(9 * time),
+        "to and fro": 0.7 * np.sin(2 * time),
+        "backwards": -3 * time,
+    }
+    x = turn * (turns[motion] + 1e-3 * np.random.default_rng(0).standard_normal(5000))
+    low = -0.5 * turn if centred else 0.0
+    found, wraps = unwrapped((x - low) % turn + low, turn)
+    assert wraps > 2 and np.ptp(found - x) < 1e-9 * turn
+    assert unwrapped(x, turn)[1] == 0  # one that goes on by itself
+
+
+def test_spikes_and_small_swings_are_no_wraps() -> None:
+    x = 20.0 * np.sin(STEP * 9 * np.arange(5000))
+    assert unwrapped(x, 360.0)[1] == 0
+    x[700] = 359.0
+    assert unwrapped(x, 360.0)[1] == 0
+    assert unwrapped(np.where(np.arange(5000) < 2500, 0.0, 350.0), 360.0)[1] == 0
+
+
+def test_an_angle_of_many_turns_is_no_outlier() -> None:
+    time = STEP * np.arange(30000)
+    x = 400 * time + 0.5 * np.sin(9 * time) + 0.01 * np.random.default_rng(0).standard_normal(30000)
+    found = check(Table(time, {"angle": x}), inputs={}, outputs={"angle": "angle"})
+    assert serious(found) == []
 
 
 def test_missing_files_folders_and_renames_are_told(tmp_path: Path) -> None:
@@ -307,7 +531,8 @@ def test_friction_rests_and_rig_tests_pass() -> None:
         force += 500 * np.exp(-time) * np.cos(12 * time)
         table = Table(time, {"x": command, "force": force})
         found = check(table, inputs={"x": "displacement"}, outputs={"force": "force"})
-        assert serious(found) == []
+        idle = ["warning: no input changes (x): the outputs are compared with free motion"]
+        assert serious(found) == ([] if command.any() else idle)
     decay = Table(time, {"x": 0.02 * np.exp(-time) * np.cos(12 * time)})
     assert check(decay, inputs={}, outputs={"x": "displacement"}) == []
 
@@ -346,7 +571,7 @@ def spoil(x: np.ndarray, how: str) -> np.ndarray:
 
 SPOILT = {
     "clipped": ("error", "is clipped"),
-    "clipped above": ("error", "is clipped: .* largest"),
+    "clipped above": ("warning", "is clipped: .* largest"),
     "frozen": ("error", "does not change for 300 samples"),
     "dead from two thirds on": ("error", "does not change for"),
     "dropouts": ("error", "does not change for 120 samples"),
@@ -397,9 +622,110 @@ def test_clipping_and_freezing_are_found_wherever_they_are(
     start = seed % (len(x) - length)
     x[start : start + length] = x[start]
     frozen = judged(replaced(table, **{channel: x}))
-    assert frozen[0].channel == channel and frozen[0].level == "error"
+    assert frozen[0].channel == channel and "does not change" in frozen[0].message
+    assert frozen[0].level == "error" or length < 0.15 * len(x)  # less misses little of a slow motion
     ((first, last),) = frozen[0].where
     assert first == pytest.approx(start * STEP) and last == pytest.approx((start + length - 1) * STEP)
+
+
+def stroke(zero: float) -> np.ndarray:
+    """The speed of one stroke (2000,): at rest for 500 samples before and after it; `zero`: how rest is written."""
+    out = np.full(2000, zero)
+    phase = np.arange(1000) / 1000
+    noise = 2e-3 * np.random.default_rng(0).standard_normal(1000)
+    out[500:1500] = np.round(np.abs(np.sin(np.pi * phase) ** 2 + noise), 4)
+    return out
+
+
+@pytest.mark.parametrize("zero", [0.0, -0.0])
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_speed_at_rest_is_not_clipped(zero: float, alone: bool) -> None:
+    time, speed = STEP * np.arange(2000), stroke(zero)
+    force = 100 * np.gradient(speed + 0.0) + 0.1 * np.random.default_rng(1).standard_normal(2000)
+    outputs = {} if alone else {"force": "force"}
+    table = Table(time, {"speed": speed} | ({} if alone else {"force": force}))
+    assert serious(check(table, inputs={"speed": "velocity"}, outputs=outputs)) == []
+    assert held_samples("speed", speed, time) == []
+
+
+def test_a_speed_of_one_direction_alone_is_told() -> None:
+    """Half of the motion is not measured while the travel goes on: a warning, without a negative zero in it."""
+    table = car(snr_db=40)
+    speed = np.gradient(table["travel"], STEP)
+    one = np.where(speed > 0, speed, -0.0)
+    found = check(
+        Table(table.time, {"travel": table["travel"], "speed": one}),
+        inputs={},
+        outputs={"travel": "displacement", "speed": "velocity"},
+    )
+    (text,) = serious(found)
+    assert (
+        text.startswith("warning: speed: ") and "exactly 0, its smallest value" in text and "-0" not in text
+    )
+
+
+def test_short_equal_runs_do_not_refuse_a_record() -> None:
+    """Nine equal samples where a noisy channel is slow: they miss next to nothing."""
+    table = car(snr_db=40, seconds=1.2)
+    for channel in OUTPUTS:
+        x = np.array(table[channel])
+        quiet = int(np.argmin(np.convolve(np.abs(np.diff(x)), np.ones(9), "valid")[20:-20])) + 20
+        x[quiet : quiet + 9] = x[quiet]
+        assert [f.level for f in judged(replaced(table, **{channel: x})) if f.level == "error"] == []
+
+
+def test_quantisation_coarser_than_the_noise_of_the_moment_passes() -> None:
+    """Noise comes with the motion: at rest and at turning points the resolution shows."""
+    time = STEP * np.arange(6000)
+    x = 0.02 * np.sin(9 * time) * np.maximum(np.sin(2 * time), 0) ** 2
+    noise = 5e-4 * np.abs(np.gradient(x, STEP)) / 0.18
+    x = np.round((x + noise * np.random.default_rng(0).standard_normal(6000)) / 2e-5) * 2e-5
+    found = check(Table(time, {"x": x}), inputs={}, outputs={"x": "displacement"})
+    assert "error" not in {f.level for f in found}
+
+
+@pytest.mark.parametrize("channel", OUTPUTS)
+@pytest.mark.parametrize("snr_db", [30.0, 300.0])
+def test_a_sensor_that_freezes_for_half_the_record_while_others_move_is_an_error(
+    channel: str, snr_db: float
+) -> None:
+    table = car(snr_db=snr_db)
+    x = np.array(table[channel])
+    first = int(np.argmax(np.abs(np.diff(x))[2000:2500])) + 2000
+    x[first : first + 3000] = x[first]
+    found = judged(replaced(table, **{channel: x}))
+    told = [f for f in found if f.check == "held"]
+    assert {f.channel for f in told} == {channel} and "frozen" in told[0].message
+    # a force or an acceleration without any noise may be constant by itself
+    assert told[0].level == ("error" if snr_db < 100 or channel == "travel" else "warning")
+
+
+def test_a_channel_that_rests_with_all_others_is_not_frozen() -> None:
+    """Noise that dies with the motion: everything stands in the second half of the record."""
+    table = car(snr_db=30)
+    stopped = {n: np.r_[table[n][:3000], np.full(3000, table[n][3000])] for n in table.columns}
+    assert [f for f in judged(replaced(table, **stopped)) if f.check == "held" and f.level != "note"] == []
+
+
+@pytest.mark.parametrize(("share", "level"), [(1 / 6000, None), (0.01, "warning"), (0.2, "error")])
+def test_clipping_counts_by_the_power_that_it_holds(share: float, level: str | None) -> None:
+    table = car(snr_db=40)
+    for channel in OUTPUTS:
+        x = table[channel] - np.mean(table[channel])
+        clipped = np.minimum(x, np.sort(x)[-max(1, round(share * len(x)))])
+        found = [f for f in judged(replaced(table, **{channel: clipped})) if f.level != "note"]
+        assert [f.level for f in found] == ([level] if level else [])
+
+
+@pytest.mark.parametrize("zero", [0.0, -0.0])
+@pytest.mark.parametrize("glitches", [0, 2])
+def test_a_force_of_zeros_is_an_error_that_says_what_to_do(zero: float, glitches: int) -> None:
+    table = car()
+    dead = np.full(len(table), zero)
+    dead[:glitches] = 1.0
+    found = judged(replaced(table, tyre=dead))
+    assert str(found[0]).startswith("error: tyre: is constant (0)")
+    assert "out of the model's outputs" in found[0].message and "\n" not in str(found[0])
 
 
 def jittered(time: np.ndarray, share: float) -> np.ndarray:
@@ -458,10 +784,10 @@ def test_records_without_content_are_refused() -> None:
     found = judged(replaced(table, **noise))
     assert {f.channel for f in found if f.level == "error"} == set(OUTPUTS)
     flat = {n: np.full(len(table), 1.0) for n in ("road", "current")}
-    assert {(f.level, f.channel) for f in judged(replaced(table, **flat))} >= {
-        ("note", "road"),
-        ("note", "current"),
-    }
+    found = judged(replaced(table, **flat))
+    assert {(f.level, f.channel) for f in found} >= {("note", "road"), ("note", "current")}
+    assert "warning: no input changes (road, current)" in serious(found)[0]
+    assert serious(judged(replaced(table, current=flat["current"]))) == []  # a motor that is not used
 
 
 def test_units_and_swaps_that_cannot_be_are_told() -> None:
@@ -501,7 +827,9 @@ def test_lost_and_repeated_samples_are_seen_though_time_runs_on() -> None:
 
 
 def shared_records() -> list[Path]:
-    return sorted(SHARED.glob("blind/case*/*.csv")) + sorted(SHARED.glob("real/*/*.csv"))
+    """Records of one file each; those of several loggers come with a map."""
+    found = sorted(SHARED.glob("blind/case*/*.csv")) + sorted(SHARED.glob("real/*/*.csv"))
+    return [path for path in found if not (path.parent / "map.json").exists()]
 
 
 @pytest.mark.skipif(not shared_records(), reason="the shared records are not here")
@@ -511,7 +839,11 @@ def test_the_shared_records_pass() -> None:
         inputs, outputs = ({c["name"]: c["quantity"] for c in model[k]} for k in ("inputs", "outputs"))
         units = {c["name"]: c["unit"] for c in model["inputs"] + model["outputs"]}
         found = check(read_table(path, expected=units), inputs=inputs, outputs=outputs)
-        assert serious(found) == [], path
+        # a measured plate that sticks is warned about, and not refused
+        real = path.parts[-3] == "real"
+        assert [str(f) for f in found if f.level == "error" or (f.level == "warning" and not real)] == [], (
+            path
+        )
 
 
 # ------------------------------------------------------------------------------------------------- signal tools

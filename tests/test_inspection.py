@@ -8,11 +8,12 @@ from typer.testing import CliRunner
 
 from isd_gym import cli
 from isd_gym.data import Table, write_table
+from isd_gym.discrepancy.records import read
 from isd_gym.errors import InputError
 from isd_gym.inspection import command, inspect, lines, page
-from isd_gym.loggers import ChannelMap, Column, mended, rasters, runs
+from isd_gym.loggers import ChannelMap, Column, Logger, mended, rasters, runs
 from isd_gym.loggers.facts import sparkline
-from isd_gym.loggers.records import road_of
+from isd_gym.loggers.records import records_of, road_of
 from isd_gym.network import Network
 from isd_gym.schemas import load
 from isd_gym.simulate import simulate
@@ -146,6 +147,28 @@ def test_a_map_leads_a_score_to_the_road_that_a_logger_measured(tmp_path, run):
     in_metres = ChannelMap({"road": Column("Laser")})
     with pytest.raises(InputError, match="is the height in mm"):
         road_of(tmp_path / "rec.csv", Network.load(CAR), in_metres)
+
+
+def test_of_two_loggers_the_file_with_the_road_is_enough(tmp_path, run):
+    """The second logger's stamps have a name of their own; the first logger's file has no road."""
+    time, columns = run
+    write_table(tmp_path / "body.csv", Table(time, {"az": columns["body_acceleration"]}))
+    lines = (f"{t:.9g},{1e3 * z:.12g}" for t, z in zip(time, columns["road"], strict=True))
+    (tmp_path / "wheel.csv").write_text("Zeit,Laser\n" + "\n".join(lines) + "\n")
+    by = ChannelMap(
+        {"road": Column("Laser", logger=2, unit="mm"), "body_acceleration": Column("az")},
+        (Logger("body.csv", "time"), Logger("wheel.csv", "Zeit")),
+        source="map.json",
+    )
+    both = road_of(f"{tmp_path / 'body.csv'}+{tmp_path / 'wheel.csv'}", Network.load(CAR), by)
+    ground = road_of(tmp_path / "wheel.csv", Network.load(CAR), by)
+    np.testing.assert_allclose(ground.profile, columns["road"], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(both.profile, ground.profile, rtol=0, atol=1e-9)
+    with pytest.raises(
+        InputError, match=r"body.csv: cannot be read as logger 2 of map.json \(wheel.csv\)"
+    ) as error:
+        road_of(tmp_path / "body.csv", Network.load(CAR), by)
+    assert "\n" not in str(error.value)
 
 
 def test_what_is_odd_is_told(tmp_path, run):
@@ -421,3 +444,143 @@ def test_a_wrong_start_is_one_line(tmp_path, program, word, words):
         tmp_path / "o.csv",
     )
     assert words in said and not (tmp_path / "o.csv").exists()
+
+
+# -------------------------------------------------------------------------------------- columns, stamps, angles
+
+
+def written(path, head, *columns):
+    """A text table at `path`; a head of '' writes numbers alone."""
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=head, comments="", fmt="%.9g")
+    if not head:
+        path.write_text(path.read_text().lstrip("\n"))
+    return path
+
+
+def said(program, *words):
+    done = CliRunner().invoke(program, [str(w) for w in words])
+    assert done.exit_code == 0, (done.output, done.exception)
+    rows = [
+        line for line in done.output.splitlines() if not line.startswith("map: ")
+    ]  # a path is never wrapped
+    assert words[0] != "inspect" or max(map(len, rows)) <= 80
+    return done.output
+
+
+def test_two_columns_of_one_name_are_listed_and_the_fitting_unit_is_taken(tmp_path, run, program):
+    time, columns = run
+    head = "time,road (m),travel (V),travel (mm),body_acceleration,wheel_acceleration"
+    travel = columns["travel"]
+    rest = columns["body_acceleration"], columns["wheel_acceleration"]
+    file = written(tmp_path / "rec.csv", head, time, columns["road"], 2.5 + 50 * travel, 1e3 * travel, *rest)
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    out = said(
+        program, "inspect", file, "--model", tmp_path / "car.json", "--out", tmp_path / "map.json"
+    ).splitlines()
+    assert [s.split()[:3] for s in out if s.startswith("  travel (")][:2] == [
+        ["travel", "(V)", "V"],
+        ["travel", "(mm)", "mm"],
+    ]
+    assert json.loads((tmp_path / "map.json").read_text())["channels"]["travel"]["column"] == "travel (mm)"
+    network = Network.load(CAR)
+    by = {"by": ChannelMap.load(tmp_path / "map.json")}
+    both = [f"{file}+{written(tmp_path / 'more.csv', 'time,other', time, time)}", file]
+    for names, path in ((by, file), ({}, file), ({}, both[0]), ({"rename": {"travel (mm)": "travel"}}, file)):
+        (record,) = records_of(path, network, (*network.inputs, *network.outputs), **names)
+        x = record["travel"] if isinstance(record, Table) else record.signals["travel"].values
+        np.testing.assert_allclose(x, travel, atol=1e-9)
+
+
+def test_a_file_without_a_header_is_read_by_the_names_that_are_told(tmp_path, run, program):
+    time, columns = run
+    file = written(tmp_path / "bare.csv", "", time, *columns.values())
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    model, out = tmp_path / "car.json", tmp_path / "out.csv"
+    for words in (["inspect", file], ["simulate", model, file, "--out", out]):
+        message = refused(program, *words)
+        assert "--columns NAME,NAME,..." in message and "\n" not in message
+    assert "names 2 columns, line 1 has 5" in refused(program, "inspect", file, "--columns", "time,x")
+    assert "name 2 of 2 is empty" in refused(program, "inspect", file, "--columns", "time,")
+    assert "names 'time' twice" in refused(program, "inspect", file, "--columns", "time,time")
+    names = ",".join(["time", *columns]).replace("travel", "travel [m]")
+    text = said(
+        program, "inspect", file, "--columns", names, "--model", model, "--out", tmp_path / "map.json"
+    )
+    assert "5 fields" not in text and "  travel " in text
+    pytest.importorskip("jsonschema").validate(
+        json.loads((tmp_path / "map.json").read_text()), load("isd-map/1")
+    )
+    truth = simulate(CAR, time, {"road": columns["road"]})["travel"]
+    # the map remembers the names
+    for more in (["--columns", names], ["--map", tmp_path / "map.json"]):
+        said(program, "simulate", model, file, "--out", out, *more)
+        np.testing.assert_allclose(np.loadtxt(out, delimiter=",", skiprows=1)[:, 3], truth, atol=1e-6)
+
+
+def test_the_rate_of_rounded_stamps_is_the_true_one(tmp_path, program):
+    time = np.arange(5000) / 1024
+    x = np.sin(9 * time)
+    file = written(tmp_path / "rec.csv", "time,x", np.round(time, 3), x)
+    text = said(program, "inspect", file)
+    assert "5000 samples, 1024 Hz" in text and "stamps are rounded to 0.001 s" in text
+    assert "twice" not in text and "uneven" not in text and "gap" not in text
+    notes = []
+    (piece,) = mended(rasters(file)[0], notes)
+    assert np.abs(piece.time - piece.time[0] - time).max() < 1e-5 and "1024" in notes[0]
+    swing = Network.load(SWING)
+    (record,) = records_of(file, swing, swing.outputs)
+    assert record.signals["x"].step == pytest.approx(1 / 1024, rel=1e-6) and record.notes
+
+
+TURNING = {
+    "schema": "isd-model/1",
+    "name": "spin",
+    "inertias": {"wheel": 0.2},
+    "elements": [
+        {"name": "bearing", "type": "linear_damping", "between": ["wheel", "ground"], "damping": 0.02}
+    ],
+    "inputs": [],
+    "outputs": [{"name": "angle", "quantity": "angle", "at": "wheel", "unit": "rad"}],
+}
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+@pytest.mark.parametrize("low", [0.0, -0.5])
+def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(tmp_path, program, unit, low):
+    time = 0.002 * np.arange(4000)
+    turn = {"deg": 360.0, "rad": 2 * np.pi}[unit]
+    turns = 30 * (1 - np.exp(-0.1 * time)) + 1e-4 * np.random.default_rng(0).standard_normal(4000)
+    file = written(
+        tmp_path / "rec.csv",
+        f"time,angle [{unit}],total [{unit}]",
+        time,
+        turn * ((turns - low) % 1 + low),
+        turn * turns,
+    )
+    text = said(program, "inspect", file)
+    assert "angle: an angle that begins anew each turn" in text
+    assert "total:" not in text  # that one goes on by itself
+    network = Network.load(TURNING)
+    for path in (file, f"{file}+{written(tmp_path / 'more.csv', 'time,other', time, time)}"):
+        (record,) = records_of(path, network, network.outputs)
+        angle = record.signals["angle"].values
+        np.testing.assert_allclose(np.diff(angle), 2 * np.pi * np.diff(turns), atol=1e-4)
+        assert any("an angle that begins anew each turn" in n for n in record.notes)
+        assert read(record, network, []).measured.shape == (4000, 1)
+
+
+def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):
+    time, columns = run
+    dead = written(
+        tmp_path / "dead.csv",
+        ",".join(["time", *columns]),
+        time,
+        *[columns[c] * (c != "travel") for c in columns],
+    )
+    (tmp_path / "car.json").write_text(json.dumps(CAR))
+    for more in ([], ["--accept", "all"]):
+        words = ["diagnose", dead, "--model", tmp_path / "car.json", "--out", tmp_path / "out", *more]
+        message = refused(program, *words)
+        assert "travel: is constant (0)" in message and "out of the model's outputs" in message
+        assert "\n" not in message and "--accept" not in message
+    assert not (tmp_path / "out" / "diagnosis.json").exists()

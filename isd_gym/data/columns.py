@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +14,9 @@ from ..units import convert
 
 #: names under which a column of time is known
 TIME_NAMES = ("time", "t", "zeit", "timestamp", "timestamps")
+#: names of a column of stamps, and what such a name may begin with
+STAMPS = (*TIME_NAMES, "stamp", "datetime", "date", "clock", "utc", "seconds", "sec")
+BEGINS = ("time", "zeit", "stamp", "date")
 #: names of the columns that are wanted, all of them, or a function that chooses among those there are
 Choice = list[str] | Callable[[list[str]], list[str]] | None
 
@@ -40,11 +44,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 def unit_known(text: str) -> bool:
     """Whether `text` is a unit."""
-    try:
-        convert(1.0, text, text)
-    except InputError:
-        return False
-    return True
+    return converts(text, text)
 
 
 def split_header(text: str) -> tuple[str, str]:
@@ -55,3 +55,56 @@ def split_header(text: str) -> tuple[str, str]:
         if match[2] is not None or unit_known(unit):
             return match[1], unit
     return text.strip(), ""
+
+
+def distinct(names: Sequence[str], headers: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Return names that tell columns of one name apart by their units: "Force" twice becomes "Force (V)" and "Force (N)".
+
+    Args:
+        names: Names without units.
+        headers: What the file writes for each column; it becomes the name where it holds the unit.
+        units: Unit of each column, '' where the file names none.
+    """
+    count = Counter(names)
+    out = []
+    for name, header, unit in zip(names, headers, units, strict=True):
+        if count[name] > 1 and header.strip() != name:
+            name = header.strip()
+        elif count[name] > 1 and unit:
+            name = f"{name} [{unit}]"
+        out.append(name)
+    return out
+
+
+def column_for(name: str, columns: Collection[str], unit: str = "") -> str:
+    """Return the column that `name` stands for: `name` itself, or the one of several "name (unit)" whose unit fits.
+
+    Args:
+        name: Name of a column, with or without a unit.
+        columns: Columns that there are.
+        unit: Unit that the column's unit must be convertible to.
+
+    Raises:
+        InputError: Several columns have this name, and none of them or several have a unit that fits.
+    """
+    if name in columns:
+        return name
+    same = [n for n in columns if split_header(n)[0] == name]
+    fits = [n for n in same if unit and converts(split_header(n)[1], unit)]
+    if len(fits) == 1:
+        return fits[0]
+    if same:
+        told = " and ".join(shown(n) for n in same[:4])
+        raise InputError(
+            f"column {shown(name)} is there as {told}: --rename COLUMN=CHANNEL says which is meant"
+        )
+    return name
+
+
+def converts(unit: str, target: str) -> bool:
+    """Return whether values in `unit` can be turned into `target`."""
+    try:
+        convert(1.0, unit, target)
+    except InputError:
+        return False
+    return True

@@ -10,14 +10,16 @@ import atexit
 import os
 import threading
 from importlib import resources
-from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, how_to_install
 from ..guarded import Guarded
 from ..inputs import memory_limit, plain_file, too_large
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
 
 SECONDS, SECONDS_PER_MB = 5.0, 1.0  # processor time for a file
 PATIENCE = 20.0  # times that, by the clock: a busy machine is no endless loop

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,8 +14,11 @@ from scipy import signal
 
 from ..errors import InputError, shown
 from ..units import convert
+from .signals import even_stamps, stamp_rounding
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
     from .table import Table
 
 TIME = "time"
@@ -50,7 +53,7 @@ QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "acceleration": ("m/s^2", 200.0, 2000.0, 1e-3),
     "force": ("N", 2e5, 1e6, 1e-2),
     "current": ("A", 200.0, 1000.0, 1e-4),
-    "angle": ("rad", 1e4, 1e6, 1e-6),  # what turns may go on turning
+    "angle": ("rad", math.inf, math.inf, 1e-6),  # what turns may go on turning
     "angular_velocity": ("rad/s", 2e3, 2e4, 1e-5),
     "angular_acceleration": ("rad/s^2", 1e5, 1e7, 1e-3),
     "torque": ("N m", 1e5, 1e7, 1e-6),
@@ -61,12 +64,17 @@ MIN_SAMPLES = 200
 CAR = 0.125
 #: of a rig's own time: the longest and shortest step that are plausible, the longest that is doubtful, the longest rest of a channel
 LONGEST, SHORTEST, LONG, REST = 2.0, 8e-6, 0.4, 0.8
+#: share of a channel's power (about its mean) that clipped samples hold, or that frozen samples miss, from which on a finding is an error
+#: (frozen: 3 % of the deviation, the smallest disagreement that a diagnosis calls an effect)
+CLIPPED, MISSED = 0.1, 0.001
+STILL = 0.1  # of a channel's usual power in spans of that length: below, the channel rests there
+GLITCHES = 3  # samples off the one value of a channel that is constant all the same
 ALIKE = 30.0  # a channel within this factor of what the model says of it has the rig's own scale
 SLIP = (600.0, 1600.0)  # factors from it that a wrong unit makes
 #: the checks by name; one that refuses a record may be accepted by its name
 CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies")
 #: those of them without which there is nothing to compare
-UNACCEPTABLE = ("time", "finite")
+UNACCEPTABLE = ("time", "finite", "constant")
 _MAX_SPEED = 15.0  # [m/s] RMS that a displacement may imply; wheels and rods stay below 5
 
 
@@ -99,10 +107,29 @@ def check(
 ) -> list[Finding]:
     """Judge whether a record can be trusted: the data gate of the diagnosis.
 
-    inputs, outputs: channel -> quantity (a key of `QUANTITIES`). scale: the rig's own, which goes before that of a car. Returns findings, errors first; no errors and no
-    warnings mean that nothing speaks against the record. Every test compares a channel with itself or with what is
-    physically possible; what takes a model to see (swapped channels of one kind, shifted time, sign) is not judged.
-    Raises `InputError` for a channel that the table lacks or a quantity that is unknown.
+    Every test compares a channel with itself, with the other channels, or with what is physically possible. Errors that only a
+    model can show (swapped channels of one kind, shifted time, sign) are not judged.
+
+    A constant output is an error. Clipped and frozen samples are warnings unless enough of the signal is affected:
+
+    - Clipped samples are an error where they hold `CLIPPED` of the channel's power about its mean. Samples at zero are no
+      clipping but rest (a range ends elsewhere), and so are samples during which no other channel moves.
+    - Frozen samples are an error where they miss `MISSED` of the channel's power. The missed power of a stretch is the mean square
+      that linear interpolation over stretches of the same length leaves elsewhere in the channel, and a third of the squared jump
+      with which the channel comes back. Stretches during which no other channel moves do not count, nor stretches before and after
+      which the channel itself is still within its resolution.
+
+    Args:
+        table: The record.
+        inputs: Quantity (a key of `QUANTITIES`) by input channel.
+        outputs: Quantity by output channel.
+        scale: The rig's own scale, which goes before that of a car.
+
+    Returns:
+        Findings, errors first. Without errors and warnings nothing speaks against the record.
+
+    Raises:
+        InputError: The table lacks a channel, or a quantity is unknown.
     """
     channels = {**inputs, **outputs}
     values: dict[str, np.ndarray] = {}
@@ -121,28 +148,22 @@ def check(
     time = table.uniform().time
     chance: dict[str, float] = {}
     moving: dict[str, bool] = {}
-    for name, quantity in channels.items():
-        x = values[name]
-        bad = ~np.isfinite(x)
-        if bad.any():
-            where = _spans(bad, time)
-            text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s"
-            found.append(Finding("error", name, text, where, "finite"))
-            continue
-        if np.ptp(x) <= 1e-12 * np.max(np.abs(x)):
-            text = f"is constant ({x[0]:.6g})"
-            dead = Finding("error", name, f"{text}: a dead sensor, or an empty column?", check="constant")
-            found.append(Finding("note", name, text, check="constant") if name in inputs else dead)
-            continue
+    found += _check_content(values, inputs, outputs, time)
+    alive = [
+        n for n in values if not any(f.channel == n and f.check in ("finite", "constant") for f in found)
+    ]
+    grains = {n: _grain(values[n]) for n in alive}
+    for name, (noise, resolution) in grains.items():
+        x, quantity = values[name], channels[name]
         of_model = scale.factor(name, x) if name in outputs else 1.0 if scale.explains(values) else math.nan
         found += _named("magnitude", _check_magnitude(name, quantity, x, table.step, of_model))
-        noise, resolution = _grain(x)
         if noise > resolution:
             chance[name] = min(1.0, resolution / (2.5 * noise))  # that two samples of it are equal, at rest
         if name in outputs or quantity not in ("current", "force"):  # drives saturate and hold by design
+            others = [(values[n], grain[0]) for n, grain in grains.items() if n != name]
+            rest, is_input = REST * scale.time, name in inputs
             held = _named(
-                "held",
-                _check_held(name, quantity, x, time, noise, resolution, name in inputs, REST * scale.time),
+                "held", _check_held(name, quantity, x, time, noise, resolution, is_input, rest, others)
             )
             found += held
             if all(f.level == "note" for f in held):  # what follows a frozen stretch looks like a jump
@@ -196,6 +217,11 @@ def _check_time(time: np.ndarray, own: float) -> list[Finding]:
         return [Finding("error", TIME, f"{np.sum(~np.isfinite(time))} time stamps are missing or not finite")]
     if len(time) < 3:
         return []
+    found: list[Finding] = []
+    if rounding := stamp_rounding(time):
+        time = even_stamps(time)
+        text = f"time stamps are rounded to {rounding:.2g} s; the step is {time[1] - time[0]:.6g} s"
+        found.append(Finding("note", TIME, text))
     d = np.diff(time)
     for bad, what in ((d < 0, "runs backwards"), (d == 0, "repeats")):
         if bad.any():
@@ -216,7 +242,6 @@ def _check_time(time: np.ndarray, own: float) -> list[Finding]:
         worst = time[int(np.argmax(np.abs(d - step)))]
         text = f"sampling is not uniform: steps from {d.min():.4g} to {d.max():.4g} s, worst at t = {worst:.6g} s"
         return [Finding("error", TIME, text)]
-    found = []
     if stray > 0.01 * step:
         text = f"time stamps stray by {stray:.2g} s from a step of {step:.6g} s; taken as uniform"
         found.append(Finding("note", TIME, text))
@@ -253,6 +278,36 @@ def _check_magnitude(name: str, quantity: str, x: np.ndarray, step: float, of_mo
     if quantity == "acceleration" and abs(abs(np.mean(x)) - 9.81) < 0.3:
         return [Finding("warning", name, f"has a mean of {np.mean(x):.3g} m/s^2: gravity is still in it")]
     return []
+
+
+def _check_content(
+    values: Mapping[str, np.ndarray], inputs: Mapping[str, str], outputs: Mapping[str, str], time: np.ndarray
+) -> list[Finding]:
+    """Samples that are not finite, and channels that hold one value."""
+    found, idle = [], []
+    for name, x in values.items():
+        bad = ~np.isfinite(x)
+        if bad.any():
+            where = _spans(bad, time)
+            text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s"
+            found.append(Finding("error", name, text, where, "finite"))
+        elif (value := _constant(x, 0 if name in inputs else GLITCHES)) is not None and name in inputs:
+            idle.append(name)
+            found.append(Finding("note", name, f"is constant ({value:.6g})", check="constant"))
+        elif value is not None:
+            text = f"is constant ({value:.6g}): a dead sensor, or an empty column? Take it out of the model's outputs"
+            found.append(Finding("error", name, text, check="constant"))
+    if idle and outputs and len(idle) == len(inputs):
+        text = f"no input changes ({', '.join(idle)}): the outputs are compared with free motion"
+        found.append(Finding("warning", "", text, check="constant"))
+    return found
+
+
+def _constant(x: np.ndarray, glitches: int = GLITCHES) -> float | None:
+    """Return the only value of a channel x (n,), some `glitches` [samples] apart; None for a channel that changes."""
+    value = float(np.median(x)) + 0.0  # no negative zero
+    off = np.abs(x - value) > 1e-12 * np.max(np.abs(x))
+    return value if off.sum() <= glitches else None
 
 
 def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
@@ -299,7 +354,9 @@ def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
 
     name: for the messages.
     """
-    return _check_held(name, "force", x, time, *_grain(x), False, REST * CAR) if np.ptp(x) > 0 else []
+    if _constant(x) is not None:
+        return []
+    return _check_held(name, "force", x, time, *_grain(x), False, REST * CAR, [])
 
 
 def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) -> bool:
@@ -315,6 +372,62 @@ def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) 
     return bool(np.median(away) < 2.0 * np.median(steps[steps > 0]))
 
 
+def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int, int], bool]:
+    """Return a function that says whether one of the `others` moves from a first sample on for a number of samples.
+
+    A channel moves where its power, without that of its noise, is `STILL` of its usual power in stretches of this length.
+
+    Args:
+        others: Samples (n,) and standard deviation of the noise of each channel.
+    """
+
+    @functools.cache
+    def usual(channel: int, length: int) -> float:
+        x, noise = others[channel]
+        return float(x[: len(x) // length * length].reshape(-1, length).var(axis=1).mean()) - noise**2
+
+    def moving(first: int, length: int) -> bool:
+        length = max(length, 2)
+        for k, (x, noise) in enumerate(others):
+            here = min(first, len(x) - length)
+            power = float(x[here : here + length].var()) - noise**2
+            if usual(k, length) > 0 and power > STILL * usual(k, length):
+                return True
+        return False
+
+    return moving
+
+
+def _missed_power(x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: np.ndarray) -> float:
+    """Return the share of the power of x (n,) that frozen stretches miss (see `check`).
+
+    Args:
+        x: Samples.
+        held: True for each stretch that is frozen, of all runs of equal samples.
+        starts: First sample of each run.
+        lengths: Number of samples of each run.
+    """
+    frozen = np.repeat(held, lengths)
+    sound = np.cumsum(np.r_[0, frozen])
+
+    @functools.cache
+    def by_interpolation(length: int) -> float:
+        at = np.arange(0, len(x) - length, max(1, length // 4))
+        at = at[sound[at + length + 1] == sound[at]]
+        at = at[:: max(1, len(at) // 100)]
+        if len(at) < 3:
+            return float(np.var(x[~frozen])) if not frozen.all() else math.inf
+        windows = x[at[:, None] + np.arange(length + 1)]
+        ramps = windows[:, :1] + (windows[:, -1:] - windows[:, :1]) * np.linspace(0, 1, length + 1)
+        return float(np.mean((windows - ramps) ** 2))
+
+    missed = 0.0
+    for first, length in zip(starts[held].tolist(), lengths[held].tolist(), strict=True):
+        back = float(x[first + length] - x[first]) if first + length < len(x) else 0.0
+        missed += length * (by_interpolation(length) + back**2 / 3)
+    return missed / (len(x) * float(np.var(x)))
+
+
 def _check_held(
     name: str,
     quantity: str,
@@ -324,11 +437,13 @@ def _check_held(
     resolution: float,
     is_input: bool,
     rest: float,
+    others: Sequence[tuple[np.ndarray, float]],
 ) -> list[Finding]:
     """Clipping, frozen sensors, dropouts and slow sampling: samples that are exactly equal, for longer than `rest` [s] or often.
 
-    Where the channel has noise, many equal samples have no innocent cause. One without (an encoder, a command, a
-    simulation) may well rest: only stopping dead in mid-motion is remarked on, and it is no error.
+    Where the channel has noise, many equal samples have no innocent cause but a resolution coarser than the noise of that moment.
+    A channel without noise (an encoder, a command, a simulation) may well rest: only stopping dead in mid-motion is remarked on.
+    The affected share of the signal tells a warning from an error (see `check`). others: the other channels, each with its noise.
     """
     n, step = len(x), time[1] - time[0]
     starts, lengths = _runs(x)
@@ -338,43 +453,92 @@ def _check_held(
     if stairs and np.median(np.abs(np.diff(x[starts]))) > 1.5 * resolution:
         text = f"holds each value for {usual} samples: sampled more slowly than the table"
         return [Finding("warning", name, text)]
-    found = []
-    clipped: list[float] = []
-    ends = ((x.max(), "largest"), (x.min(), "smallest"))
-    level: Level
+    found: list[Finding] = []
+    settled: list[float] = []  # values at which the channel is clipped or rests
+    moving = _moving_during(others)
+    position = quantity in ("displacement", "angle") and not is_input
+
+    def at_end(value: float, what: str, text: str, level: Level) -> None:
+        """Add what speaks against samples at the largest or the smallest value."""
+        settled.append(value)
+        longest = int(np.argmax(np.where(x[starts] == value, lengths, 0)))
+        moves = not others or moving(int(starts[longest]), int(lengths[longest]))
+        flags = x == value
+        share = flags.sum() * (value - x.mean()) ** 2 / (n * np.var(x))
+        if abs(value) < 0.5 * resolution:  # at rest, or a sensor that measures one direction alone
+            if others and moves and share > CLIPPED:
+                text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move"
+                text += ": is one direction alone measured?"
+                found.append(
+                    Finding("warning" if level != "note" else level, name, text, _spans(flags, time))
+                )
+        elif moves:
+            severe = share > CLIPPED and level != "note"
+            found.append(Finding("error" if severe else level, name, text, _spans(flags, time)))
+
     if noise > resolution:
         equal = max(np.sum(lengths[lengths < 5] - 1) / n, min(0.9, resolution / (2.5 * noise)), 1.0 / n)
         least = max(5, 1 + math.ceil(math.log(1e-4 / n) / math.log(equal)))  # n equal^(least - 1) < 1e-4
         sticks = _sticks(x, starts, lengths, least)
-        for value, what in ends:
+        for value, what in _ends(x):
             count = 0 if sticks else np.sum(x == value)
             beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise  # at a value next to it
             if count >= max(least, 5 + 10 * beside):
                 text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
-                found.append(Finding("error", name, text, _spans(x == value, time)))
-                clipped.append(value)
-        held = (lengths >= least) & ~np.isin(x[starts], clipped)
-        severe = lengths[held].sum() > 0.01 * n or (held.any() and lengths[held].max() * step > rest)
+                at_end(value, what, text, "warning")
+        held = (lengths >= least) & ~np.isin(x[starts], settled)
+        held[held] = ~_calm(x, starts[held], lengths[held], min(noise, 2 * resolution))
         rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # stick and slip, simulated
-        level = "error" if severe and not rests and not sticks else "warning"
+        level: Level = "warning"
+        worst: Level = "warning" if rests or sticks else "error"
     else:
         into = np.abs(np.diff(x, prepend=x[0]))[starts]  # the last step, against the curvature just before it
         second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
         curved = np.array([np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts])
         held = (lengths >= 5) & (into > 4 * (curved + resolution))
-        level = "warning" if quantity == "displacement" and not is_input else "note"  # no mass stops dead
-        for value, what in ends:
+        level = "warning" if position else "note"  # no mass stops dead
+        for value, what in _ends(x):
             if np.sum(held & (x[starts] == value)) > 1:
                 text = f"stops dead at its {what} value, {value:.6g}, time and again: clipped?"
-                found.append(Finding(level, name, text))
-                clipped.append(value)
-        held &= (lengths * step > rest) & ~np.isin(x[starts], clipped)
+                at_end(value, what, text, level)
+        held &= (lengths * step > rest) & ~np.isin(x[starts], settled)
+        worst = level
+        if others and not is_input and not _sticks(x, starts, lengths, 5):
+            worst = "error" if position else "warning"
+    if others:
+        held[held] = [moving(int(a), int(k)) for a, k in zip(starts[held], lengths[held], strict=True)]
     if held.any():
         flags = np.repeat(held, lengths)
         where = _spans(flags, time)
         text = f"does not change for {flags.sum()} samples, first at t = {where[0][0]:.6g} s: frozen, dropped out?"
-        found.append(Finding(level, name, text, where))
+        severe = worst != level and _missed_power(x, held, starts, lengths) > MISSED
+        found.append(Finding(worst if severe else level, name, text, where))
     return found
+
+
+def _calm(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float) -> np.ndarray:
+    """Return True for each run of equal samples before and after which x (n,) changes by no more than `step` a sample.
+
+    Such a channel came to rest; a frozen sensor stops in mid-motion.
+    """
+    steps, around = np.abs(np.diff(x)), 10
+
+    def quiet(first: int, stop: int) -> bool:
+        part = steps[max(first, 0) : stop]
+        return not len(part) or float(np.median(part)) <= step
+
+    return np.array(
+        [
+            quiet(a - around, a) and quiet(a + k - 1, a + k - 1 + around)
+            for a, k in zip(starts, lengths, strict=True)
+        ],
+        dtype=bool,
+    )
+
+
+def _ends(x: np.ndarray) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Return the largest and the smallest value of x (n,), without a negative zero, and their names."""
+    return (float(x.max()) + 0.0, "largest"), (float(x.min()) + 0.0, "smallest")
 
 
 def _check_spikes(

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import linalg, optimize, signal
 
 from ..errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+SLIPS = 3  # steps of another length from which on stamps count as rounded
 
 
 def noise_level(x: ArrayLike, step: float) -> tuple[float, float]:
@@ -129,6 +133,68 @@ def _spline(x: np.ndarray, sigma: float, lag1: float, order: int) -> tuple[float
         method="bounded",
     )
     return fit(float(best.x))
+
+
+def stamp_rounding(time: np.ndarray) -> float:
+    """Return the rounding [s] that stamps (n,) of an even sampling went through; 0 where there is none, or where they are not even.
+
+    Even stamps that are rounded to multiples of q have steps of two lengths, multiples of q that differ by q, and stay within q/2 of
+    a straight line. Where a step is no longer than q, fewer than `SLIPS` steps of the rarer length may as well be lost or doubled
+    samples.
+
+    Args:
+        time: Stamps [s].
+    """
+    if len(time) < 3 or not np.isfinite(time).all():
+        return 0.0
+    steps = np.diff(time)
+    short, long = float(steps.min()), float(steps.max())
+    mean = float(steps.mean())
+    digits = 1e-6 * mean + 4 * float(np.spacing(np.abs(time).max()))
+    rounding = long - short
+    if short < -digits or mean <= 0 or rounding <= 4 * digits:
+        return 0.0
+    is_long = long - steps < digits
+    if not np.all(is_long | (steps - short < digits)):
+        return 0.0
+    count = short / rounding
+    if abs(count - round(count)) * rounding > digits * (1 + count) + 1e-3 * rounding:
+        return 0.0
+    if count < 1.5 and min(is_long.sum(), len(steps) - is_long.sum()) < SLIPS:
+        return 0.0
+    return rounding if np.ptp(time - even_stamps(time)) < 1.1 * rounding else 0.0
+
+
+def even_stamps(time: np.ndarray) -> np.ndarray:
+    """Return the evenly spaced stamps (n,) nearest to `time` (n,) [s] (least squares over the whole span)."""
+    k = np.arange(len(time)) - 0.5 * (len(time) - 1)
+    mean = float(np.mean(time - time[0]))
+    return np.asarray(time[0] + mean + k * (float(k @ (time - time[0] - mean)) / float(k @ k)))
+
+
+def unwrapped(angle: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
+    """Return a measured angle (n,) without the jumps of a sensor that begins anew each turn, and how many there were.
+
+    A wrap is a step of nearly a `turn` from one end of a range of one turn to the other, at whose sides the angle goes on as before.
+    Angles with a range of more or less than a turn, or with steps near half a turn, are returned as they are.
+
+    Args:
+        angle: Samples.
+        turn: A turn in the unit of the samples, such as 360 for degrees.
+    """
+    none = np.asarray(angle), 0
+    if len(angle) < 3 or not np.isfinite(angle).all() or not np.ptp(angle) <= 1.001 * turn:
+        return none
+    steps = np.diff(angle)
+    wraps = np.abs(steps) > 0.5 * turn
+    if not wraps.any():
+        return none
+    out = np.unwrap(angle, period=turn)
+    after = np.abs(np.diff(out))
+    usual = float(np.quantile(after[~wraps], 0.99)) if not wraps.all() else math.inf
+    smooth = after.max() < 0.35 * turn and after[wraps].max() <= 3 * usual + 0.01 * turn
+    full = np.ptp(angle) > turn - 2 * after.max() - 0.01 * turn
+    return (out, int(wraps.sum())) if smooth and full else none
 
 
 @dataclass(frozen=True)

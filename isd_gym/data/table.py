@@ -7,10 +7,9 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,9 +17,19 @@ from ..errors import InputError, MissingColumn, how_to_install, shown
 from ..files import whole
 from ..inputs import plain_file
 from ..units import convert
-from .columns import TIME_NAMES, Choice, Columns, did_you_mean, split_header
+from .columns import TIME_NAMES, Choice, Columns, column_for, did_you_mean, distinct, split_header
+from .lvm import read_lvm, read_lvm_rasters
 from .quality import TIME
+from .signals import even_stamps, stamp_rounding
 from .text import read_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    Reader = Callable[[Path, Choice, str, bool, Sequence[str] | None], Columns]
+
+#: suffixes of files that may hold several rasters
+RASTERS = (".mf4", ".mdf", ".lvm")
 
 
 def _vector(values: Any) -> np.ndarray:
@@ -67,24 +76,36 @@ class Table:
 
     @property
     def step(self) -> float:
-        """Sampling step [s], the mean over the record, which rounding of the stamps does not touch."""
+        """Sampling step [s], the mean over the record; of rounded stamps the slope over all of them."""
+        return float((self._ends[1] - self._ends[0]) / (len(self) - 1))
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """First and last instant [s] of the uniform sampling."""
         if len(self) < 2:
             raise InputError(f"{self.source}: {len(self)} samples have no time step")
-        return float((self.time[-1] - self.time[0]) / (len(self) - 1))
+        time = even_stamps(self.time) if stamp_rounding(self.time) else self.time
+        return float(time[0]), float(time[-1])
 
     def uniform(self) -> Table:
         """The same samples on an exactly uniform time (for the small jitter and rounding that `check` lets pass)."""
-        return Table(self.time[0] + self.step * np.arange(len(self)), self.columns, self.source, self.units)
+        time = self._ends[0] + self.step * np.arange(len(self))
+        return Table(time, self.columns, self.source, self.units)
 
 
 # ---------------------------------------------------------------------------------------------------- reading
 def read_columns(
-    path: str | Path, wanted: Choice = None, *, axis: str = TIME, resample: bool = False
+    path: str | Path,
+    wanted: Choice = None,
+    *,
+    axis: str = TIME,
+    resample: bool = False,
+    columns: Sequence[str] | None = None,
 ) -> Columns:
     """Read the columns of a table file: any separator, decimal commas, preambles, units in the header or the file's own.
 
     The one reader of every table in the project; `read_table` puts a time base and channels on it. `axis`: the name under
-    which MATLAB and MDF files hold what the others are told over. Raises `InputError` with one line, also for what is no
+    which MATLAB and MDF files hold what the others are told over. columns: names for text files without a header row. Raises `InputError` with one line, also for what is no
     plain file or would take more memory than `inputs.memory_limit`.
     """
     path = Path(path)
@@ -99,7 +120,7 @@ def read_columns(
         raise InputError(f"{path}: is a folder, not a table")
     plain_file(path)
     try:
-        return reader(path, wanted, axis, resample)
+        return reader(path, wanted, axis, resample, columns)
     except InputError:
         raise
     except ImportError as error:
@@ -110,14 +131,17 @@ def read_columns(
         raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
 
 
-def read_rasters(path: str | Path) -> list[Columns]:
-    """What a file holds, every raster by itself: an MDF's groups over their own stamps (named 'time' [s]); others have one.
+def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list[Columns]:
+    """What a file holds, every raster by itself: the groups of an MDF or LVM file over their own stamps (named 'time' [s]); others have one.
 
-    path: the file. Raises `InputError` as `read_columns` does.
+    path: the file. columns: names for text files without a header row. Raises `InputError` as `read_columns` does.
     """
     path = Path(path)
-    if path.suffix.lower() not in (".mf4", ".mdf"):
-        return [read_columns(path)]
+    if path.suffix.lower() == ".lvm":
+        plain_file(path)
+        return read_lvm_rasters(path, columns)
+    if path.suffix.lower() not in RASTERS:
+        return [read_columns(path, columns=columns)]
     from . import isolated
 
     plain_file(path)
@@ -141,14 +165,17 @@ def read_table(
     units: Mapping[str, str] | None = None,
     expected: Mapping[str, str] | None = None,
     resample: bool = False,
+    header: Sequence[str] | None = None,
 ) -> Table:
-    """Read a table from `path`; the suffix tells the format (.csv .txt .tsv .dat .parquet .mat .mf4 .mdf).
+    """Read a table from `path`; the suffix tells the format (.csv .txt .tsv .dat .lvm .parquet .mat .mf4 .mdf).
 
     rename: column in the file -> channel. units: unit of a column, by its channel or its name in the file (goes
     before what the file itself says; time is 's' unless told). expected: channel -> unit it shall have; then exactly
     these channels are returned, converted, and a column without any unit is taken to have it already.
-    Without it every numeric column is returned as it is. resample: MDF channels on different rasters are
-    interpolated linearly to the finest; otherwise they are refused.
+    Without it every numeric column is returned as it is. Of columns that differ by their unit alone, "Force (V)" and
+    "Force (N)", the name "Force" means the column whose unit fits the channel. resample: MDF and LVM channels on different
+    rasters are interpolated linearly to the finest; otherwise they are refused. header: names of all columns of a text file
+    without a header row, with or without units.
     Nothing in a file is ever executed. Raises `InputError` with one line on whatever cannot be used.
     """
     path = Path(path)
@@ -157,8 +184,12 @@ def read_table(
     if len(inverse) < len(rename):
         raise InputError(f"{path}: two columns are renamed to one channel")
     wanted = None if expected is None else [inverse.get(c, c) for c in expected]
-    found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), resample=resample)
+    found = read_columns(path, wanted, axis=inverse.get(TIME, TIME), resample=resample, columns=header)
     columns, file_units = found.values, found.units
+    try:
+        rename = _by_unit(rename, columns, units, expected)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     for name in rename if expected is None else ():
         if name not in columns:
             raise InputError(f"{path}: no column {shown(name)} to rename; {did_you_mean(name, columns)}")
@@ -195,14 +226,44 @@ def read_table(
     return Table(time, out, str(path), {n: u for n, u in kept.items() if n in out and u})
 
 
+def _by_unit(
+    rename: dict[str, str],
+    columns: Mapping[str, Any],
+    units: Mapping[str, str],
+    expected: Mapping[str, str] | None,
+) -> dict[str, str]:
+    """Return `rename` (column -> channel) with the full names of columns that their units alone tell apart.
+
+    Args:
+        rename: Column -> channel.
+        columns: Columns of the file.
+        units: Unit of a column, by its channel or its name.
+        expected: Channel -> unit it shall have; None for all columns as they are.
+
+    Raises:
+        InputError: Several columns of one name fit.
+    """
+    if expected is None:
+        return {column_for(name, columns): channel for name, channel in rename.items()}
+    inverse = {channel: name for name, channel in rename.items()}
+    for channel, unit in {TIME: "s", **expected}.items():
+        source = inverse.get(channel, channel)
+        column = column_for(source, columns, units.get(channel) or units.get(source) or unit)
+        if column != source:
+            rename = {n: c for n, c in rename.items() if n != source} | {column: channel}
+    return rename
+
+
 def _one_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
 
 
-def _isolated(kind: str) -> Callable[[Path, Choice, str, bool], Columns]:
+def _isolated(kind: str) -> Reader:
     """The reader of a binary format, which runs in a process of its own."""
 
-    def read(path: Path, wanted: Choice, axis: str, resample: bool) -> Columns:
+    def read(
+        path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
+    ) -> Columns:
         from . import isolated
 
         if sys.modules.get(_LIBRARIES[kind], 0) is None:  # as good as not installed, for this process
@@ -212,32 +273,36 @@ def _isolated(kind: str) -> Callable[[Path, Choice, str, bool], Columns]:
         if "no_channel" in head:
             name = head["no_channel"]
             raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, head['names'])}")
-        columns: dict[str, Any] = {}
+        out: dict[str, Any] = {}
         units = dict(head["units"])
         told = [(name, values) for (name, _), values in zip(head["columns"], arrays, strict=True)]
-        for full, values in told + [(name, _NO_NUMBERS) for name in head["other"]]:
-            name, unit = split_header(full) if kind == "parquet" else (full, "")
-            if name in columns and values is not _NO_NUMBERS:
+        told += [(name, _NO_NUMBERS) for name in head["other"]]
+        full = [name for name, _ in told]
+        pairs = [split_header(name) if kind == "parquet" else (name, "") for name in full]
+        names = distinct([n for n, _ in pairs], full, [units.get(n, "") for n in full])
+        for (header, values), name, (_, unit) in zip(told, names, pairs, strict=True):
+            if name in out and values is not _NO_NUMBERS:
                 raise InputError(f"{path}: names {shown(name)} twice")
-            columns.setdefault(name, values)
-            if full in units:
-                units[name] = units[full]
+            out.setdefault(name, values)
+            if header in units:
+                units[name] = units[header]
             elif unit:
                 units[name] = unit
         if callable(wanted):
-            wanted(list(columns))
-        return Columns(columns, units)
+            wanted(list(out))
+        return Columns(out, units)
 
     return read
 
 
 _NO_NUMBERS = np.empty(0, object)
 _LIBRARIES = {"parquet": "pyarrow", "mat": "scipy.io", "mdf": "asammdf"}
-_READERS: dict[str, Callable[[Path, Choice, str, bool], Columns]] = {
+_READERS: dict[str, Reader] = {
     ".csv": read_text,
     ".txt": read_text,
     ".tsv": read_text,
     ".dat": read_text,
+    ".lvm": read_lvm,
     ".parquet": _isolated("parquet"),
     ".mat": _isolated("mat"),
     ".mf4": _isolated("mdf"),

@@ -6,15 +6,30 @@ import csv
 import datetime as dt
 import io
 import math
+import re
 from array import array
 from collections import Counter
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError, MissingColumn, shown
 from ..inputs import memory_limit, plain_file, read_bytes, too_large
-from .columns import TIME_NAMES, Choice, Columns, did_you_mean, split_header, unit_known
+from .columns import (
+    BEGINS,
+    STAMPS,
+    TIME_NAMES,
+    Choice,
+    Columns,
+    did_you_mean,
+    distinct,
+    split_header,
+    unit_known,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
 
 #: of a text table: characters of a line, columns, and how many times its size it takes in memory while it is read
 LINE_LIMIT, COLUMN_LIMIT, TEXT_SHARE = 131_072, 10_000, 12
@@ -48,7 +63,7 @@ def _stamp(text: str) -> float | None:
     return (then if then.tzinfo else then.replace(tzinfo=dt.UTC)).timestamp()
 
 
-def _text_of(path: Path) -> str:
+def text_of(path: Path) -> str:
     """The text of a file of bearable size, whatever its encoding."""
     limit, size = memory_limit(), plain_file(path)
     if size * TEXT_SHARE > limit:
@@ -90,41 +105,90 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
     return delimiter, comma, width
 
 
-def _header(path: Path, rows: list[tuple[int, str]], like: Dialect) -> tuple[list[str], dict[str, str], int]:
-    """(names of the columns, units by name, the row at which numbers begin)."""
+def _is_numeric(cells: list[str], width: int, comma: bool) -> bool:
+    """Return whether a row belongs to the numbers: most of its cells are finite numbers, or it holds nothing but numbers and gaps."""
+    found = [_number(x, comma) for x in cells]
+    finite = sum(x is not None and math.isfinite(x) for x in found)
+    return finite > width / 2 or (finite > 0 and len(cells) == width and None not in found)
+
+
+def _are_units(cells: list[str]) -> bool:
+    """Return whether half of a header row's cells or more are units."""
+    told = [x for x in cells if x not in ("", "-")]
+    return bool(told) and sum(map(unit_known, told)) >= 0.5 * len(told)
+
+
+#: a cell of a row that numbers the columns and does not name them
+_NUMBERED = re.compile(
+    r"(channel|chan|ch|kanal|column|col|spalte|sensor|no|nr|#)?[\s_.:#-]*\d+", re.IGNORECASE
+)
+
+
+def _rank(cells: list[str]) -> int:
+    """Return how well a header row names columns: 2 with a name of time in it, 1 with one that begins so, below 0 for bare numbers or gaps."""
+    names = [split_header(x)[0].lower() for x in cells]
+    if "" in names or all(map(_NUMBERED.fullmatch, names)):
+        return -1
+    return (
+        2
+        if any(n in STAMPS and not unit_known(n) for n in names)
+        else int(any(n.startswith(BEGINS) for n in names))
+    )
+
+
+def _header(
+    path: Path, rows: list[tuple[int, str]], like: Dialect, given: Sequence[str] | None
+) -> tuple[list[str], dict[str, str], int]:
+    """Return the columns' names, units by name, and the row at which numbers begin.
+
+    Of several header rows the row with a name of time has the names (else the last row), and a row of units below it the units;
+    other rows, such as descriptions, are passed over. given: the names where the file has none.
+    """
     delimiter, comma, width = like
-    numeric_first = [
-        sum(_number(x, comma) is not None and x.strip() != "" for x in _cells(s, delimiter)) > width / 2
-        for _, s in rows[:200]
-    ]
-    first = numeric_first.index(True) if True in numeric_first else len(rows)
+    numeric = [_is_numeric(_cells(s, delimiter), width, comma) for _, s in rows[:200]]
+    first = numeric.index(True) if True in numeric else len(rows)
     heads = [[x.strip() for x in _cells(s, delimiter)] for _, s in rows[:first]]
-    if not heads or first == len(rows):
+    if first == len(rows):
         raise InputError(f"{path}: line {rows[0][0]}: no header row that names the columns")
-    unit_row: list[str] = []
-    if len(heads) > 1 and len(heads[-1]) == len(heads[-2]) == width:
-        bare = [x.strip("[]() ") for x in heads[-1]]
-        if any(map(unit_known, bare)) and not any(map(unit_known, heads[-2])):
-            unit_row, heads = bare, heads[:-1]
-    pairs = [split_header(x) for x in heads[-1]]
-    names = [name for name, _ in pairs]
-    if len(names) != width:
-        raise InputError(f"{path}: line {rows[first][0]} has {width} fields, the header has {len(names)}")
-    units = {n: u for n, u in zip(names, unit_row, strict=True) if u} if unit_row else {}
-    return names, units | {name: unit for name, unit in pairs if unit}, first
+    narrow = next((k for k, cells in enumerate(reversed(heads)) if len(cells) != width), len(heads))
+    block = heads[len(heads) - narrow :]
+    if not block and given is not None:
+        if len(given) != width:
+            raise InputError(
+                f"{path}: --columns names {len(given)} columns, line {rows[first][0]} has {width}"
+            )
+        block = [list(given)]
+    if not block:
+        what = f"the header has {len(heads[-1])}" if heads else "no header row names them"
+        told = f"line {rows[first][0]} has {width} fields, {what}"
+        raise InputError(f"{path}: {told}: --columns NAME,NAME,... names the columns of such a file")
+    below = [row for row in block[1:] if _rank(row) <= 0]
+    unit_row = next((row for row in reversed(below) if _are_units([x.strip("[]() ") for x in row])), None)
+    named = [row for row in block if row is not unit_row]
+    rank = max(map(_rank, named))
+    best = [row for row in named if _rank(row) == rank]
+    header = best[0] if rank > 0 else best[-1]
+    pairs = [split_header(x) for x in header]
+    under = [x.strip("[]() ") for x in unit_row] if unit_row else [""] * width
+    units = [unit or other for (_, unit), other in zip(pairs, under, strict=True)]
+    names = distinct([name for name, _ in pairs], header, units)
+    return names, {n: u for n, u in zip(names, units, strict=True) if u}, first
 
 
 def _picked(path: Path, names: list[str], wanted: list[str] | None, time: str) -> list[int]:
     """The places of the wanted columns, all of them where none are named, and of whatever may be the time."""
     there = Counter(names)
+    bases = {n: split_header(n)[0] for n in names}
     for name in wanted or ():
-        if name not in there:
+        if name not in there and name not in bases.values():
             raise MissingColumn(f"{path}: no column {shown(name)}; {did_you_mean(name, names)}", name)
     for name, count in there.items():
         if count > 1 and (wanted is None or name in wanted):
             raise InputError(f"{path}: the header names {shown(name)} twice")
-    chosen = set(names) if wanted is None else {*wanted, time, *(n for n in names if n.lower() in TIME_NAMES)}
-    return [i for i, n in enumerate(names) if n in chosen]
+    if wanted is None:
+        return list(range(len(names)))
+    chosen = {*wanted, time, *(n for n in names if n.lower() in TIME_NAMES)}
+    return [i for i, n in enumerate(names) if n in chosen or bases[n] in chosen]
 
 
 def _cell_by_cell(
@@ -155,10 +219,39 @@ def _cell_by_cell(
     return {name: np.array(values) for name, values in columns.items()}
 
 
-def read_text(path: Path, wanted: Choice, time: str, resample: bool) -> Columns:
-    """The wanted columns and that of the `time`; a whole file is on one raster, so there is nothing to `resample`."""
+def numbers_of(
+    path: Path, rows: list[tuple[int, list[str]]], place: int, name: str, comma: bool
+) -> np.ndarray:
+    """Return the numbers (n,) of a column, nan for gaps and for rows that end before it.
+
+    Args:
+        path: File, for messages.
+        rows: Line and cells of each row.
+        place: Number of the column, from 0 on.
+        name: Name of the column, for messages.
+        comma: Whether decimals stand behind a comma.
+    """
+    out = np.full(len(rows), math.nan)
+    for k, (line, cells) in enumerate(rows):
+        if place < len(cells):
+            value = _number(cells[place], comma)
+            if value is None:
+                raise InputError(
+                    f"{path}: line {line}, column {shown(name)}: {shown(cells[place])} is not a number"
+                )
+            out[k] = value
+    return out
+
+
+def read_text(
+    path: Path, wanted: Choice, time: str, resample: bool, columns: Sequence[str] | None = None
+) -> Columns:
+    """The wanted columns and that of the `time`; a whole file is on one raster, so there is nothing to `resample`.
+
+    columns: names of all columns, for a file without a header row.
+    """
     # a line ends where an editor says so, not at every separator that Unicode has
-    lines = _text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows = [(i, s) for i, s in enumerate(lines, 1) if s.strip() and s.lstrip()[0] not in "#%"]
     del lines
     if not rows:
@@ -171,7 +264,7 @@ def read_text(path: Path, wanted: Choice, time: str, resample: bool) -> Columns:
     delimiter, comma, width = like = _dialect(path, rows)
     if width > COLUMN_LIMIT:
         raise InputError(f"{path}: has {width} columns, at most {COLUMN_LIMIT} are read")
-    names, units, first = _header(path, rows, like)
+    names, units, first = _header(path, rows, like, columns)
     if callable(wanted):
         wanted = wanted(names)
     used = _picked(path, names, wanted, time)

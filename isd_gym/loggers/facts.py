@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import welch
 
 from ..data.quality import QUANTITIES, held_samples
+from ..data.signals import even_stamps, stamp_rounding
 from ..errors import InputError
 from ..units import TABLE, UNITS, convert, si_of
-from .recording import GAP, Raster, even
+from .recording import GAP, Raster, even, rounded
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 FEW = 5.0  # samples a period: below that a picture of the motion is poor
 
@@ -94,6 +98,9 @@ def odd_stamps(raster: Raster) -> list[Oddity]:
     if len(t) < 3:
         say(f"{len(t)} samples only")
         return out
+    if rounding := stamp_rounding(t):
+        say(rounded(rounding, raster.step))
+        t = even_stamps(t)
     d = np.diff(t)
     begin = t[0]
     if (back := d < 0).any():

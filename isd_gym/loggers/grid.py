@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..errors import InputError
-from ..network import Channel
 from .recording import Recording, Signal, even
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..network import Channel
 
 
 def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, str]:

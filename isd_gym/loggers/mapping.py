@@ -12,18 +12,21 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Mapping as Dict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..data.columns import column_for
 from ..errors import InputError, plain, shown
 from ..files import write_text
 from ..inputs import number, read_json
 from ..network import Channel, Network, without
 from ..units import convert
-from .recording import EPOCH, Raster, Recording, Signal, mended, rasters, spans
+from .recording import EPOCH, Raster, Recording, Signal, continuous, mended, rasters, spans
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping as Dict
+    from collections.abc import Sequence
 
 SCHEMA = "isd-map/1"
 JOIN = "+"  # between the files of one run
@@ -57,17 +60,23 @@ class Column:
 
 @dataclass(frozen=True)
 class Logger:
-    """A logger: its `file` (for people), the column and unit of its stamps, and its `lag` [s] where that is known."""
+    """A logger: its `file` (for people), the column and unit of its stamps, and its `lag` [s] where that is known.
+
+    `columns`: names of the columns of a file without a header row.
+    """
 
     file: str = ""
     stamp: str | None = None
     unit: str | None = None
     lag: float | None = None
+    columns: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As the file has it."""
         out: dict[str, Any] = {"file": self.file}
         stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit)) if v}
+        if self.columns:
+            out["columns"] = list(self.columns)
         return out | ({"stamps": stamps} if stamps else {}) | ({} if self.lag is None else {"lag": self.lag})
 
 
@@ -97,16 +106,20 @@ class ChannelMap:
         loggers = []
         for i, row in enumerate(rows, 1):
             where = f"{source}: logger {i}"
-            _keys(row, {"file", "stamps", "lag"}, where)
+            _keys(row, {"file", "stamps", "lag", "columns"}, where)
             stamps = row.get("stamps", {})
             _keys(stamps, {"column", "unit"}, f"{where}, stamps")
             lag = None if row.get("lag") is None else number(row["lag"], f"{where}: lag")
+            names = row.get("columns", [])
+            if not isinstance(names, list):
+                raise InputError(f"{where}: columns must be a list of names, not {shown(names)}")
             loggers.append(
                 Logger(
                     _text(row.get("file", ""), f"{where}: file"),
                     _text(stamps.get("column"), f"{where}: stamps"),
                     _text(stamps.get("unit"), f"{where}: stamps"),
                     lag,
+                    tuple(_text(n, f"{where}: columns") for n in names),
                 )
             )
         channels = {}
@@ -214,11 +227,13 @@ def runs(
     by: ChannelMap | None = None,
     rename: Dict[str, str] | None = None,
     units: Dict[str, str] | None = None,
+    columns: Sequence[str] | None = None,
 ) -> list[Recording]:
     """The run of one or several loggers' files, in pieces between the gaps that the loggers left.
 
     network: the model; wanted: those of its channels that are needed. by: which column is which channel; without it columns
-    have the channels' names, after `rename` (column -> channel), and `units` (channel or column -> unit). Raises
+    have the channels' names, after `rename` (column -> channel), and `units` (channel or column -> unit). columns: names for
+    files without a header row, of which the map names none. Raises
     `InputError` with one line for a column that is not there, stamps that overlap or run backwards, and the rest.
     """
     files = files_of(text)
@@ -228,7 +243,11 @@ def runs(
     for i, file in enumerate(files):
         own = loggers[i] if i < len(loggers) else Logger(stamp=renamed.get("time"))
         there = own.stamp if by is None or i < len(loggers) else None
-        found.append(rasters(file, stamp=there, unit=own.unit or (units or {}).get("time")))
+        found.append(
+            rasters(
+                file, stamp=there, unit=own.unit or (units or {}).get("time"), columns=own.columns or columns
+            )
+        )
     notes: list[str] = []
     _common_origin(found, notes)
     if by is None:
@@ -280,7 +299,9 @@ def runs(
                 raise InputError(
                     f"{piece.source}: column {shown(column)} as {channel.name}: {error}"
                 ) from None
-            values = source.sign * factor * piece.columns[column]
+            values, note = continuous(channel.name, source.sign * factor * piece.columns[column], channel.si)
+            if note and (told := f"{piece.name}: {note}") not in notes:
+                notes.append(told)
             margin = 2 * piece.step
             clock = f"{at[0] + 1} {plain(files[at[0]].name, 40)}"
             signals[channel.name] = Signal(piece.time, values, channel.si, clock, column).within(
@@ -322,7 +343,10 @@ def _by_name(
     channels = {}
     for c in wanted:
         column = renamed.get(c.name, c.name)
-        holders = [i for i, group in enumerate(found, 1) if any(column in r.columns for r in group)]
+        unit = units.get(c.name) or units.get(column) or c.unit
+        full = [{n for r in g if (n := column_for(column, r.columns, unit)) in r.columns} for g in found]
+        column = next((n for names in full for n in names), column)
+        holders = [i for i, names in enumerate(full, 1) if names]
         if len(holders) > 1:
             names = " and ".join(str(files[i - 1]) for i in holders)
             raise InputError(f"column {shown(column)} is in {names}: --map FILE says which is meant")

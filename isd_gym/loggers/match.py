@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -13,13 +13,17 @@ from scipy.signal import correlate
 
 from ..data.signals import integral_consistency
 from ..errors import InputError
-from ..network import Channel, Network
 from ..simulate import simulate
 from ..units import TABLE, convert
 from .facts import Facts, factor_hint, si_unit
 from .mapping import ChannelMap, Column, Logger
-from .recording import Raster
 from .words import alike
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..network import Channel, Network
+    from .recording import Raster
 
 COLUMNS = 60  # that are looked at; of more, those whose names and units speak loudest
 DRIVES = 40  # choices of input columns that are simulated
@@ -52,8 +56,10 @@ class Suggestion:
     missing: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
-    def map(self, files: Sequence[Sequence[Raster]], model: str) -> ChannelMap:
-        """As a file for ``--map``."""
+    def map(
+        self, files: Sequence[Sequence[Raster]], model: str, columns: Sequence[str] | None = None
+    ) -> ChannelMap:
+        """As a file for ``--map``. columns: names that files without a header row were given."""
         channels = {
             name: Column(
                 c.facts.name,
@@ -65,7 +71,9 @@ class Suggestion:
             )
             for name, (c, sure) in self.channels.items()
         }
-        loggers = tuple(Logger(group[0].name, group[0].stamp) for group in files)
+        loggers = tuple(
+            Logger(group[0].name, group[0].stamp, columns=tuple(columns or ())) for group in files
+        )
         return ChannelMap(channels, loggers, model)
 
 

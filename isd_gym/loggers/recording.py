@@ -8,35 +8,25 @@ is resampled.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..data import Table
-from ..data.columns import Columns
+from ..data.columns import BEGINS, STAMPS
+from ..data.signals import even_stamps, stamp_rounding, unwrapped
 from ..data.table import read_rasters
 from ..errors import InputError, plain, shown
 from ..units import convert
 
-#: names of a column of stamps, and what its name may begin with
-STAMPS = (
-    "time",
-    "t",
-    "zeit",
-    "timestamp",
-    "timestamps",
-    "stamp",
-    "datetime",
-    "date",
-    "clock",
-    "utc",
-    "seconds",
-    "sec",
-)
-BEGINS = ("time", "zeit", "stamp", "date")
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..data.columns import Columns
+
 EPOCH = 1e8  # [s] later stamps count from 1970: absolute ones
 LEAST = 200  # samples of a piece between two gaps; shorter ones are left out
 GAP = 1.7  # steps
@@ -58,7 +48,9 @@ class Raster:
 
     @cached_property
     def step(self) -> float:
-        """Median step [s]."""
+        """Median step [s]; of rounded stamps the mean step."""
+        if stamp_rounding(self.time):
+            return float(np.diff(even_stamps(self.time)).mean())
         d = np.diff(self.time)
         return float(np.median(d[d > 0])) if (d > 0).any() else math.nan
 
@@ -104,19 +96,26 @@ def _listed(found: Columns) -> str:
     return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
 
 
-def rasters(path: str | Path, *, stamp: str | None = None, unit: str | None = None) -> list[Raster]:
+def rasters(
+    path: str | Path,
+    *,
+    stamp: str | None = None,
+    unit: str | None = None,
+    columns: Sequence[str] | None = None,
+) -> list[Raster]:
     """All rasters of a file, in seconds; absolute stamps stay absolute (from 1970 on).
 
-    stamp: the column that holds the stamps; unit: theirs, else what the file says, else s. Raises `InputError`.
+    stamp: the column that holds the stamps; unit: theirs, else what the file says, else s. columns: names for a file without a
+    header row. Raises `InputError`.
     """
     out = []
-    for found in read_rasters(path):
+    for found in read_rasters(path, columns):
         name = stamps_of(found, path, stamp)
         try:
             time = convert(np.asarray(found.values[name], float), unit or found.units.get(name) or "s", "s")
         except InputError as error:
             raise InputError(f"{path}: column {shown(name)}: {error}") from None
-        columns = {
+        values = {
             n: np.asarray(v, float)
             for n, v in found.values.items()
             if n != name and v.dtype.kind in "fiub" and v.ndim == 1 and len(v) == len(time)
@@ -124,7 +123,7 @@ def rasters(path: str | Path, *, stamp: str | None = None, unit: str | None = No
         if len(time) == 0:
             raise InputError(f"{path}: no samples")
         out.append(
-            Raster(str(path), time, columns, {n: u for n, u in found.units.items() if n in columns}, name)
+            Raster(str(path), time, values, {n: u for n, u in found.units.items() if n in values}, name)
         )
     return out
 
@@ -146,6 +145,9 @@ def mended(raster: Raster, notes: list[str]) -> list[Raster]:
         raster = raster.rows(good)
     if len(raster) < 3:
         return [raster]
+    if rounding := stamp_rounding(raster.time):
+        raster = replace(raster, time=even_stamps(raster.time))
+        notes.append(f"{where}: {rounded(rounding, raster.step)}")
     d = np.diff(raster.time)
     if (d < 0).any():
         k = int(np.argmax(d < 0))
@@ -156,6 +158,11 @@ def mended(raster: Raster, notes: list[str]) -> list[Raster]:
     if (d == 0).any():
         raster = _without_repeats(raster, notes)
     return _split(raster, notes)
+
+
+def rounded(rounding: float, step: float) -> str:
+    """Words for stamps that were rounded to `rounding` [s] where the step is `step` [s]."""
+    return f"stamps are rounded to {rounding:.3g} s; taken as evenly sampled at {1 / step:.7g} Hz"
 
 
 def _at(t: float) -> str:
@@ -211,9 +218,26 @@ def _split(raster: Raster, notes: list[str]) -> list[Raster]:
     return kept
 
 
+def continuous(name: str, values: np.ndarray, unit: str) -> tuple[np.ndarray, str]:
+    """Return a column (n,) without the jumps of an angle that begins anew each turn, and a line that says so ('' where there are none).
+
+    Args:
+        name: Name of the column, for the line.
+        values: Samples in `unit`.
+        unit: Unit of an angle; others are returned as they are.
+    """
+    try:
+        turn = convert(1.0, "rev", unit)
+    except InputError:
+        return values, ""
+    out, wraps = unwrapped(values, turn)
+    text = f"{name}: an angle that begins anew each turn; {wraps} jump{'s' * (wraps > 1)} of {turn:.5g} {unit} taken out"
+    return out, text if wraps else ""
+
+
 def even(time: np.ndarray) -> bool:
-    """Whether stamps (n,) lie on a uniform grid, within a tenth of a step."""
-    if len(time) < 3:
+    """Whether stamps (n,) lie on a uniform grid, within a tenth of a step or the rounding of the stamps."""
+    if len(time) < 3 or stamp_rounding(time):
         return True
     grid = np.linspace(time[0], time[-1], len(time))
     return bool(np.abs(time - grid).max() <= UNEVEN * (grid[1] - grid[0]))

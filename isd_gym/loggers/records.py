@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..data import Table, read_table
-from ..errors import InputError, MissingColumn
+from ..data.columns import split_header
+from ..data.table import RASTERS
+from ..errors import InputError, MissingColumn, plain
 from ..network import Channel, Network, without
 from ..road import Road, profiled
 from ..units import convert
-from .mapping import ChannelMap, files_of, runs
-from .recording import Raster, Recording, Signal, mended, rasters
+from .mapping import ChannelMap, Column, files_of, runs
+from .recording import Raster, Recording, Signal, continuous, mended, rasters
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 
 def records_of(
@@ -22,22 +28,23 @@ def records_of(
     by: ChannelMap | None = None,
     rename: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
 ) -> list[Table | Recording]:
     """The records that a name stands for: one, or the pieces between its gaps.
 
     path: a table, or the files of several loggers of one run (``body.csv+wheel.mf4``). network: the model; wanted: those
-    of its channels that are needed. by, rename, units: as `runs` and `read_table` take them. Raises `InputError`.
+    of its channels that are needed. by, rename, units, columns: as `runs` takes them. Raises `InputError`.
     """
     files = files_of(path)
-    if by is None and len(files) == 1 and files[0].suffix.lower() not in (".mf4", ".mdf"):
+    if by is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
         expected = {c.name: c.unit for c in wanted}
         try:
-            table = read_table(files[0], rename=rename, units=units, expected=expected)
+            table = read_table(files[0], rename=rename, units=units, expected=expected, header=columns)
         except MissingColumn as error:
             helps = f"; --rename COLUMN={error.name} where it has another name"
             raise InputError(f"{error}{helps}{without(network, error.name)}") from None
         return _pieces(table, wanted)
-    found = runs(path, network, wanted, by=by, rename=rename, units=units)
+    found = runs(path, network, wanted, by=by, rename=rename, units=units, columns=columns)
     out: list[Table | Recording] = []
     for r in found:
         whole = None if r.notes else r.table()
@@ -50,29 +57,34 @@ def outputs_of(
     network: Network,
     by: ChannelMap | None = None,
     rename: Mapping[str, str] | None = None,
+    columns: Sequence[str] | None = None,
 ) -> list[str]:
     """Those of the model's outputs that are there: in the files of `path`, or in the map `by` that says which column is which.
 
-    network: the model. rename: the channels that columns of other names are.
+    network: the model. rename: the channels that columns of other names are. columns: names for files without a header row.
     """
     names = dict(rename or {})
-    there = (
-        by.channels
-        if by
-        else {names.get(n, n) for f in files_of(path) for r in rasters(f) for n in r.columns}
-    )
+    there = set(by.channels if by else ())
+    if by is None:
+        found = [n for f in files_of(path) for r in rasters(f, columns=columns) for n in r.columns]
+        there = {names.get(n, n) for full in found for n in (full, split_header(full)[0])}
     return [c.name for c in network.outputs if c.name in there]
 
 
 def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
     """The road that a logger measured over a drive: the column that the map has for what moves the model.
 
-    path, network: as `records_of` takes them. by: the map. Raises `InputError`.
+    path, network: as `records_of` takes them; of several loggers' files the one with the road is enough. by: the map.
+    Raises `InputError`.
     """
     moved = [c for c in network.moving if c.quantity == "displacement"]
     if len(moved) != 1:
         raise InputError(f"model '{network.name}' has no single road that a map could name")
-    found = runs(path, network, moved, by=by)
+    source = by.channels.get(moved[0].name)
+    if source is not None and len(files_of(path)) == 1 and source.logger <= len(by.loggers) > 1:
+        found = _of_one_logger(path, network, moved[0], by, source)
+    else:
+        found = runs(path, network, moved, by=by)
     if len(found) > 1:
         raise InputError(
             f"road '{path}': there are gaps in time ({found[0].notes[0]}): drive a piece at a time"
@@ -81,9 +93,29 @@ def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
     return profiled(str(path), signal.time - signal.time[0], signal.values, over_time=True)
 
 
+def _of_one_logger(
+    path: str | Path, network: Network, channel: Channel, by: ChannelMap, source: Column
+) -> list[Recording]:
+    """A channel of one logger's file, by a map of several loggers; `InputError` where it is another logger's file."""
+    logger = by.loggers[source.logger - 1]
+    alone = replace(by, channels={channel.name: replace(source, logger=1)}, loggers=(logger,))
+    try:
+        return runs(path, network, [channel], by=alone)
+    except InputError as error:
+        raise InputError(
+            f"{path}: cannot be read as logger {source.logger} of {by.source} ({plain(logger.file, 60)}), which has "
+            f"{channel.name}: {error}"
+        ) from None
+
+
 def _pieces(table: Table, wanted: Sequence[Channel]) -> list[Table | Recording]:
     notes: list[str] = []
-    parts = mended(Raster(table.source, table.time, table.columns), notes)
+    smooth = {}
+    for c in wanted:
+        smooth[c.name], note = continuous(c.name, table.columns[c.name], table.units.get(c.name) or c.unit)
+        if note:
+            notes.append(f"{Path(table.source).name}: {note}")
+    parts = mended(Raster(table.source, table.time, table.columns | smooth), notes)
     if not notes:
         return [table]
     out: list[Table | Recording] = []

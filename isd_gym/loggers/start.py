@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import InputError, shown
 from ..inputs import number, read_json
 from ..network import Network, assemble
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 MOTION = ("displacement", "velocity")
 LOOSE = 1e-6  # weight of "at rest" where nothing is told of a node

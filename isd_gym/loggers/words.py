@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
 
-from ..network import Channel, Network
+if TYPE_CHECKING:
+    from ..network import Channel, Network
 
 #: words that mean the same -> the one they count as
 _SAME = {
