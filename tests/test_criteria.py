@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from isd_gym.discrepancy.criteria import CRITERIA, Criteria, confidence, decide, gates_of, table
+from isd_gym.discrepancy.criteria import (
+    COMPARE,
+    CRITERIA,
+    Criteria,
+    Gate,
+    confidence,
+    decide,
+    gates_of,
+    table,
+    table_gates,
+)
 from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.imitate import repeats
 from isd_gym.elements import TYPES, Motion
@@ -26,7 +39,7 @@ GOOD = Evidence(
     worth=(0.03,),
     effects=(FRICTION,),
     gain=2000.0,
-    halved=True,
+    power_left=0.005,
     again=9.0,
     explained=0.995,
     lead=50.0,
@@ -45,7 +58,7 @@ def test_a_name_passes_every_gate() -> None:
 @pytest.mark.parametrize(
     ("gate", "change", "verdict"),
     [
-        ("significant", {"gain": 20.0, "halved": False}, "unknown_effect"),
+        ("significant", {"gain": 20.0, "power_left": 0.9}, "unknown_effect"),
         ("replicated", {"again": 0.5}, "unknown_effect"),
         ("material", {"effects": (replace(FRICTION, share=0.02),), "explained": 0.7}, "unknown_effect"),
         ("adequate", {"explained": 0.6, "after": (0.2,), "closest": (0.2,)}, "unknown_effect"),
@@ -175,3 +188,79 @@ def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition() -> Non
     often = np.linspace(-2.0, 2.0, 1000)
     assert not repeats(wave, Motion(rare, 0 * rare, 0 * rare))  # two periods end to end
     assert repeats(wave, Motion(often, 0 * often, 0 * often))
+
+
+NUMBERS = st.floats(-1e9, 1e9) | st.sampled_from([0.0, math.inf, -math.inf])
+SHARES = st.floats(0.0, 3.0)
+EFFECTS = st.builds(
+    EffectEvidence,
+    label=st.just("friction"),
+    share=SHARES,
+    spread=st.floats(0.0, 10.0) | st.just(math.inf),
+    complaint=st.sampled_from(["", "beyond its reach"]),
+    sensor=st.booleans(),
+    fault=st.floats(0.0, 1.0),
+)
+PARAMETERS = st.lists(st.sampled_from(["a", "b"]), max_size=2).map(tuple)
+
+
+@st.composite
+def evidences(draw: st.DrawFn) -> Evidence:
+    """Any evidence of one or two effects on one or two channels."""
+    count = draw(st.integers(1, 2))
+    rows = st.tuples(*[SHARES] * count)
+    return Evidence(
+        channels=("a", "b")[:count],
+        **{name: draw(rows) for name in ("before", "refit", "after", "floor", "worth", "worth_after")},
+        **{name: draw(rows) for name in ("fitted_refit", "fitted_after", "closest")},
+        floor_known=draw(st.tuples(*[st.booleans()] * count)),
+        effects=tuple(draw(st.lists(EFFECTS, min_size=1, max_size=2))),
+        **{name: draw(NUMBERS) for name in ("gain", "again", "explained", "lead", "force_lead")},
+        **{name: draw(SHARES) for name in ("power_left", "fitted_explained", "sure", "shapeless")},
+        **{name: draw(PARAMETERS) for name in ("abreast", "limits", "refit_limits", "beside")},
+    )
+
+
+@given(evidences())
+@settings(deadline=None)
+def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
+    c = CRITERIA
+    gates = {g.name: g for g in gates_of(e)}
+    for g in gates.values():
+        assert g.passed == COMPARE[g.relation](g.value, g.limit)
+        assert math.isfinite(g.value) and math.isfinite(g.limit)
+    # the conditions, in one line each
+    size, sensors = min(x.share for x in e.effects), [x for x in e.effects if x.sensor]
+    wide = e.width > c.wide or (e.beyond_small and size > c.small)
+    alone = len(e.effects) == 1 and e.explained >= c.alone and wide
+    half = e.explained >= c.half and e.width_after < c.wide
+    excused = e.rest < c.several and (half or e.fitted_explained >= c.alone)
+    far = c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far
+    assert {n: g.passed for n, g in gates.items()} == {
+        "significant": e.gain > c.significant or e.power_left < 0.5,
+        "replicated": e.again > c.replicated,
+        "material": e.moved >= c.material and (size >= c.share or alone),
+        "adequate": e.fitted_ratio <= 1.0 and (e.explained >= c.adequate or excused),
+        "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.complaint for x in e.effects),
+        "plausible": not e.driven_out,
+        "ahead": not e.abreast,
+        "shape": e.shapeless < c.half,
+        "likely": e.sure >= c.likely,
+        "forces first": not sensors or e.force_lead >= far,
+    }  # fmt: skip
+
+
+@given(NUMBERS, NUMBERS, NUMBERS)
+def test_so_are_those_of_a_table(explained: float, moved: float, again: float) -> None:
+    for g in table_gates(explained, moved, again):
+        assert g.passed == COMPARE[g.relation](g.value, g.limit) and math.isfinite(g.value)
+    asked = explained >= CRITERIA.half and moved >= CRITERIA.material and again >= CRITERIA.replicated
+    assert all(g.passed for g in table_gates(explained, moved, again)) == asked
+
+
+def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against() -> None:
+    def forces_first(fault: float) -> Gate:
+        return gates_of(replace(GOOD, effects=(replace(GAIN, fault=fault),), force_lead=10.0))[-1]
+
+    assert (forces_first(0.1).passed, forces_first(0.1).limit) == (True, 2.0)
+    assert (forces_first(0.4).passed, forces_first(0.4).limit) == (False, 20.0)

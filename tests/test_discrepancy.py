@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import families
 import numpy as np
@@ -21,6 +21,9 @@ from isd_gym.discrepancy.noise import Noise, autoregression, noise_of, passed, w
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def table(columns, name: str) -> Table:
@@ -418,7 +421,13 @@ def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side() 
 def test_the_faces_of_a_play_are_stiff_beside_the_damper_that_it_is_in_line_with() -> None:
     # softer ones were a compliance: the play of this car came out a tenth as large in the first fits, and nothing was named
     d, case = run("backlash_damper", 310)
-    assert named(d) == {("backlash", frozenset({"joint", "wheel"}))}
+    # along the chain without masses, a play is at one place: in line with the damper, or with all of the device
+    assert [e.effect for e in d.effects] == ["backlash"]
+    (play,) = d.effects
+    assert (frozenset(play.between), play.behind) in {
+        (frozenset({"joint", "wheel"}), ""),
+        (frozenset({"piston", "joint"}), ""),
+    }
     gap = next(e["gap"] for e in case.record()["truth"]["hidden"])
     assert d.effects[0].parameters["gap"].value == pytest.approx(gap, rel=0.05)
 
@@ -721,6 +730,30 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
     assert len(records[0]) < 0.2 * len(rested)
     assert sum(map(len, records)) < 0.5 * len(rested)
     assert "nothing moves" in notes[-2]
+
+
+def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> None:
+    from isd_gym.discrepancy.problem import Problem, Record
+    from isd_gym.discrepancy.records import dealt
+    from isd_gym.discrepancy.workflow import held_from
+
+    net = Network.load("quarter-car-passive")
+    t = 0.005 * np.arange(3000)
+    inputs = {c.name: 0.01 * np.sin(9 * t) for c in net.inputs}
+    measured = np.stack([np.sin(9 * t)] * len(net.outputs), axis=1)
+    runs = [Record(name, 0.005, inputs, measured) for name in ("a", "b", "a")]
+    inf = math.inf
+
+    def since(fit, held) -> tuple[float, ...]:
+        records, roles = dealt(fit, held, [], 0.1)
+        whole = Problem(net, [*fit, *held], ["fit"] * len(fit) + ["report"] * len(held))
+        return held_from(whole, Problem(net, records, roles))
+
+    assert since(runs, []) == (inf, inf, -inf)  # the last third of the records
+    assert since(runs[:1], runs[1:]) == (inf, -inf, -inf)
+    (cut,) = since(runs[:1], [])  # the last third of the only record
+    assert cut == pytest.approx(10.0, abs=1.0)
+    assert dealt(runs[:1], [], [], 0.1)[0][0].time[-1] == pytest.approx(cut - 0.005)
 
 
 def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by() -> None:

@@ -1,14 +1,26 @@
 """Nodes that are moved by their velocity or acceleration: against the closed solution, and what they cannot tell."""
 
 import copy
+import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from isd_gym import simulate
-from isd_gym.discrepancy.hypotheses import pairs
+from isd_gym.cli import app
+from isd_gym.discrepancy.fit import Fitter
+from isd_gym.discrepancy.hypotheses import hypotheses, pairs
+from isd_gym.discrepancy.initial import along
+from isd_gym.discrepancy.missing_force import Deconvolution
+from isd_gym.discrepancy.motion import motions
+from isd_gym.discrepancy.noise import plain
+from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.result import Trace
+from isd_gym.discrepancy.structure import base_structure
 from isd_gym.errors import InputError
-from isd_gym.network import Network, linearise
+from isd_gym.network import Network, assemble, linearise
 
 M, C, K, W, A = 2.0, 3.0, 200.0, 7.0, 0.98
 TABLE = {
@@ -132,6 +144,134 @@ def test_a_distance_cannot_be_an_input():
         )
 
 
-def test_no_effect_is_looked_for_at_a_ground_whose_distance_nobody_knows():
-    assert pairs(Network.load(shaken("acceleration"))) == [("m", "table")]
-    assert ("m", "ground") in pairs(Network.load(shaken("displacement")))
+def test_effects_at_the_ground_need_no_more_than_the_input_tells():
+    """A speed tells what rubs on the ground, but no travel from it; an acceleration tells neither."""
+    at_ground = {}
+    for quantity in MOVES:
+        network = Network.load(shaken(quantity))
+        at_ground[quantity] = {h.kind.plane for h in hypotheses(network) if set(h.where) == {"m", "ground"}}
+        assert ("m", "table") in pairs(network)
+    everything = {"rate", "elongation", "time"}
+    assert at_ground == {
+        "acceleration": set(),
+        "velocity": everything - {"elongation"},
+        "displacement": everything,
+    }
+
+
+def fitted(network, inputs, step=1e-3):
+    """The nominal model from rest over a record of noise-free inputs."""
+    size = len(next(iter(inputs.values())))
+    rest = np.zeros(assemble(network).size[0])
+    record = Record("run", step, inputs, np.zeros((size, len(network.outputs))))
+    problem = Problem(network, [record], ["fit"])
+    fitter = Fitter(problem, plain(np.ones(len(network.outputs))))
+    return problem, fitter.fit(
+        base_structure(replace(network, uncertainty={})), initial={0: rest}, iterations=0
+    )
+
+
+def test_the_motion_against_the_ground_is_that_of_the_displacement_from_the_start_of_the_record():
+    t = np.arange(0, 2, 1e-3)
+    where = ("m", "ground")
+    seen = {}
+    for quantity in ("velocity", "displacement"):
+        problem, fit = fitted(Network.load(shaken(quantity)), {"u": MOVES[quantity][1](t)})
+        fit = replace(fit, initial={0: np.zeros(2)})
+        seen[quantity] = motions(problem, fit)[where]
+    for key in ("d", "v"):
+        one, other = (getattr(seen[q], key) for q in ("velocity", "displacement"))
+        assert np.allclose(one, other, atol=2e-3 * np.abs(other).max())
+
+
+def test_a_record_driven_by_a_speed_can_be_cut_anywhere():
+    t = np.arange(0, 3, 1e-3)
+    network = Network.load(shaken("velocity"))
+    speed = MOVES["velocity"][1](t)
+    problem, _ = fitted(network, {"u": speed})
+    structure = base_structure(network)
+    (state,) = along(problem, structure, structure.start, {0: np.zeros(2)}, [1000])[0]
+    whole = simulate(network, t, {"u": speed})
+    later = simulate(network, t[1000:], {"u": speed[1000:]}, initial=state)
+    for name in ("d", "a"):
+        assert np.allclose(later[name], whole[name][1000:], atol=2e-3 * np.abs(whole[name]).max())
+
+
+INERTER = {
+    "schema": "isd-model/1",
+    "name": "rack and pinion",
+    "elements": [
+        {"name": "flywheel", "type": "inertance", "between": ["rod", "ground"], "inertance": 25.0},
+        {"name": "bearing", "type": "linear_damping", "between": ["rod", "ground"], "damping": 30.0},
+    ],
+    "inputs": [{"name": "speed", "quantity": "velocity", "at": "rod", "unit": "m/s"}],
+    "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
+    "uncertainty": {"flywheel.inertance": 0.05, "bearing.damping": 1.0},
+}
+
+
+def test_a_table_over_rate_stands_between_a_node_moved_by_its_speed_and_the_ground():
+    t = np.arange(0, 2, 1e-3)
+    table = {"name": "t", "type": "tabulated_force", "between": ["rod", "ground"], "rate": [-1.0, 1.0], "force": [-50.0, 50.0]}  # fmt: skip
+    v = 0.3 * np.sin(9.0 * t)
+    model = {**INERTER, "elements": [*INERTER["elements"], table]}
+    out = simulate(model, t, {"speed": v})
+    assert np.allclose(out["force"], 25.0 * 2.7 * np.cos(9.0 * t) + 80.0 * v, atol=0.1)
+
+
+@pytest.mark.parametrize(("model", "pair", "moves"), [(INERTER, ("rod", "ground"), False), (shaken("velocity"), ("m", "ground"), True)])  # fmt: skip
+def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_known(model, pair, moves):
+    network = Network.load(model)
+    t = np.arange(0, 4, 2e-3)
+    names = [c.name for c in network.outputs]
+    measured = {n: np.sin(9.0 * t) for n in names}
+    trace = Trace("run", False, t, {}, measured, measured, measured, measured)
+    response = Deconvolution.of(network, pair, trace, names)
+    if moves:  # as the mass answers against the table
+        compliance = 1 / (K - M * (2 * np.pi * response.frequency) ** 2 + 2j * np.pi * response.frequency * C)
+        assert np.allclose(np.abs(response.moved[:, 0]), np.abs(compliance), rtol=1e-6)
+    else:
+        assert not response.moved.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("quantity", "level"), [("velocity", 0.5), ("acceleration", 1.5)])
+def test_the_command_names_the_friction_of_a_rig_whose_table_is_told_by_its_rate(quantity, level, tmp_path):
+    rng = np.random.default_rng(2)
+    model = shaken(quantity)
+    model["outputs"] = model["outputs"][1:2]  # the travel
+    model["uncertainty"] = {"k.stiffness": 0.05, "c.damping": 0.5}
+    rub = {"name": "rub", "type": "coulomb_friction", "between": ["m", "table"], "level": level}
+    assert verdict(model, rub, quantity, rng, tmp_path) == ["coulomb_friction", ["m", "table"]]
+
+
+@pytest.mark.slow
+def test_the_command_names_the_friction_of_an_inerter_that_is_driven_by_a_speed(tmp_path):
+    rub = {"name": "rub", "type": "coulomb_friction", "between": ["rod", "ground"], "level": 40.0}
+    found = verdict(INERTER, rub, "velocity", np.random.default_rng(3), tmp_path)
+    assert found == ["coulomb_friction", ["rod", "ground"]]
+
+
+def verdict(model, hidden, quantity, rng, folder):
+    """What `isd-gym diagnose` names where `hidden` is missing in the model: [effect, terminals]."""
+    t = np.arange(0, 20, 5e-3)
+    (name,) = (c["name"] for c in model["inputs"])
+    phases = rng.uniform(0, 6, 5)
+    drive = sum(np.sin(2 * np.pi * f * t + p) for f, p in zip((0.3, 0.7, 1.1, 1.6, 2.3), phases, strict=True))
+    drive *= {"velocity": 0.1, "acceleration": 1.5}[quantity]
+    truth = {**model, "elements": [*model["elements"], hidden]}
+    out = simulate(truth, t, {name: drive})
+    columns = [t, drive, *(out[c["name"]] * (1 + 0 * t) for c in model["outputs"])]
+    columns[2:] = [y + 0.01 * y.std() * rng.standard_normal(len(t)) for y in columns[2:]]
+    header = ",".join(["time", name, *(c["name"] for c in model["outputs"])])
+    np.savetxt(folder / "run.csv", np.stack(columns, axis=1), delimiter=",", header=header, comments="")
+    (folder / "model.json").write_text(json.dumps(model))
+    done = CliRunner().invoke(
+        app, ["diagnose", str(folder / "run.csv"), "--model", str(folder / "model.json"), "--out", str(folder / "found")]
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert (folder / "found" / "report.html").stat().st_size > 10_000
+    said = json.loads((folder / "found" / "diagnosis.json").read_text())
+    assert said["verdict"] == "missing_effect"
+    (effect,) = said["effects"]
+    return [effect["effect"], list(effect["between"])]

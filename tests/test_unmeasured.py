@@ -1,4 +1,4 @@
-"""A road that nobody measured, in the likelihood: what motion alone tells, and what a known force adds."""
+"""A road that nobody measured, in the likelihood: what motion alone determines, what a known force adds, and when there is no name."""
 
 import json
 from dataclasses import replace
@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 from isd_gym import cli, simulate
 from isd_gym.data import Table, write_table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.unmeasured import identify
+from isd_gym.discrepancy import unmeasured as search
+from isd_gym.discrepancy.unmeasured import coloured_share, identify, plausible_range
 from isd_gym.errors import InputError
 from isd_gym.loggers import Recording, Signal
 from isd_gym.network import Network
@@ -173,10 +174,171 @@ def test_the_command_writes_what_the_records_tell(tmp_path):
     assert "Determined without the road: damper.damping." in done.output
     told = json.loads((tmp_path / "found" / "unmeasured.json").read_text())
     jsonschema.validate(told, load("isd-unmeasured/1"))
-    assert told["found"] is None and told["road"] == "road"
+    assert told["found"] is None and told["road"] == "road" and told["verdict"] == "parameters_only"
+    assert "failed gate" not in done.output
     found = Network.load(tmp_path / "found" / "model.json")
     assert found.parameters["damper.damping"] == pytest.approx(1500.0, rel=0.02)
     assert not found.inputs[0].measured
+
+
+def sealed(outputs, seconds):
+    """A drive of the built-in car, and its model without the friction of the seal."""
+    data = Network.load("quarter-car-isd").to_dict()
+    known = {c["name"]: c for c in data["outputs"]}
+    known["wheel_acceleration"] = {
+        "name": "wheel_acceleration",
+        "quantity": "acceleration",
+        "at": "wheel",
+        "unit": "m/s^2",
+    }
+    data["outputs"] = [known[name] for name in outputs]
+    (table, _) = drives(Network.load(data), True, seconds=seconds)
+    data["elements"] = [e for e in data["elements"] if e["name"] != "seal"]
+    del data["uncertainty"]["seal.level"]
+    return table, Network.load(data)
+
+
+TWO = ("body_acceleration", "suspension_travel")
+THREE = (*TWO, "wheel_acceleration")
+
+
+def likelihood_of(table, owner):
+    """The likelihood at its start, as the search makes it."""
+    made = []
+
+    def keep(*args):
+        made.append(search_start(*args))
+        return made[0]
+
+    search_start, search._start = search._start, keep
+    try:
+        identify(table, owner, road="road", effects=False, max_seconds=1e-9)
+    finally:
+        search._start = search_start
+    return made[0]
+
+
+def test_the_filter_has_a_solution_whatever_the_parameters():
+    """The damper in series drifts, and no output sees its elongation: that must not keep the filter from its stationary state."""
+    L = likelihood_of(*sealed(THREE, 2.0))
+    x = np.array([n.mean for n in L.numbers])
+    for k in range(len(x)):
+        for step in (-0.3, -0.01, 0.001, 0.3):
+            assert L.predict(x + step * (np.arange(len(x)) == k)) is not None
+
+
+def test_a_level_of_which_nothing_is_known_has_an_infinite_interval():
+    """A road too even to be seen has a level of any size below: its 95 % interval overflowed."""
+    L = likelihood_of(short(), car(True))
+    x = np.array([n.mean for n in L.numbers])
+    x[len(L.structure.free)] = -70.0
+    estimates = search._estimates(L.structure.network, search.Fitted(L, x, L(x)))
+    assert estimates.level.high == np.inf and np.isfinite(estimates.level.value)
+    checks = search.soundness(L.structure.network, estimates, L.predict(x), np.ones(3))
+    (gate,) = [c.gate for c in checks if c.gate.name == "finite"]
+    assert not gate.passed and (gate.value, gate.limit) == (1, 0)
+
+
+def test_a_model_that_runs_away_has_no_deviance():
+    """Its prediction errors overflow; no warning and no exception comes of that."""
+    L = likelihood_of(short(), car(True))
+    x = np.array([n.mean for n in L.numbers])
+    (u, y), *_ = L.records
+    assert L.predict(x) is not None
+    assert replace(L, records=((u, np.full_like(y, np.inf)),)).predict(x) is None
+    assert L.predict(x + 800.0) is None  # the value itself overflows
+
+
+def test_an_effect_is_plausible_in_the_range_of_its_class_or_of_the_model():
+    low, high = plausible_range(car(True), "linear_stiffness", "stiffness")
+    assert low <= 1e3 < high < 4.3e6
+    stiff = car(True).with_parameters({"tyre.stiffness": 1e7})
+    assert plausible_range(stiff, "linear_stiffness", "stiffness")[1] == pytest.approx(1e7)
+
+
+def test_prediction_errors_that_their_past_predicts_are_told_from_white_ones():
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal((4000, 2))
+    coloured = white.copy()
+    for k in range(1, len(white)):
+        coloured[k, 0] += 0.8 * coloured[k - 1, 0]
+    assert coloured_share([white], np.ones(2)).max() == 0.0
+    assert coloured_share([coloured], np.ones(2)) == pytest.approx([0.64, 0.0], abs=0.03)
+    assert coloured_share([coloured], np.full(2, 1e3)).max() == 0.0  # too small to matter
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("outputs", [TWO, THREE])
+def test_a_car_without_its_seal_is_given_no_linear_name(outputs, tmp_path):
+    table, owner = sealed(outputs, 8.0)
+    owner.save(tmp_path / "car.json")
+    write_table(tmp_path / "drive.csv", table)
+    words = ["diagnose", tmp_path / "drive.csv", "--model", tmp_path / "car.json", "--unmeasured", "road"]
+    words += ["--out", tmp_path / "found", "--json", tmp_path / "copy.json", "--max-seconds", "600"]
+    done = CliRunner().invoke(cli.app, list(map(str, words)))
+    assert done.exit_code == 0, done.output
+    told = json.loads((tmp_path / "found" / "unmeasured.json").read_text())
+    jsonschema.validate(told, load("isd-unmeasured/1"))
+    assert told == json.loads((tmp_path / "copy.json").read_text())
+    assert told["verdict"] == "unknown_effect" and told["found"] is None and told["determined"] == []
+    assert "No linear model explains the records" in done.output and "dry friction" in done.output
+    assert ("--cut wheel" in told["summary"]) is ("wheel_acceleration" in outputs)
+    gates = {g["gate"]: g for g in told["gates"]}
+    assert not gates["plausible"]["passed"] and gates["plausible"]["value"] > gates["plausible"]["limit"] == 3
+    assert not gates["white"]["passed"] and gates["complete"]["passed"]
+    assert Network.load(tmp_path / "found" / "model.json") == Network.load(tmp_path / "car.json")
+
+
+def test_wide_uncertainties_do_not_make_friction_linear():
+    """Every parameter stays in its range, but the past of the prediction errors predicts them."""
+    data = car(True).to_dict()
+    data["elements"].append(
+        {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 150.0}
+    )
+    (table, _) = drives(Network.load(data), True, seconds=8.0)
+    found = identify(table, car(True), effects=False)
+    gates = {g.name: g for g in found.gates}
+    assert gates["plausible"].passed and not gates["white"].passed
+    assert found.verdict == "unknown_effect" and "the prediction error of a" in found.summary
+
+
+def test_a_missing_inerter_is_named_with_the_gates_that_it_passed():
+    data = car(True).to_dict()
+    data["elements"].append(
+        {"name": "b", "type": "inertance", "between": ["body", "wheel"], "inertance": 60.0}
+    )
+    (table, _) = drives(Network.load(data), True, seconds=8.0)
+    found = identify(table, car(True))
+    assert found.verdict == "missing_effect" and all(g.passed for g in found.gates)
+    name, where, values = found.found
+    assert (name, where) == ("inertance", ("body", "wheel"))
+    assert values["inertance"].value == pytest.approx(60.0, rel=0.02)
+    assert found.model.parameters["inertance.inertance"] == values["inertance"].value
+
+
+@pytest.mark.parametrize(("limit", "tried"), [(3.0, "0 of 3"), (40.0, "2 of 3")])
+def test_the_time_limit_stops_the_search_and_says_so(limit, tried, monkeypatch):
+    """A clock that goes on by a second whenever it is read."""
+    now = iter(range(10**6))
+    monkeypatch.setattr(search.Clock, "seconds", property(lambda self: float(next(now))))
+    data = car(True).to_dict()
+    data["elements"].append(
+        {"name": "b", "type": "inertance", "between": ["body", "wheel"], "inertance": 60.0}
+    )
+    (table, _) = drives(Network.load(data), True, seconds=4.0)
+    found = identify(table, car(True), max_seconds=limit)
+    (note,) = [n for n in found.notes if "time limit" in n]
+    assert f"the time limit of {limit:g} s stopped the search: {tried} linear effects were tried" in note
+    gates = {g.name: g for g in found.gates}
+    assert not gates["complete"].passed and found.found is None
+    assert gates["converged"].passed is ("not converged" not in note)
+    assert found.verdict == "unknown_effect" and "A longer --max-seconds" in found.summary
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_a_time_limit_is_a_time():
+    with pytest.raises(InputError, match="time limit must be > 0 s"):
+        identify([short()], car(True), max_seconds=0.0)
 
 
 def test_one_way_at_a_time(tmp_path):

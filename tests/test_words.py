@@ -1,35 +1,210 @@
-"""The verdict in words: what the records to report by say against it is said."""
+"""The summary of a diagnosis: every sentence comes from the numbers of the document."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import asdict, replace
+from typing import Any
 
-from isd_gym.discrepancy.criteria import CRITERIA
-from isd_gym.discrepancy.evidence import Evidence
-from isd_gym.discrepancy.result import Effect, Quantity, Tabulated
-from isd_gym.discrepancy.words import NOT_BORNE_OUT, sentence, unnamed
+import pytest
 
-SEEN = Evidence(("travel",), (0.3,), (0.3,), (0.02,), (0.02,), (True,), (0.03,))
-FRICTION = Effect(
-    "coulomb_friction", ("mass", "ground"), None, 0.9, {"level": Quantity(3.0, 2.9, 3.1, "N", None)}, "seal"
+from isd_gym.discrepancy.criteria import CRITERIA, decide, gate, table_gates
+from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
+from isd_gym.discrepancy.words import NOT_BORNE_OUT, failures, plain_number, summary_of, unit_summary_of
+
+FRICTION = {
+    "effect": "coulomb_friction",
+    "between": ["mass", "ground"],
+    "confidence": 0.9,
+    "parameters": {"level": {"value": 3.0, "low": 2.9, "high": 3.1, "unit": "N"}},
+}
+SEEN = Evidence(
+    channels=("travel",),
+    before=(0.4,),
+    refit=(0.3,),
+    after=(0.02,),
+    floor=(0.02,),
+    floor_known=(True,),
+    worth=(0.03,),
+    effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=0.05),),
+    gain=2000.0,
+    again=9.0,
+    explained=0.99,
+    lead=50.0,
+    force_lead=50.0,
+    closest=(0.02,),
+    closest_share=0.4,
 )
 
 
-def said(after: float) -> str:
-    rows = {"before": 0.4, "refit": 0.3, "after": after, "noise_floor": 0.02}
-    gap = {row: {"travel": value} for row, value in rows.items()}
-    return sentence("missing_effect", [FRICTION], [], [], [], gap, SEEN, CRITERIA)
+def document(evidence: Evidence = SEEN, after: float = 0.02, **more: Any) -> dict[str, Any]:
+    """A diagnosis as its JSON has it, with the verdict of the evidence."""
+    decision = decide(evidence)
+    rows = {"before": evidence.before[0], "refit": evidence.refit[0], "after": after, "noise_floor": 0.02}
+    gates = [g.to_dict() for g in decision.gates]
+    rejected = {
+        "effects": ["coulomb_friction"],
+        "where": [["mass", "ground"]],
+        "values": [{"level": 3.0}],
+        "explained": evidence.explained,
+        "error": {k: {"travel": rows[k]} for k in ("before", "refit")} | {"after": {"travel": 0.07}},
+        "failed_gates": [g for g in gates if not g["passed"]],
+    }
+    return {
+        "verdict": decision.verdict,
+        "reason": decision.reason,
+        "effects": [FRICTION] if decision.verdict == "missing_effect" else [],
+        "small_effects": [FRICTION] if decision.small else [],
+        "alternatives": [],
+        "where": [{"channel": "travel", "share": 1.0, "bands_hz": [], "when": "velocity of a-b changes sign"}],
+        "parameters": {},
+        "gap": {"held_out": {k: {"travel": v} for k, v in rows.items()}, "closed": None},
+        "gates": gates,
+        "next_experiment": None,
+        "tabulated": None,
+        "best_table": None,
+        "best_candidate": rejected if gates and decision.verdict != "missing_effect" else None,
+        "remainder": None,
+        "stretches": None,
+        "constant": {},
+        "evidence": asdict(evidence),
+        "criteria": asdict(CRITERIA),
+    } | more  # fmt: skip
 
 
 def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:
-    assert "falls from 30.0 % to 2.1 %" in said(0.021)
-    assert NOT_BORNE_OUT not in said(0.021)
-    assert "rises from 30.0 % to 90.0 %" in said(0.9)
-    assert said(0.9).endswith(NOT_BORNE_OUT)
+    assert "falls from 30.0 % to 2.1 %" in summary_of(document(after=0.021))
+    assert NOT_BORNE_OUT not in summary_of(document(after=0.021))
+    assert "rises from 30.0 % to 90.0 %" in summary_of(document(after=0.9))
+    assert summary_of(document(after=0.9)).endswith(NOT_BORNE_OUT)
 
 
-def test_so_does_a_table() -> None:
-    axis = np.linspace(-1.0, 1.0, 5)
-    table = Tabulated(("mass", "ground"), "rate", "missing_force", 0.6, (), tuple(axis), axis, axis, axis)
-    assert NOT_BORNE_OUT not in unnamed(table, 0.5)
-    assert unnamed(table, -0.5).endswith(NOT_BORNE_OUT)
+#: friction that takes the error from 30 to 7 %, whose level is known to a factor of 20 only
+VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=3.0),))
+
+
+def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() -> None:
+    said = summary_of(document(VAGUE))
+    assert "The best candidate, coulomb friction between mass and ground, takes the error in travel" in said
+    assert "from 30.0 % to 7.0 % and fails 1 of 10 gates: determined (0.95, needed below 0.9)." in said
+    nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, closest=())))
+    assert "No known effect gains anything" in nothing
+
+
+def tried(explained: float, moved: float = 0.2, again: float = 5.0) -> dict[str, Any]:
+    gates = [g.to_dict() for g in table_gates(explained, moved, again)]
+    return {"between": ["mass", "ground"], "over": "elongation", "explained": explained, "gates": gates}
+
+
+def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> None:
+    said = summary_of(document(VAGUE, best_table=tried(0.93, again=1.2)))
+    assert "removes 93 % of the held-out excess error" in said
+    assert "replicated (1.2, needed at least 2)" in said
+    assert "depend on time" not in said and "half" not in said
+    said = summary_of(document(VAGUE, best_table=tried(0.3)))
+    assert "removes 30 % of the held-out excess error (needed 50 %)." in said
+    assert "depend on time, on its own past" in said
+
+
+def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
+    table = {
+        "between": ["mass", "ground"],
+        "over": "both",
+        "element": "missing_force",
+        "explained": 0.6,
+        "nearest": [{"effect": "gas_spring", "share": 0.88}],
+        "shares": {"elongation": 0.97, "rate": 0.05},
+    }
+    closed = {"held_out": document(VAGUE)["gap"]["held_out"], "closed": -0.5}
+    said = summary_of(document(VAGUE, tabulated=table, best_table=tried(0.6)))
+    assert "removes 60 % of the held-out excess error" in said and "gas spring 88 %" in said
+    assert "distance alone gives 97 % of it, rate alone gives 5 % of it" in said
+    assert NOT_BORNE_OUT not in said
+    assert NOT_BORNE_OUT in summary_of(document(VAGUE, tabulated=table, gap=closed))
+
+
+def test_the_length_of_stretches_is_the_one_that_was_compared() -> None:
+    over = {"count": 4, "shortest": 7.5, "longest": 15.0, "reason": "astray", "error": 0.61, "limit": 0.5}
+    said = summary_of(document(stretches=over))
+    assert "Compared over 4 stretches of 7.5 to 15 s" in said and "errs by 61.0 %" in said and "50 %" in said
+
+
+def test_what_is_left_beside_a_name_is_told() -> None:
+    addition = {"effects": ["backlash"], "where": [["a", "b"]], "error": 0.05}
+    left = {
+        "channel": "travel",
+        "after": 0.2,
+        "noise_floor": 0.02,
+        "when": "everywhere",
+        "candidate": addition,
+    }
+    said = summary_of(document(after=0.2, remainder=left))
+    assert "An error of 20.0 % in travel is left (noise 2.0 %): another effect may be missing." in said
+    assert "backlash between a and b, would leave 5.0 %" in said
+
+
+def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
+    rivals = [
+        {"effects": [name], "where": [["mass", "ground"]], "excess": excess, "why_not": ""}
+        for name, excess in (("coulomb_friction", 0.01), ("hysteresis", 0.012))
+    ]
+    abreast = replace(SEEN, abreast=("hysteresis at mass-ground",), lead=1.0)
+    said = summary_of(document(abreast, alternatives=rivals, next_experiment={"do": "a sine"}))
+    assert "which of 2 explanations is right: coulomb friction between mass and ground (leaves 1.0 %" in said
+    assert said.endswith("Next: play the test in next_experiment.csv.")
+    alone = summary_of(document(abreast, alternatives=rivals[:1]))
+    assert "fails ahead (1, needed at most 0)" in alone
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "words"),
+    [
+        ({"refit": (0.021,)}, "immaterial", "no channel errs by more than 0.6 % of its"),
+        ({"refit": (0.05,), "worth": (0.06,)}, "small_effects", "leave up to 6.0 %"),
+        ({"refit": (0.06,), "floor": (0.05,), "worth": (0.01,)}, "noise", "travel errs by 3.3 % beyond the noise of 5.0 %"),
+    ],
+)  # fmt: skip
+def test_why_nothing_is_missing_is_told_with_its_figures(change: dict, reason: str, words: str) -> None:
+    base = {"before": (0.2,), "effects": (), "after": (0.02,), "closest": ()}
+    quiet = replace(SEEN, **(base | change))
+    spring = {"prior": 100.0, "value": 112.0, "low": 111.0, "high": 113.0, "unit": "N/m"}
+    d = document(quiet, parameters={"k.stiffness": spring})
+    assert (d["verdict"], d["reason"]) == ("parameters_only", reason)
+    said = summary_of(d)
+    assert words in said
+    assert "k.stiffness from 100 to 112 N/m (+12.0%)" in said
+
+
+def test_a_small_effect_is_told_with_its_share_or_the_gate_it_fails() -> None:
+    small = replace(SEEN, effects=(replace(SEEN.effects[0], share=0.02),), refit=(0.08,), worth=(0.085,))
+    small = replace(small, closest_share=0.02)
+    said = summary_of(document(small))
+    assert "Too small to be named: coulomb friction between mass and ground (level 3 N), 2.0 %" in said
+
+
+def test_a_bound_of_the_noise_is_told() -> None:
+    bounded = replace(VAGUE, floor_known=(False,))
+    assert "only bound the noise of travel (at most 2.0 %)" in summary_of(document(bounded))
+
+
+def test_a_unit_whose_sensor_has_another_zero() -> None:
+    d = document(replace(SEEN, effects=(), after=SEEN.refit, closest=()), constant={"travel": 0.9})
+    said = unit_summary_of(d)
+    assert "A constant is 90 % of the squared error in travel" in said and "shows no inside" in said
+
+
+def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:
+    """JSON has null for such a figure; the summary is written all the same."""
+
+    def blanked(node: Any) -> Any:
+        if isinstance(node, dict):
+            return {k: v if k in ("criteria", "count") else blanked(v) for k, v in node.items()}
+        if isinstance(node, list | tuple):
+            return [blanked(v) for v in node]
+        return None if isinstance(node, float) else node
+
+    for made in (document(), document(VAGUE, best_table=tried(0.3)), document(replace(SEEN, refit=(0.021,)))):
+        assert summary_of(blanked(made))
+    assert plain_number(None) == "unknown"
+    assert failures([gate("g", float("nan"), ">", 1.0, "").to_dict() | {"value": None}]) == (
+        "g (unknown, needed above 1)"
+    )

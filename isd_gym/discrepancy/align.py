@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError
-from ..network import Network
 from .fit import Fit, Fitter
 from .initial import guess
 from .noise import plain
@@ -17,6 +16,11 @@ from .problem import Array, Problem, Record
 from .rasters import record_of
 from .structure import Structure, base_structure
 from .tangent import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from ..network import Network
 
 LIMIT = 0.5  # [s] lags are sought up to this
 TRIALS = 400  # lags of a first look

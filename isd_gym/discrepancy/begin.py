@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..data import Table
 from ..errors import InputError
-from ..loggers.recording import Recording
 from ..network import Network, assemble
 from ..units import convert
 from .align import Lag, aligned, read_again
@@ -21,6 +19,11 @@ from .problem import Array, Problem, bare
 from .records import read
 from .states import carrier
 from .structure import base_structure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..loggers.recording import Recording
 
 
 @dataclass(frozen=True)

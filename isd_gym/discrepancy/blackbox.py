@@ -6,16 +6,19 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..cosimulation import Port, Unit, UnitModel
 from ..errors import InputError
 from .least_squares import bounded_step
 from .noise import Whitener, finer, innovations, plain, trust, whitener
-from .problem import Array, Record
 from .result import Quantity
 from .structure import Free, Structure, base_structure
+
+if TYPE_CHECKING:
+    from ..cosimulation import Port, Unit, UnitModel
+    from .problem import Array, Record
 
 Say = Callable[[str], None]
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +13,12 @@ from ..errors import InputError
 from .fit import Fit, Fitter, residuals
 from .motion import motions
 from .noise import finer, innovations, plain, trust, whitener
-from .problem import Array, Problem
 from .structure import Hypothesis, Structure, rebuilt
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .problem import Array, Problem
 
 #: what a fit or a simulation that breaks down raises
 BROKEN = (InputError, np.linalg.LinAlgError)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from .candidate import BROKEN, Candidate, relative
@@ -10,7 +12,9 @@ from .imitate import apart, sound
 from .judge import block_lead, moved
 from .refits import Refits
 from .structure import in_line, twin
-from .trial import Trial
+
+if TYPE_CHECKING:
+    from .trial import Trial
 
 
 class Compared(Refits):

@@ -6,12 +6,23 @@ The verdict is the conjunction of the gates that the report shows.
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from .evidence import Evidence
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .evidence import Evidence
 
 Verdict = Literal["missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"]
+#: Why nothing is named. gates: a gate failed, or all passed. immaterial: the refitted model errs by less than `Criteria.material`
+#: beyond noise. noise: by less than the noise, and no effect gains anything. small_effects: by no more than small effects leave.
+#: closed_by_small: effects too small to be named close the gap. too_small: the effect that was found is small. doubtful_sensor: a sensor
+#: may be to blame for a narrow gap.
+Reason = Literal[
+    "gates", "immaterial", "noise", "small_effects", "closed_by_small", "too_small", "doubtful_sensor"
+]
 
 
 def limit(value: float, unit: str, why: str, source: str) -> Any:
@@ -139,24 +150,78 @@ class Criteria:
 CRITERIA = Criteria()
 
 
+#: how a gate's value is compared with its limit
+Relation = Literal["<", "<=", ">", ">="]
+
+COMPARE: dict[Relation, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+#: largest magnitude of a gate's value: an infinite one is stated as this
+MOST = 1e6
+
+
 @dataclass(frozen=True)
 class Gate:
-    """One of the gates that a name has to pass: `value` against `limit`."""
+    """One condition for a name: `passed` is the truth of ``value relation limit``.
+
+    name: of the gate. value: the number that was tested. limit: what it was compared with. text: what the value is.
+    """
 
     name: str
     passed: bool
     value: float
     limit: float
     text: str
+    relation: Relation = ">"
+
+    @property
+    def comparison(self) -> str:
+        """The comparison in a few characters, such as ``0.0142 < 0.03``."""
+        return f"{self.value:.3g} {self.relation} {self.limit:.3g}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the JSON of a diagnosis has it."""
+        return {
+            "gate": self.name,
+            "passed": self.passed,
+            "value": self.value,
+            "relation": self.relation,
+            "limit": self.limit,
+            "text": self.text,
+        }
+
+
+def gate(name: str, value: float, relation: Relation, limit: float, text: str) -> Gate:
+    """Return a gate that passes where ``value relation limit`` holds; infinite values are stated as `MOST`."""
+    value = min(max(float(value), -MOST), MOST)
+    return Gate(name, COMPARE[relation](value, limit), value, float(limit), text, relation)
+
+
+def all_of(*conditions: Gate) -> Gate:
+    """Return the first condition that fails, or the first of all where none does."""
+    return next((g for g in conditions if not g.passed), conditions[0])
+
+
+def any_of(*conditions: Gate) -> Gate:
+    """Return the first condition that passes, or the first of all where none does."""
+    return next((g for g in conditions if g.passed), conditions[0])
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The verdict and the gates that it follows from; `small`: what there is, is too small to be named."""
+    """The verdict, the gates it follows from, and the reason where nothing is named.
+
+    small: whether an effect is there that is too small, or not certain enough, to be named.
+    reason: the condition of `decide` that led to the verdict.
+    """
 
     verdict: Verdict
     gates: tuple[Gate, ...]
     small: bool = False
+    reason: Reason = "gates"
 
 
 def wide_enough(width: float, beyond_small: bool, size: float, c: Criteria = CRITERIA) -> bool:
@@ -169,105 +234,198 @@ def wide_enough(width: float, beyond_small: bool, size: float, c: Criteria = CRI
 
 
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
-    """The gates with their figures."""
-    size = min(x.share for x in e.effects)
-    alone = len(e.effects) == 1 and e.explained >= c.alone and wide_enough(e.width, e.beyond_small, size, c)
-    left = "no more" if e.adequate_rest(c.several) else "more"
-    worst = max((x.spread for x in e.effects), default=0.0)
-    odd = [x for x in e.effects if x.complaint]
-    sensors = [x for x in e.effects if x.sensor]
+    """Return the gates. Where a gate has several conditions, its figures are those of the condition that decided."""
     return (
-        Gate(
-            "significant",
-            e.gain > c.significant or e.halved,
-            e.gain,
-            c.significant,
-            "twice the log likelihood gained over the refitted model, its own coloured noise allowed for"
-            + (" (or half of the gap's power closed, as here)" if e.halved else ""),
-        ),
-        Gate(
+        _significant(e, c),
+        gate(
             "replicated",
-            e.again > c.replicated,
             e.again,
+            ">",
             c.replicated,
-            "standard errors, over held-out blocks, by which it does better than the refitted model",
+            "standard errors, over held-out blocks, by which the error is smaller than the refitted model's",
         ),
-        Gate(
-            "material",
-            e.moved >= c.material and (size >= c.share or alone),
-            e.moved,
-            c.material,
-            f"share of a channel's standard deviation that it moves; {size:.1%} of the force, current or signal at its place "
-            + (
-                f"(less than {c.share:.0%}, but it closes {e.explained:.0%} of a gap that is wide, or beyond what small effects make)"
-                if alone and size < c.share
-                else f"(needed {c.share:.0%})"
-            ),
-        ),
-        Gate(
-            "adequate",
-            e.fits
-            and (
-                e.explained >= c.adequate
-                # small effects excuse what is left: half of a name where that is no wide gap itself, a whole one anyway
-                or (
-                    e.adequate_rest(c.several)
-                    and ((e.explained >= c.half and e.width_after < c.wide) or e.fitted_explained >= c.alone)
-                )
-            ),
-            e.explained,
-            c.adequate,
-            "share of the held-out excess error removed, and of that in the channel with the widest gap; what is left is "
-            f"{left} than small effects make ({e.fitted_explained:.0%} removed on the records that were fitted to)",
-        ),
-        Gate(
-            "determined",
-            worst < c.determined and not odd,
-            worst,
-            c.determined,
-            "logarithm of the factor by which the least certain value may be off (95 %)"
-            + (f"; {odd[0].label}: {odd[0].complaint}" if odd else ""),
-        ),
-        Gate(
+        _material(e, c),
+        _adequate(e, c),
+        _determined(e, c),
+        gate(
             "plausible",
-            not e.driven_out,
             len(e.driven_out),
+            "<=",
             0,
-            "parameters of the owner's laws over the same plane at its place that the name drives to the limit of what the owner allows"
-            + (f": {', '.join(e.driven_out)}" if e.driven_out else ""),
+            "parameters of the model's own laws over the same plane at the same place that the name drives to the limit of "
+            "their stated uncertainty" + (f": {', '.join(e.driven_out)}" if e.driven_out else ""),
         ),
-        Gate(
+        gate(
             "ahead",
-            not e.abreast,
-            min(e.lead, 1e3),
-            c.ahead,
-            "excess error of the nearest rival of another kind over its own"
-            + (f"; abreast: {'; '.join(e.abreast)}" if e.abreast else ""),
+            len(e.abreast),
+            "<=",
+            0,
+            "rivals of another kind that cannot be told apart"
+            + (f": {'; '.join(e.abreast)}" if e.abreast else "")
+            + (f"; the nearest leaves {e.lead:.3g} times the excess error" if e.lead < MOST else ""),
         ),
-        Gate(
+        gate(
             "shape",
-            e.shapeless < c.half,
             e.shapeless,
+            "<",
             c.half,
-            "share of what is left that a free curve in the effect's place removes",
+            "share of the remaining excess error that a free curve in the effect's place removes",
         ),
-        Gate(
+        gate(
             "likely",
-            e.sure >= c.likely,
             e.sure,
+            ">=",
             c.likely,
             "share of resamplings of the held-out records in which the choice stays",
         ),
-        Gate(
-            "forces first",
-            not sensors
-            or e.force_lead
-            >= (c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far),
-            min(e.force_lead, 1e3) if sensors else math.inf,
-            c.forces_first,
-            "no sensor is blamed"
-            if not sensors
-            else "excess error of the best explanation by a force over that by the sensor's fault",
+        _forces_first(e, c),
+    )
+
+
+def _significant(e: Evidence, c: Criteria) -> Gate:
+    return any_of(
+        gate(
+            "significant",
+            e.gain,
+            ">",
+            c.significant,
+            "twice the log likelihood gained over the refitted model, under the candidate's own coloured noise",
+        ),
+        gate(
+            "significant",
+            e.power_left,
+            "<",
+            1.0 - c.half,
+            f"share of the gap's power left on the fitted records; enough, though the gain is only {e.gain:.3g} (2 log L, needed "
+            f"{c.significant:.3g})",
+        ),
+    )
+
+
+def _material(e: Evidence, c: Criteria) -> Gate:
+    size = min(x.share for x in e.effects)
+    moves = f"it moves a channel by {e.moved:.1%} of the standard deviation (needed {c.material:.0%})"
+    large = gate(
+        "material", size, ">=", c.share, f"share of the force, current or signal at its place; {moves}"
+    )
+    ways = [large]
+    if len(e.effects) == 1:  # a small force that closes a wide gap is worth a name
+        instead = (
+            f"its force is only {size:.1%} of that at its place (otherwise needed {c.share:.0%}); {moves}"
+        )
+        closes = gate(
+            "material",
+            e.explained,
+            ">=",
+            c.alone,
+            f"share of the held-out excess error removed from a wide gap; {instead}",
+        )
+        wide = gate("material", e.width, ">", c.wide, "mean excess error of the refitted model over channels")
+        beyond = gate("material", size, ">", c.small, "share of the force at its place")
+        ways.append(all_of(closes, any_of(wide, *([beyond] if e.beyond_small else []))))
+    moved = gate(
+        "material",
+        e.moved,
+        ">=",
+        c.material,
+        f"largest share of a channel's standard deviation by which the error falls; its force is {size:.1%} of that at its place",
+    )
+    return all_of(any_of(*ways), moved)
+
+
+def _adequate(e: Evidence, c: Criteria) -> Gate:
+    removed = "share of the held-out excess error removed, in all and in the channel with the widest gap"
+    rest = f"the rest is {e.rest:.3g} times the power that small effects leave"
+    main = gate("adequate", e.explained, ">=", c.adequate, f"{removed}; {rest}")
+    excused = f"enough, since {rest} (limit {c.several:g})"
+    # small effects excuse the rest: half of a name where the rest is no wide gap itself, a whole one anyway
+    part = all_of(
+        gate("adequate", e.explained, ">=", c.half, f"{removed}; {excused}"),
+        gate(
+            "adequate",
+            e.width_after,
+            "<",
+            c.wide,
+            "mean excess error over channels that the candidate leaves",
+        ),
+    )
+    fitted = gate(
+        "adequate",
+        e.fitted_explained,
+        ">=",
+        c.alone,
+        f"share of the excess error removed on the fitted records; {excused}; held out: {e.explained:.0%}",
+    )
+    few = gate("adequate", e.rest, "<", c.several, "remaining power over that which small effects leave")
+    fits = gate(
+        "adequate",
+        e.fitted_ratio,
+        "<=",
+        1.0,
+        "error on the fitted records over the refitted model's, geometric mean over channels",
+    )
+    return all_of(any_of(main, all_of(any_of(part, fitted), few)), fits)
+
+
+def _determined(e: Evidence, c: Criteria) -> Gate:
+    worst = max((x.spread for x in e.effects), default=0.0)
+    odd = [x for x in e.effects if x.complaint]
+    return all_of(
+        gate(
+            "determined",
+            # a factor of 10 by which a value may be too large: nine tenths of the value are uncertain
+            -math.expm1(-worst),
+            "<",
+            -math.expm1(-c.determined),
+            "half of the widest 95 % interval over the value (1: the interval holds zero)",
+        ),
+        gate(
+            "determined",
+            len(odd),
+            "<=",
+            0,
+            "effects with impossible values" + (f": {odd[0].label}: {odd[0].complaint}" if odd else ""),
+        ),
+    )
+
+
+def _forces_first(e: Evidence, c: Criteria) -> Gate:
+    sensors = [x for x in e.effects if x.sensor]
+    if not sensors:
+        return gate("forces first", 0, "<=", 0, "sensors that are blamed")
+    largest = max(x.fault for x in sensors)
+    doubtful = not all(x.fault < c.doubtful for x in sensors)
+    return gate(
+        "forces first",
+        e.force_lead,
+        ">=",
+        c.forces_far if doubtful else c.forces_first,
+        f"excess error of the best explanation by a force over that by the sensor's fault of {largest:.2g} (of the gain, or of "
+        f"the motion's time; from {c.doubtful:g} on the limit is {c.forces_far:g})",
+    )
+
+
+def table_gates(explained: float, moved: float, again: float, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
+    """Return the conditions for a force without a name to be stated as a table.
+
+    explained: share of the held-out excess error that the table removes. moved: largest share of a channel's standard deviation by
+    which the error falls. again: standard errors of the gain over held-out blocks.
+    """
+    return (
+        gate("explains", explained, ">=", c.half, "share of the held-out excess error removed"),
+        gate(
+            "material",
+            moved,
+            ">=",
+            c.material,
+            "largest share of a channel's standard deviation by which the error falls",
+        ),
+        gate(
+            "replicated",
+            again,
+            ">=",
+            c.replicated,
+            "standard errors, over held-out blocks, by which the error is smaller than the refitted model's",
         ),
     )
 
@@ -281,24 +439,27 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     if gates and not failed:
         return Decision("missing_effect", gates)
     if all(x < c.material for x in e.excess_refit) and e.believed(c.misses):
-        return Decision(agreed, gates, small=there)
+        return Decision(agreed, gates, small=there, reason="immaterial")
     # nothing gains anything, and more of what is left is noise: that is no finding
     if not gates or "significant" in failed:
         hidden = all(x < f for x, f in zip(e.excess_refit, e.floor, strict=True))
         if hidden and e.width < c.wide and e.believed(c.misses):
-            return Decision(agreed, gates)
+            return Decision(agreed, gates, reason="noise")
     # small effects would make the gap, or do close it
     closes = bool(gates) and e.closed_by_small(c.share)
     little = all(x < w for x, w in zip(e.excess_refit, e.worth, strict=True))
     # what small effects make of a wide gap is no agreement
     if (little or closes) and e.width < c.wide and e.believed(c.misses):
-        return Decision(agreed, gates, small=there)
+        return Decision(agreed, gates, small=there, reason="small_effects" if little else "closed_by_small")
     if failed == {"material"} and e.width < c.wide and e.believed(c.misses):
-        return Decision(agreed, gates, small=True)  # found, and too small to be named
+        # found, and too small to be named
+        return Decision(agreed, gates, small=True, reason="too_small")
     if failed & {"ahead", "forces first"} and failed <= {"ahead", "forces first", "likely"}:
         # a sensor that is perhaps to blame for little is no finding
         little = "forces first" in failed and e.width < c.wide and e.believed(c.misses)
-        return Decision(agreed, gates, small=True) if little else Decision("ambiguous", gates)
+        if little:
+            return Decision(agreed, gates, small=True, reason="doubtful_sensor")
+        return Decision("ambiguous", gates)
     return Decision("unknown_effect", gates)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from ..data import Table, write_table
 from ..errors import InputError, shown
 from ..errors import plain as one_line
 from ..inputs import read_json
-from ..network import Network
 from .candidate import BROKEN, Candidate
 from .excitation import Excitation, Rig, candidates, default, record_of, rig_of, table_of
 from .fit import Fitter, residuals
@@ -22,6 +21,9 @@ from .judge import LEAST_NOISE
 from .noise import innovations, plain
 from .problem import Array, Problem, Record
 from .structure import Hypothesis, Structure, rebuilt
+
+if TYPE_CHECKING:
+    from ..network import Network
 
 FINALS = 5  # tests for which rivals are refitted in full
 MOST = 3  # rivals that are held against one another

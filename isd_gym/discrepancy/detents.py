@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .fit import Fit, Fitter
 from .motion import motions
-from .problem import Problem
+
+if TYPE_CHECKING:
+    from .fit import Fit, Fitter
+    from .problem import Problem
 
 
 def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:

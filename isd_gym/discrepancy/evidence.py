@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 def row(values: Iterable[float]) -> tuple[float, ...]:
@@ -36,7 +39,7 @@ class Evidence:
     before, refit, after: errors of the owner's model, of it refitted, and of the candidate. floor: noise; floor_known:
     whether the signal or the owner tells it, or it is only bounded. worth: excess that small effects make of the model
     refitted; worth_after: of the candidate, which may have many rests. Of the candidate: its `effects`; gain (2 log L) and
-    whether it halves the gap's power (halved); again: standard errors of the gain over held-out blocks; explained: share of the
+    the share of the gap's power on the fitted records that it leaves (power_left); again: standard errors of the gain over held-out blocks; explained: share of the
     refitted model's excess; lead: excess of the nearest rival of another kind over its own, and those that are abreast;
     force_lead: the same of the best rival that blames no sensor; sure: how often it is chosen when held-out blocks are drawn anew;
     shapeless: share of what it leaves that a free curve in its effect's place removes.
@@ -55,7 +58,7 @@ class Evidence:
     worth: tuple[float, ...]
     effects: tuple[EffectEvidence, ...] = ()
     gain: float = 0.0
-    halved: bool = False
+    power_left: float = 1.0
     again: float = 0.0
     explained: float = 0.0
     lead: float = math.inf
@@ -119,12 +122,11 @@ class Evidence:
         """
         return tuple(x for x in self.limits if x in self.beside and x not in self.refit_limits)
 
-    def adequate_rest(self, several: float) -> bool:
-        """Whether what is left is no more than so many small effects make, whose powers add up."""
-        return all(
-            x**2 < several * w**2
-            for x, w in zip(self.excess_after, self.worth_after or self.worth, strict=True)
-        )
+    @property
+    def rest(self) -> float:
+        """Power that the candidate leaves over the power that small effects leave, in the channel where that is largest."""
+        pairs = zip(self.excess_after, self.worth_after or self.worth, strict=True)
+        return max(x**2 / max(w**2, 1e-12) for x, w in pairs)
 
     @property
     def width_after(self) -> float:
@@ -132,14 +134,15 @@ class Evidence:
         return sum(self.excess_after) / len(self.channels)
 
     @property
-    def fits(self) -> bool:
-        """Whether the candidate errs no more than the refitted model on the records that it was fitted to, in the channels' geometric mean.
+    def fitted_ratio(self) -> float:
+        """Error of the candidate over that of the refitted model on the fitted records, geometric mean over channels.
 
-        How much less says little: a refitted model makes up for a good part of what it lacks there; and where dry friction lets one
-        channel drift, that one says nothing.
+        A ratio just below 1 is no merit: a refitted model makes up for a good part of what it lacks there; and where dry friction lets
+        one channel drift, that channel says nothing.
         """
-        pairs = zip(self.fitted_refit, self.fitted_after, strict=True)
-        return sum(math.log(max(after, 1e-12) / max(refit, 1e-12)) for refit, after in pairs) <= 0.0
+        pairs = list(zip(self.fitted_refit, self.fitted_after, strict=True))
+        total = sum(math.log(max(after, 1e-12) / max(refit, 1e-12)) for refit, after in pairs)
+        return math.exp(total / max(len(pairs), 1))
 
     def closed_by_small(self, share: float) -> bool:
         """Whether effects too small to be named would close the gap."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +13,9 @@ from ..errors import InputError, shown
 from ..network import Channel, Network, assemble
 from ..units import convert
 from .problem import Array, Record, bare
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
 
 KINDS = ("multisine", "sweep", "steps", "triangle")
 #: what a rig is taken to do at an input where neither data nor options say: reach [SI unit] and slope [SI unit/s]

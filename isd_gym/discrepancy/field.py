@@ -6,23 +6,27 @@ the initial states are refitted, follow from one matrix of products per channel;
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..elements import Start
 from ..errors import InputError
 from ..network import Channel, Network, assemble
-from .fit import Fit
 from .hypotheses import hypotheses
 from .judge import LEAST_NOISE
 from .motion import setting, together
 from .problem import Array, Problem, bare
-from .stand import Stand
 from .structure import Hypothesis, Structure, add
 from .tangent import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from .fit import Fit
+    from .stand import Stand
 
 STARTS = 5  # of a hypothesis at most: shapes between them are found by refitting
 #: share of a response that, left by a refit, is no more than rounding
@@ -48,7 +52,7 @@ def starts_of(stand: Stand, wanted: Sequence[Hypothesis], most: int = STARTS) ->
     for h in wanted:
         pair = stand.motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
         try:
-            starts = h.kind.starts(setting(stand.problem, stand.network, h, pair, stand.force))
+            starts = h.kind.starts(setting(stand.problem, stand.network, h, pair, stand.forces.at(h.where)))
         except (InputError, ValueError, ZeroDivisionError):
             continue
         if not starts:

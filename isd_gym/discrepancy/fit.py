@@ -7,8 +7,8 @@ was had is used again while it still leads down: it costs many simulations, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +18,12 @@ from .initial import guess, next_states
 from .least_squares import bounded_step
 from .objective import Objective, Point, Slope
 from .problem import Array, Problem, bare
-from .structure import Structure
 from .tangent import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from .structure import Structure
 
 #: steps that a slope is used for again
 CHORDS = 2

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..arrays import Array
 from ..files import write_text
-from ..network import Network
-from .problem import Record
 from .result import _plain
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..arrays import Array
+    from ..network import Network
+    from .problem import Record
 
 SCHEMA = "isd-plan/1"
 

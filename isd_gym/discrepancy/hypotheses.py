@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 from .. import elements as el
 from ..network import GROUND, Network
-from ..network.frames import frames
+from ..network.frames import frames, order_told
 from .structure import Hypothesis
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 __all__ = ["Hypothesis", "hypotheses", "pairs"]
 
@@ -17,12 +20,12 @@ __all__ = ["Hypothesis", "hypotheses", "pairs"]
 def pairs(network: Network) -> list[tuple[str, str]]:
     """Pairs of nodes that can carry a force: those joined already, and every mass with every other and with the ground.
 
-    Where nobody knows how far the ground is (`frames`), there is none.
+    A pair of which the inputs tell neither distance nor rate (`frames.order_told`) is none of them.
     """
     riding = frames(network)
     out: dict[frozenset[str], tuple[str, str]] = {}
     for e in network.elements:
-        if e.place == "between" and not e.series:
+        if e.place == "between" and not e.series and order_told(network, e.between) < 2:
             out.setdefault(frozenset(e.where), e.between)
     seen = {
         m: network.tied[m] if m in riding else -1
@@ -33,7 +36,7 @@ def pairs(network: Network) -> list[tuple[str, str]]:
         if seen[pair[0]] == seen[pair[1]] and (pair[0] in network.rotating) == (pair[1] in network.rotating):
             out.setdefault(frozenset(pair), pair)
     for m in network.masses:
-        if m not in riding and (m not in network.moved_nodes or not riding):
+        if order_told(network, (m, GROUND)) < 2 and (m not in network.moved_nodes or not riding):
             out.setdefault(frozenset((m, GROUND)), (m, GROUND))
     return list(out.values())
 
@@ -44,7 +47,9 @@ def places(network: Network, kind: type[el.Element]) -> list[tuple[str, ...]]:
         return [(e.name,) for e in network.elements if isinstance(e, el.Motor)]
     if kind.place == "channel":
         return [(c.name,) for c in network.outputs]
-    return list(pairs(network))
+    # a law of travel needs the distance; what is put in series with others has a travel of its own
+    travel = kind.plane == "elongation" and not kind.series
+    return [p for p in pairs(network) if not (travel and order_told(network, p))]
 
 
 def hypotheses(network: Network) -> Iterator[Hypothesis]:

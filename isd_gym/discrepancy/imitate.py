@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from .. import elements as el
 from .candidate import BROKEN, Candidate, values_of
+from .forces import place_forces
 from .hypotheses import hypotheses
-from .motion import force_scale, motions, setting
-from .problem import Array, Problem
+from .motion import motions, setting
 from .structure import Hypothesis, Structure, rebuilt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from .problem import Array, Problem
 
 POINTS = 240  # of the motion at which forces are compared
 NEAR = 0.5  # share of the found force that an imitation may miss
@@ -25,7 +30,7 @@ MOSTLY = 0.95  # share of the samples that lie within the travel that counts
 def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     """The candidate with one of its laws replaced by another that gives nearly the same force over the motion at hand."""
     found = [(h, values_of(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
-    motion, force = motions(problem, candidate.fit), force_scale(problem)
+    motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
     for k, element in enumerate(candidate.elements):
         m = motion.get(element.between) if element.place == "between" else None
         # of what repeats, and does not do so within the travel, only a curve is left
@@ -39,7 +44,7 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
             # special and general cases of one law are weighed against one another elsewhere
             if element.type in h.kind.contains or h.effect in (element.type, *element.contains):
                 continue
-            fitted = _imitate(h, [element], setting(problem, problem.network, h, m, force), own)
+            fitted = _imitate(h, [element], setting(problem, problem.network, h, m, forces.at(h.where)), own)
             if fitted is not None and fitted[0] < NEAR:
                 near.append((fitted[0], h, fitted[1]))
         for _, h, values in sorted(near, key=lambda t: t[0])[:MOST]:
@@ -53,7 +58,7 @@ def joined(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     """The candidate with one law for several over one plane at one place: begun from the values of one of those, it may end in a
     place of its own."""
     found = [(h, values_of(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
-    motion, force = motions(problem, candidate.fit), force_scale(problem)
+    motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
     alike: dict[tuple[object, ...], list[int]] = {}
     for k, e in enumerate(candidate.elements):
         # what is a function of the rate has no memory
@@ -65,7 +70,7 @@ def joined(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
             continue
         near: list[tuple[float, Hypothesis, dict[str, float]]] = []
         for h in curves(problem, several[0]):
-            at = setting(problem, problem.network, h, motion[several[0].between], force)
+            at = setting(problem, problem.network, h, motion[several[0].between], forces.at(h.where))
             fitted = _imitate(h, several, at)
             if fitted is not None and fitted[0] < NEAR:
                 near.append((fitted[0], h, fitted[1]))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from ..network.frames import frames
 from .problem import Array, Problem, Record, bare
 from .states import motion_rows_of
 from .structure import Structure, twin
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 
 def motion_rows(problem: Problem, network: Network) -> Array:
@@ -94,8 +97,9 @@ def along(
     position, velocity = asm.position[: len(nodes)], asm.velocity[: len(nodes)]
     if any(c.quantity != "displacement" for c in pure.moving):  # seen from a frame that moves with them
         position, velocity = position.copy(), velocity.copy()
-        for m in (position, velocity):
-            m[:, cols["r"]] = m[:, cols["v"]] = 0.0
+        position[:, cols["r"]] = 0.0
+        for node, j in frames(pure).items():
+            velocity[nodes.index(node), cols["v"].start + j] -= 1.0
     inverse = np.linalg.pinv(np.vstack([position[:, cols["x"]], time * velocity[:, cols["x"]]]))
     begun = {i: x0[:, None] for i, x0 in initial.items()}
     out: dict[int, list[Array]] = {}

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import elements as el
 from ..arrays import rms
 from ..errors import InputError
-from ..network import Network
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
 from .fit import Fit, Fitter, residuals
+from .forces import place_forces
 from .initial import carried, next_states
-from .motion import force_scale, unmodelled, watching
+from .motion import watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
-from .problem import Array, Problem
 from .structure import Structure, base_structure
+from .unmodelled import unmodelled
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .. import elements as el
+    from ..network import Network
+    from .problem import Array, Problem
 
 BLOCKS = 20  # in which a held-out stretch is weighed
 LEAST_NOISE = 0.01  # share of the signal: no model is better
@@ -258,13 +264,13 @@ def share_at_place(problem: Problem, fit: Fit, name: str) -> float:
     y = np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
     sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
     own = y[:, [x.name for x in here].index(name)] * e.own_share(here)
-    return rms(own) / max(rms(y @ sign), _reaction(problem, net, e), 1e-300)
+    return rms(own) / max(rms(y @ sign), _force_around(problem, fit, e), 1e-300)
 
 
-def _reaction(problem: Problem, net: Network, e: el.Element) -> float:
-    """Where nothing else stands at its place: a typical force of what does stand elsewhere [N]."""
-    alone = sum(1 for x in net.elements if x.place == "between" and set(x.where) == set(e.where)) == 1
-    return force_scale(problem) if alone else 0.0
+def _force_around(problem: Problem, fit: Fit, e: el.Element) -> float:
+    """Typical force [N] of the other elements at the nodes of an element that is alone at its place; 0 where it is not alone."""
+    alone = sum(1 for x in fit.network.elements if x.place == "between" and set(x.where) == set(e.where)) == 1
+    return place_forces(problem, fit, without=e.name).at(e.where) if alone else 0.0
 
 
 def _share_of_signal(problem: Problem, fit: Fit, e: el.Element) -> float:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from .problem import Array
+if TYPE_CHECKING:
+    from .problem import Array
 
 
 def bounded_step(

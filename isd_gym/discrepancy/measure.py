@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import elements as el
-from ..network import Network
 from .candidate import BROKEN, Candidate, level, reckoned
 from .evidence import EffectEvidence, Evidence, row
 from .fit import Fit, Fitter, gap, residuals
+from .forces import place_forces
 from .imitate import repeats, sound
 from .judge import Outcome, replication
-from .motion import force_scale, motions
+from .motion import motions
 from .noise import whitener
-from .problem import Array, Problem
 from .result import Quantity
-from .search import Search
 from .structure import Hypothesis, Structure, owner_pair
 from .tabulate import in_its_place
-from .trial import Trial
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..network import Network
+    from .problem import Array, Problem
+    from .search import Search
+    from .trial import Trial
 
 #: a law's force over the data's motion (RMS, as the typical force is: a decay begins far above it), as a multiple of their typical
 #: force, beyond which its values mean something else
@@ -165,7 +170,8 @@ def complaint(problem: Problem, fit: Fit, element: el.Element) -> str:
         axis = motion.v if element.plane == "rate" else motion.d
         force = element.curve(axis[:: max(1, len(axis) // 500)])
         moved = max(problem.network.masses.values(), default=0.0) * el.rms(motion.a)
-        if el.rms(force) > LARGEST * max(force_scale(problem), moved, 1e-300):
+        typical = place_forces(problem, fit, without=element.name).at(element.where)
+        if el.rms(force) > LARGEST * max(typical, moved):
             return "its force is many times what the data show"
     return ""
 
@@ -222,7 +228,7 @@ def measure(
         after=row(after.nrmse),
         effects=effects,
         gain=level(problem, base, best, search.floors) - level(problem, best, best, search.floors),
-        halved=gap(problem, best.fit) < 0.5 * gap(problem, base.fit),
+        power_left=gap(problem, best.fit) / max(gap(problem, base.fit), 1e-300),
         again=replication(refit, after),
         explained=trial.explained(best, worth),
         worth_after=row(search.worth(best)),

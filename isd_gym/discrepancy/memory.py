@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from threading import Lock
+from typing import TYPE_CHECKING
 
-from ..arrays import Array
+if TYPE_CHECKING:
+    from ..arrays import Array
 
 
 class Memory:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import elements as el
 from ..errors import InputError
-from ..network import Channel, Network, linearise
+from ..network import GROUND, Channel, Network, linearise
+from ..network.frames import frames, order_told
 from ..units import convert
 from .fit import Fitter
 from .motion import motions
 from .noise import plain
 from .problem import Array, Problem, Record, pace
-from .result import Trace
 from .structure import base_structure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from .result import Trace
 
 HIGHEST = 8.0  # times the frequency of the motion
 
@@ -42,13 +48,17 @@ class Deconvolution:
         step, samples = float(trace.time[1] - trace.time[0]), len(trace.time)
         name = network.free_name("missing_force")
         outputs = []
+        seen = _moved_by_a_force(network, pair)
         for c in network.outputs:
             if c.name in names:
                 beside = c.element is not None and any(network.element(e).where == pair for e in c.elements)
                 outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
         outputs += [
-            network.probe("_d", "displacement", between=pair),
-            network.probe("_v", "velocity", between=pair),
+            *(
+                network.probe(f"_{q}", q, between=seen)
+                for q in ("displacement", "velocity")
+                if seen is not None
+            ),
         ]
         kept = tuple(e for e in network.elements if e.place == "between")
         probe = Network(
@@ -72,7 +82,7 @@ class Deconvolution:
         order = [space.outputs.index(n) for n in names]
         factors = np.array([convert(1.0, c.unit, c.si) for c in outputs[: len(names)]])
         factors = factors[[[c.name for c in outputs].index(n) for n in names]]
-        two = answer[:, [space.outputs.index("_d"), space.outputs.index("_v")]]
+        two = answer[:, len(order) :] if seen is not None else np.zeros((len(band), 2), complex)
         return cls(names, frequency[band], int(band[0]), answer[:, order], two, factors, samples)
 
     def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
@@ -106,6 +116,19 @@ class Deconvolution:
         whole[band, 1:] = w[:, None] * self.moved
         out = np.fft.irfft(whole, self.samples, axis=0)
         return out[:, 0], out[:, 1:]
+
+
+def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str] | None:
+    """Return the two nodes whose distance changes by a force as that of `pair` does; None where no force changes the latter.
+
+    A node whose velocity or acceleration is prescribed stands for the ground: no force moves either.
+    """
+    if not order_told(network, pair):
+        return pair
+    riding = frames(network)
+    first, second = ((network.moved_nodes[riding[n]] if n in riding else n) for n in pair)
+    out = (pair[0], first) if pair[1] == GROUND else (second, pair[1])
+    return out if out[0] != out[1] else None
 
 
 def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array, Array]:

@@ -1,20 +1,26 @@
-"""What moves in a fitted simulation, and what many variants of it would do: the ground under screening and small effects."""
+"""Motion of every pair of nodes in a fitted simulation, and simulation of many variants of a fitted network side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
-from ..elements import PROBE, Motion, Setting
+from ..elements import Motion, Setting
 from ..errors import InputError
-from ..network import Channel, Network, assemble
+from ..network import MOTIONS, Channel, Network, assemble
+from ..network.frames import order_told
 from ..simulate import side_by_side
-from .fit import Fit
-from .hypotheses import hypotheses, pairs
+from .hypotheses import pairs
 from .problem import Array, Problem, bare, pace
-from .structure import Hypothesis, add
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from .fit import Fit
+    from .structure import Hypothesis
 
 LANES = 48  # variants that run in one call of the kernel
 
@@ -22,11 +28,20 @@ LANES = 48  # variants that run in one call of the kernel
 def motions(
     problem: Problem, fit: Fit, also: tuple[tuple[str, str], ...] = ()
 ) -> dict[tuple[str, str], Motion]:
-    """Elongation and rate of every pair (`also` of others) in the fitted simulation of the records that are fitted by."""
+    """Return elongation and rate of every pair in the fitted simulation of the records that are fitted by.
+
+    Where the inputs tell the rate of a pair alone, its elongation counts from the start of each record.
+
+    Args:
+        problem: The records.
+        fit: The fitted model.
+        also: Further pairs.
+    """
     out: dict[tuple[str, str], list[Array]] = {}
     net = fit.network
-    where = [*pairs(net), *(p for p in also if p not in pairs(net))]
-    extra = tuple(net.probe(f"_{k}", "displacement", between=p) for k, p in enumerate(where))
+    known = {p: order_told(net, p) for p in (*pairs(net), *also)}
+    where = [p for p, order in known.items() if order < 2]
+    extra = tuple(net.probe(f"_{k}", MOTIONS[known[p]], between=p) for k, p in enumerate(where))
     probe = problem.watching(watching(net, extra))
     begun = {i: fit.initial[i][:, None] for i in problem.estimation}
     seen = probe.simulate_all([probe.network], problem.estimation, begun, like=net)
@@ -36,7 +51,11 @@ def motions(
     steps = [problem.records[i].step for i in problem.estimation]
     motion = {}
     for p, parts in out.items():
-        v = [np.gradient(d, h) for d, h in zip(parts, steps, strict=True)]
+        if known[p]:
+            v = parts
+            parts = [cumulative_trapezoid(r, dx=h, initial=0.0) for r, h in zip(v, steps, strict=True)]
+        else:
+            v = [np.gradient(d, h) for d, h in zip(parts, steps, strict=True)]
         a = [np.gradient(x, h) for x, h in zip(v, steps, strict=True)]
         motion[p] = Motion(np.concatenate(parts), np.concatenate(v), np.concatenate(a))
     return motion
@@ -46,33 +65,6 @@ def watching(net: Network, outputs: tuple[Channel, ...]) -> Network:
     """The network with other outputs, and so without what its sensors do."""
     kept = tuple(e for e in net.elements if e.place != "channel")
     return replace(net, outputs=outputs, elements=kept)
-
-
-def force_scale(problem: Problem) -> float:
-    """A typical force of the data [N]: the largest of what is measured, what accelerates the masses, what bends the springs."""
-    net, time = problem.network, problem.time
-    y = problem.measured() / problem.factors
-    mass = max(net.masses.values(), default=0.0)
-    spring = max((e.linear()[0] for e in net.elements if e.place == "between"), default=0.0)
-    scale, moved = 0.0, 0.0
-    for j, c in enumerate(net.outputs):
-        s = float(np.std(y[:, j]))
-        if c.quantity == "force":
-            scale = max(scale, s if c.at is not None else 0.5 * s)
-        elif c.quantity == "acceleration":
-            scale = max(scale, s * mass)
-        else:  # of a displacement or a rate
-            d = s if c.quantity == "displacement" else s * time
-            moved = max(moved, min(d * spring, 10 * mass * d / time**2) or mass * d / time**2)
-    for c in net.inputs:  # what is known to push
-        if c.quantity in ("force", "current"):
-            pushed = np.concatenate([problem.records[i].inputs[c.name] for i in problem.estimation])
-            gain = 1.0
-            if c.quantity == "current":
-                motor = net.element(c.elements[0])
-                gain = float(np.prod(motor.law_parameters()))
-            scale = max(scale, gain * float(np.std(pushed)))
-    return scale or moved or 1.0
 
 
 def setting(
@@ -119,33 +111,3 @@ def together(
             continue
         for i, y in seen.items():
             yield chunk, i, y
-
-
-def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
-    """What each force law of the library, too small to be named, would do: record -> (n, channels, laws).
-
-    Every law that acts beside what stands at its place gives `share` of the data's typical force.
-    """
-    motion, force = motions(problem, fit), force_scale(problem)
-    networks = []
-    for h in hypotheses(fit.network):
-        simpler = set(h.kind.contains) & {e.type for e in fit.network.elements} or h.kind.replaces
-        if h.place != "between" or h.kind.series or simpler:
-            continue
-        tried = h.kind.starts(setting(problem, fit.network, h, motion.get((h.where[0], h.where[1])), force))
-        for start in tried[:: max(1, len(tried) // 2)][:2]:
-            try:
-                built = add(replace(fit.structure, network=fit.network), h, start.ways[0]).network
-                assemble(bare(built))
-            except (InputError, np.linalg.LinAlgError):
-                continue
-            networks.append(built)
-    out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
-    point = {i: y for _, i, y in together(problem, fit, [fit.network])}
-    for chunk, i, y in together(problem, fit, networks):
-        with np.errstate(over="ignore", invalid="ignore"):
-            change = (y - point[i]) * (share / PROBE)
-            most = np.abs(change).max(axis=(0, 1))
-        # one that breaks down says nothing, however large its numbers become on the way
-        out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
-    return out

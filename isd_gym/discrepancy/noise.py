@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numba as nb
 import numpy as np
 from scipy.signal import welch
 
-from .problem import Array, Problem
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .problem import Array, Problem
 
 
 @dataclass(frozen=True)

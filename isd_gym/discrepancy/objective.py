@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
 from ..errors import InputError
 from .initial import motion_rows
-from .noise import Whitener
-from .problem import Problem
-from .structure import Structure
 from .tangent import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from ..arrays import Array
+    from .noise import Whitener
+    from .problem import Problem
+    from .structure import Structure
 
 
 @dataclass

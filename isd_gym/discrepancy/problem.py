@@ -7,16 +7,14 @@ in a single call of the kernel (one lane each).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import firwin, oaconvolve, welch
 
-from ..arrays import Array as Array
+from ..arrays import Array as Array  # noqa: TC001  (re-exported)
 from ..network import Network, assemble
 from ..simulate import Plant, effective_current
 from ..units import convert
@@ -25,6 +23,10 @@ from .memory import Memory
 from .states import carrier
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
     from ..loggers.recording import Recording
     from .rasters import Reading
 

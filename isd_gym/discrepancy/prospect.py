@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import elements as el
 from ..errors import InputError
 from .candidate import BROKEN, relative
 from .criteria import decide
@@ -19,11 +18,16 @@ from .initial import carried
 from .judge import BLOCKS, share_at_place
 from .measure import complaint, difference, spread_of
 from .noise import lagged, plain, predicted
-from .problem import Array, Problem
 from .result import Quantity
 from .settings import SearchSettings
-from .stand import Refit, Stand
 from .structure import Hypothesis, Structure, add, in_line, twin
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from .. import elements as el
+    from .problem import Array, Problem
+    from .stand import Refit, Stand
 
 ORDER = 20  # of the filters that make coloured noise white, as in the diagnosis
 #: sizes at which a prospect is asked what it would be, as multiples of the one that was simulated
@@ -188,7 +192,7 @@ class Prospect:
             worth=row(s.worth),
             effects=(effect,),
             gain=base.gain(k),
-            halved=self._wider(base, k) > 2.0,
+            power_left=1.0 / self._wider(base, k),
             again=base.again(k, quiet),
             explained=1.0,
             lead=min(excesses) / own,

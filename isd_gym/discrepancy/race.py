@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,11 +30,15 @@ from .fit import Fit, Fitter, gap, residuals
 from .hypotheses import Hypothesis, hypotheses
 from .initial import along, carried, guess
 from .noise import finer, plain, whitener
-from .problem import Array, Problem, Record
 from .screen import Screened, advanced, screen
-from .settings import SearchSettings
 from .shooting import begun, remembers
 from .structure import Structure, add
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from .problem import Array, Problem, Record
+    from .settings import SearchSettings
 
 #: multiples of the amplitude that the score test gives, of one that it says little about, and of one whose sign may be either
 AMPLITUDES, LARGE, OTHER = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0), (80.0,), (-2.0, -12.0, -80.0)

@@ -8,10 +8,9 @@ taken as often as the slowest comes. Stamps of another clock are late by a lag, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.signal import welch
@@ -22,10 +21,14 @@ from ..data.quality import Scale, admit
 from ..errors import InputError
 from ..loggers.grid import sampled
 from ..loggers.recording import Recording, Signal
-from ..network import Network
 from ..units import convert
 from .between import through
 from .problem import Array, Problem, Record, pace
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..network import Network
 
 #: a channel that comes so much more often than the slowest is filtered, not picked from
 PICKED = 0.7

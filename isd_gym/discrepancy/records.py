@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +16,13 @@ from ..errors import InputError, MissingColumn
 from ..loggers.recording import Recording
 from ..network import Channel, Network, own_time, without
 from ..units import convert
+from .bandwidth import FILLED, decimation, differentiated
 from .between import differences
 from .problem import Array, Problem, Record, Role, low_pass
 from .rasters import gate, record_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 #: length of the stretches in which held-out records are judged, in the rig's own time scale: some thirty periods
 STRETCH = 200.0
@@ -79,9 +83,7 @@ def _scale(network: Network, read: Callable[[], Record]) -> Scale:
     Where a moved node's noise would be differentiated twice that tells nothing, nor where there is no input.
     """
     own = Scale(own_time(network) or CAR)
-    if not network.inputs or any(
-        _derivative_needed(network, str(c.at)) == 2 for c in network.inputs if c.quantity == "displacement"
-    ):
+    if not network.inputs or 2 in differentiated(network).values():
         return own
     try:
         raw = read().unread()
@@ -99,27 +101,23 @@ def _scale(network: Network, read: Callable[[], Record]) -> Scale:
 
 
 def derivatives(records: list[Record], network: Network) -> list[Record]:
-    """Velocity and acceleration of moved nodes from noisy displacement, where forces need them.
+    """Return the records with the derivatives of noisy inputs that move a node, where forces need them.
 
-    Model and data pass one and the same low-pass then, in all records, so that filtering does not bias.
+    Model and data pass one and the same low-pass then, in all records, so that filtering does not bias. The low-pass keeps
+    every frequency at which an output holds a signal (`bandwidth.signal_band`).
     """
-    order = max(
-        (_derivative_needed(network, str(c.at)) for c in network.inputs if c.quantity == "displacement"),
-        default=0,
-    )
-    if not order:
-        return records
-    needs = [c for c in network.inputs if c.quantity == "displacement"]
+    orders = differentiated(network)
     step = records[0].step
-    cutoff = min(_bandwidth(r, network, c, order) for r in records for c in needs)
-    nyquist = 0.5 / step
-    if cutoff > 0.7 * nyquist or any(abs(r.step - step) > 1e-3 * step for r in records):
+    if not orders or any(abs(r.step - step) > 1e-3 * step for r in records):
         return records
+    needs = [c for c in network.moving if c.name in orders]
+    # what is compared is sampled so that next to nothing but the pass band is left
+    thin = decimation(records, network)
+    if thin < 2:
+        return records
+    cutoff = FILLED * 0.5 / (step * thin)
     from scipy.signal import firwin
 
-    # what is compared is sampled so that next to nothing but the pass band is left
-    thin = math.ceil(nyquist / cutoff)
-    cutoff = 0.85 * nyquist / thin
     size = min(2 * math.ceil(4.0 / (cutoff * step)) + 1, 2 * (min(r.samples for r in records) // 8) + 1)
     taps = firwin(size, cutoff, fs=1 / step, window=("kaiser", 6.0))
     # derivative and comparison each pass the filter, which has to guess what was before and after the record
@@ -163,61 +161,6 @@ def _filtered(r: Record, network: Network, thin: int, cutoff: float) -> Record:
     assert r.source is not None
     made = record_of(r.source, network, r.lags, None, thin=thin, cutoff=cutoff)
     return replace(made, name=r.name)
-
-
-def _derivative_needed(network: Network, node: str) -> int:
-    """How often the displacement of a moved node has to be differentiated: 2 where inertia acts on it."""
-    here = [e for e in network.elements if e.place == "between" and node in e.where]
-    if any(e.linear()[2] for e in here):
-        return 2
-    reads = any(c.quantity == "force" and c.at == node for c in network.outputs)
-    return 1 if reads or any(e.linear()[1] for e in here) else 0
-
-
-def _bandwidth(record: Record, network: Network, channel: Channel, order: int) -> float:
-    """Frequency [Hz] up to which a displacement's derivative of that order is signal, not noise.
-
-    Where noise matters and a force is measured at the node, the band ends where the model makes, from there on up, half as
-    much power again of the measured motion as the force has: that is noise. A missing effect does so in places only.
-    Without a force to compare with the band ends in the valley between motion and noise.
-    Infinite where noise is too little to matter.
-    """
-    from scipy.signal import welch
-
-    x, step = record.inputs[channel.name], record.step
-    a = np.diff(x, order)
-    n = min(2048, len(a) // 4)
-    f, s = welch(a, 1 / step, nperseg=n)
-    width = max(3, len(f) // 64)
-
-    def smooth(density: Array) -> Array:
-        window = np.ones(width) / width
-        return np.exp(np.convolve(np.log(np.maximum(density, 1e-300)), window, mode="same"))
-
-    level = smooth(s)
-    peak = int(np.argmax(level[: max(2, len(f) // 2)]))
-    valley = peak + int(np.argmin(level[peak : len(f) - width]))
-    if math.sqrt(s[valley:].sum() / max(s.sum(), 1e-300)) < 0.02:
-        return math.inf
-    end = float(f[valley])
-    cell = next(
-        (j for j, c in enumerate(network.outputs) if c.quantity == "force" and c.at == channel.at), None
-    )
-    if len(record) != len(x):  # of another raster
-        cell = None
-    if cell is not None:
-        w = 2 * math.pi * f
-        here = [e for e in network.elements if e.place == "between" and channel.at in e.where]
-        k, c, b = (sum(e.linear()[q] for e in here) for q in range(3))
-        made = s / np.maximum(2 * np.sin(0.5 * w * step), 1e-9) ** (2 * order)
-        made = smooth(made * np.abs(k + 1j * w * c - w**2 * b) ** 2)
-        force = record.measured[:, cell]
-        _, s = welch(force - force.mean(), 1 / step, nperseg=n)
-        seen = smooth(s)
-        made = made * (seen[:valley].sum() / max(made[:valley].sum(), 1e-300))  # the parameters may be off
-        signal = np.flatnonzero(made[: len(f) - width] < 1.5 * seen[: len(f) - width])
-        end = float(f[signal[-1]])
-    return max(end, float(20 * f[1]))
 
 
 def dealt(

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .candidate import BROKEN, Candidate, level, reckoned, settled, transferred, with_fit
-from .criteria import Criteria
 from .fit import Fitter, residuals
 from .initial import carried
-from .judge import Judge
 from .noise import whitener
-from .problem import Array, Problem
-from .settings import SearchSettings
 from .shooting import begun, remembers
 from .structure import Structure, base_structure
+
+if TYPE_CHECKING:
+    from .criteria import Criteria
+    from .judge import Judge
+    from .problem import Array, Problem
+    from .settings import SearchSettings
 
 Say = Callable[[str], None]
 

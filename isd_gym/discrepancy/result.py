@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from ..cosimulation import UnitModel
 from ..data import Table, write_table
 from ..files import claim_folder, write_text
-from ..network import Network
-from .align import Lag
-from .criteria import Criteria, Gate
-from .evidence import Evidence
-from .problem import Array
-from .settings import SearchSettings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..network import Network
+    from .align import Lag
+    from .criteria import Criteria, Gate, Reason
+    from .evidence import Evidence
+    from .problem import Array
+    from .settings import SearchSettings
 
 SCHEMA = "isd-diagnosis/1"
 #: what a force without a name is a function of
@@ -135,8 +139,9 @@ class Place:
 class Trace:
     """One record: `time` (n,), and per channel what was measured and what each model says (n,).
 
-    name: of the record; held_out: whether it took no part in fitting. inputs and measured; before, refit, after:
-    the owner's model, the same refitted, the new one.
+    name: of the record; held_out: whether no sample of it took part in fitting. inputs and measured; before, refit, after:
+    the owner's model, the same refitted, the new one. held_from: [s] time from which a record took no part in fitting whose
+    earlier samples did; None where it was fitted or held out as a whole.
     """
 
     name: str
@@ -147,6 +152,14 @@ class Trace:
     before: dict[str, Array]
     refit: dict[str, Array]
     after: dict[str, Array]
+    held_from: float | None = None
+
+    @property
+    def use(self) -> str:
+        """What the record was for, in words."""
+        if self.held_from is None:
+            return "held out" if self.held_out else "fitted"
+        return f"fitted up to {self.held_from:.4g} s, then held out"
 
 
 @dataclass(frozen=True)
@@ -173,6 +186,7 @@ class Tabulated:
     between: the terminals; over: 'rate', 'elongation' or 'both'; element: its name in the new model; explained: share of the
     held-out excess that it removes. elongation, rate: knots [m], [m/s] (rad where it turns); force, low, high: at them [N] (N m).
     nearest: (effect, share of the force's square that the law gives over the measured motion), best first.
+    shares: of a table over both, (argument, share of the force's square that a function of that argument alone gives).
     """
 
     between: tuple[str, str]
@@ -185,6 +199,7 @@ class Tabulated:
     low: Array
     high: Array
     nearest: tuple[tuple[str, float], ...] = ()
+    shares: tuple[tuple[str, float], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """As the JSON of a diagnosis has it."""
@@ -199,10 +214,115 @@ class Tabulated:
             "low": self.low.tolist(),
             "high": self.high.tolist(),
             "nearest": [{"effect": name, "share": share} for name, share in self.nearest],
+            "shares": dict(self.shares),
         }
 
 
 @dataclass(frozen=True)
+class BestTable:
+    """The table of a force that explains the held-out records best, stated or not.
+
+    between: the terminals. over: what the force is a function of. explained: share of the held-out excess error that the table removes.
+    gates: the conditions for a table to be stated.
+    """
+
+    between: tuple[str, str]
+    over: Over
+    explained: float
+    gates: tuple[Gate, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether every condition holds."""
+        return all(g.passed for g in self.gates)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the JSON of a diagnosis has it."""
+        return {
+            "between": list(self.between),
+            "over": self.over,
+            "explained": self.explained,
+            "gates": [g.to_dict() for g in self.gates],
+        }
+
+
+@dataclass(frozen=True)
+class BestCandidate:
+    """The best set of effects where nothing is named.
+
+    effects: names of the effects. where: the place of each. values: of each, by parameter. explained: share of the held-out excess error
+    removed. error: `before`, `refit`, `after` -> channel -> NRMSE on the records to report by. failed_gates: why it is not named.
+    """
+
+    effects: tuple[str, ...]
+    where: tuple[tuple[str, ...], ...]
+    values: tuple[dict[str, float], ...]
+    explained: float
+    error: dict[str, dict[str, float]]
+    failed_gates: tuple[Gate, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the JSON of a diagnosis has it."""
+        return {
+            "effects": list(self.effects),
+            "where": [list(w) for w in self.where],
+            "values": [dict(v) for v in self.values],
+            "explained": self.explained,
+            "error": self.error,
+            "failed_gates": [g.to_dict() for g in self.failed_gates],
+        }
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """The error that a named effect leaves, where it is wide.
+
+    channel: with the widest rest. after, noise_floor: its NRMSE on the records to report by. when: the condition under which the
+    rest is largest. effects, where: the closest addition that was tried and not kept, with its places; error: NRMSE with it.
+    """
+
+    channel: str
+    after: float
+    noise_floor: float
+    when: str
+    effects: tuple[str, ...] = ()
+    where: tuple[tuple[str, ...], ...] = ()
+    error: float = math.nan
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the JSON of a diagnosis has it."""
+        addition = {
+            "effects": list(self.effects),
+            "where": [list(w) for w in self.where],
+            "error": self.error,
+        }
+        return {
+            "channel": self.channel,
+            "after": self.after,
+            "noise_floor": self.noise_floor,
+            "when": self.when,
+            "candidate": addition if self.effects else None,
+        }
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """The brief stretches over which records were compared, each from an initial state of its own.
+
+    count: of stretches. shortest, longest: their lengths [s]. reason: 'diverges' (the simulation of whole records breaks down),
+    'astray' (it errs by more than the limit) or 'unnamed' (over whole records no name passes every gate). error: of the refitted model
+    over whole records, as a share of the deviation, mean over channels. limit: of that error.
+    """
+
+    count: int
+    shortest: float
+    longest: float
+    reason: Literal["diverges", "astray", "unnamed"]
+    error: float
+    limit: float
+
+
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """The outcome of `diagnose`. `summary` says it in a sentence; `to_dict` is the contract's JSON.
 
@@ -211,7 +331,10 @@ class Diagnosis:
     next_experiment: what would decide, where something would; test: its inputs, as a rig plays them. base, refitted, model: the owner's network, the
     same refitted, the new one (of a unit for co-simulation, what its description says). traces and laws: for pictures. notes: in words. seconds: of work. units: of the
     channels. lags: of loggers' clocks. evidence, criteria, settings: what was weighed, by which limits, and how it was searched. tabulated: the force that
-    is missing where no known law gives it. whole: the owner's whole model with what was found, where a part of it was diagnosed.
+    is missing where no known law gives it. best_table: the best table that was fitted, stated or not. best_candidate: the best set of
+    effects where nothing is named. reason: the condition that led to the verdict (`criteria.Reason`). remainder: what a named effect leaves.
+    stretches: over which records were compared where these are not whole. constant: by channel, the share of the squared error that is
+    constant (units for co-simulation alone). whole: the owner's whole model with what was found, where a part of it was diagnosed.
     """
 
     verdict: str
@@ -240,6 +363,33 @@ class Diagnosis:
     whole: Network | None = None  # where the model was cut: all of it, with what was found
     lags: tuple[Lag, ...] = ()  # of loggers' clocks
     test: Table | None = None
+    best_table: BestTable | None = None
+    best_candidate: BestCandidate | None = None
+    reason: Reason = "gates"
+    remainder: Remainder | None = None
+    stretches: Stretches | None = None
+    constant: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        found = [f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip() for e in self.effects]
+        if self.tabulated is not None:
+            found = [f"force without a name {'-'.join(self.tabulated.between)}"]
+        closed = "" if self.closed is None else f", closed={self.closed:.3g}"
+        return f"Diagnosis({self.verdict!r}, found={found}{closed}, {len(self.traces)} record(s))"
+
+    def _repr_html_(self) -> str:
+        """Verdict, effects and gap as a notebook shows them."""
+        stages = [s for s in ("before", "refit", "after", "noise_floor") if s in self.gap]
+        rows = [
+            [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
+            for e in self.effects
+            for name, q in e.parameters.items()
+        ]  # fmt: skip
+        out = f"<p><b>{html.escape(self.verdict)}</b>: {html.escape(self.summary)}</p>"
+        if rows:
+            out += _table(["effect", "where", "parameter", "value", "95 % interval"], rows)
+        gap = [[c, *(f"{100 * self.gap[s][c]:.1f} %" for s in stages)] for c in self.gap.get("refit", {})]
+        return out + _table(["error on held-out data", *stages], gap)
 
     def to_dict(self) -> dict[str, Any]:
         """As the contract has it (`isd-diagnosis/1`)."""
@@ -254,13 +404,16 @@ class Diagnosis:
                 "where": [p.to_dict() for p in self.where],
                 "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
                 "gap": {"held_out": self.gap, "closed": self.closed},
-                "gates": [
-                    {"gate": g.name, "passed": g.passed, "value": g.value, "limit": g.limit, "text": g.text}
-                    for g in self.gates
-                ],
+                "gates": [g.to_dict() for g in self.gates],
+                "reason": self.reason,
+                "best_candidate": self.best_candidate.to_dict() if self.best_candidate else None,
+                "best_table": self.best_table.to_dict() if self.best_table else None,
+                "remainder": self.remainder.to_dict() if self.remainder else None,
+                "stretches": asdict(self.stretches) if self.stretches else None,
+                "constant": self.constant,
                 "next_experiment": self.next_experiment,
                 "tabulated": self.tabulated.to_dict() if self.tabulated else None,
-                "evidence": asdict(self.evidence) if self.evidence else None,
+                "evidence": _finite(asdict(self.evidence)) if self.evidence else None,
                 "criteria": asdict(self.criteria) if self.criteria else None,
                 "search": asdict(self.settings) if self.settings else None,
                 "clocks": [
@@ -288,6 +441,18 @@ class Diagnosis:
         model.save(folder / ("parameters.ssv" if isinstance(model, UnitModel) else "model.json"))
         if self.test is not None:
             write_table(folder / "next_experiment.csv", self.test)
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    def line(tag: str, cells: Sequence[str]) -> str:
+        return "<tr>" + "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) + "</tr>"
+
+    return f"<table><thead>{line('th', heads)}</thead><tbody>{''.join(line('td', r) for r in rows)}</tbody></table>"
+
+
+def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries without the numbers that are infinite, as the lead over a rival is where there is none."""
+    return {k: v for k, v in values.items() if not (isinstance(v, float) and math.isinf(v))}
 
 
 def _plain(value: Any) -> Any:

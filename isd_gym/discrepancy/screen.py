@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..elements import Start
 from ..errors import InputError
 from ..network import assemble
-from .fit import Fit, Fitter
-from .motion import force_scale, motions, setting, together
+from .forces import place_forces
+from .motion import motions, setting, together
 from .problem import Array, Problem, bare
 from .structure import Hypothesis, Structure, add
 from .tangent import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..elements import Start
+    from .fit import Fit, Fitter
 
 
 @dataclass(frozen=True)
@@ -104,12 +109,12 @@ def trials(
     problem: Problem, fit: Fit, candidates: Sequence[Hypothesis]
 ) -> list[tuple[Hypothesis, Start, list[Structure]]]:
     """Every start of every candidate, built into the fitted model in each of its ways."""
-    motion, force = motions(problem, fit), force_scale(problem)
+    motion, forces = motions(problem, fit), place_forces(problem, fit)
     fitted = replace(fit.structure, network=fit.network)
     out = []
     for h in candidates:
         pair = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
-        for start in h.kind.starts(setting(problem, fit.network, h, pair, force)):
+        for start in h.kind.starts(setting(problem, fit.network, h, pair, forces.at(h.where))):
             try:
                 built = [add(fitted, h, way) for way in start.ways]
                 for b in built:

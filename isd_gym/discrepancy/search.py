@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,8 +24,12 @@ from .fit import gap
 from .imitate import imitations, joined, sound
 from .judge import Outcome, moved
 from .race import compete
-from .structure import Structure
 from .trial import Trial
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from .structure import Structure
 
 
 class Search(Compared):

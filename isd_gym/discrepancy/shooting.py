@@ -7,6 +7,8 @@ Physics 18 (1981) 102; Ljung, System Identification, section 10.4).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..errors import InputError
@@ -14,7 +16,9 @@ from ..network import Network, assemble
 from .fit import Fitter
 from .problem import Array, Problem, bare
 from .records import stretches
-from .structure import Structure
+
+if TYPE_CHECKING:
+    from .structure import Structure
 
 #: how long a mode is remembered, in its own time (one over the circular frequency), from which on its phase may be lost: damping
 #: ratios below 0.03

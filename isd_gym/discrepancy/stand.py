@@ -7,25 +7,31 @@ is added in thought. So sizes change smoothly with the noise and the length of t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..elements import Motion
 from ..errors import InputError, shown
 from ..network import Network, assemble
 from .candidate import BROKEN
 from .criteria import CRITERIA, Criteria
 from .fit import Fit, Fitter, residuals
+from .forces import PlaceForces, place_forces
 from .initial import along, carried
 from .judge import LEAST_NOISE, SMALL, Judge
-from .motion import force_scale, motions, unmodelled
+from .motion import motions
 from .noise import floor_of, innovations, plain, whitener
 from .problem import Array, Problem, Record, bare
 from .records import dealt, derivatives
 from .structure import Structure, base_structure
+from .unmodelled import unmodelled
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..elements import Motion
 
 MOST = 16000  # compared samples that are simulated; of a longer test a part stands for the whole
 
@@ -152,8 +158,8 @@ class Stand:
         return motions(self.problem, self.estimated)
 
     @cached_property
-    def force(self) -> float:
-        return force_scale(self.problem)
+    def forces(self) -> PlaceForces:
+        return place_forces(self.problem, self.estimated)
 
     @cached_property
     def small(self) -> dict[int, Array]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arrays import Array
-from ..network import Assembly
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..arrays import Array
+    from ..network import Assembly
 
 
 def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = None) -> Array:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import elements as el
 from ..errors import InputError
 from ..network import GROUND, Channel, Network
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
 
 #: how far the base parameters may move, in prior standard deviations
 REACH = 3.0

@@ -9,9 +9,8 @@ the fit gives the band.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -20,17 +19,24 @@ from .. import elements as el
 from ..elements.starts import generic_starts
 from ..errors import InputError
 from ..network import Network, assemble
+from ..network.frames import order_told
 from .candidate import BROKEN, Candidate, reckoned, settled, transferred, with_fit
-from .criteria import Criteria
+from .criteria import table_gates
 from .fit import Fit, Fitter, residuals
+from .forces import PlaceForces, place_forces
 from .hypotheses import hypotheses, pairs
 from .judge import Judge, replication
-from .motion import force_scale, motions, setting
+from .motion import motions, setting
 from .noise import Whitener, whitener
 from .problem import Array, Problem, bare
-from .result import Over, Tabulated
+from .result import BestTable, Over, Tabulated
 from .structure import Free, Structure
 from .tangent import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .criteria import Criteria
 
 KNOTS = {"rate": 33, "elongation": 33, "both": 13}
 #: correlation lengths, as shares of half the motion's range, that are tried in turn
@@ -45,6 +51,7 @@ ENOUGH = 0.9  # share explained by one of them that makes a table over both need
 BOTH = 2  # pairs at which one over both is fitted
 RICHER = 1.15  # by how much less a table over both, or a rougher one, must leave
 POINTS = 300  # of the motion at which laws are compared
+MARGINAL = 4000  # of the motion at which the arguments of a table are told apart
 EFFORT = 60  # evaluations of a law that is fitted to a table
 
 
@@ -161,7 +168,7 @@ def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) ->
     return whole - float(slope[own] @ np.linalg.solve(total[own, own], slope[own])) if p else whole
 
 
-def _ranked(problem: Problem, base: Candidate, floors: Array, sigma: float) -> list[Table]:
+def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:
     """Tables over rate and over elongation at every pair, the most promising first, on no more samples than the motion needs."""
     motion = motions(problem, base.fit)
     problem, base = problem.rough, _roughly(problem, base, floors)
@@ -173,22 +180,33 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, sigma: float) -> l
             continue
         for over in PLANES:
             try:
-                built = table(base.fit, pair, over, m, LENGTHS[over][0], sigma)
+                built = table(base.fit, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
                 ranked.append((gain(problem, fitter, base, built), built))
             except BROKEN:
                 continue
     return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
 
 
-def follow(judge: Judge, base: Candidate, criteria: Criteria) -> tuple[Candidate, Tabulated] | None:
-    """The force between two nodes that explains the held-out records best; None where none explains half of what is missing.
+@dataclass(frozen=True)
+class Followed:
+    """The best table that was fitted. candidate, tabulated: the model with the table and its description, where it passes."""
 
-    Then what is missing depends on time, on something that nobody measured, or on its own history. judge: of the records. base:
-    the owner's model refitted. criteria: how much is asked for.
+    best: BestTable | None = None
+    candidate: Candidate | None = None
+    tabulated: Tabulated | None = None
+
+
+def follow(judge: Judge, base: Candidate, criteria: Criteria) -> Followed:
+    """Fit tables of a force between two nodes and return the one that explains the held-out records best.
+
+    Args:
+        judge: of the records.
+        base: the owner's model refitted.
+        criteria: the limits that a table has to pass.
     """
     problem, floors = judge.problem, judge.floors
-    sigma = STRONG * force_scale(problem)
-    ranked = _ranked(problem, base, floors, sigma)
+    forces = place_forces(problem, base.fit)
+    ranked = _ranked(problem, base, floors, forces)
     first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
     finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
     tried = [c for s in finals if (c := _settled(problem, base, s, floors)) is not None]
@@ -198,17 +216,26 @@ def follow(judge: Judge, base: Candidate, criteria: Criteria) -> tuple[Candidate
     ):  # a force of both, where one alone is not enough
         motion = motions(problem, base.fit)
         for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
-            built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], sigma)
+            if order_told(base.fit.network, pair):  # of travel, too, which the inputs do not tell
+                continue
+            built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
             c = _settled(problem, base, built, floors)
             tried += [c] if c is not None else []
         weighed = _weighed(judge, tried)
     if weighed is None:
-        return None
-    weighed = _rougher(judge, base, weighed, sigma)
+        return Followed()
+    weighed = _rougher(judge, base, weighed, forces)
     explained, moved, again = weighed.share(judge, base)
-    if explained < criteria.half or moved < criteria.material or again < criteria.replicated:
-        return None
-    return weighed.best, _told(problem, floors, weighed.best, explained)
+    structure = weighed.best.fit.structure
+    assert isinstance(structure, Table)
+    pair = structure.network.element(structure.element).between
+    best = BestTable(pair, structure.over, explained, table_gates(explained, moved, again, criteria))
+    if not best.accepted:
+        return Followed(best)
+    try:
+        return Followed(best, weighed.best, _told(problem, floors, weighed.best, explained))
+    except BROKEN:
+        return Followed(best)
 
 
 def in_its_place(
@@ -224,7 +251,7 @@ def in_its_place(
     motion = motions(problem, base.fit).get(pair)
     if motion is None:
         return None
-    over, sigma = over or named.plane, STRONG * force_scale(problem)
+    over, sigma = over or named.plane, STRONG * place_forces(problem, base.fit).at(pair)
     try:
         return _settled(
             problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), judge.floors
@@ -287,7 +314,7 @@ def _weighed(judge: Judge, tried: Sequence[Candidate]) -> Weighed | None:
     return Weighed(min(scored, key=lambda t: t[0])[1], filters) if scored else None
 
 
-def _rougher(judge: Judge, base: Candidate, weighed: Weighed, sigma: float) -> Weighed:
+def _rougher(judge: Judge, base: Candidate, weighed: Weighed, forces: PlaceForces) -> Weighed:
     """The same table with a shorter length, where that leaves clearly less."""
     old = weighed.best.fit.structure
     assert isinstance(old, Table)
@@ -295,7 +322,12 @@ def _rougher(judge: Judge, base: Candidate, weighed: Weighed, sigma: float) -> W
     m = motions(judge.problem, weighed.best.fit, (pair,))[pair]
     for length in LENGTHS[old.over][1:]:
         try:
-            c = _settled(judge.problem, base, table(base.fit, pair, old.over, m, length, sigma), judge.floors)
+            c = _settled(
+                judge.problem,
+                base,
+                table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair)),
+                judge.floors,
+            )
             if c is None:
                 continue
             then = judge.outcome(c, weighed.filters).score
@@ -336,7 +368,24 @@ def _told(problem: Problem, floors: Array, best: Candidate, explained: float) ->
         (force - spread).reshape(shape),
         (force + spread).reshape(shape),
         tuple(nearest(problem, best, e)),
+        _shares(problem, best, e) if structure.over == "both" else (),
     )
+
+
+def _shares(problem: Problem, best: Candidate, e: el.TabulatedForce) -> tuple[tuple[str, float], ...]:
+    """Shares of the square of a table's force, over the measured motion, that functions of one argument alone give."""
+    m = motions(problem, best.fit, (e.between,))[e.between]
+    thin = slice(None, None, max(1, len(m.d) // MARGINAL))
+    d, v = m.d[thin], m.v[thin]
+    force = e.at(d, v)
+    size = max(float(np.mean(force**2)), 1e-300)
+    out = []
+    for name, x, knots in (("elongation", d, e.elongation), ("rate", v, e.rate)):
+        cell = np.digitize(x, knots)
+        count = np.maximum(np.bincount(cell), 1)
+        mean = (np.bincount(cell, force) / count)[cell]
+        out.append((name, max(0.0, 1.0 - float(np.mean((force - mean) ** 2)) / size)))
+    return tuple(out)
 
 
 def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tuple[str, float]]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .initial import motion_rows
-from .problem import Array, Problem
-from .structure import Structure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from .problem import Array, Problem
+    from .structure import Structure
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .candidate import BROKEN, Candidate
-from .judge import Judge, Outcome
-from .problem import Array
+
+if TYPE_CHECKING:
+    from .judge import Judge, Outcome
+    from .problem import Array
 
 
 @dataclass(eq=False)

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..cosimulation import Port, Unit, UnitModel
 from ..data import Table, check, read_table
 from ..data.quality import admit, known_check
 from ..errors import InputError, shown
@@ -26,6 +25,12 @@ from .explain import bands
 from .noise import Floor, floor_of, noise_of, quantum
 from .problem import Array, Record
 from .result import Diagnosis, Place, Trace
+from .words import unit_summary_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..cosimulation import Port, Unit, UnitModel
 
 UNCERTAIN = 0.2  # relative one-sigma of a unit's parameters where nobody states any
 MOST_FREE = 20  # parameters that are refitted where nobody says which
@@ -187,16 +192,23 @@ def diagnose_unit(
         floor=row["noise_floor"], floor_known=tuple(k.known for k in known),
         worth=(criteria.material,) * len(both), limits=at_limit,
     )  # fmt: skip
-    verdict = decide(evidence, criteria).verdict
+    decision = decide(evidence, criteria)
+    verdict = decision.verdict
+    mean = np.concatenate(after).mean(axis=0) / spread
+    constant = {
+        n: float((m / max(e, 1e-300)) ** 2) for n, m, e in zip(c.channels, mean, rows["refit"], strict=True)
+    }
     left = refit.residuals(found.model, held=False)
     where = () if verdict == "no_discrepancy" else _places(c, stretches, left, floors)
     gap = {k: dict(zip(c.channels, v, strict=True)) for k, v in row.items()}
     notes.append(
         "the intervals count noise alone: what small effects drag along cannot be told without an inside"
     )
-    return Diagnosis(
+    said = Diagnosis(
         verdict=verdict,
-        summary=_sentence(verdict, gap, where, evidence, after, spread),
+        summary="",
+        reason=decision.reason,
+        constant=constant,
         effects=(),
         contenders=(),
         where=where,
@@ -215,6 +227,7 @@ def diagnose_unit(
         evidence=evidence,
         criteria=criteria,
     )
+    return replace(said, summary=unit_summary_of(said.to_dict()))
 
 
 def _floor(series: Sequence[Array], step: float) -> Floor:
@@ -291,39 +304,3 @@ def _traces(
         name = record.name if len(c.records) > 1 or not s.held else f"{record.name} (later part)"
         out.append(Trace(name, s.held, record.time[cut], inputs, measured, before_row, after_row, after_row))
     return tuple(out)
-
-
-def _sentence(
-    verdict: str, gap: dict[str, dict[str, float]], where: Sequence[Place], evidence: Evidence,
-    left: Sequence[Array], spread: Array,
-) -> str:  # fmt: skip
-    worst = max(gap["refit"], key=lambda n: gap["refit"][n])
-    most = max(gap["before"], key=lambda n: gap["before"][n] ** 2 - gap["refit"][n] ** 2)
-    if verdict == "no_discrepancy":
-        text = "The unit agrees with the measurement within noise; nothing is missing."
-    elif verdict == "parameters_only":
-        text = (
-            f"Parameters explain the difference ({most}: {100 * gap['before'][most]:.1f} % before, {100 * gap['refit'][most]:.1f} % "
-            "refitted); nothing is missing."
-        )
-    else:
-        text = (
-            f"Something is missing that no value of the unit's parameters explains ({worst}: {100 * gap['before'][worst]:.1f} % "
-            f"before, {100 * gap['refit'][worst]:.1f} % refitted, noise {100 * gap['noise_floor'][worst]:.1f} %); it lives mostly in "
-            f"{where[0].channel}, {where[0].when}. A unit shows no inside: which effect, and between which parts, only a "
-            "network of the rig (isd-model/1) can be asked."
-        )
-        mean = np.abs(np.concatenate(left).mean(axis=0)) / spread
-        off = [
-            n
-            for n, m, n_all in zip(gap["refit"], mean, gap["refit"].values(), strict=True)
-            if m**2 > 0.5 * n_all**2
-        ]
-        if off:
-            text += f" In {', '.join(off)} most of it is a constant: a sensor's zero?"
-    unknown = [n for n, k in zip(evidence.channels, evidence.floor_known, strict=True) if not k]
-    if unknown:
-        text += f" How much of {', '.join(unknown)} is noise cannot be told from these data."
-    if evidence.limits:
-        text += f" The data ask for {', '.join(evidence.limits)} outside of what was allowed."
-    return text

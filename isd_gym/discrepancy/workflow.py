@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,7 +20,6 @@ from .align import aligned, read_again
 from .candidate import BROKEN, Candidate, reckoned, values_of
 from .criteria import CRITERIA, Criteria, Decision, confidence, decide
 from .design import next_experiment, played
-from .evidence import Evidence
 from .explain import law, places, table_law
 from .fit import Fitter, residuals
 from .hypotheses import hypotheses
@@ -31,15 +29,29 @@ from .noise import plain, whitener
 from .problem import Problem, Record, Role, bare, pace
 from .rasters import fast_enough
 from .records import FORGETS, dealt, derivatives, read, stretches
-from .refits import Say
-from .result import Contender, Diagnosis, Effect, Quantity, Tabulated, Trace
+from .result import (
+    BestCandidate,
+    Contender,
+    Diagnosis,
+    Effect,
+    Quantity,
+    Remainder,
+    Stretches,
+    Trace,
+)
 from .screen import screen
 from .search import Search
 from .settings import SearchSettings
 from .structure import base_structure, owner_pair
-from .tabulate import follow
-from .trial import Trial
-from .words import remaining, sentence, unnamed
+from .tabulate import Followed, follow
+from .words import summary_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from .evidence import Evidence
+    from .refits import Say
+    from .trial import Trial
 
 
 def diagnose(
@@ -91,7 +103,9 @@ def diagnose(
     lead = 0.0 if assemble(bare(network)).size[0] else FORGETS * whole.time
     records, roles = dealt(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time, lead)
     problem = Problem(network, records, roles)
-    flow = Workflow(problem, whole, progress or (lambda line: None), seed, steps, criteria)
+    flow = Workflow(
+        problem, whole, progress or (lambda line: None), seed, steps, criteria, held_from(whole, problem)
+    )
     # sums in another order are other sums: the result is that of any number of cores
     with threadpool_limits(1):
         found = flow.run(notes, begun)
@@ -105,6 +119,17 @@ def diagnose(
     return found
 
 
+def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
+    """Time [s] from which each whole record takes no part in fitting; infinite for the records that are fitted to the end.
+
+    whole: the records as they came. problem: the same as `dealt`, those to fit by first.
+    """
+    fitted = len(problem.estimation)
+    if len(whole.records) == fitted == 1:
+        return (float(problem.records[1].time[0]),)
+    return tuple(math.inf if i < fitted else -math.inf for i in range(len(whole.records)))
+
+
 def _several(data: Any, name: str) -> list[Any]:
     out = [data] if isinstance(data, Table | Recording | str | Path) else list(data)
     if not out:
@@ -114,7 +139,10 @@ def _several(data: Any, name: str) -> list[Any]:
 
 @dataclass(eq=False)
 class Workflow:
-    """The records cut for the search (`problem`) and as they came (`whole`), and the numbers that steer and decide."""
+    """The records cut for the search (`problem`) and as they came (`whole`), and the numbers that steer and decide.
+
+    held_from [s]: the time from which each whole record takes no part in fitting.
+    """
 
     problem: Problem
     whole: Problem
@@ -122,6 +150,7 @@ class Workflow:
     seed: int
     settings: SearchSettings
     criteria: Criteria
+    held_from: tuple[float, ...]
 
     def __post_init__(self) -> None:
         self.network = self.problem.network
@@ -134,8 +163,9 @@ class Workflow:
             f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
         )
         base = self.search.refitted()
-        early = self.lost(base)
-        found = self.briefly(notes, begun, named_only=False) if early else None
+        error = self.whole_error(base)
+        early = not error <= self.settings.astray
+        found = self.briefly(notes, begun, error, named_only=False) if early else None
         if found is not None:
             return found
         # what came second had its turn over brief stretches
@@ -144,7 +174,7 @@ class Workflow:
         decision = decide(evidence, self.criteria)
         if decision.verdict == "unknown_effect" and not early:
             for times in (1.0, 2.0):
-                found = self.briefly(notes, begun, named_only=True, times=times)
+                found = self.briefly(notes, begun, error, named_only=True, times=times)
                 if found is not None:
                     return found
         return self.report(
@@ -177,20 +207,22 @@ class Workflow:
         """Whether an input ties the motion to the record, and there is a motion to begin anew."""
         return bool(self.network.inputs) and assemble(bare(self.network)).size[0] > 0
 
-    def lost(self, base: Candidate) -> bool:
-        """Whether the model's simulation does not stay with the records: slight damping, stops, nothing that holds it."""
-        if not self.movable():
-            return False
-        judge = self.search.judge
-        try:
-            # held-out records may be longer, or driven harder
-            seen = judge.own(base)
-        except BROKEN:
-            return True
-        return float(max(seen.fitted.mean(), seen.nrmse.mean())) > self.settings.astray
+    def whole_error(self, base: Candidate) -> float:
+        """Error of the refitted model over whole records, as a share of the deviation, mean over channels.
 
-    def brief(self, times: float | None = None) -> tuple[Problem, float]:
-        """The same records in brief stretches (and how long they are [s]), each from a state of its own.
+        The larger of the errors on fitted and held-out records, which may be longer, or driven harder. NaN where the simulation breaks
+        down; zero where nothing can begin anew.
+        """
+        if not self.movable():
+            return 0.0
+        try:
+            seen = self.search.judge.own(base)
+        except BROKEN:
+            return math.nan
+        return float(max(seen.fitted.mean(), seen.nrmse.mean()))
+
+    def brief(self, times: float | None = None) -> Problem:
+        """The same records in brief stretches, each from a state of its own.
 
         times: as many times the usual length, whatever the slowest channel, which in detents is slower than what holds in them.
         """
@@ -207,20 +239,32 @@ class Workflow:
             kept = own[:: max(1, math.ceil(len(own) / self.settings.pieces))]
             records += kept
             roles += [role] * len(kept)
-        return Problem(self.network, records, roles, p.step, p.time), seconds
+        return Problem(self.network, records, roles, p.step, p.time)
+
+    def compared(self, problem: Problem, error: float, named_only: bool) -> Stretches:
+        """The stretches of a problem, and why records are compared over them."""
+        lengths = [len(r) * r.rate for r in problem.records]
+        reason: Literal["diverges", "astray", "unnamed"] = "unnamed"
+        if not named_only:
+            reason = "astray" if math.isfinite(error) else "diverges"
+        return Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
 
     def briefly(
-        self, notes: list[str], begun: float, *, named_only: bool, times: float | None = None
+        self, notes: list[str], begun: float, error: float, *, named_only: bool, times: float | None = None
     ) -> Diagnosis | None:
         """The search over brief stretches; None where it comes to nothing.
 
         What has many rests, what hits stops while it resonates, what drifts: no simulation stays with it for long.
-        `named_only`: only what repeats over travel is looked for, and only a name counts. `times`: as of `brief`.
+        error: of the refitted model over whole records. `named_only`: only what repeats over travel is looked for, and only a name
+        counts. `times`: as of `brief`.
         """
         if not self.movable():
             return None
-        problem, seconds = self.brief(times)
-        self.say(f"comparing over stretches of {seconds:.2g} s, each from its own state")
+        problem = self.brief(times)
+        over = self.compared(problem, error, named_only)
+        self.say(
+            f"comparing over {over.count} stretches of {over.shortest:.2g} to {over.longest:.2g} s, each from its own state"
+        )
         flow = replace(self, problem=problem)
         search = flow.search
         try:
@@ -239,11 +283,9 @@ class Workflow:
             return None
         if named_only and not trial.foremost.hypotheses[0].kind.periodic:
             return None
-        said = flow.report(
-            trial, evidence, decision, quantities, abreast, [*notes, *flow.tried(trial)], begun
+        return flow.report(
+            trial, evidence, decision, quantities, abreast, [*notes, *flow.tried(trial)], begun, over
         )
-        why = f"Compared over stretches of {seconds:.2g} s: the old model does not stay with these records for long."
-        return replace(said, summary=f"{said.summary} {why}")
 
     def little(self, base: Candidate) -> bool:
         """Whether the refitted model leaves less than a named effect moves."""
@@ -267,11 +309,16 @@ class Workflow:
         says = [(owner, owner.start), (base.fit.structure, base.fit.x), (final.fit.structure, final.fit.x)]
         for i, record in enumerate(self.whole.records):
             fits = [fitter.fit(s, x, records=[i], frozen=True, iterations=3) for s, x in says]
-            rows = [{c: f.outputs[i][:, j] for j, c in enumerate(self.whole.channels)} for f in fits]
+            before, refit, after = (
+                {c: f.outputs[i][:, j] for j, c in enumerate(self.whole.channels)} for f in fits
+            )
             measured = {c: record.measured[:, j] for j, c in enumerate(self.whole.channels)}
             thin = {k: record.seen(v) for k, v in record.inputs.items()}
-            held = self.whole.roles[i] != "fit"
-            out.append(Trace(record.name, held, record.time, thin, measured, *rows))
+            since = self.held_from[i]
+            cut = since if math.isfinite(since) else None
+            out.append(
+                Trace(record.name, since == -math.inf, record.time, thin, measured, before, refit, after, cut)
+            )
         return tuple(out)
 
     def effects(self, candidate: Candidate, quantities: Mapping[str, Quantity], sure: float) -> list[Effect]:
@@ -286,14 +333,33 @@ class Workflow:
             out.append(Effect(h.effect, owner_pair(self.network, h), channel, sure, own, element, h.behind))
         return out
 
-    def drawn(self, base: Candidate) -> tuple[Candidate | None, Tabulated | None]:
+    def drawn(self, base: Candidate) -> Followed:
         """The missing force as a table, where it can be followed."""
         self.say("no known law explains it: following the missing force")
         try:
-            found = follow(self.search.judge, base, self.criteria)
+            return follow(self.search.judge, base, self.criteria)
         except BROKEN:
-            found = None
-        return found if found is not None else (None, None)
+            return Followed()
+
+    def rejected(
+        self, trial: Trial, evidence: Evidence, decision: Decision, rows: Mapping[str, np.ndarray]
+    ) -> BestCandidate | None:
+        """The best set of effects, where it is not named."""
+        best = trial.foremost
+        if decision.verdict == "missing_effect" or not best.hypotheses:
+            return None
+        stages = {k: rows[k] for k in ("before", "refit")} | {"after": trial.of(best).reported}
+        return BestCandidate(
+            tuple(h.effect for h in best.hypotheses),
+            tuple(h.where for h in best.hypotheses),
+            tuple(values_of(e) for e in best.elements),
+            evidence.explained,
+            {k: self.by_channel(row) for k, row in stages.items()},
+            tuple(g for g in decision.gates if not g.passed),
+        )
+
+    def by_channel(self, row: np.ndarray) -> dict[str, float]:
+        return {n: float(v) for n, v in zip(self.problem.channels, row, strict=True)}
 
     def contenders(self, trial: Trial, abreast: Sequence[Candidate], ambiguous: bool) -> list[Contender]:
         refit, best = trial.of(trial.base), trial.foremost
@@ -319,20 +385,23 @@ class Workflow:
             )
         return out
 
-    def remainder(self, trial: Trial, floor: np.ndarray, rows: Mapping[str, np.ndarray]) -> str:
-        """What is left beside what was named, in words; empty where it is no more than rigs of known make leave."""
+    def remainder(self, trial: Trial, floor: np.ndarray, rows: Mapping[str, np.ndarray]) -> Remainder | None:
+        """The error beside what was named; None where it is no more than rigs of known make leave."""
         found, richest = trial.foremost, trial.richest
         beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
         j = int(np.argmax(beyond))
         if beyond[j] < self.criteria.misses**2:
-            return ""
-        channel, further, then = self.problem.channels[j], "", math.nan
+            return None
+        channel = self.problem.channels[j]
         place = next(x for x in places(self.problem, found.fit, floor) if x.channel == channel)
-        if set(found.hypotheses) < set(richest.hypotheses):
-            more = [h.label for h in richest.hypotheses if h not in found.hypotheses]
-            then = float(trial.of(richest).reported[j])
-            further = " and ".join(more) if then < rows["after"][j] else ""
-        return remaining(place, float(rows["after"][j]), float(rows["noise_floor"][j]), further, then)
+        left = Remainder(channel, float(rows["after"][j]), float(rows["noise_floor"][j]), place.when)
+        if not set(found.hypotheses) < set(richest.hypotheses):
+            return left
+        more, then = [h for h in richest.hypotheses if h not in found.hypotheses], trial.of(richest).reported
+        if not then[j] < rows["after"][j]:
+            return left
+        effects, where = tuple(h.effect for h in more), tuple(h.where for h in more)
+        return replace(left, effects=effects, where=where, error=float(then[j]))
 
     def report(
         self,
@@ -343,12 +412,13 @@ class Workflow:
         abreast: list[Candidate],
         notes: list[str],
         begun: float,
+        over: Stretches | None = None,
     ) -> Diagnosis:
-        p, verdict, names = self.problem, decision.verdict, self.problem.channels
+        p, verdict = self.problem, decision.verdict
         named, ambiguous = verdict == "missing_effect", verdict == "ambiguous"
         base, final = trial.base, trial.foremost if named else trial.base
-        drawn, tabulated = self.drawn(base) if verdict == "unknown_effect" else (None, None)
-        final = drawn or final
+        drawn = self.drawn(base) if verdict == "unknown_effect" else Followed()
+        tabulated, final = drawn.tabulated, drawn.candidate or final
         sure = confidence(evidence, self.criteria)
         found = self.effects(trial.foremost, quantities, sure) if named else []
         small = self.effects(trial.foremost, quantities, sure) if decision.small else []
@@ -362,12 +432,11 @@ class Workflow:
                 trial.of(final).reported,
             ),
         }
-        gap = {k: {n: float(v) for n, v in zip(names, row, strict=True)} for k, row in rows.items()}
+        gap = {k: self.by_channel(row) for k, row in rows.items()}
         floor = trial.floor * self.search.judge.spread
         where = places(p, base.fit, floor) if verdict not in ("no_discrepancy",) else ()
         if not named:
             quantities = intervals(self.search, base)
-        left = self.remainder(trial, floor, rows) if named else ""
         laws = [law(p, final.fit, e.element, e.parameters) for e in found]
         laws += [table_law(p, final.fit, tabulated)] if tabulated else []
         contenders = [trial.foremost, *abreast]
@@ -375,11 +444,15 @@ class Workflow:
         if ambiguous:
             self.say("designing the test that would decide")
             test = next_experiment(self.whole, contenders, floor)
-        return Diagnosis(
+        said = Diagnosis(
             verdict=verdict,
-            summary=sentence(verdict, found, small, contenders, where, gap, evidence, self.criteria, left)
-            + (unnamed(tabulated, closed(rows)) if verdict == "unknown_effect" else ""),
+            summary="",
             tabulated=tabulated,
+            best_table=drawn.best,
+            best_candidate=self.rejected(trial, evidence, decision, rows),
+            reason=decision.reason,
+            remainder=self.remainder(trial, floor, rows) if named else None,
+            stretches=over,
             effects=tuple(found),
             small_effects=tuple(small),
             contenders=tuple(self.contenders(trial, abreast, ambiguous)),
@@ -402,6 +475,7 @@ class Workflow:
             criteria=self.criteria,
             settings=self.settings,
         )
+        return replace(said, summary=summary_of(said.to_dict()))
 
 
 def closed(rows: Mapping[str, np.ndarray]) -> float | None:

@@ -11,7 +11,6 @@ import math
 import os
 import re
 import runpy
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -20,11 +19,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from .. import arrays
-from ..arrays import Array as Array
+from ..arrays import Array as Array  # noqa: TC001  (re-exported)
 from ..errors import InputError, plain, shown
 from ..inputs import number
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from ..network import Network
 
 GROUND = "ground"

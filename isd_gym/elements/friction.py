@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,8 @@ from .base import Array, Element, Motion, Setting, Start, beside, held_still, pa
 from .laws import ConstantForce
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ..network import Network
 
 

@@ -7,7 +7,6 @@ Of the parameters ``p``, the elongation and rate at the end of the step, the elo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -29,6 +28,8 @@ from .base import (
 from .linear import LinearDamping, is_device
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from ..network import Network
 
 

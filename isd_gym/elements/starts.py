@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import Field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import InputError
 from .base import Array, Element, Motion, Setting, Start, parameter_fields, rms
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from dataclasses import Field
 
 
 def _values_of(f: Field[Any], motion: Motion | None) -> list[float]:

@@ -8,7 +8,6 @@ row of forces by rate for each elongation. `interpolation`: lines between the kn
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -18,6 +17,8 @@ from ..inputs import number
 from .base import Array, Element, parameter, register
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..network import Network
 
 KNOTS, CELLS = 500, 20_000  # of an axis, and of a table, at most
@@ -119,6 +120,8 @@ class TabulatedForce(Element):
         if max(nd, 1) * max(nv, 1) > CELLS:
             raise InputError(f"{what}: a table of {nd} times {nv} numbers, at most {CELLS} are handled")
         object.__setattr__(self, "force", table)
+        if nv and not nd:
+            object.__setattr__(self, "plane", "rate")
 
     @property
     def over(self) -> str:

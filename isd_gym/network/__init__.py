@@ -9,7 +9,7 @@ from ..units import UNITS
 from .assembly import Assembly, assemble
 from .cut import cut, rejoin, without
 from .format import SCHEMA, builtin_networks
-from .linear import StateSpace, linearise, own_time
+from .linear import StateSpace, linearise, natural_frequencies, own_time, transfer
 from .model import GROUND, MOTIONS, Channel, Network
 
 __all__ = [
@@ -25,7 +25,9 @@ __all__ = [
     "builtin_networks",
     "cut",
     "linearise",
+    "natural_frequencies",
     "own_time",
     "rejoin",
+    "transfer",
     "without",
 ]

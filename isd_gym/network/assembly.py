@@ -17,9 +17,9 @@ nothing but dampers ties it to the ground, and no r' where nothing does; momentu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from .. import elements as el
 from ..errors import InputError
 from .frames import complete, frames, unknown
 from .model import GROUND, MOTIONS, Channel, Network
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from .. import elements as el
 from ..errors import InputError, shown
 from .model import GROUND, MOTIONS, Channel, Network
+
+if TYPE_CHECKING:
+    from .. import elements as el
 
 
 def cut(network: Network, node: str) -> Network:
@@ -62,11 +65,8 @@ def cut(network: Network, node: str) -> Network:
     )
 
 
-def without(network: Network, name: str) -> str:
-    """What helps where input `name` of a `network` was not measured, as the end of a message; '' where nothing does."""
-    road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)
-    if road is None:
-        return ""
+def cut_nodes(network: Network) -> list[str]:
+    """Return the nodes of a `network` at which it can be cut."""
     places = []
     for node in dict.fromkeys(c.at for c in network.outputs if c.at is not None and c.quantity in MOTIONS):
         try:
@@ -74,6 +74,15 @@ def without(network: Network, name: str) -> str:
         except InputError:
             continue
         places.append(node)
+    return places
+
+
+def without(network: Network, name: str) -> str:
+    """What helps where input `name` of a `network` was not measured, as the end of a message; '' where nothing does."""
+    road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)
+    if road is None:
+        return ""
+    places = cut_nodes(network)
     ways = (
         f"--cut {places[0]} compares what it moves, "
         if places

@@ -9,14 +9,16 @@ from collections.abc import Mapping
 from dataclasses import fields
 from difflib import get_close_matches
 from importlib import resources
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .. import elements as el
 from ..errors import InputError, shown
 from ..inputs import parse_json, read_bytes
 from ..units import QUANTITIES, si_of
 from .model import ELEMENTS, Channel, Network, check_name
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SCHEMA = "isd-model/1"
 TEXT_LENGTH = 4000  # of a model's own name and description

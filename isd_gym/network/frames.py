@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import InputError
 from ..units import TURNING
 from .model import GROUND, MOTIONS, Network
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 
 def frames(network: Network) -> dict[str, int]:
@@ -31,6 +33,25 @@ def frames(network: Network) -> dict[str, int]:
             )
         out |= {n: j for n, p in network.tied.items() if p == part and n != c.at}
     return out
+
+
+def order_told(network: Network, pair: tuple[str, str]) -> int:
+    """Return the lowest derivative of the distance between two nodes that the model has from its inputs.
+
+    Args:
+        network: The model.
+        pair: Two nodes; either may be the ground.
+
+    Returns:
+        0 where the distance is known, 1 where only its rate is (a node moved by its velocity, against the ground), 2 where
+        only the acceleration is.
+    """
+    frame = frames(network)
+    frame |= {str(c.at): j for j, c in enumerate(network.moving) if c.quantity != "displacement"}
+    first, second = (frame.get(node) for node in pair)
+    if first == second:
+        return 0
+    return max(MOTIONS.index(network.moving[j].quantity) for j in (first, second) if j is not None)
 
 
 def unknown(network: Network, spans: Mapping[str, slice]) -> list[tuple[int, str]]:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import elements as el
 from ..errors import InputError
 from .assembly import TOO_FAR_APART, assemble
 from .model import MOTIONS, Channel, Network
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from .. import elements as el
 
 
 @dataclass(frozen=True)
@@ -48,12 +51,43 @@ def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[n
 
 def own_time(network: Network) -> float | None:
     """One over the circular frequency [s] of the slowest oscillation of a `network` about rest; None where nothing oscillates."""
+    natural = natural_frequencies(network)
+    return float(1.0 / (2 * np.pi * natural.min())) if len(natural) else None
+
+
+def natural_frequencies(network: Network) -> np.ndarray:
+    """Return the natural frequencies [Hz] of the oscillations of a `network` about rest, ascending; empty where nothing oscillates."""
     try:
         poles = np.linalg.eigvals(linearise(network.with_outputs(())).A)
     except (InputError, np.linalg.LinAlgError):
-        return None
-    swing = np.abs(poles[poles.imag > 1e-6 * np.abs(poles)])
-    return float(1.0 / swing.min()) if len(swing) else None
+        return np.zeros(0)
+    return np.sort(np.abs(poles[poles.imag > 1e-6 * np.abs(poles)])) / (2 * np.pi)
+
+
+def transfer(network: Network, frequency: np.ndarray) -> np.ndarray:
+    """Return the complex frequency response of the outputs of a network to its inputs, about rest, in SI units.
+
+    The derivatives of an input through which something acts are part of the response to that input.
+
+    Args:
+        network: The network.
+        frequency: Frequencies [Hz], shape (n,).
+
+    Returns:
+        Response, shape (n, outputs, inputs).
+
+    Raises:
+        InputError: The network has no linear state space.
+    """
+    space = linearise(network)
+    response, s = space.response(frequency), 2j * np.pi * np.asarray(frequency, float)
+    out = np.zeros((len(s), len(network.outputs), len(network.inputs)), complex)
+    for j, c in enumerate(network.inputs):
+        for order in range(3):
+            label = c.name + "'" * order
+            if label in space.inputs:
+                out[:, :, j] += s[:, None] ** order * response[:, :, space.inputs.index(label)]
+    return out
 
 
 def linearise(

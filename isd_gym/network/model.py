@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import elements as el
@@ -15,6 +13,9 @@ from ..inputs import number
 from ..units import QUANTITIES, TURNING, UNITS, about_axis, si_of
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping
+    from pathlib import Path
+
     from .assembly import Assembly
 
 GROUND = "ground"

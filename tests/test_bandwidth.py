@@ -1,0 +1,180 @@
+"""The band that is compared where inputs are differentiated: it holds the measured signal, and derivatives without most of their noise."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt, welch
+
+from isd_gym import simulate
+from isd_gym.discrepancy.bandwidth import decimation, differentiated
+from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.records import derivatives
+from isd_gym.network import Network, linearise, natural_frequencies, transfer
+
+SAMPLES = 12_000
+OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its signal
+
+
+def shaken(natural, quantity="displacement", damping_ratio=0.03):
+    """A mass of 1 kg on a spring and a damper whose base is moved."""
+    stiffness = (2 * np.pi * natural) ** 2
+    return Network.load(
+        {
+            "schema": "isd-model/1",
+            "name": "shaken",
+            "masses": {"mass": 1.0},
+            "elements": [
+                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "base"], "stiffness": stiffness},
+                {"name": "damper", "type": "linear_damping", "between": ["mass", "base"],
+                 "damping": 2 * damping_ratio * np.sqrt(stiffness)},
+            ],
+            "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
+            "outputs": [{"name": "y", "quantity": quantity, "at": "mass", "unit": {"displacement": "mm", "acceleration": "g"}[quantity]}],
+        }
+    )  # fmt: skip
+
+
+def base_motion(kind, natural, rate, rng):
+    """Displacement [m] of the base: mostly far below resonance, or a sine near it."""
+    t = np.arange(SAMPLES) / rate
+    slow = sum(
+        a * np.sin(2 * np.pi * q * natural * t + p)
+        for a, q, p in zip((8e-3, 4e-3, 2e-3), (0.02, 0.053, 0.11), rng.uniform(0, 6, 3), strict=True)
+    )
+    if kind == "slow and broadband":
+        return slow + band_limited(0.3 * natural, 2.5 * natural, rate, rng, 3e-5)
+    if kind == "slow and steps":
+        steps = np.zeros(SAMPLES)
+        for at in rng.integers(0, SAMPLES, 12):
+            steps[at:] += 2e-4 * rng.choice([-1, 1])
+        window = np.hanning(2 * int(0.05 * rate / natural) + 5)
+        return slow + np.convolve(steps, window / window.sum(), mode="same")
+    if kind == "random":
+        return band_limited(0.05 * natural, 1.5 * natural, rate, rng, 3e-3)
+    ratio = {"sine at resonance": 1.0, "sine above resonance": 1.8}[kind]
+    return 1e-3 * np.sin(2 * np.pi * ratio * natural * t) * np.minimum(1.0, natural * t / 3)
+
+
+def band_limited(low, high, rate, rng, deviation):
+    x = rng.standard_normal(SAMPLES + 2000)
+    x = sosfiltfilt(butter(3, [low, min(high, 0.45 * rate)], "band", fs=rate, output="sos"), x)[1000:-1000]
+    return deviation * x / x.std()
+
+
+def measured(network, motion, rate, rng, noise):
+    """A record of a rig, with sensor noise, the base's `noise` [m] included; and the outputs without noise."""
+    (moved,) = network.inputs
+    out = simulate(network, np.arange(SAMPLES) / rate, {moved.name: motion})
+    clean = np.stack([out[c.name] for c in network.outputs], axis=1)
+    noisy = clean + OUTPUT_NOISE * clean.std(axis=0) * rng.standard_normal(clean.shape)
+    seen = motion + noise * rng.standard_normal(SAMPLES)
+    return Record("rig", 1 / rate, {moved.name: seen}, noisy), clean
+
+
+def share_kept(record, clean, low=0.0, high=np.inf):
+    """Share of the power of a signal without noise between two frequencies [Hz] that the low-pass of a record keeps."""
+    if record.taps is None:
+        return 1.0
+    f, s = welch(clean - clean.mean(), 1 / record.step, nperseg=4096)
+    gain = np.abs(np.exp(-2j * np.pi * np.outer(f * record.step, np.arange(len(record.taps)))) @ record.taps)
+    band = (f >= low) & (f <= high)
+    return float((gain**2 * s)[band].sum() / s[band].sum())
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
+@pytest.mark.parametrize(("natural", "rate"), [(1.0, 100.0), (3.0, 100.0), (10.0, 300.0), (30.0, 2000.0)])
+@pytest.mark.parametrize(
+    "kind", ["slow and broadband", "slow and steps", "random", "sine at resonance", "sine above resonance"]
+)
+def test_preparation_keeps_the_measured_power_where_the_model_responds(kind, natural, rate, quantity):
+    rng = np.random.default_rng(3)
+    network, motion = shaken(natural, quantity), base_motion(kind, natural, rate, rng)
+    record, clean = measured(network, motion, rate, rng, noise=3e-3 * motion.std())
+    (prepared,) = derivatives([record], network)
+    assert share_kept(prepared, clean[:, 0]) > 0.98
+    assert share_kept(prepared, clean[:, 0], 0.5 * natural, 2 * natural) > 0.98
+
+
+def test_the_harmonics_that_friction_makes_of_a_sine_are_compared():
+    natural, rate, rng = 3.0, 100.0, np.random.default_rng(7)
+    rub = {"name": "rub", "type": "coulomb_friction", "between": ["mass", "base"], "level": 0.15}
+    network, motion = shaken(natural), base_motion("sine above resonance", natural, rate, rng)
+    record, clean = measured(network.with_element(rub), motion, rate, rng, noise=3e-3 * motion.std())
+    (prepared,) = derivatives([record], network)
+    third = 3 * 1.8 * natural
+    assert share_kept(prepared, clean[:, 0], 0.95 * third, 1.05 * third) > 0.98
+
+
+def test_a_resonance_that_friction_holds_is_compared_too():
+    # the base shakes the mass at its natural frequency, but the mass sticks to the ground
+    natural, rate, rng = 3.0, 100.0, np.random.default_rng(4)
+    network, motion = shaken(natural), base_motion("slow and broadband", natural, rate, rng)
+    record, _ = measured(network, motion, rate, rng, noise=2e-5)
+    still = Record("stuck", record.step, record.inputs, 0.01 * rng.standard_normal(record.measured.shape))
+    (prepared,) = derivatives([still], network)
+    responds = np.sin(2 * np.pi * natural * np.arange(SAMPLES) / rate)
+    assert share_kept(prepared, responds, 0.5 * natural, 2 * natural) > 0.98
+
+
+BENCH = {
+    "schema": "isd-model/1",
+    "name": "test bench",
+    "elements": [
+        {"name": "damper", "type": "linear_damping", "between": ["rod", "ground"], "damping": 1000.0}
+    ],
+    "inputs": [{"name": "x", "quantity": "displacement", "at": "rod", "unit": "m"}],
+    "outputs": [{"name": "F", "quantity": "force", "at": "rod", "unit": "N"}],
+}
+INERTER = {"name": "inerter", "type": "inertance", "between": ["rod", "ground"], "inertance": 90.0}
+FRICTION = {"name": "seal", "type": "coulomb_friction", "between": ["rod", "ground"], "level": 60.0}
+
+
+@pytest.mark.parametrize(("element", "highest", "unfiltered"), [(INERTER, 8.0, 1.0), (FRICTION, 2.0, 0.1)])
+def test_the_noise_that_a_force_makes_of_a_displacement_is_left_out(element, highest, unfiltered):
+    """Inertance differentiates noise twice; friction takes the sign of a rate from it."""
+    network = Network.load({**BENCH, "elements": [*BENCH["elements"], element]})
+    rate, rng = 1000.0, np.random.default_rng(5)
+    motion = band_limited(0.02, highest, rate, rng, 5e-3)
+    record, clean = measured(network, motion, rate, rng, noise=1.5e-5)
+    (prepared,) = derivatives([record], network)
+    assert share_kept(prepared, clean[:, 0]) > 0.9
+
+    def error(r):
+        """RMS error of the true model, driven by the measured displacement, relative to the force."""
+        said = Problem(network, [r], ["fit"]).simulate([network], 0)[:, :, 0]
+        return float(np.std(said - r.measured) / np.std(r.measured))
+
+    assert error(record) > unfiltered
+    assert error(prepared) < 0.5 * unfiltered
+
+
+def test_an_input_that_tells_more_is_differentiated_less():
+    model = shaken(3.0).to_dict()
+    model["elements"].append(
+        {"name": "b", "type": "inertance", "between": ["mass", "base"], "inertance": 0.5}
+    )
+    for quantity, unit, orders in (
+        ("displacement", "m", {"base": 2}),
+        ("velocity", "m/s", {"base": 1}),
+        ("acceleration", "m/s^2", {}),
+    ):
+        model["inputs"][0].update(quantity=quantity, unit=unit)
+        model["outputs"][0].update(quantity="acceleration", unit="m/s^2")
+        assert differentiated(Network.load(model)) == orders
+
+
+def test_a_displacement_without_noise_needs_no_low_pass():
+    natural, rate, rng = 3.0, 100.0, np.random.default_rng(6)
+    network, motion = shaken(natural), base_motion("random", natural, rate, rng)
+    record, _ = measured(network, motion, rate, rng, noise=0.0)
+    assert decimation([record], network) == 1
+
+
+def test_the_response_to_a_moved_base_is_the_transmissibility():
+    network = shaken(3.0, damping_ratio=0.1)
+    (natural,) = natural_frequencies(network)
+    assert natural == pytest.approx(3.0)
+    f = np.array([0.1, 2.9, 30.0])
+    r = f / 3.0
+    expected = (1 + 0.2j * r) / (1 - r**2 + 0.2j * r)
+    assert np.allclose(transfer(network, f)[:, 0, 0], expected, rtol=1e-6)
+    assert len(linearise(network).inputs) == 2  # the base and its velocity
