@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +21,9 @@ from .kernel.layout import TOGETHER, WIDTH, aligned
 from .network import GROUND, Channel, Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
 
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_LIMIT = 0.5  # A per control step, Table 5

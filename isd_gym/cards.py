@@ -213,7 +213,7 @@ def command(
         Path | None,
         typer.Option(
             "--write",
-            help="Make a card of the scores, a track each, named by the files; nothing is compared.",
+            help="Write a card of the scores, one track for each, named after its file; nothing is compared.",
             metavar="FILE",
         ),
     ] = None,
@@ -238,7 +238,9 @@ def command(
         ]
         made = make("ISDSuspension-v0", tracks, datetime.date.today().isoformat())
         write_text(write, json.dumps(made) + "\n")
-        typer.echo(f"{len(tracks)} tracks in {write}, digest {made['digest'][:16]}")
+        typer.echo(
+            f"{len(tracks)} track{'' if len(tracks) == 1 else 's'} in {write}, digest {made['digest'][:16]}"
+        )
         return
     held = load(card)
     names = [match(score, held)["track"] for score in found]
@@ -250,17 +252,15 @@ def command(
 
 def show(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> None:
     """Print a track, best first, and how each submitted policy compares."""
-    import sys
-
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    from .console import printer
     from .errors import plain
 
     rows = ranking(card, name, scores)
-    console = Console(width=None if sys.stdout.isatty() else 118)
+    console = printer()
     made = Table(
         box=box.SIMPLE_HEAD,
         title=Text(f"{card['environment']} of {card['date']}, {name}: change against passive [%]"),
@@ -293,8 +293,6 @@ def show(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]]
             console.print(
                 f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {100 * q['change']:+.2f} % of J "
                 f"[{100 * q['low']:+.2f}, {100 * q['high']:+.2f}]",
-                highlight=False,
-                markup=False,
             )
 
 

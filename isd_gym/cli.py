@@ -14,8 +14,27 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from .console import TrustOption, check_file, counted, lines, progress, resumable, warm_up, write_json
-from .errors import InputError, hint, plain, shown
+from .console import (
+    ColumnsOption,
+    MapOption,
+    RenameOption,
+    TrustOption,
+    UnitOption,
+    channel_names,
+    check_channels,
+    check_file,
+    column_names,
+    counted,
+    lines,
+    pairs,
+    printer,
+    progress,
+    resumable,
+    tell,
+    warm_up,
+    write_json,
+)
+from .errors import InputError, ReportError, plain, shown
 from .plugins import COMMANDS, REFERENCES, plugins
 
 
@@ -91,28 +110,6 @@ JsonOption = Annotated[
 ]
 
 
-RenameOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--rename", help="A column's name in the files, and the channel it is.", metavar="COLUMN=CHANNEL"
-    ),
-]
-
-UnitOption = Annotated[
-    list[str] | None,
-    typer.Option("--unit", help="The unit a channel has in the files.", metavar="CHANNEL=UNIT"),
-]
-
-MapOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--map",
-        help="Which column is which channel: a file that isd-gym inspect --out wrote.",
-        metavar="FILE",
-    ),
-]
-
-
 class _SeveralValues(TyperCommand):
     """An option that may be repeated also takes several values at once: ``--validate a.csv b.csv``."""
 
@@ -134,43 +131,6 @@ class _SeveralValues(TyperCommand):
                 fresh = False
             out.append(arg)
         return super().parse_args(ctx, out)
-
-
-def _pairs(values: list[str] | None, option: str, form: str) -> dict[str, str]:
-    out: dict[str, str] = {}
-    for value in values or []:
-        key, joined, word = value.partition("=")
-        if not (key and joined and word):
-            raise InputError(f"{option} wants {form}, not '{value}'")
-        out[key] = word
-    return out
-
-
-def _check_channels(names: Iterable[str], known: Iterable[str], option: str) -> None:
-    known = list(known)
-    for name in names:
-        if name not in known:
-            raise InputError(f"{option}: the model has no channel '{name}'; {hint(name, known)}")
-
-
-def _names(
-    network: Any, rename: list[str] | None, unit: list[str] | None, map_file: Path | None
-) -> dict[str, Any]:
-    """Which column is which channel, from the options of a command, as `records_of` takes it."""
-    from .loggers import ChannelMap
-
-    named = {
-        "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
-        "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
-    }
-    channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
-    _check_channels(named["rename"].values(), channels, "--rename")
-    _check_channels(named["units"], [*channels, *named["rename"]], "--unit")
-    if map_file is None:
-        return named
-    if rename or unit:
-        raise InputError("--map says it all: write what --rename and --unit would say into it")
-    return {"by": ChannelMap.load(map_file)}
 
 
 def _check_records(data: list[Path], validate: list[Path]) -> None:
@@ -214,7 +174,9 @@ def score(
     duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.005)] = 20.0,
     preview: Annotated[
         float | None,
-        typer.Option(help="Road ahead [s] for those that look at it (mpc-friction-preview, ...).", min=0.0),
+        typer.Option(
+            help="Road ahead [s] that policies with a preview see (mpc-friction-preview, ...).", min=0.0
+        ),
     ] = None,
     against: Annotated[
         str | None,
@@ -226,16 +188,14 @@ def score(
     sensors: Annotated[
         str,
         typer.Option(
-            help="How imperfect they are, joined by commas: noise=1, delay=1 (control steps), road_error=0.001 (m), road_lag=0.01 (s), road_range=3 (m)."
+            help="Imperfections of the sensors, joined by commas: noise=1, delay=1 (control steps), road_error=0.001 (m), road_lag=0.01 (s), road_range=3 (m)."
         ),
     ] = "",
     network: Annotated[
         str,
         typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
     ] = "quarter-car-isd",
-    model: Annotated[
-        str | None, typer.Option(help="The network the controllers believe in; the plant unless given.")
-    ] = None,
+    model: Annotated[str | None, typer.Option(help="The controllers' model; the plant unless given.")] = None,
     report: Annotated[
         Path | None, typer.Option("--report", help="Write plots and a page to this folder.", metavar="DIR")
     ] = None,
@@ -245,7 +205,8 @@ def score(
     """Score policies on the same roads, paired, against the conventional passive car.
 
     Prints RMS of body acceleration, suspension travel and dynamic tyre load with the change against passive and its
-    95 % interval, the cost J, and where the paper and the physical limits stand.
+    95 % interval, and the cost J. The paper's tables and the bounds follow where their conditions hold: they belong to
+    means over random roads, which 32 x 20 s give.
 
     Example: isd-gym score passive isd-passive mpc
     """
@@ -255,15 +216,11 @@ def score(
     from .policies import find, passive
     from .road import road as find_road
     from .scoring import score as run
+    from .scoring import unscored
     from .sensors import Sensors
 
     check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)
-    card = None
-    if against is not None:
-        from . import cards
-
-        card = cards.load(against)
     if report is not None:
         from .report import check_report
 
@@ -273,29 +230,34 @@ def score(
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     entries = [find(name, plant, model=belief, trust_zip=trust_zip, **ahead) for name in policies]
+    drives: dict[str, Any] = {
+        "road": ground,
+        "speed": speed,
+        "episodes": episodes,
+        "seed": seed,
+        "duration": duration,
+        "sensors": senses,
+    }
+    card = track = None
+    if against is not None:
+        from . import cards
+
+        card = cards.load(against)
+        track = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
     ceilings = _ceilings(plant, ground, speed, duration)
-    known, signals = _reachable(plant, ground, speed, episodes, seed, duration)
+    known = _reachable(plant, ground, speed, episodes, seed, duration)
     with progress() as update:
         warm_up(update)
         result = run(
             entries,
             plant,
             reference=passive(plant),
-            road=ground,
-            speed=speed,
-            episodes=episodes,
-            seed=seed,
-            duration=duration,
-            sensors=senses,
-            clairvoyant=known,
+            clairvoyant=None if known is None else known["value"],
             ceiling=ceilings,
             progress=update,
+            **drives,
         )
-    result.references |= _references(result, plant, ground, known)
-    previews = sorted({row["preview"]["value"] for row in result.policies})
-    result.references |= {f"ceiling_{s:g}": line for s in previews if (line := _ceiling_line(s, ceilings(s)))}
-    if signals:
-        result.references["clairvoyant_point"] = _point(result, signals)
+    result.references |= _references(result, known, ceilings)
     made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
     write_json(json_file, made)
     if report is not None:
@@ -304,18 +266,17 @@ def score(
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)
     _print_score(result)
-    if card is not None:
-        cards.show(card, cards.match(made, card)["track"], [made])
+    if card is not None and track is not None:
+        cards.show(card, track, [made])
 
 
 def _reachable(
     plant: Any, road: Any, speed: float, episodes: int, seed: int, duration: float
-) -> tuple[Any, dict[str, Any]]:
-    """Least known cost of these very episodes and the RMS of the signals there; None and {} where it is not known."""
-    signals: dict[str, Any] = {}
+) -> dict[str, Any] | None:
+    """Least known cost of these very episodes, its proven bound and RMS of the signals; None where it is not known."""
     for point in plugins(REFERENCES, "clairvoyant"):
-        return point.load()(plant, road, speed, episodes, seed, duration, signals=signals), signals
-    return None, signals
+        return point.load()(plant, road, speed, episodes, seed, duration)
+    return None
 
 
 def _ceilings(
@@ -332,74 +293,97 @@ def _ceilings(
     return functools.cache(find)
 
 
-def _ceiling_line(preview: float, bound: dict[str, Any] | None) -> str | None:
-    if bound is None:
-        return None
-    who = f"that sees {preview:g} s of road" if preview else "that does not see the road"
-    return (
-        f"Ceiling of any controller {who}: cost J {bound['cost']:.3f} ({100 * bound['change']:+.1f} "
-        f"+- {100 * bound['change_standard_error']:.1f} %)"
-    )
+def _references(
+    result: Any, known: dict[str, Any] | None, ceilings: Callable[[float], dict[str, Any] | None]
+) -> dict[str, Any]:
+    """Bounds beside a score, a line each, and a line about what is left out.
+
+    Args:
+        result: The score.
+        known: What is known of the clairvoyant optimum on these roads.
+        ceilings: The ceiling for a preview [s], where it is known.
+    """
+    lines: dict[str, Any] = {}
+    allowed = result.comparable
+    not_computed = "not computed for these conditions"
+    if known is None or allowed.clairvoyant:
+        allowed = replace(allowed, clairvoyant=allowed.clairvoyant or not_computed)
+    else:
+        lines |= _optimum(result, known)
+    if not allowed.lq_bound and (line := _lq_bound(result)):
+        lines["causal_bound"] = line
+    if not allowed.ceiling:
+        found = {s: ceilings(s) for s in sorted({row["preview"]["value"] for row in result.policies})}
+        lines |= {f"ceiling_{s:g}": bound["sentence"] for s, bound in found.items() if bound is not None}
+        if not any(found.values()):
+            allowed = replace(allowed, ceiling=not_computed)
+    if allowed.left_out:
+        lines["left_out"] = allowed.left_out
+    return lines
 
 
-def _point(result: Any, signals: dict[str, Any]) -> dict[str, float]:
-    """Where the clairvoyant optimum lies on the trade-off: changes of RMS against passive, over all episodes."""
+def _optimum(result: Any, known: dict[str, Any]) -> dict[str, Any]:
+    """The clairvoyant optimum in a line, and its place on the trade-off: changes of RMS against passive, over all episodes."""
     import numpy as np
 
-    own = result.runs["passive"]
-    return {
-        f"{name}_change": float(np.sqrt(np.mean(values**2) / np.mean(getattr(own, name) ** 2)) - 1)
-        for name, values in signals.items()
-    }
-
-
-def _references(result: Any, plant: Any, road: Any, known: Any) -> dict[str, str]:
-    """What puts the table in place, a line each: the clairvoyant optimum, and the causal bound beside the best policy.
-
-    The bound holds for policies that do not see the road ahead.
-    """
     from .cost import StageCost
 
-    lines = {}
-    if known is not None:
-        own, least = result.runs["passive"].cost(StageCost()).mean(), known.mean()
-        lines["clairvoyant"] = (
-            f"Clairvoyant optimum, these very roads known in advance: cost J {least:.3f} ({100 * (least / own - 1):+.1f} %)"
-        )
+    own = result.runs["passive"]
+    cost, least, proven = (float(v.mean()) for v in (own.cost(StageCost()), known["value"], known["lower"]))
+    line = (
+        f"Clairvoyant optimum, these very roads known in advance (searched): cost J {least:.3f} "
+        f"({100 * (least / cost - 1):+.1f} %)"
+    )
+    if np.isfinite(proven):
+        line += f"; proven, without end stops: not below {proven:.3f} ({100 * (proven / cost - 1):+.1f} %)"
+    line += "."
+    changes = {
+        f"{n}_change": float(np.sqrt(np.mean(known[n] ** 2) / np.mean(getattr(own, n) ** 2)) - 1)
+        for n in ("body_acceleration", "suspension_travel", "tyre_load")
+    }
+    return {"clairvoyant": line, "clairvoyant_point": changes}
+
+
+def _lq_bound(result: Any) -> str | None:
+    """The causal linear-quadratic bound beside the best policy that does not see the road ahead."""
     blind = [row for row in result.policies if not row["preview"]["value"]]
+    if not blind:
+        return None
     best = min(blind, key=lambda row: row["cost"]["value"])
-    changes = [
-        best[f"{k}_rms"].get("change") for k in ("body_acceleration", "suspension_travel", "tyre_load")
-    ]
+    rows = [best[f"{k}_rms"] for k in ("body_acceleration", "suspension_travel", "tyre_load")]
+    changes = [row.get("change") for row in rows]
     if best["policy"] == "passive" or None in changes:
-        return lines
+        return None
     for point in plugins(REFERENCES, "lq_front"):
         try:
-            front = point.load()(changes[2], [changes[1]], network=plant, speed=result.speed, road=road)
-        except InputError:  # a road or a car for which there is no such bound
+            front = point.load()(
+                changes[2], [changes[1]], network=result.plant, speed=result.speed, road=result.ground
+            )
+        except InputError:  # a car for which there is no such bound
             continue
         if len(front):
             a, l, f = (f"{100 * c:+.1f} %" for c in changes)
-            lines["causal_bound"] = (
-                f"Causal LQ bound (any force, full state, no friction, no limits): at the travel ({l}) and tyre load ({f}) of "
-                f"{best['policy']}, acceleration {100 * front[0, 1]:+.1f} % at best; {best['policy']}: {a}"
+            low, high = (100 * rows[0][k] for k in ("low", "high"))
+            return (
+                f"Causal LQ bound (any force, full state, no friction, no limits; the mean over roads): at the travel ({l}) "
+                f"and tyre load ({f}) of {best['policy']}, acceleration {100 * front[0, 1]:+.1f} % at best; "
+                f"{best['policy']}: {a} [{low:+.1f}, {high:+.1f}]"
             )
-    return lines
+    return None
 
 
 def _print_score(result: Any) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     from .scoring import PAPER
 
-    console = Console(width=None if sys.stdout.isatty() else 118)
+    console = printer()
     narrow = console.width < 106
 
-    def table(title: str | None, *heads: str) -> Table:
-        made = Table(title=title and Text(title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    def table(*heads: str) -> Table:
+        made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
         for i, head in enumerate(heads):
             # names may be folded, figures never cut
             made.add_column(head, justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
@@ -447,12 +431,13 @@ def _print_score(result: Any) -> None:
         f"seeds {result.seed} to {result.seed + result.episodes - 1}{sight}; RMS, change against passive{interval}"
     )
     groups = [main, motion, share | work] if narrow else [main | share, motion | work]
-    for k, group in enumerate(groups):
-        made = table(title if k == 0 else None, "policy", *group)
+    console.print(title)
+    for group in groups:
+        made = table("policy", *group)
         for row in result.policies:
             made.add_row(Text(plain(row["policy"], 40)), *(say(row) for say in group.values()))
         console.print(made)
-    for name, (before, after) in PAPER.items():
+    for name, (before, after) in PAPER.items() if not result.comparable.tables else ():
         parts = [
             f"{what} {b * s:.{d}f} -> {a * s:.{d}f} ({100 * (a / b - 1):+.1f} %)"
             for what, b, a, s, d in zip(
@@ -464,9 +449,9 @@ def _print_score(result: Any) -> None:
                 strict=True,
             )
         ]
-        console.print(f"The paper's {name}: " + ", ".join(parts), style="dim", highlight=False, markup=False)
+        console.print(f"The paper's {name}: " + ", ".join(parts), style="dim")
     for line in (r for r in result.references.values() if isinstance(r, str)):
-        console.print(plain(line, 400), style="dim", highlight=False, markup=False)
+        console.print(plain(line, 400), style="dim")
 
 
 @app.command()
@@ -484,17 +469,18 @@ def simulate(
         ),
     ],
     out: Annotated[
-        Path, typer.Option("--out", help="Where the outputs go; the suffix says the format.", metavar="FILE")
+        Path, typer.Option("--out", help="The file to write; its suffix is its format.", metavar="FILE")
     ],
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
     rename: RenameOption = None,
     unit: UnitOption = None,
     map_file: MapOption = None,
+    columns: ColumnsOption = None,
     initial: Annotated[
         list[str] | None,
         typer.Option(
-            help="How nodes stand and move at first, in SI: body=0.01, body.velocity=0.2, or a JSON file; may be repeated. "
-            "fit: as the model's outputs in DATA say.",
+            help="Initial positions and velocities of nodes, in SI: body=0.01, body.velocity=0.2, or a JSON file; may be repeated. "
+            "fit: fitted to the model's outputs in DATA.",
             metavar="NODE=VALUE|FILE|fit",
         ),
     ] = None,
@@ -516,12 +502,12 @@ def simulate(
 
     check_file(out, model, *files_of(data))
     network = Network.load(model)
-    named = _names(network, rename, unit, map_file)
+    named = channel_names(network, rename, unit, map_file, columns)
     by = named.get("by")
     fitted = initial == ["fit"]
     if initial and "fit" in initial and not fitted:
         raise InputError("--initial fit finds how every node stands and moves: leave the others away")
-    measured = outputs_of(data, network, by, named.get("rename")) if fitted else []
+    measured = outputs_of(data, network, by, named.get("rename"), named["columns"]) if fitted else []
     wanted = (*network.inputs, *network.with_outputs(measured).outputs) if fitted else network.inputs
     pieces = records_of(data, network, wanted, **named)
     if len(pieces) > 1:
@@ -560,7 +546,7 @@ def simulate(
             )
     units = {c.name: c.unit for c in network.outputs}
     write_table(out, Table(time=table.time, columns=outputs, source=network.name, units=units))
-    typer.echo(f"{len(table.time)} samples of {', '.join(outputs)} in {out}")
+    tell(f"{len(table.time)} samples of {', '.join(outputs)} in {out}")
 
 
 @app.command(cls=_SeveralValues)
@@ -576,8 +562,8 @@ def diagnose(
     model: Annotated[
         str | None,
         typer.Option(
-            help="The model as you believe it: a file, a built-in network, or a unit for co-simulation (.fmu). Needed but for a "
-            "folder of cases that have their own model.json.",
+            help="The model as you believe it: a file, a built-in network, or a unit for co-simulation (.fmu). Required, except "
+            "for a folder of cases with a model.json each.",
             autocompletion=_offer(_networks),
         ),
     ] = None,
@@ -591,10 +577,11 @@ def diagnose(
     rename: RenameOption = None,
     unit: UnitOption = None,
     map_file: MapOption = None,
+    columns: ColumnsOption = None,
     accept: Annotated[
         list[str] | None,
         typer.Option(
-            help="A check of the data that only warns: held, jumps, magnitude, length, constant, silent, copies, all.",
+            help="A check of the data that only warns: held, jumps, magnitude, length, silent, copies, all.",
             metavar="CHECK",
         ),
     ] = None,
@@ -605,7 +592,7 @@ def diagnose(
     uncertain: Annotated[
         list[str] | None,
         typer.Option(
-            help="Relative one-sigma of a parameter, which may be refitted then, before what the model file states.",
+            help="Relative standard deviation of a parameter, which is then refitted; overrides the model file.",
             metavar="PARAMETER=SHARE",
         ),
     ] = None,
@@ -615,8 +602,8 @@ def diagnose(
     cut: Annotated[
         str | None,
         typer.Option(
-            help="No road measured: a node whose accelerometer drives what stands above it; what lies behind it (tyre, road) "
-            "is left out of the comparison.",
+            help="No road measured: a node with an accelerometer, whose motion drives everything above it; everything below "
+            "(tyre, road) is left out.",
             metavar="NODE",
         ),
     ] = None,
@@ -628,14 +615,21 @@ def diagnose(
             metavar="INPUT",
         ),
     ] = None,
+    max_seconds: Annotated[
+        float,
+        typer.Option(help="With --unmeasured: limit of processor time [s].", min=1.0, metavar="SECONDS"),
+    ] = 120.0,
     max_lag: Annotated[
-        float, typer.Option(help="How late or early another logger's clock may be [s].", min=0.0)
+        float, typer.Option(help="Largest offset between the clocks of two loggers [s].", min=0.0)
     ] = 0.5,
-    jobs: Annotated[int, typer.Option(help="Of a folder of cases: processes of this machine.", min=1)] = 1,
+    jobs: Annotated[int, typer.Option(help="Processes of this machine, for a folder of cases.", min=1)] = 1,
     engine: Annotated[
-        str, typer.Option("--engine", help="Of a folder of cases: local, or ray for a Ray cluster.")
+        str,
+        typer.Option(
+            "--engine", help="Where a folder of cases is diagnosed: local, or ray for a Ray cluster."
+        ),
     ] = "local",
-    seed: Annotated[int, typer.Option(help="Of the resampling that gives the confidence.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the resampling that gives the confidence.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Find where a model and measurements disagree, and which physical effect is missing.
@@ -646,11 +640,12 @@ def diagnose(
     records, validation*.csv to judge by and model.json is one case. A folder of cases (a folder each,
     VEHICLE_2024-05-01) is diagnosed case by case and goes on where it stopped: DIR/fleet.html.
 
+    Without a measured road, --cut compares what stands above a node with an accelerometer, and --unmeasured refits the
+    model by its likelihood (DIR/unmeasured.json, DIR/model.json).
+
     Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found
 
-    isd-gym diagnose drive.csv --model car.json --cut wheel --out found
-
-    or with --unmeasured road, which writes DIR/unmeasured.json and DIR/model.json.
+    Without a road: isd-gym diagnose drive.csv --model car.json --cut wheel --out found
     """
     from . import elements as el
     from .discrepancy import SearchSettings
@@ -658,7 +653,7 @@ def diagnose(
     from .loggers.records import records_of
     from .network import Network
     from .network import cut as cut_at
-    from .report import check_target, write_report
+    from .report import check_target
 
     check_file(json_file)
     if len(data) == 1 and data[0].is_dir() and not validate:
@@ -669,7 +664,7 @@ def diagnose(
             data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
             model = model or case.model
     if len(data) == 1 and data[0].is_dir():
-        if validate or rename or unit or elements or cut or unmeasured or uncertain:
+        if validate or rename or unit or columns or elements or cut or unmeasured or uncertain:
             raise InputError(
                 "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
             )
@@ -696,27 +691,28 @@ def diagnose(
                 raise InputError(f"{option} wants a network (isd-model/1): an FMU shows no inside")
         check_target(out)
         named = {
-            "rename": _pairs(rename, "--rename", "COLUMN=CHANNEL"),
-            "units": _pairs(unit, "--unit", "CHANNEL=UNIT"),
+            "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
+            "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
+            "header": column_names(columns),
         }
         result = _diagnose_unit(model, trust_fmu, data, validate or [], accept or [], named, shares)
-        page = write_report(result, out, about=about)
-        _print_diagnosis(result, json_file, page)
+        _print_diagnosis(result, json_file, _report(result, out, about))
         return
     for file in elements or ():
         el.register_file(file)
     network = Network.load(model)
     if shares:
         network = replace(network, uncertainty={**network.uncertainty, **shares})
-    options = _names(network, rename, unit, map_file)
+    options = channel_names(network, rename, unit, map_file, columns)
     if "by" in options:
         network = options["by"].measured(network)
     unmeasured = unmeasured or next((c.name for c in network.inputs if not c.measured and cut is None), None)
     if unmeasured is not None:
-        _check_channels([unmeasured], [c.name for c in network.inputs], "--unmeasured")
+        check_channels([unmeasured], [c.name for c in network.inputs], "--unmeasured")
         if cut is not None:
             raise InputError("--cut leaves the road out, --unmeasured takes it as noise: one of them")
-        _identify([*data, *(validate or [])], network, unmeasured, accept or [], options, out, json_file)
+        files = [*data, *(validate or [])]
+        _identify(files, network, unmeasured, accept or [], options, max_seconds, out, json_file)
         return
     check_target(out)
     part = network if cut is None else cut_at(network, cut)
@@ -737,7 +733,7 @@ def diagnose(
             settings=SearchSettings(max_lag=max_lag),
         )
         say("writing the report")
-        page = write_report(result, out, about=about | {"Seed": str(seed)})
+        page = _report(result, out, about | {"Seed": str(seed)})
     _print_diagnosis(result, json_file, page)
 
 
@@ -747,6 +743,7 @@ def _identify(
     road: str,
     accept: list[str],
     options: dict[str, Any],
+    max_seconds: float,
     out: Path,
     json_file: Path | None,
 ) -> None:
@@ -757,7 +754,10 @@ def _identify(
 
     check_folder(out, *FOLDER)
     logged = set.intersection(
-        *(set(outputs_of(f, network, options.get("by"), options.get("rename"))) for f in data)
+        *(
+            set(outputs_of(f, network, options.get("by"), options.get("rename"), options["columns"]))
+            for f in data
+        )
     )
     absent = [c.name for c in network.outputs if c.name not in logged]
     if absent and logged:
@@ -767,7 +767,7 @@ def _identify(
     with lines() as say:
         records = [r for f in data for r in records_of(f, network, wanted, **options)]
         say(f"{len(records)} record(s) without {plain(road, 40)}: refitting the model in the likelihood")
-        found = identify(records, network, road=road, accept=accept)
+        found = identify(records, network, road=road, accept=accept, max_seconds=max_seconds)
     found.save(out)
     write_json(json_file, found.to_dict())
     for line in found.lines():
@@ -784,7 +784,7 @@ def _diagnose_fleet(
     json_file: Path | None,
 ) -> None:
     """Every case of a folder; the table over all. The exit status is 1 where one has no result."""
-    from .fleet import check, fleet
+    from .fleet import check, fleet, write_page
     from .fleet import lines as told
 
     check(folder, out)
@@ -802,7 +802,11 @@ def _diagnose_fleet(
     write_json(json_file, merged)
     for line in told(merged, min(max(60, _columns()), 140)):
         typer.echo(line)
-    typer.echo(f"page: {out / 'fleet.html'}", err=True)
+    try:
+        page: Path | ReportError = write_page(merged, out)
+    except ReportError as error:
+        page = error
+    _print_page(page, "page")
     if outcome.failed:
         raise typer.Exit(1)
 
@@ -813,10 +817,10 @@ def _columns() -> int:
     return shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 80
 
 
-def _shares(pairs: list[str] | None) -> dict[str, float]:
+def _shares(uncertain: list[str] | None) -> dict[str, float]:
     """The values of --uncertain as numbers."""
     out = {}
-    for name, text in _pairs(pairs, "--uncertain", "PARAMETER=SHARE").items():
+    for name, text in pairs(uncertain, "--uncertain", "PARAMETER=SHARE").items():
         try:
             out[name] = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
         except ValueError:
@@ -827,36 +831,53 @@ def _shares(pairs: list[str] | None) -> dict[str, float]:
 def _diagnose_unit(
     model: str,
     trust: bool,
-    data: list[Path],
-    validate: list[Path],
+    data: list[Any],
+    validate: list[Any],
     accept: list[str],
     named: dict[str, Any],
     shares: dict[str, float],
 ) -> Any:
     """The diagnosis of a unit for co-simulation, with the warning that its code asks for."""
     from .cosimulation import WHY_TRUST, Unit
+    from .data import read_table
     from .discrepancy import diagnose_unit
 
     if trust and os.path.exists(model):
         typer.echo(f"isd-gym: warning: {model}: {WHY_TRUST}", err=True)
     with lines() as say, Unit(model, trust=trust) as unit:
         known = [p.name for p in (*unit.model.inputs, *unit.model.outputs)]
-        _check_channels(named["rename"].values(), ["time", *known], "--rename")
-        return diagnose_unit(
-            data, unit, validate=validate, accept=accept, uncertainty=shares, progress=say, **named
-        )
+        check_channels(named["rename"].values(), ["time", *known], "--rename")
+        data, validate = ([read_table(f, **named) for f in files] for files in (data, validate))
+        return diagnose_unit(data, unit, validate=validate, accept=accept, uncertainty=shares, progress=say)
 
 
-def _print_diagnosis(result: Any, json_file: Path | None, page: Path) -> None:
+def _report(result: Any, out: Path, about: dict[str, str]) -> Path | ReportError:
+    """Write the results and the report; return its page, or why it could not be drawn."""
+    from .report import write_report
+
+    try:
+        return write_report(result, out, about=about)
+    except ReportError as error:
+        return error
+
+
+def _print_page(page: Path | ReportError, what: str) -> None:
+    """The last line of a command: where its page is, or why there is none, which makes the exit status 1."""
+    if isinstance(page, ReportError):
+        typer.echo(f"isd-gym: {page}", err=True)
+        raise typer.Exit(1)
+    typer.echo(f"{what}: {page}", err=True)
+
+
+def _print_diagnosis(result: Any, json_file: Path | None, page: Path | ReportError) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(width=None if sys.stdout.isatty() else 118)
-    console.print(result.summary, highlight=False, markup=False, soft_wrap=True)
+    console = printer()
+    console.print(result.summary)
     for lag in getattr(result, "lags", ()):
-        console.print(plain(str(lag), 200), highlight=False, markup=False, soft_wrap=True)
+        console.print(plain(str(lag), 200))
     stages = [s for s in ("before", "refit", "after", "noise_floor") if s in result.gap]
     console.print("\nRMS error on held-out data, relative to the measured signal's deviation:")
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
@@ -867,11 +888,9 @@ def _print_diagnosis(result: Any, json_file: Path | None, page: Path) -> None:
         made.add_row(Text(plain(channel, 40)), *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
     console.print(made)
     if result.closed is not None and result.closed >= 0:
-        console.print(
-            f"{100 * result.closed:.1f} % of the gap that can be closed is closed.", highlight=False
-        )
+        console.print(f"{100 * result.closed:.1f} % of the gap that can be closed is closed.")
     write_json(json_file, result.to_dict())
-    typer.echo(f"report: {page}", err=True)
+    _print_page(page, "report")
 
 
 @app.command()
@@ -880,7 +899,7 @@ def show(
         str, typer.Argument(help="A policy, named as for score.", autocompletion=_offer(_policies))
     ],
     against: Annotated[
-        str | None, typer.Option(help="A second one beside it, on the same road.", metavar="POLICY")
+        str | None, typer.Option(help="A second policy beside the first, on the same road.", metavar="POLICY")
     ] = None,
     out: Annotated[
         Path | None,
@@ -895,10 +914,12 @@ def show(
     ] = "paper",
     speed: Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)] = 20.0,
     seconds: Annotated[float, typer.Option(help="How long to drive [s].", min=0.1)] = 10.0,
-    seed: Annotated[int, typer.Option(help="Of the road, as in score.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the road, as in score.", min=0)] = 0,
     preview: Annotated[
         float | None,
-        typer.Option(help="Road ahead [s] for those that look at it (mpc-friction-preview, ...).", min=0.0),
+        typer.Option(
+            help="Road ahead [s] that policies with a preview see (mpc-friction-preview, ...).", min=0.0
+        ),
     ] = None,
     network: Annotated[
         str,
@@ -943,7 +964,9 @@ def export(
             help="A model file (isd-model/1) or a built-in network.", autocompletion=_offer(_networks)
         ),
     ],
-    fmu: Annotated[Path, typer.Option("--fmu", help="Where the unit goes: a name in .fmu.", metavar="FILE")],
+    fmu: Annotated[
+        Path, typer.Option("--fmu", help="The file to write; its name ends in .fmu.", metavar="FILE")
+    ],
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
 ) -> None:
     """Export a model as an FMU for co-simulation (FMI 2.0).
@@ -962,7 +985,7 @@ def export(
     def number_of(things: Sized, one: str) -> str:
         return f"{len(things)} {one}{'s' if len(things) != 1 else ''}"
 
-    typer.echo(
+    tell(
         f"{number_of(network.inputs, 'input')}, {number_of(network.outputs, 'output')} and "
         f"{number_of(network.parameters, 'parameter')} of {network.name} in {fmu}"
     )
@@ -972,7 +995,7 @@ def export(
 def policies(json_file: JsonOption = None) -> None:
     """List what can be scored and shown by name.
 
-    Beside these, a trained policy's folder or .zip, and whatever other packages bring.
+    A trained policy's folder or .zip can be scored and shown, too, as can the policies of other packages.
 
     Example: isd-gym policies
     """
@@ -985,7 +1008,6 @@ def policies(json_file: JsonOption = None) -> None:
 
 def _list(rows: Mapping[str, str]) -> None:
     """Names and what they are, in as many lines as the terminal's width takes."""
-    from rich.console import Console
     from rich.table import Table
 
     made = Table.grid(padding=(0, 2))
@@ -993,7 +1015,7 @@ def _list(rows: Mapping[str, str]) -> None:
     made.add_column()
     for name, text in rows.items():
         made.add_row(name, text)
-    Console(width=None if sys.stdout.isatty() else 118, highlight=False, markup=False).print(made)
+    printer().print(made)
 
 
 @app.command()

@@ -9,22 +9,25 @@ from __future__ import annotations
 import math
 import tempfile
 import zipfile
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arrays import Array
 from .errors import InputError, hint, how_to_install, shown
 from .files import write_text
 from .guarded import Guarded
 from .inputs import memory_limit, plain_file, too_large
 from .units import QUANTITIES, convert
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+
+    from .arrays import Array
 
 SECONDS = 600.0  # that one run, or the loading, may take
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from .batch import CURRENT_LIMIT
 from .errors import InputError
-from .network import Network
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import DTypeLike
+
     from .env import ISDSuspensionVectorEnv
+    from .network import Network
 
 
 class Controller(Protocol):

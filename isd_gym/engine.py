@@ -21,12 +21,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .errors import InputError, how_to_install
 from .files import claim_folder, write_text
 from .inputs import read_json
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SCHEMA = "isd-result/1"
 TRIES = 2  # of a task whose worker died
@@ -91,6 +93,8 @@ def shard(tasks: Sequence[Task], which: str | None) -> list[Task]:
         raise InputError(f"a shard is i/n, such as 0/8, not '{which}'") from None
     if not 0 <= i < n:
         raise InputError(f"shard {which}: i goes from 0 to n - 1")
+    if i >= len(tasks):
+        raise InputError(f"shard {which} is empty: there are {len(tasks)} items")
     return list(tasks)[i::n]
 
 

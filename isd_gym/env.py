@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
-from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -23,11 +21,14 @@ from .batch import CURRENT_LIMIT, SIGNALS, Batch, nodes_of_device, state_channel
 from .cost import StageCost
 from .errors import InputError, plain
 from .network import Network
-from .road import Road
 from .sensors import Sensors, Sight
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
     from .rendering import Renderer, Snapshot
+    from .road import Road
 
 CONTROL_STEP = 5e-3  # s
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterable
 from difflib import get_close_matches
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 MESSAGE_LIMIT = 1200  # characters; longer messages lose their middle
 NAME_LIMIT = 80
@@ -72,6 +74,17 @@ class InputError(ValueError):
 
     def __init__(self, message: object = "") -> None:
         super().__init__(plain(str(message), MESSAGE_LIMIT))
+
+
+class ReportError(Exception):
+    """A page could not be drawn; the results that it was to show are written. The message is one line.
+
+    what: was to be drawn. error: why it was not. where: the results are.
+    """
+
+    def __init__(self, what: str, error: BaseException, where: str) -> None:
+        line = f"{type(error).__name__}: {error}"
+        super().__init__(plain(f"{what} could not be drawn ({line}); {where}", MESSAGE_LIMIT))
 
 
 class MissingColumn(InputError):

@@ -10,12 +10,15 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .errors import InputError, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
 
 try:
     import fcntl

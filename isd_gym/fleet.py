@@ -16,15 +16,18 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .engine import Outcome, Task, stored
 from .engine import run as run_tasks
-from .errors import InputError, plain, shown
+from .errors import InputError, ReportError, plain, shown
 from .files import claim_folder, write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
 
 SCHEMA = "isd-fleet/1"
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".parquet", ".mf4", ".mdf")
@@ -153,7 +156,7 @@ def fleet(
 ) -> tuple[dict[str, Any], Outcome]:
     """Diagnose what is not diagnosed yet of a folder of cases; the table over all, and what came of the tasks.
 
-    folder: of cases. out: for ``fleet.json``, ``fleet.html`` and ``cases``. options: of `diagnose_case` (map, accept, seed,
+    folder: of cases. out: for ``fleet.json`` and ``cases``; `write_page` adds the page. options: of `diagnose_case` (map, accept, seed,
     max_lag). jobs, engine, address, progress, say: as `engine.run` takes them. Raises `InputError`.
     """
     cases = cases_of(folder, model)
@@ -168,8 +171,26 @@ def fleet(
     )
     merged = merge(cases, tasks, stored(tasks, place / "cases"), outcome.failed)
     write_text(place / "fleet.json", json.dumps(merged, indent=1, allow_nan=False) + "\n")
-    write_text(place / "fleet.html", page(merged))
     return merged, outcome
+
+
+def write_page(merged: Mapping[str, Any], out: str | Path) -> Path:
+    """Write ``fleet.html`` beside ``fleet.json`` and return its path.
+
+    Args:
+        merged: The table over all cases, as `fleet` returns it.
+        out: The folder of the fleet.
+
+    Raises:
+        ReportError: The page cannot be drawn; an earlier one is removed, the results stay.
+    """
+    path = Path(out) / "fleet.html"
+    path.unlink(missing_ok=True)
+    try:
+        write_text(path, page(merged))
+    except Exception as error:
+        raise ReportError("the page of the fleet", error, f"the results are in '{out}'") from error
+    return path
 
 
 def merge(
@@ -273,7 +294,38 @@ def page(merged: Mapping[str, Any]) -> str:
 
     rows = [{**r, "told": [_effect(e) for e in r["effects"]]} for r in merged["cases"]]
     trends = [{**t, "picture": _trend(t["points"])} for t in merged["trends"] if len(t["points"]) > 1]
-    return fill("fleet.html", rows=rows, trends=trends, missing=merged["missing"])
+    title, details = finding(merged)
+    return fill("fleet.html", rows=rows, trends=trends, title=title, details=details)
+
+
+#: what a verdict says of a fleet: of one case, and of several
+FOUND = {
+    "missing_effect": ("lacks a physical effect", "lack a physical effect"),
+    "unknown_effect": ("lacks something without a name", "lack something without a name"),
+    "ambiguous": ("lacks one of several effects", "lack one of several effects"),
+    "parameters_only": ("is off in parameters alone", "are off in parameters alone"),
+    "no_discrepancy": ("agrees with its model", "agree with their model"),
+    None: ("has no result", "have no result"),
+}
+
+
+def finding(merged: Mapping[str, Any]) -> tuple[str, list[str]]:
+    """Return the finding of a fleet in a line, and the further findings: verdicts and effects with their counts.
+
+    merged: the table over all cases.
+    """
+    rows = merged["cases"]
+    counts = Counter(r["verdict"] for r in rows)
+    verdicts = [
+        f"{counts[v]} of {len(rows)} cases {said[counts[v] > 1]}" for v, said in FOUND.items() if counts[v]
+    ]
+    effects = Counter(
+        f"{e['effect'].replace('_', ' ')} {'-'.join(e.get('between') or [e.get('channel') or ''])}"
+        for r in rows
+        for e in r["effects"]
+    )
+    named = [f"{name} in {n} case{'s' * (n > 1)}" for name, n in effects.most_common()]
+    return verdicts[0], [", ".join(named)] * bool(named) + verdicts[1:]
 
 
 def _trend(

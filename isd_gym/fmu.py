@@ -17,7 +17,6 @@ import re
 import sys
 import tempfile
 from collections import deque
-from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +30,7 @@ from .simulate import PHYSICS_STEP, Plant, effective_current, sense
 from .units import TABLE, convert
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from xml.etree.ElementTree import Element
 
     Slave = Any

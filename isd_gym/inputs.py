@@ -11,10 +11,12 @@ import math
 import os
 import stat
 import sys
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .errors import InputError, shown
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 #: environment variable that raises the limit on what a file may take in memory
 LIMIT_VARIABLE = "ISD_GYM_READ_LIMIT_GB"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import elements as el
+from .comparability import Comparable, comparable
 from .cost import StageCost
 from .driving import Controller, Crew, Entry, Idle, travel
 from .errors import InputError
@@ -17,6 +17,11 @@ from .network import Network
 from .policies import find, passive
 from .road import road as find_road
 from .sensors import Sensors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from .road import Road
 
 __all__ = [
     "LIMITS",
@@ -247,6 +252,7 @@ class Score:
     road, network: their names. speed [m/s], duration [s]. episodes: how many, seeds from `seed` on. policies: a
     row each, as the contract has it. sensors: what they saw by. raw: what `measures` says
     of each episode, by policy. roads: a fingerprint of each, see `fingerprints`. references: what puts them in place.
+    plant, ground: the network and the road themselves. comparable: which bounds and published figures may stand beside it.
     """
 
     road: str
@@ -261,6 +267,9 @@ class Score:
     roads: list[list[float]] = field(repr=False, default_factory=list)
     runs: dict[str, Run] = field(repr=False, default_factory=dict)
     references: dict[str, Any] = field(default_factory=dict)
+    plant: Network | None = field(repr=False, default=None)
+    ground: Road | None = field(repr=False, default=None)
+    comparable: Comparable = field(default_factory=Comparable)
 
     def to_dict(self) -> dict[str, Any]:
         """The score as the contract has it."""
@@ -278,6 +287,43 @@ class Score:
             "roads": self.roads,
             "raw": self.raw,
         }
+
+
+def unscored(
+    entries: Sequence[Entry],
+    network: Network,
+    *,
+    road: Any,
+    speed: float,
+    episodes: int,
+    duration: float,
+    seed: int,
+    sensors: Sensors | None = None,
+) -> Score:
+    """Return the conditions of a score before anything is driven: no quantities, no episodes.
+
+    Args:
+        entries: Policies; only their names and previews are told.
+        network: Plant.
+        road: Road, as `score` takes it.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+        seed: Seed of the first episode.
+        sensors: Imperfections of the sensors, if any.
+    """
+    rows = [{"policy": e.name, "preview": {"value": Crew(e, 1).preview, "unit": "s"}} for e in entries]
+    return Score(
+        road=getattr(road, "name", str(road)),
+        speed=speed,
+        network=network.name,
+        episodes=episodes,
+        duration=duration,
+        seed=seed,
+        policies=rows,
+        sensors=sensors or Sensors(),
+        roads=fingerprints(road, speed, duration, seed, episodes),
+    )
 
 
 def score(
@@ -302,7 +348,7 @@ def score(
     Changes are paired: episodes are drawn with replacement, the same ones for both, and the 95 % interval is that of
     the ratio of the pooled values. `clairvoyant`: the least cost known for each episode (episodes,), for the share of the
     reachable gain. `ceiling(preview)`: the bound for controllers that know so many seconds of road (its `change`), for the
-    share of the causal gain.
+    share of the causal gain, which is left out where the sample is too small for it (`comparability`).
 
     network: the plant. road, randomize, sensors, speed [m/s], duration [s], seed: as those of `drive`. progress(name,
     share): told now and then.
@@ -316,6 +362,19 @@ def score(
     named = [policies] if isinstance(policies, str | Entry) else policies
     entries = [find(p, network, cost=cost) if isinstance(p, str) else p for p in named]
     reference = reference or passive(network)
+    ground = find_road(road)
+    allowed = comparable(
+        network,
+        ground,
+        speed,
+        episodes,
+        duration,
+        randomize=randomize,
+        sensors=sensors,
+        reference=reference.name,
+    )
+    if allowed.ceiling:
+        ceiling = None
     names = [e.name for e in entries]
     if len(set(names)) != len(names):
         raise InputError("a policy is named twice")
@@ -378,4 +437,7 @@ def score(
         raw=raw,
         roads=[] if randomize else fingerprints(road, speed, duration, seed, episodes),
         runs=runs,
+        plant=network,
+        ground=ground,
+        comparable=allowed,
     )

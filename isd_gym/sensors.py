@@ -7,15 +7,17 @@ the channel, so that car i of a batch sees exactly what the single car of its se
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba as nb
 import numpy as np
 
 from .errors import InputError, shown
 from .inputs import is_number
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 #: one sigma of white noise on each measured signal at noise 1; the current is the controller's own and is known
 NOISE = {

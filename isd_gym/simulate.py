@@ -9,9 +9,8 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -21,6 +20,9 @@ from .errors import InputError
 from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
 from .units import convert
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 PHYSICS_STEP = 1e-3  # s
 #: parts of the base vector that are the motion of a node, each the derivative of the one before

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from .console import counted, resumable
+from .console import counted, printer, resumable
 from .engine import Outcome, Task, shard, stored
 from .engine import run as run_tasks
 from .errors import InputError
@@ -173,6 +173,23 @@ def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) ->
     return rows
 
 
+def check_policies(grid: Grid) -> None:
+    """Raise `InputError` for a policy of the grid that opens in none of its conditions: before long work, not after it."""
+    from .policies import find
+
+    for policy in grid.policies:
+        why = None
+        for c in grid.conditions:
+            ahead: dict[str, Any] = {} if c.preview is None else {"preview": c.preview}
+            try:
+                find(policy, c.plant(), model=Network.load(c.model or c.network), **ahead)
+                break
+            except InputError as error:
+                why = why or error
+        else:
+            raise why or InputError("the grid has no conditions")
+
+
 def sweep(
     grid: Grid,
     out: str | Path,
@@ -227,7 +244,8 @@ def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     out = []
     for c in merged["conditions"]:
         by = {row["policy"]: row["cost"] for row in c["policies"]}
-        out.append([c["name"], *(_cell(by.get(name)) for name in names)])
+        if any(name in by for name in names):  # else nothing of it is done yet
+            out.append([c["name"], *(_cell(by.get(name)) for name in names)])
     by = {row["policy"]: row for row in merged["overall"]}
     if by:
         out.append(
@@ -274,13 +292,15 @@ def command(
     which: Annotated[
         str | None,
         typer.Option(
-            "--shard", help="Only every n-th item: 0/8 ... 7/8 in an array of 8 jobs.", metavar="I/N"
+            "--shard", help="Run only every N-th item: 0/8 ... 7/8 in an array of 8 jobs.", metavar="I/N"
         ),
     ] = None,
-    engine: Annotated[str, typer.Option("--engine", help="local, or ray for a Ray cluster.")] = "local",
+    engine: Annotated[
+        str, typer.Option("--engine", help="Where the items run: local, or ray for a Ray cluster.")
+    ] = "local",
     address: Annotated[
         str | None,
-        typer.Option("--address", help="Of the Ray cluster; the one of this machine unless given."),
+        typer.Option("--address", help="Address of the Ray cluster; the one of this machine unless given."),
     ] = None,
 ) -> None:
     """Drive policies through a grid of conditions, on many cores or machines; called again it goes on where it stopped.
@@ -291,6 +311,7 @@ def command(
     Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
     """
     made = Grid.load(grid)
+    check_policies(made)
     with resumable(), counted("items") as progress:
         merged, outcome = sweep(
             made,
@@ -312,40 +333,37 @@ def command(
 
 
 def _print(merged: Mapping[str, Any]) -> None:
-    import sys
-
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     from .errors import plain
 
     names, lines = rows(merged)
-    console = Console(width=None if sys.stdout.isatty() else 118)
+    console = printer()
     # a figure is never cut: its interval goes below it where there is no room beside it
-    room = 34 + sum(max(len(line[k + 1]) for line in lines) + 4 for k in range(len(names))) <= console.width
+    wide = [max((len(line[k + 1]) for line in lines), default=0) for k in range(len(names))]
+    room = 34 + sum(w + 4 for w in wide) <= console.width
     made = Table(box=box.SIMPLE_HEAD, title="change of J against passive [%]", title_justify="left")
     made.add_column("condition", overflow="fold")
     for name in names:
         made.add_column(Text(plain(name, 40)), justify="right", overflow="fold")
     for first, *cells in lines:
         made.add_row(Text(plain(first, 60)), *(Text(c if room else c.replace(" [", "\n[")) for c in cells))
-    console.print(made)
+    if lines:
+        console.print(made)
     for row in merged["overall"][:1]:
         for rival, q in row["against"].items():
             console.print(
                 f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {_cell(q, 'value', 2)} points of J",
                 style="dim",
-                highlight=False,
-                markup=False,
             )
     if merged["missing"]:
         typer.echo(f"{_items(merged['missing'])} not there yet")
 
 
 def warm() -> None:
-    """Compile what simulations, policies and environments need, once, into the cache of this machine (or NUMBA_CACHE_DIR).
+    """Compile the kernel of simulations, policies and environments, once, into the cache of this machine (or NUMBA_CACHE_DIR).
 
     On a fresh node the first step otherwise costs tens of seconds, in every worker at once.
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .console import check_file, progress
+from .console import MapOption, RenameOption, UnitOption, channel_names, check_file, printer, progress
 from .errors import InputError, plain, shown
 
 if TYPE_CHECKING:
+    from .data import Table
     from .discrepancy.excitation import Rig
     from .discrepancy.foreseen import Plan
     from .network import Network
@@ -33,9 +33,12 @@ def command(
     data: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Records whose inputs are the test to be judged (outputs in them tell the noise); without them --excitation is."
+            help="Records whose inputs are the test to be judged; their outputs, if any, give the noise. Without records the test is --excitation."
         ),
     ] = None,
+    rename: RenameOption = None,
+    unit: UnitOption = None,
+    map_file: MapOption = None,
     excitation: Annotated[
         str | None,
         typer.Option(
@@ -45,7 +48,7 @@ def command(
     limit: Annotated[
         list[str] | None,
         typer.Option(
-            help="What the rig can do at an input, and how fast: road=15mm or road=15mm,0.4m/s, force=200N, current=4.",
+            help="Largest value that the rig reaches at an input, and its speed: road=15mm or road=15mm,0.4m/s, force=200N, current=4.",
             metavar="INPUT=REACH[,SPEED]",
         ),
     ] = None,
@@ -57,7 +60,7 @@ def command(
     noise: Annotated[
         list[str] | None,
         typer.Option(
-            help="RMS noise of an output, in its unit; from the model file or DATA where they have it, else 1 % of its deviation.",
+            help="RMS noise of an output, in its unit; otherwise that of the model file or DATA, or 1 % of the output's deviation.",
             metavar="OUTPUT=VALUE",
         ),
     ] = None,
@@ -69,14 +72,14 @@ def command(
     design: Annotated[
         Path | None,
         typer.Option(
-            help="Choose the test that tells most within the rig's limits, write it to play, and judge that.",
+            help="Choose the most informative test within the rig's limits, write it to this file, and judge it.",
             metavar="FILE.csv",
         ),
     ] = None,
     after: Annotated[
         Path | None,
         typer.Option(
-            help="With --design: a diagnosis.json; the test is to tell the rivals apart that it was left with.",
+            help="With --design: the diagnosis.json of an undecided diagnosis; the test is chosen to separate its rivals.",
             metavar="RESULT.json",
         ),
     ] = None,
@@ -92,7 +95,7 @@ def command(
         typer.Option(help="A Python file of yours that registers elements: it is run.", metavar="FILE.py"),
     ] = None,
 ) -> None:
-    """Before the test: which effects could be told from which, how small each could be and still be named.
+    """Predict what a test can show: which effects can be told apart, and how small each can be and still be named.
 
     Every effect of the library at every place is simulated under the test, the model and the rivals that come closest
     are refitted to it, and the criteria of `isd-gym diagnose` decide on what is left, noise included. Prints each
@@ -105,15 +108,25 @@ def command(
     """
     from . import elements as el
     from .discrepancy.planning import plan as run
+    from .loggers import files_of
     from .network import Network
 
     for file in (design, out, html):
-        check_file(file, model, after, *data or (), *elements or ())
-    if after is not None and design is None:
-        raise InputError("--after wants --design FILE.csv: where the test that separates the rivals goes")
+        check_file(file, model, after, *(f for word in data or () for f in files_of(word)), *elements or ())
+    if after is not None:
+        if design is None:
+            raise InputError("--after wants --design FILE.csv: where the test that separates the rivals goes")
+        _check_undecided(after)
     for file in elements or ():
         el.register_file(file)
     network = Network.load(model)
+    named = channel_names(network, rename, unit, map_file)
+    if any(named.values()) and not data:
+        raise InputError("--rename, --unit and --map are for DATA, and there are none")
+    if "by" in named:
+        network = named["by"].measured(network)
+    notes: list[str] = []
+    tables = _tables(data or [], network, named, notes)
     own_noise = amounts(
         noise, {c.name: c.unit for c in network.outputs}, "--noise", "the model has no output"
     )
@@ -121,26 +134,67 @@ def command(
     with progress() as update:
         options["progress"] = update
         if design is None and not any((limit, band, length, rate)):
-            found = run(network, data or (), excitation=excitation, **options)
+            found = run(network, tables, excitation=excitation, notes=notes, **options)
         else:
-            if data and design is None:
+            if tables and design is None:
                 raise InputError(
                     "--limit, --band, --length and --rate are for a test that is made: not with DATA, or with --design"
                 )
-            found = _made(
-                network, data or [], excitation, (limit, band, length, rate), design, after, options
-            )
+            bounds = (limit, band, length, rate)
+            found = _made(network, tables, excitation, bounds, design, after, notes, options)
     _save(found, out, html)
     _print(found)
 
 
+#: verdicts that leave nothing to decide, in words
+DECIDED = {
+    "missing_effect": "the missing effect is named",
+    "no_discrepancy": "nothing is missing",
+    "parameters_only": "parameters explain the difference",
+}
+
+
+def _check_undecided(after: Path) -> None:
+    """Raise `InputError` for a diagnosis without a question for another test."""
+    from .inputs import read_json
+
+    data = read_json(after)
+    verdict = data.get("verdict") if isinstance(data, dict) else None
+    if isinstance(verdict, str) and verdict in DECIDED:
+        raise InputError(f"{after}: nothing is left to decide: {DECIDED[verdict]} ({verdict})")
+
+
+def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
+    """The records of DATA with the inputs of the model, and its outputs where all of them are there."""
+    from .data import Table
+    from .loggers.grid import inputs_of
+    from .loggers.records import outputs_of, records_of
+    from .units import convert
+
+    out = []
+    for word in data:
+        there = set(outputs_of(word, network, named.get("by"), named.get("rename")))
+        whole = all(c.name in there for c in network.outputs)
+        wanted = (*network.inputs, *network.outputs) if whole else network.inputs
+        for record in records_of(word, network, wanted, **named):
+            if isinstance(record, Table):
+                out.append(record)
+                continue
+            notes += record.notes
+            time, inputs = inputs_of(record, network.inputs, notes)
+            own = {c.name: convert(inputs[c.name], c.si, c.unit) for c in network.inputs}
+            out.append(Table(time, own, record.name))
+    return out
+
+
 def _made(
     network: Network,
-    data: list[Path],
+    data: list[Table],
     excitation: str | None,
     bounds: tuple[list[str] | None, str | None, float | None, float | None],
     design: Path | None,
     after: Path | None,
+    notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
     """The plan of a test that is made here, and the test written where it is asked for."""
@@ -149,8 +203,7 @@ def _made(
     from .discrepancy.planning import planned
 
     limit, band, length, rate = bounds
-    notes: list[str] = []
-    records = [planned(file, network)[1] for file in data]
+    records = [planned(table, network)[1] for table in data]
     units = {c.name: c.si for c in network.inputs}
     own = {c.name: c.unit for c in network.inputs}
     reaches = [text.partition(",")[0] for text in limit or ()]
@@ -260,14 +313,13 @@ def _save(found: Plan, out: Path | None, html: Path | None) -> None:
 
 def _print(found: Plan) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     from .report.plan import size_of
 
-    console = Console(width=None if sys.stdout.isatty() else 118, highlight=False, markup=False)
-    console.print(f"Test: {plain(found.test, 300)}", soft_wrap=True)
+    console = printer()
+    console.print(f"Test: {plain(found.test, 300)}")
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for head in ("effect", "smallest that is named", "held back by"):
         made.add_column(head, overflow="fold")
@@ -294,5 +346,5 @@ def _print(found: Plan) -> None:
             )
         console.print(more)
     for note in found.notes:
-        console.print(plain(note, 300), style="dim", soft_wrap=True)
-    console.print(plain(found.summary, 600), soft_wrap=True)
+        console.print(plain(note, 300), style="dim")
+    console.print(plain(found.summary, 600))

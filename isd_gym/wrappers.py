@@ -5,8 +5,7 @@ env = SharedRoads(gymnasium.make_vec("ISDSuspension-v0", 512, autoreset_mode="sa
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +16,9 @@ from gymnasium.vector.utils import batch_space
 from .batch import SLEW_LIMIT
 from .env import CONTROL_STEP, N_MEASURED
 from .errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 #: RMS of each measured signal on the paper's road, rounded, and of its change in one control step, in SI units
 SCALE = np.array([1.0, 0.01, 0.2, 0.01, 0.05, 2.5], np.float32)

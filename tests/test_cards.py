@@ -88,8 +88,23 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path, monkeypatch, 
 
     on = ["--episodes", "3", "--duration", "0.5"]
     go("score", "passive", "skyhook", *on, "--json", tmp_path / "brief.json")
-    assert "1 tracks" in go("card", tmp_path / "brief.json", "--write", tmp_path / "card.json")
+    assert "1 track in" in go("card", tmp_path / "brief.json", "--write", tmp_path / "card.json")
     assert "add against skyhook" in go("score", "add", *on, "--against", tmp_path / "card.json")
+
+    def driven(*args: object, **kwargs: object) -> None:
+        raise AssertionError("driven before it was refused")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("isd_gym.scoring.drive", driven)
+        for other in (["--duration", "0.6"], ["--seed", "1"], ["--road", "C"], ["--sensors", "noise=1"]):
+            patch.setattr(
+                sys,
+                "argv",
+                ["isd-gym", "score", "add", *on, *other, "--against", str(tmp_path / "card.json")],
+            )
+            with pytest.raises(SystemExit) as end:
+                main()
+            assert end.value.code == 2 and f"another {other[0][2:]}" in capsys.readouterr().err
     assert "brief: change" in (shown := go("card", "--card", tmp_path / "card.json")) and "skyhook" in shown
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from baselines.ceiling import CeilingSettings, NewsValue, ceiling, passive_cost, stitch
+from baselines.ceiling import Ceiling, CeilingSettings, NewsValue, ceiling, known, passive_cost, stitch
 from baselines.clairvoyant import Episode, Schedule
 from baselines.model import Weights, prediction_model, preview_regulator, regulator
 from isd_gym.cost import StageCost
@@ -143,3 +145,34 @@ def test_the_shipped_ceiling_is_above_every_causal_controller():
     for name in ("mpc-friction", "lqr-full"):  # the full state is no knowledge of the road
         own = drive(find(name, CAR), CAR, episodes=4).cost(COST).mean()
         assert own / idle - 1 > found.change
+
+
+@pytest.mark.parametrize("page", ["README.md", "VALIDATION.md", "docs/ceiling.md"])
+def test_the_ceiling_is_told_in_one_sentence(page):
+    """Searched, with the proven bound beside it; the shipped figures."""
+    found = known("quarter-car-isd")
+    text = " ".join((Path(__file__).parents[1] / page).read_text(encoding="utf-8").split())
+    assert found["sentence"] in text.replace("−", "-").replace("±", "+-")
+    assert found["proven_without_stops"] < found["change"]
+    for other in ("no controller can pass", "What no controller", "can pass that sees"):
+        assert other not in text
+
+
+def test_the_sentence_names_the_sight():
+    ahead = known("quarter-car-isd", preview=0.1)["sentence"]
+    assert ahead.startswith("The ceiling with 0.1 s of road ahead is searched, not proven: J -39.4 +- 0.2 %")
+    assert "which no controller that sees 0.1 s of road is known to pass" in ahead
+    few = Ceiling(0.0, np.full(4, 0.6), np.full(4, np.nan), 0.85).sentence
+    assert "there is no proven bound." in few and "nan" not in few
+
+
+def test_a_score_quotes_no_ceiling_of_few_roads(tmp_path, monkeypatch):
+    """Two roads have no standard error to speak of."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    import baselines.ceiling as module
+
+    kept = {600_000 + i: {"reached": 0.6, "proven": 0.5} for i in range(3)}
+    monkeypatch.setattr(module, "read", lambda key, file: dict(kept))
+    assert known("quarter-car-isd") is None
+    kept[600_003] = {"reached": 0.61, "proven": 0.51}
+    assert known("quarter-car-isd")["roads"] == 4

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -57,19 +58,51 @@ def test_help_is_light_and_knows_the_commands_of_all_packages():
 
 
 def test_score_ends_with_what_puts_it_in_place(tmp_path):
-    """On a road of the score: the paper's tables, the clairvoyant optimum, the causal bound; all below the share."""
-    done = run("score", "passive", "lqg", "--episodes", 1, "--json", tmp_path / "s.json")
+    """On the benchmark's own roads: the paper's tables, the clairvoyant optimum, the causal bound and ceiling."""
+    done = run("score", "passive", "lqg", "--json", tmp_path / "s.json")
     assert done.returncode == 0, done.stderr
+    assert max(map(len, done.stdout.splitlines())) <= 80
     text = " ".join(done.stdout.split())
-    for words in ("of the gain", "travel [mm] 7.60 -> 6.30", "Clairvoyant optimum", "Causal LQ bound"):
+    for words in (
+        "of the gain",
+        "travel [mm] 7.60 -> 6.30",
+        "Clairvoyant optimum",
+        "Causal LQ bound",
+        "The causal ceiling is searched, not proven",
+    ):
         assert words in text
+    assert "Left out" not in text
     data = json.loads((tmp_path / "s.json").read_text())
-    assert {"clairvoyant", "clairvoyant_point", "causal_bound"} <= set(data["references"])
+    known = {"clairvoyant", "clairvoyant_point", "causal_bound", "ceiling_0"}
+    assert known <= set(data["references"])
+    best = float(re.search(r"acceleration (\S+) % at best", data["references"]["causal_bound"])[1])
+    own = data["policies"][1]["body_acceleration_rms"]
+    assert best < 100 * own["low"]  # nobody beats a bound
     point = data["references"]["clairvoyant_point"]  # least cost, so less of what it is made of
     assert -0.6 < point["body_acceleration_change"] < -0.2 and -0.6 < point["suspension_travel_change"] < -0.1
     assert "{" not in text
     row = next(r for r in data["policies"] if r["policy"] == "lqg")
-    assert 0 < row["share_of_reachable_gain"] < 1
+    assert 0 < row["share_of_reachable_gain"] < row["share_of_causal_gain"] < 1
+
+
+def test_a_short_score_says_nothing_of_bounds(tmp_path):
+    """Two roads of 4 s, where a policy may beat what the LQ bound has for the mean over roads."""
+    done = run("score", "passive", "lqg", "--episodes", 2, "--duration", 4, "--json", tmp_path / "s.json")
+    text = " ".join(done.stdout.split())
+    for words in (
+        "at best",
+        "The paper's",
+        "ceiling is searched",
+        "Clairvoyant",
+        "of the gain",
+        "of the causal",
+    ):
+        assert words not in text
+    data = json.loads((tmp_path / "s.json").read_text())
+    assert set(data["references"]) == {"left_out"}
+    assert data["references"]["left_out"] in text and "2 x 4 s is too small a sample" in text
+    for row in data["policies"]:
+        assert row["share_of_reachable_gain"] is None and row["share_of_causal_gain"] is None
 
 
 def test_score_prints_the_table_and_writes_json(tmp_path):
@@ -77,7 +110,7 @@ def test_score_prints_the_table_and_writes_json(tmp_path):
         "score", "passive", "isd-passive", "--episodes", 2, "--duration", 2, "--json", tmp_path / "s.json"
     )
     assert done.returncode == 0, done.stderr
-    assert "Table 8" in done.stdout and "isd-passive" in done.stdout
+    assert "isd-passive" in done.stdout and max(map(len, done.stdout.splitlines())) <= 80
     data = json.loads((tmp_path / "s.json").read_text())
     assert [p["policy"] for p in data["policies"]] == ["passive", "isd-passive"]
 
@@ -107,6 +140,13 @@ def test_simulate_takes_other_names_and_writes_over_no_record(tmp_path):
     assert run("simulate", "force-rig", "d.csv", "--out", "o.csv", *named, cwd=tmp_path).returncode == 0
     assert 100 < read_table(tmp_path / "o.csv")["force"].max() < 1000  # N, of 5 mm and not of 5 m
     assert (tmp_path / "d.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize("args", [("policies",), ("networks",), ("card",)])
+def test_what_is_piped_has_80_columns(args):
+    done = run(*args, env={"COLUMNS": "200"})
+    assert done.returncode == 0, done.stderr
+    assert max(map(len, done.stdout.splitlines())) <= 80
 
 
 def test_a_card_fits_a_narrow_terminal():

@@ -63,9 +63,34 @@ def types_as_they_were():
         del elements.TYPES[kind]
 
 
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def told(shown, printed):
+    """Whether a page shows what was printed: the same words, and numbers that differ by machine alone (half a per cent)."""
+    words, own = (NUMBER.sub("#", " ".join(text.split())) for text in (shown, printed))
+    numbers = [float(n.replace("−", "-")) for n in NUMBER.findall(" ".join(shown.split()))]
+    found = [float(n.replace("−", "-")) for n in NUMBER.findall(" ".join(printed.split()))]
+    place = own.find(words)
+    while place >= 0:
+        first = own[:place].count("#")
+        pairs = zip(numbers, found[first : first + len(numbers)], strict=True)
+        if all(abs(a - b) <= max(0.005 * abs(b), 0.101) for a, b in pairs):
+            return True
+        place = own.find(words, place + 1)
+    return False
+
+
+def test_what_a_page_shows_is_compared_by_words_and_numbers():
+    assert told("level 499.9 N,\n2.1 %", "found: level 500.1 N, 2.2 % (noise)")
+    assert not told("level 502.2 N", "level 498.3 N")
+    assert not told("error in travel 78.8 %", "error in device_travel 78.8 %")
+    assert not told("from 78.8 to 2.0 %", "from 74.1 to 2.0 %")
+
+
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: any(blocks(p, "python")), SLOW))
-def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, types_as_they_were):
-    """All ```python blocks of a page, in order, in one namespace and an empty folder."""
+def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, types_as_they_were, capsys):
+    """All ```python blocks of a page, in order, in one namespace and an empty folder; they print what its ```text shows."""
     monkeypatch.chdir(tmp_path)
     space = {"__name__": "__page__"}
     for library in ("skrl", "stable_baselines3", "torch"):  # what a page of a guide may need
@@ -80,6 +105,9 @@ def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch, types_as_they_were
     if page.name in REACHED:
         cost, most = REACHED[page.name]
         assert eval(cost, space) < most
+    printed = capsys.readouterr().out
+    for line, text in blocks(page, "text"):
+        assert told(text, printed), f"{page.name}, line {line}: prints something else now\n{printed[-2000:]}"
 
 
 def commands(page):
@@ -105,6 +133,19 @@ def program():
     for point in plugged:
         whole.command(name=point.name)(point.load())
     return typer.main.get_command(whole)
+
+
+def test_every_help_is_of_whole_sentences(program):
+    """Paragraphs and options end with a full stop; an example alone is a command."""
+    for name, command in program.commands.items():
+        paragraphs = [" ".join(text.split()) for text in (command.help or "").split("\n\n")]
+        assert paragraphs[-1].split(":")[0] in ("Example", "Without a road"), name
+        for text in paragraphs:
+            example = re.match(r"(Example|Without a road): isd-gym \w", text)
+            assert example or (text[0].isupper() and text.endswith(".")), f"{name}: {text}"
+        for option in command.params:
+            text = getattr(option, "help", None) or "."
+            assert text.endswith("."), f"{name} {option.name}: {text}"
 
 
 @pytest.mark.parametrize("page", cases(PAGES, lambda p: any(commands(p))))

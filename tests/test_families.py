@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -11,6 +11,9 @@ from families import FAMILIES, KINDS, UNSEEN, UNSEEN_KINDS, make_case, save
 from families.plant import Signal, integrate
 from families.rigs import dyno
 from reference import simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 OSCILLATOR = {
     "masses": {"mass": 2.0},

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from isd_gym.cli import app
 from isd_gym.data import Table, write_table
-from isd_gym.errors import InputError
-from isd_gym.fleet import Case, _task, case_itself, cases_of, check, fleet, lines, merge, page
+from isd_gym.errors import InputError, ReportError
+from isd_gym.fleet import Case, _task, case_itself, cases_of, check, fleet, lines, merge, page, write_page
 
 
 def case(folder, name, *files):
@@ -101,6 +101,51 @@ def test_what_grew_over_dates_is_told():
     assert "within its intervals" in " ".join(" ".join(lines(within)).split())
 
 
+def test_the_first_line_of_the_page_is_the_finding():
+    cases, tasks, found = results({f"2024-0{k}-01": (300.0, 8.0) for k in range(1, 6)})
+    for task, verdict in zip(tasks[3:], ("unknown_effect", "no_discrepancy"), strict=True):
+        found[task.key]["diagnosis"] |= {
+            "verdict": verdict,
+            "effects": [],
+            "summary": "A long sentence. " * 9,
+        }
+    head = page(merge(cases, tasks, found)).split("<h2>")[0]
+    assert "<h1>3 of 5 cases lack a physical effect</h1>" in head
+    assert "Coulomb friction piston-joint in 3 cases. " in head
+    assert "1 of 5 cases lacks something without a name. 1 of 5 cases agrees with its model." in head
+    del found[tasks[0].key]
+    assert "1 of 5 cases has no result." in page(merge(cases, tasks, found))
+    assert "<h1>5 of 5 cases have no result</h1>" in page(merge(cases, tasks, {}))
+
+
+def test_a_sentence_in_a_table_may_wrap():
+    """A fleet's page is no wider than its window: only the small print under figures stays in one line."""
+    cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
+    found[tasks[0].key]["diagnosis"]["summary"] = "A long sentence. " * 9
+    text = page(merge(cases, tasks, found))
+    assert '<small class="prose">A long sentence.' in text
+    assert "td small.prose { white-space: normal; }" in text
+
+
+def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
+    case(tmp_path, "fleet/van_2024-01-01", "a.csv", "model.json")
+    cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
+    merged = merge(cases, tasks, found)
+    monkeypatch.setattr("isd_gym.fleet.merge", lambda *args: merged)
+    words = ["diagnose", str(tmp_path / "fleet"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, words)
+    assert (tmp_path / "out" / "fleet.html").exists()
+    monkeypatch.setattr("isd_gym.fleet.page", lambda merged: 1 / 0)
+    with pytest.raises(ReportError, match="page of the fleet could not be drawn"):
+        write_page(merged, tmp_path / "out")
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+    assert "coulomb friction piston-joint (level 300 N)" in " ".join(done.stdout.split())
+    assert "ZeroDivisionError" in done.stderr.splitlines()[-1]
+    assert json.loads((tmp_path / "out" / "fleet.json").read_text()) == merged
+    assert not (tmp_path / "out" / "fleet.html").exists()
+
+
 def test_a_case_that_cannot_be_diagnosed_is_told_and_the_others_go_on(tmp_path):
     from isd_gym.network import Network
 
@@ -111,6 +156,7 @@ def test_a_case_that_cannot_be_diagnosed_is_told_and_the_others_go_on(tmp_path):
         t = 1e-3 * np.arange(50)  # too short for anybody
         write_table(tmp_path / "cases" / name / "run.csv", Table(t, {n: np.sin(t) for n in names}))
     merged, outcome = fleet(tmp_path / "cases", tmp_path / "out", "force-rig")
+    write_page(merged, tmp_path / "out")
     errors = {r["case"]: r["error"] for r in merged["cases"]}
     assert "too short" in errors["a_2024-01-01"] and "no column" in errors["b_2024-01-01"]
     assert merged["missing"] == 2 and len(outcome.failed) == 2

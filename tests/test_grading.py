@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -137,8 +138,6 @@ def test_the_goldens_are_of_known_rigs() -> None:
 def test_cases_are_items_of_the_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     import diagnose
 
-    from isd_gym import discrepancy
-
     rigs = tmp_path / "rigs"
     truth = {f"rig_{i:03d}": {"kind": "shaken", "answer": FRICTION} for i in range(3)}
     for name in truth:
@@ -146,20 +145,17 @@ def test_cases_are_items_of_the_engine(tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "rigs.truth.json").write_text(json.dumps(truth))
     looked: list[str] = []
 
-    def fake(records: Any, model: Path, *, validate: Any) -> Any:
-        looked.append(model.parent.name)
-        if model.parent.name == "rig_001":
+    def fake(files: Any, out: Path) -> Any:
+        name = files.model.parent.name
+        looked.append(name)
+        if name == "rig_001":
             while True:  # for ever: only its processor time ends it
                 sum(range(1000))
-        if model.parent.name == "rig_002" and looked.count("rig_002") == 1:
+        if name == "rig_002" and looked.count("rig_002") == 1:
             raise SystemExit  # it is stopped here
-        return type(
-            "Found",
-            (),
-            {"to_dict": lambda self: said("missing_effect", ("coulomb_friction", GROUND))["diagnosis"]},
-        )()
+        return said("missing_effect", ("coulomb_friction", GROUND))["diagnosis"]
 
-    monkeypatch.setattr(discrepancy, "diagnose", fake)
+    monkeypatch.setattr(diagnose, "command", fake)
     cases = list(diagnose.in_folder(rigs, []))
     with pytest.raises(SystemExit):
         diagnose.run_all(cases, tmp_path / "out", 1, 0.1)
@@ -168,6 +164,39 @@ def test_cases_are_items_of_the_engine(tmp_path: Path, monkeypatch: pytest.Monke
     assert "2 of 3 are there already" in capsys.readouterr().out
     assert [grading.graded(r) for r in rows] == ["right", "missed", "right"] and rows[1]["timed_out"]
     assert sorted(r["name"] for r in diagnose.read([tmp_path / "out"])) == sorted(truth)
+
+
+@pytest.mark.parametrize("report", [True, False])
+def test_a_case_whose_report_fails_has_no_result(
+    report: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import diagnose
+
+    called: list[list[str]] = []
+
+    def app(words: list[str], standalone_mode: bool) -> int:
+        called.append(words)
+        out = Path(words[words.index("--out") + 1])
+        out.mkdir()
+        (out / "diagnosis.json").write_text(json.dumps(said("unknown_effect")["diagnosis"]))
+        (out / "model.json").write_text("{}")
+        if report:
+            (out / "report.html").write_text("<html>")
+        return 0
+
+    monkeypatch.setattr("isd_gym.cli.app", app)
+    rig = tmp_path / "rigs" / "rig_000"
+    rig.mkdir(parents=True)
+    for name in ("estimation_0.csv", "validation.csv", "model.json"):
+        (rig / name).touch()
+    truth = {"rig_000": {"kind": "shaken", "answer": "unknown"}}
+    (tmp_path / "rigs.truth.json").write_text(json.dumps(truth))
+    (job,) = diagnose.in_folder(tmp_path / "rigs", [])
+    row = diagnose.run(60.0, **asdict(job))
+    assert called[0][:2] == ["diagnose", str(rig / "estimation_0.csv")]
+    assert called[0][-2:] == ["--validate", str(rig / "validation.csv")]
+    assert grading.graded(row) == ("right" if report else "missed")
+    assert report or "without report.html" in row["error"]
 
 
 @pytest.mark.slow

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hidden import ALL_KINDS, Case, family, make_case, save
 from reference import simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def element(model: dict[str, Any], name: str) -> dict[str, Any] | None:

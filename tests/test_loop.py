@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -21,6 +22,12 @@ def test_the_completed_model_drives_the_car_better_than_the_owners() -> None:
     ]
     level = found.effects[0].parameters["level"]
     assert level.value == pytest.approx(500.0, rel=0.03)
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+    told = re.search(r"names the friction at its place, (\S+) N, and takes .* from (\S+) to (\S+) %", readme)
+    assert told is not None
+    gap = found.gap
+    errors = [100 * gap[stage]["device_travel"] for stage in ("refit", "after")]
+    assert [float(x) for x in told.groups()] == pytest.approx([level.value, *errors], rel=5e-3, abs=0.1)
     cost = {row["policy"]: row["cost"] for row in result.to_dict()["policies"]}
     assert cost["mpc, new model"]["high"] < cost["mpc, old model"]["low"]
     assert cost["mpc, new model"]["change"] < -0.2

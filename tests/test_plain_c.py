@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import gymnasium as gym
 import numpy as np
@@ -15,6 +15,9 @@ from agents.memory import Memory
 from agents.plain_c import export_c
 from agents.policy import SHIPPED, Head, Policy
 from isd_gym.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(compiler is None, reason="no C compiler")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -23,11 +22,15 @@ from isd_gym.discrepancy.excitation import (
     record_of,
     rig_of,
 )
-from isd_gym.discrepancy.foreseen import Plan
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.schemas import load
 from isd_gym.simulate import simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from isd_gym.discrepancy.foreseen import Plan
 
 MASS: dict[str, Any] = {
     "schema": "isd-model/1",
@@ -284,6 +287,42 @@ def test_bad_options_are_answered_with_one_line_and_nothing_is_written(
     assert not (tmp_path / "plan.json").exists()
 
 
+def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> None:
+    """The same test, its columns called and scaled as a logger does: by --rename and --unit, and by a map."""
+    model = tmp_path / "model.json"
+    model.write_text(json.dumps(MASS))
+    record = record_of(Network.load(MASS), SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
+    stroke = 1e3 * record.inputs["stroke"]
+    acceleration = simulate(Network.load(MASS), record.time, {"stroke": stroke})["acceleration"]
+    rows = zip(record.time, stroke / 10.0, acceleration, strict=True)
+    log = tmp_path / "log.csv"
+    log.write_text("time,Weg,az\n" + "\n".join(f"{t:.6f},{x:.9g},{a:.9g}" for t, x, a in rows))
+    more = ("--only", "cubic_stiffness", "--no-sensors", "--out", str(tmp_path / "plan.json"))
+    lost = run(str(model), str(log), *more)
+    assert isinstance(lost.exception, InputError) and "--rename COLUMN=stroke" in str(lost.exception)
+    named = ("--rename", "Weg=stroke", "--rename", "az=acceleration", "--unit", "stroke=cm")
+    asked = {}
+    from isd_gym.data import Table as Kept
+
+    def kept(network: Network, tables: list[Kept], **options: Any) -> Any:
+        asked["stroke"] = tables[0]["stroke"], tables[0].units.get("stroke")
+        asked["columns"] = set(tables[0].columns)
+        raise InputError("enough")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("isd_gym.discrepancy.planning.plan", kept)
+        assert "enough" in str(run(str(model), str(log), *named, *more).exception)
+        from isd_gym.units import convert
+
+        values, unit = asked["stroke"]
+        np.testing.assert_allclose(convert(np.asarray(values), unit or "mm", "mm"), stroke, atol=1e-6)
+        assert asked["columns"] >= {"stroke", "acceleration"}
+        wrong = run(str(model), str(log), "--rename", "Weg=strok", *more)
+        assert "did you mean 'stroke'" in str(wrong.exception)
+    alone = run(str(model), *QUICK, "--rename", "Weg=stroke")
+    assert "are for DATA" in str(alone.exception)
+
+
 # ------------------------------------------------------------------------------------------- after a diagnosis
 
 
@@ -306,6 +345,32 @@ def rivals(levels: tuple[float, float]) -> dict[str, Any]:
             )
         ],
     }
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        ("missing_effect", "nothing is left to decide: the missing effect is named"),
+        ("no_discrepancy", "nothing is left to decide: nothing is missing"),
+        ("parameters_only", "nothing is left to decide: parameters explain"),
+    ],
+)
+def test_no_test_is_designed_after_a_decided_diagnosis(tmp_path: Path, verdict: str, words: str) -> None:
+    """Rivals that were beaten are in the file, too."""
+    (tmp_path / "model.json").write_text(json.dumps(MASS))
+    (tmp_path / "diagnosis.json").write_text(json.dumps(rivals((3.0, 14.0)) | {"verdict": verdict}))
+    test = tmp_path / "test.csv"
+    made = run(
+        str(tmp_path / "model.json"),
+        *QUICK,
+        "--design",
+        str(test),
+        "--after",
+        str(tmp_path / "diagnosis.json"),
+    )
+    assert isinstance(made.exception, InputError)
+    assert words in str(made.exception) and "\n" not in str(made.exception)
+    assert not test.exists()
 
 
 def test_a_designed_test_separates_rivals_better_than_the_usual_one() -> None:

@@ -16,7 +16,7 @@ from isd_gym.network import Network
 
 def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Race, Screened]:
     structure = base_structure(Network.load("quarter-car-isd"))
-    race = cast(Race, SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
+    race = cast("Race", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
     h = next(h for h in hypotheses(structure.network) if h.effect == effect)
     return race, Screened(h, Start(values, **start), values, 1.0)
 
@@ -48,7 +48,8 @@ def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure() -> No
     assert not stops(replace(car, uncertainty={**car.uncertainty, "end_stop.clearance": 0.1}))
     found = add(base_structure(car), stops(car)[0], {"clearance": 0.01, "stiffness": 2e5})
     race = cast(
-        Race, SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car))
+        "Race",
+        SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car)),
     )
     assert not any(Race.sensible(race, h) for h in stops(found.network))
     # two springs are one spring

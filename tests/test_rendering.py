@@ -7,8 +7,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,9 @@ import pytest
 from isd_gym import rendering
 from isd_gym.errors import InputError, how_to_install
 from isd_gym.rendering import Renderer, Snapshot, write_video
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 pygame = rendering._pygame()
 LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals

@@ -14,18 +14,24 @@ import matplotlib
 import matplotlib.figure
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
-from isd_gym import cli, show
+from isd_gym import cli, schemas, show
+from isd_gym.comparability import Comparable
+from isd_gym.data import Table, read_table
 from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
+from isd_gym.discrepancy.criteria import gates_of
+from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.explain import law as series_law
 from isd_gym.discrepancy.fit import Fitter
 from isd_gym.discrepancy.missing_force import Deconvolution
 from isd_gym.discrepancy.noise import plain
 from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.result import BestCandidate, Tabulated
 from isd_gym.discrepancy.structure import base_structure
 from isd_gym.elements import CoulombFriction
-from isd_gym.errors import InputError
+from isd_gym.errors import InputError, ReportError
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
 from isd_gym.report import charts, plots
@@ -33,6 +39,8 @@ from isd_gym.report import diagnosis as report
 from isd_gym.report import score as score_page
 from isd_gym.scoring import score
 from isd_gym.simulate import simulate
+
+jsonschema = pytest.importorskip("jsonschema")
 
 LEVEL = 150.0
 STEP = 4e-3
@@ -96,6 +104,120 @@ def made_diagnosis() -> Diagnosis:
         seconds=12.3,
         units={c.name: c.unit for c in base.outputs},
     )  # fmt: skip
+
+
+#: every kind of page of a diagnosis: its verdict and whether a table of the missing force is found
+KINDS = {
+    "missing_effect": "missing_effect",
+    "no_discrepancy": "no_discrepancy",
+    "parameters_only": "parameters_only",
+    "unknown_effect": "unknown_effect",
+    "unknown_effect with a table": "unknown_effect",
+    "ambiguous": "ambiguous",
+}
+
+
+def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
+    """The result of another verdict, over the records of `d`, whose model lacks the friction of a seal."""
+    if kind == "missing_effect":
+        return d
+    verdict, model, tabulated, laws = KINDS[kind], d.base, None, ()
+    traces = [replace(t, after=t.refit) for t in d.traces]
+    if verdict in ("no_discrepancy", "parameters_only"):  # the simulation agrees
+        traces = [
+            replace(t, before=a.after, refit=a.after, after=a.after)
+            for t, a in zip(traces, d.traces, strict=True)
+        ]
+    if kind.endswith("a table"):
+        rate = np.linspace(-0.3, 0.3, 31)
+        force = LEVEL * np.sign(rate)
+        law = {
+            "name": "missing_force",
+            "type": "tabulated_force",
+            "rate": rate.tolist(),
+            "force": force.tolist(),
+        }
+        model = d.base.with_element({**law, "between": ["piston", "joint"]})
+        says = [simulate(model, t.time, t.inputs) for t in d.traces]
+        traces = [replace(t, after=y) for t, y in zip(traces, says, strict=True)]
+        tabulated = Tabulated(
+            ("piston", "joint"), "rate", "missing_force", 0.93, (), tuple(rate), force, 0.95 * force, 1.05 * force,
+            (("coulomb_friction", 0.98),),
+        )  # fmt: skip
+        laws = (
+            Law(
+                "missing_force",
+                "rate",
+                rate,
+                force,
+                0.95 * force,
+                1.05 * force,
+                d.laws[0].visited,
+                np.zeros(0),
+            ),
+        )
+    gap = {
+        stage: {c: float(np.std(traces[-1].measured[c] - y) / np.std(traces[-1].measured[c])) for c, y in says.items()}
+        for stage, says in (("before", traces[-1].before), ("refit", traces[-1].refit), ("after", traces[-1].after))
+    }  # fmt: skip
+    gap["noise_floor"] = d.gap["noise_floor"]
+    rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
+    evidence = Evidence(
+        tuple(gap["refit"]), **rows, floor=tuple(gap["noise_floor"].values()), floor_known=(True,) * len(gap["refit"]),
+        worth=(0.05,) * len(gap["refit"]), effects=(EffectEvidence("hysteresis at piston-joint", 0.3),), explained=0.42,
+    )  # fmt: skip
+    best = BestCandidate(
+        ("hysteresis",), (("piston", "joint"),), ({"level": 120.0},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
+    )  # fmt: skip
+    made = replace(
+        d, verdict=verdict, summary=f"So: {verdict}.", effects=(), contenders=(), closed=0.9 if tabulated else None,
+        gates=gates_of(evidence), evidence=evidence, best_candidate=best, gap=gap, model=model, traces=tuple(traces), laws=laws,
+        tabulated=tabulated,
+    )  # fmt: skip
+    if verdict in ("no_discrepancy", "parameters_only"):
+        own = replace(made, base=d.model, refitted=d.model, model=d.model, where=(), gates=())
+        return replace(own, evidence=replace(evidence, effects=()), best_candidate=None)
+    if verdict == "ambiguous":
+        rivals = tuple(
+            Contender((e,), (("piston", "joint"),), 0.02, 0.1, "cannot be told apart on these data")
+            for e in ("coulomb_friction", "hysteresis")
+        )
+        test = {
+            "do": "sine of 5 mm at 1.5 Hz", "watch": "tyre_force", "separates": ["a", "b"], "separation_sigma": 4.2,
+        }  # fmt: skip
+        t = d.traces[0]
+        played = Table(t.time, dict(t.inputs), "test", {"road": "m", "current": "A"})
+        return replace(made, contenders=rivals, next_experiment=test, test=played)
+    return made
+
+
+def reopened(d: Diagnosis, page: Path) -> "Page":
+    """Open every file of a written report again and check it against the result; return the page."""
+    folder = page.parent
+
+    def no_constant(text: str) -> None:
+        raise AssertionError(f"{text} in diagnosis.json")
+
+    said = json.loads((folder / "diagnosis.json").read_text(), parse_constant=no_constant)
+    jsonschema.validate(said, schemas.load("isd-diagnosis/1"))
+    assert said["verdict"] == d.verdict and said["summary"] == d.summary
+    model = Network.load(folder / "model.json")
+    trace = d.traces[-1]
+    for channel, y in simulate(model, trace.time, trace.inputs).items():
+        assert y == pytest.approx(trace.after[channel], rel=1e-6, abs=1e-6 * np.ptp(y))
+    for file in folder.glob("*.png"):
+        with Image.open(file) as picture:
+            assert len(picture.convert("RGB").getcolors(1 << 24)) > 3, f"{file.name} is blank"
+    if d.test is not None:
+        again = read_table(folder / "next_experiment.csv")
+        assert set(again.columns) == set(d.test.columns)
+        assert again["road"] == pytest.approx(d.test["road"], abs=1e-9)
+    names = {p.name for p in folder.iterdir() if p.suffix != ".png"} - {"next_experiment.csv"}
+    assert names == {"report.html", "diagnosis.json", "model.json"}
+    assert (folder / "next_experiment.csv").exists() == (d.test is not None)
+    shown = check_page(page)
+    assert not re.search(r"\b(inf|nan|None)\b", shown.text)
+    return shown
 
 
 @pytest.fixture(scope="module")
@@ -253,34 +375,85 @@ def test_report_stands_alone_and_says_it_all(diagnosis, tmp_path):
     assert Network.load(path.parent / "model.json").element("seal").level == LEVEL
 
 
-@pytest.mark.parametrize("verdict", ["no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"])
-def test_every_verdict_has_a_page(diagnosis, tmp_path, verdict):
-    silent = replace(
-        diagnosis,
-        verdict=verdict,
-        effects=(),
-        laws=(),
-        closed=None,
-        model=diagnosis.base,
-        summary=f"So: {verdict}.",
+def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
+    """The force is in the text, the law chart, the drawing, and wherever the old model stands beside the new one."""
+    d = of_kind(diagnosis, "unknown_effect with a table")
+    path = report.write_report(d, tmp_path / "x")
+    page = reopened(d, path)
+    assert "Force between piston and joint, as a table over rate" in page.text
+    assert "coulomb friction (98\u00a0% of it)" in page.text
+    assert "The best candidate was hysteresis between piston and joint: it removes 42\u00a0%" in page.text
+    assert (
+        page.text.count("with the force") == 3
+    )  # heads of the gap and parameter tables, the words on the stages
+    drawings = re.findall(r"<svg.*?</svg>", path.read_text(), re.S)
+    assert ['data-part="el:missing_force"' in text for text in drawings] == [False, True]
+    lines = {
+        name: {i["name"] for p in page.data[f"chart-{name}"]["choices"][0]["panels"] for i in p["items"] if i.get("name")}
+        for name in ("gap", "time", "spectra", "plane")
+    }  # fmt: skip
+    assert "with the force" in lines["gap"] and "with what was found" in lines["time"]
+    assert "left over, new model" in lines["spectra"] and "the law that was found" in lines["plane"]
+    # the law is that of the result
+    law = next(i for i in page.data["chart-law"]["choices"][0]["panels"][0]["items"] if i["name"] == "law")
+    assert unpacked(law["y"]) == pytest.approx(d.tabulated.force)
+
+
+def test_a_report_that_cannot_be_drawn_leaves_the_results(diagnosis, tmp_path, monkeypatch, quick):
+    path = report.write_report(diagnosis, tmp_path / "found")
+    assert path.exists()
+
+    def fail(view):
+        raise NameError("name 'Effect' is not defined")
+
+    monkeypatch.setattr(report, "FIGURES", (report.draw_gap, fail))
+    d = of_kind(diagnosis, "unknown_effect with a table")
+    with pytest.raises(ReportError, match=r"NameError: name 'Effect'.*the results are in") as caught:
+        report.write_report(d, tmp_path / "found")
+    assert "\n" not in str(caught.value)
+    names = {p.name for p in (tmp_path / "found").iterdir()}
+    assert names == {"diagnosis.json", "model.json"}  # and not the page of the earlier result
+    said = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
+    assert said["verdict"] == "unknown_effect" and said["tabulated"]["element"] == "missing_force"
+    assert Network.load(tmp_path / "found" / "model.json").element("missing_force").type == "tabulated_force"
+
+
+def test_a_diagnosis_is_short_in_a_prompt_and_a_table_in_a_notebook(diagnosis):
+    assert (
+        repr(diagnosis)
+        == "Diagnosis('missing_effect', found=['coulomb_friction piston-joint'], closed=0.99, 2 record(s))"
     )
-    if verdict == "no_discrepancy":
-        silent = replace(silent, contenders=(), where=(), gates=())
-    if verdict == "unknown_effect":
-        silent = replace(silent, contenders=())
-    if verdict == "ambiguous":
-        test = {
-            "do": "sine of 5 mm at 1.5 Hz",
-            "watch": "tyre_force",
-            "separates": ["a", "b"],
-            "separation_sigma": 4.2,
-        }
-        silent = replace(silent, next_experiment=test)
-    page = check_page(report.write_report(silent, tmp_path / "x"))
-    assert f"So: {verdict}." in page.text and report.TITLES[verdict] in page.text
-    assert ("The next experiment" in page.text) == (verdict == "ambiguous")
-    assert "with the effect" not in page.text and not (tmp_path / "x" / "law.png").exists()
-    assert (tmp_path / "x" / "plane.png").exists() == (verdict != "no_discrepancy")
+    for kind in KINDS:
+        d = of_kind(diagnosis, kind)
+        assert len(repr(d)) < 200 and repr(d).startswith(f"Diagnosis('{d.verdict}'")
+        text = d._repr_html_()
+        assert d.summary in html.unescape(text) and text.count("<table>") == text.count("</table>") > 0
+        assert f"{100 * d.gap['refit']['suspension_travel']:.1f} %" in text
+        assert ("145.2 to 154.9" in text) == (kind == "missing_effect")
+    assert "<b>x</b>" not in replace(diagnosis, summary="<b>x</b>")._repr_html_()
+
+
+def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
+    """The window is where the refitted model errs most in that record, and the words are about that record."""
+    late = replace(diagnosis.traces[0], refit={c: y.copy() for c, y in diagnosis.traces[0].measured.items()})
+    for y in late.refit.values():
+        y[1500:1600] += np.ptp(y)
+    partly = replace(diagnosis.traces[0], name="three", held_from=7.0)
+    traces = (late, diagnosis.traces[1], partly)
+    chart = report.draw_time(report.View(replace(diagnosis, traces=traces)))
+    assert list(chart.choices) == [
+        "two (held out)",
+        "one (fitted)",
+        "three (fitted up to 7 s, then held out)",
+    ]
+    for name, choice in zip(chart.choices, charts.live(chart)["choices"], strict=True):
+        assert choice["name"] == name and choice["caption"].startswith(
+            f"Record “{name.split()[0]}” ({name.split(' (')[1]}"
+        )
+    window = chart.choices["one (fitted)"][0].x
+    assert window.low <= 1500 * STEP and window.high >= 1599 * STEP - 1e-9
+    (span,) = (i for i in chart.choices["one (fitted)"][1].items if isinstance(i, charts.Span))
+    assert (span.low, span.high) == (window.low, window.high)
 
 
 def test_a_sensor_is_told_from_physics(diagnosis, tmp_path):
@@ -331,7 +504,7 @@ def test_two_effects_are_told_as_two(diagnosis):
     assert view.title == "Two physical effects are missing" and view.labels["after"] == "with the effects"
     assert (
         view.summary
-        == "damping 2465 N·s²/m², stiffness 699100 N/m; error in device travel falls (noise 1.8 %)"
+        == "damping 2465 N·s²/m², stiffness 699100 N/m; error in device travel falls (noise 1.8\u00a0%)"
     )
 
 
@@ -365,12 +538,15 @@ def test_a_folder_is_replaced_whole_or_left_alone(diagnosis, tmp_path, monkeypat
     def fail(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(report, "page", fail)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as broken, pytest.raises(KeyboardInterrupt):
+        broken.setattr(Network, "save", fail)
         report.write_report(replace(diagnosis, summary="new"), tmp_path / "found")
     assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == before
+    monkeypatch.setattr(report, "page", fail)  # by then the results are there
     with pytest.raises(KeyboardInterrupt):
-        report.write_report(diagnosis, tmp_path / "other")
+        report.write_report(replace(diagnosis, summary="new"), tmp_path / "found")
+    assert {p.name for p in path.parent.iterdir()} == {"diagnosis.json", "model.json"}
+    assert json.loads((path.parent / "diagnosis.json").read_text())["summary"] == "new"
     assert [p.name for p in tmp_path.iterdir()] == ["found"]
 
 
@@ -591,6 +767,47 @@ def test_diagnose_takes_records_as_documented(told, tmp_path, monkeypatch):
         assert [t.source for t in told[-1][0]] == ["a.csv", "b.csv"]
 
 
+def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(told, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tables(tmp_path, "a.csv")
+
+    def fail(*args, **options):
+        raise NameError("name 'Effect' is not defined")
+
+    monkeypatch.setattr(report, "page", fail)
+    args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found", "--json", "x.json"]
+    done = CliRunner().invoke(cli.app, args)
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+    assert "The model lacks coulomb friction" in done.stdout and "noise floor" in done.stdout
+    assert done.stderr.splitlines() == [
+        "isd-gym: the report could not be drawn (NameError: name 'Effect' is not defined); the results are in 'found'"
+    ]
+    for file in ("x.json", "found/diagnosis.json"):
+        assert json.loads(Path(file).read_text())["verdict"] == "missing_effect"
+    assert Network.load("found/model.json").element("seal").level == LEVEL
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypatch, kind):
+    """The command from its records to its files; the search alone, which takes minutes, is replaced by a result."""
+    monkeypatch.chdir(tmp_path)
+    tables(tmp_path, "a.csv")
+    d = of_kind(diagnosis, kind)
+    monkeypatch.setattr("isd_gym.discrepancy.diagnose", lambda data, model, **options: d)
+    args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found"]
+    done = CliRunner().invoke(cli.app, args)
+    assert done.exit_code == 0, done.output
+    assert d.summary in done.stdout and done.stderr.splitlines()[-1] == "report: found/report.html"
+    page = reopened(d, Path("found/report.html"))
+    assert d.summary in page.text and report.TITLES[d.verdict] in page.text and "a.csv" in page.text
+    assert ("The next experiment" in page.text) == (d.verdict == "ambiguous")
+    found = kind in ("missing_effect", "unknown_effect with a table")
+    assert ("the model with what was found" in page.text) == found == ("the model refitted" not in page.text)
+    assert Path("found/law.png").exists() == found == ("chart-law" in page.data)
+    assert ("with the effect" in page.text) == (kind == "missing_effect")
+    assert Path("found/plane.png").exists() == (d.verdict != "no_discrepancy")
+
+
 def test_diagnose_renames_and_converts(told, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tables(tmp_path, "a.csv", head="time,z_r,current,{}")
@@ -744,13 +961,14 @@ def test_one_episode_has_no_interval(tmp_path):
     assert points and not any("xs" in i for i in points)
 
 
-def test_the_papers_points_stand_only_on_the_papers_road(small_score):
+def test_the_papers_points_stand_only_where_their_conditions_hold(small_score):
     def drawn(s):
         items = score_page.trade_off(score_page.Shown(s)).panels[0].items
         return [i.name for i in items if isinstance(i, charts.Marks) and "paper" in i.name]
 
-    assert len(drawn(small_score)) == 2
-    assert drawn(replace(small_score, road="C")) == drawn(replace(small_score, speed=30.0)) == []
+    assert len(drawn(replace(small_score, comparable=Comparable()))) == 2
+    assert drawn(replace(small_score, comparable=Comparable(tables="another road"))) == []
+    assert drawn(small_score) == []  # 3 x 4 s
 
 
 def test_nobody_is_left_out_silently(small_score):

@@ -83,3 +83,16 @@ def test_whole_page(tmp_path):
     assert [round(r["change"][0], 3) for r in eq8] == [-0.027, -0.047, -0.078]
     assert {"sweep", "identification", "force tests"} <= tasks
     show(result)
+
+
+def test_the_road_level_claims_no_travel_that_does_not_come_out(tmp_path):
+    """Table 7's passive row: acceleration and tyre load within 1 %, travel 6 % short."""
+    from baselines.reproduce.road_level import road_level
+    from baselines.reproduce.study import Study
+
+    study = Study(tmp_path, True, lambda task, share: None)
+    section = road_level(study)
+    a, l, f = study.figures["passive"]["κ = 5·10⁻⁷ m³/cycle (used here)"]
+    assert abs(a / 0.8306 - 1) < 0.01 and abs(f / 518.0 - 1) < 0.01
+    assert -0.07 < l / 7.6e-3 - 1 < -0.05
+    assert "Its travel is not: 7.16 mm" in section.text[0]

@@ -295,12 +295,19 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path, capsys, m
             main()
         return int(end.value.code or 0)
 
-    (tmp_path / "grid.toml").write_text(GRID.replace("isd-passive", "nobody"))
-    assert go(str(tmp_path / "grid.toml"), "--out", str(tmp_path / "out")) == 1
-    said = capsys.readouterr()
-    assert "heavy" in said.out and "6 items are missing" in said.err
-    assert said.err.count("no policy 'nobody'") == 1 and "Traceback" not in said.err
+    (tmp_path / "grid.toml").write_text(GRID.replace("isd-passive", "isd-pasive"))
+    for words in ((), ("--shard", "0/2")):
+        assert go(str(tmp_path / "grid.toml"), "--out", str(tmp_path / "out"), *words) == 2
+        said = capsys.readouterr()
+        assert "no policy 'isd-pasive' (did you mean 'isd-passive'?)" in said.err
+        assert not said.out and len(said.err.strip().splitlines()) == 1
     (tmp_path / "good.toml").write_text(GRID)
+    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out"), "--shard", "77/78") == 2
+    assert "shard 77/78 is empty: there are 18 items" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()  # neither of these has begun
+    assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "part"), "--shard", "17/18") == 0
+    said = capsys.readouterr()
+    assert "17 items are not there yet" in said.out and "heavy" not in said.out  # no row without a figure
     assert go(str(tmp_path / "good.toml"), "--out", str(tmp_path / "out")) == 0
     assert "| heavy |" in (tmp_path / "out" / "sweep.md").read_text()
     assert go(str(tmp_path / "absent.toml"), "--out", str(tmp_path / "out")) == 2

@@ -6,9 +6,8 @@ import functools
 import hashlib
 import math
 import types
-from collections.abc import Callable, Sequence
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba as nb
 from numba.core.options import DefaultOptions
@@ -16,6 +15,9 @@ from numba.core.options import DefaultOptions
 from .. import cost
 from .. import elements as el
 from . import cars, contact, lanes, laws, layout, linear, newton, solve, steps
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 
 def _dispatch(functions: Sequence[Callable[..., Any]], fallback: Callable[..., Any]) -> Callable[..., Any]:

@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..arrays import Array
 from .plots import (
     MUTED,
     PALE,
@@ -31,8 +28,13 @@ from .plots import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from ..arrays import Array
 
 Ticks = tuple[tuple[float, str], ...]
 
@@ -137,7 +139,8 @@ class Panel:
 class Chart:
     """A figure of a page. `choices`: the panels by the name of a record; the picture shows the first.
 
-    walk: a live chart has buttons that go along x. size: of the picture [inch].
+    walk: a live chart has buttons that go along x. size: of the picture [inch]. captions: of the choices whose words differ from
+    `caption`, by name.
     """
 
     name: str
@@ -151,6 +154,7 @@ class Chart:
     widths: tuple[float, ...] = ()
     align: bool = True
     still: int | None = None  # how many panels are in the picture; all unless given
+    captions: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def panels(self) -> Sequence[Panel]:
@@ -378,7 +382,12 @@ def live(chart: Chart) -> dict[str, Any]:
         "columns": chart.columns,
         "walk": chart.walk,
         "choices": [
-            {"name": name, "panels": [_panel(p) for p in panels]} for name, panels in chart.choices.items()
+            {
+                "name": name,
+                "caption": chart.captions.get(name, chart.caption),
+                "panels": [_panel(p) for p in panels],
+            }
+            for name, panels in chart.choices.items()
         ],
     }
 

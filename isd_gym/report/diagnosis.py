@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import elements as el
-from ..arrays import Array
-from ..discrepancy.result import FOLDER
-from ..errors import InputError
+from ..discrepancy.result import FOLDER, Effect
+from ..errors import InputError, ReportError
 from ..files import check_folder, whole_folder, write_text
 from ..network import Network
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
@@ -39,7 +37,10 @@ from .schematic import draw as sketch
 from .schematic import place_parts
 
 if TYPE_CHECKING:
-    from ..discrepancy import Contender, Diagnosis, Effect, Law, Quantity, Trace
+    from collections.abc import Callable, Mapping, Sequence
+
+    from ..arrays import Array
+    from ..discrepancy import Contender, Diagnosis, Law, Quantity, Trace
 
 
 TITLES = {
@@ -55,15 +56,40 @@ STAGES = {
     "after": ("with the effect", "with what was found built in, and refitted"),
     "noise_floor": ("noise", "what no model can pass: the measurement noise"),
 }
+RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
+#: of a force without a name: what it depends on
+OVER = {"rate": "rate", "elongation": "travel", "both": "travel and rate"}
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str, str] | None = None) -> Path:
-    """Write ``report.html``, its figures as PNG, ``diagnosis.json`` and ``model.json`` into `folder`.
+    """Write ``diagnosis.json`` and ``model.json`` into `folder`, then ``report.html`` and its figures as PNG beside them.
 
-    The folder appears whole or not at all; an earlier diagnosis is replaced. about: lines for "how it was done", such
-    as {"model": "rig.json"}. Returns the path of the page. Raises `InputError` where `folder` holds anything else.
+    An earlier diagnosis is replaced in one step by the results, and the results in one step by the folder with its report.
+
+    Args:
+        diagnosis: The result to show.
+        folder: New, empty or an earlier diagnosis.
+        about: Lines for "how it was done", such as {"model": "rig.json"}.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        InputError: `folder` holds anything else, or cannot be written.
+        ReportError: The report cannot be drawn; the results are in `folder`.
     """
     folder = Path(folder)
+    with whole_folder(folder, *FOLDER) as place:
+        diagnosis.save(place)
+    try:
+        _draw_report(diagnosis, folder, dict(about or {}))
+    except Exception as error:  # minutes of work are not lost to a picture
+        raise ReportError("the report", error, f"the results are in '{folder}'") from error
+    return folder / "report.html"
+
+
+def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> None:
+    """Exchange `folder` for one with the results, the page and its figures."""
     view = View(diagnosis)
     with style(), whole_folder(folder, *FOLDER) as place:
         diagnosis.save(place)
@@ -78,11 +104,10 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
             view=view,
             pictures=pictures.values(),
             shown=pictures,
-            about=dict(about or {}),
+            about=about,
             stages=STAGES,
         )
         write_text(place / "report.html", html)
-    return folder / "report.html"
 
 
 def check_target(folder: str | Path) -> None:
@@ -110,6 +135,7 @@ class View:
     def __init__(self, diagnosis: Diagnosis) -> None:
         self.d = d = diagnosis
         self.named = bool(d.effects)
+        self.changed = self.named or d.tabulated is not None  # whether the new model has anything new
         self.title = TITLES.get(d.verdict, d.verdict)
         if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
             self.title = "Something is missing that no parameter of the unit explains"
@@ -119,14 +145,16 @@ class View:
             count = ("Two", "Three", "Four")[min(len(d.effects), 4) - 2]
             self.title = f"{count} physical effects are missing"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
-        if len(d.effects) > 1:
+        if not self.named:
+            self.labels["after"] = "with the force"
+        elif len(d.effects) > 1:
             self.labels["after"] += "s"
         self.channels = list(d.gap.get("refit", {}))
         held = [t for t in d.traces if t.held_out] or list(d.traces)
         self.trace: Trace | None = max(held, key=lambda t: len(t.time)) if held else None
         self.scales = {c: self._scale(c) for c in self.channels}
         self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
-        self.stages = [s for s in STAGES if s in d.gap and (s != "after" or self.named)]
+        self.stages = [s for s in STAGES if s in d.gap and (s != "after" or self.changed)]
         self.clouds = clouds(self) if self.trace is not None else []
         self.laws = list(d.laws)
         self.inside = isinstance(d.base, Network)
@@ -147,8 +175,10 @@ class View:
         if not isinstance(self.d.base, Network) or not isinstance(self.d.model, Network):
             return []
         found = {e.element for e in self.d.effects}
+        if self.d.tabulated is not None:
+            found.add(self.d.tabulated.element)
         pairs: list[tuple[str, Network, set[str]]] = [("The model as given", self.d.base, set())]
-        if self.named:
+        if self.changed:
             pairs.append(("With what was found, in colour", self.d.model, found))
         try:
             return [(title, sketch(n, found=marked).svg(inline=True)) for title, n, marked in pairs]
@@ -172,7 +202,7 @@ class View:
         text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), text)
         for c in self.channels:
             text = text.replace(c, channel_text(c))
-        return text
+        return re.sub(r"(?<=\d) %", "\u00a0%", text)
 
     def effect_text(self, e: Any) -> str:
         """``coulomb friction between piston and joint``."""
@@ -196,8 +226,65 @@ class View:
 
     @staticmethod
     def figure(value: float) -> str:
-        """A figure of a gate: three digits at most, no exponent."""
-        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+        """A figure of a gate: three digits at most, no exponent; a dash where there is none."""
+        if not math.isfinite(value):
+            return "–"
+        return (f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}").replace("-", "−")
+
+    def needed(self, g: Any) -> str:
+        """``≥ 0.05``: what a gate asks of its figure."""
+        return f"{RELATIONS[g.relation]}\u00a0{self.figure(g.limit)}"
+
+    @property
+    def force_text(self) -> str:
+        """``force between body and wheel, as a table over travel``, of one without a name."""
+        t = self.d.tabulated
+        if t is None:
+            return ""
+        text = f"force between {t.between[0]} and {t.between[1]}, as a table over {OVER[t.over]}"
+        return text.replace("force", "torque").replace("travel", "angle") if self.turns(t.between) else text
+
+    @property
+    def nearest_text(self) -> str:
+        """The known laws nearest to a force without a name, with the share of the force that each gives."""
+        near = self.d.tabulated.nearest if self.d.tabulated is not None else ()
+        return ", ".join(
+            f"{channel_text(name)} ({percent(share, 0, sign=False)} of it)" for name, share in near
+        )
+
+    @property
+    def shares_text(self) -> str:
+        """How much of a force over travel and rate one of them alone gives; empty of a force over one."""
+        shares = self.d.tabulated.shares if self.d.tabulated is not None else ()
+        return ", ".join(
+            f"a function of {OVER[over]} alone gives {percent(x, 0, sign=False)} of it" for over, x in shares
+        )
+
+    @property
+    def best_text(self) -> str:
+        """The best candidate where nothing is named, with what it explains and the gates that it fails; empty where there was none."""
+        best = self.d.best_candidate
+        if self.named or best is None:
+            return ""
+        failed = "”, “".join(g.name for g in best.failed_gates)
+        return (
+            f"The best candidate was {self.contender_text(best)}: it removes {percent(best.explained, 0, sign=False)} of the held-out "
+            "excess error"
+            + (f" and fails the gate{'s' * (len(best.failed_gates) > 1)} “{failed}”." if failed else ".")
+        )
+
+    @property
+    def plane_title(self) -> str:
+        """What the dots over the motion are."""
+        agrees = self.d.verdict in ("no_discrepancy", "parameters_only")
+        return f"What is {'left over' if agrees else 'missing'}, against the motion"
+
+    @property
+    def refit_text(self) -> str:
+        """Of which model the parameters are, where something is missing that the refitted model does not have; else empty."""
+        if self.changed and not self.named:
+            return "They are those of the old model refitted, which lacks the force and makes up for a part of it with its parameters."
+        return ""
 
     def interval(self, q: Any) -> str:
         return f"{_digits(q.low, q.low, q.high)} to {_digits(q.high, q.low, q.high)}"
@@ -289,7 +376,7 @@ def clouds(view: View) -> list[Cloud]:
         kind = el.TYPES.get(e.effect)
         if e.between is not None and e.element in laws and kind is not None and kind.place == "between":
             pairs.setdefault((e.between[0], e.between[1]), []).append(e)
-    if d.tabulated is not None:
+    if d.tabulated is not None and d.tabulated.element in laws:
         pairs[d.tabulated.between] = []
     elif not d.effects and d.contenders and len(d.contenders[0].where[-1]) == 2:
         a, b = d.contenders[0].where[-1]
@@ -298,7 +385,7 @@ def clouds(view: View) -> list[Cloud]:
     for pair, effects in pairs.items():
         try:
             drawn = [laws[e.element] for e in effects]
-            if d.tabulated is not None:
+            if d.tabulated is not None and d.tabulated.element in laws:
                 drawn = [laws[d.tabulated.element]]
             cloud = _cloud(view, trace, pair, drawn, [e.effect for e in effects])
         except (InputError, np.linalg.LinAlgError):
@@ -387,10 +474,9 @@ def draw_gap(view: View) -> Chart:
     )
 
 
-def _window(view: View, seconds: float) -> slice:
-    """The stretch where the refitted model errs most."""
-    trace, c = view.trace, view.order[0]
-    assert trace is not None
+def _window(view: View, trace: Trace, seconds: float) -> slice:
+    """The stretch of a record where the refitted model errs most."""
+    c = view.order[0]
     step = float(trace.time[1] - trace.time[0])
     width = min(len(trace.time), max(10, round(seconds / step)))
     power = np.concatenate([[0.0], np.cumsum((trace.measured[c] - trace.refit[c]) ** 2)])
@@ -412,10 +498,8 @@ def draw_time(view: View) -> Chart | None:
     if trace is None:
         return None
     few = view.order[:5]
-    cut = _window(view, min(2.5, float(trace.time[-1] - trace.time[0])))
-    window = (float(trace.time[cut][0]), float(trace.time[cut][-1]))
     traces = [trace, *(t for t in view.d.traces if t is not trace)][:8]
-    each = 5 if view.named else 3  # series a channel
+    each = 5 if view.changed else 3  # series a channel
     share = MOST_SAMPLES / (each * len(view.order) * len(traces))
 
     def panels(t: Trace, names: Sequence[str], shown: tuple[float, float]) -> list[Panel]:
@@ -426,7 +510,7 @@ def draw_time(view: View) -> Chart | None:
         for c in names:
             k = view.scales[c].factor
             says = {"measured": t.measured[c], "old model, refitted": t.refit[c]}
-            if view.named:
+            if view.changed:
                 says["with what was found"] = t.after[c]
             looks = dict(zip(says, (MEASURED, BEFORE, AFTER), strict=False))
             # measured first: it is broader, and shows on both sides of a line that lies on it
@@ -459,30 +543,41 @@ def draw_time(view: View) -> Chart | None:
             )
         return [p if k < 2 else replace(p, title="") for k, p in enumerate(out)]
 
-    choices = {}
-    for t in traces:
-        shown = window if t is trace else (float(t.time[0]), float(t.time[0]) + window[1] - window[0])
-        choices[f"{t.name} ({'held out' if t.held_out else 'fitted'})"] = panels(t, view.order, shown)
-    kind = "Held-out" if trace.held_out else "Fitted"
+    lines = ": orange without, blue with what was found" if view.changed else ""
     more = (
         f" The picture shows the {len(few)} channels with the largest error."
         if len(few) < len(view.order)
         else ""
     )
-    thinned = max(1, math.ceil(len(trace.time) / share))
-    more += f" Drawn from every {thinned}th sample." if thinned > 1 else ""
+
+    def caption(t: Trace, shown: tuple[float, float]) -> str:
+        thinned = max(1, math.ceil(len(t.time) / share))
+        return (
+            f"Record “{t.name}” ({t.use}). Left, the {shown[1] - shown[0]:.3g} s where the refitted model errs most (shaded on the "
+            f"right). Right, what is left over{lines}; dotted, twice the noise; a peak of a few samples may pass the edge."
+            f"{more if t is trace else ''}"
+            + (f" Drawn from every {thinned}th sample." if thinned > 1 else "")
+        )
+
+    choices, captions = {}, {}
+    for k, t in enumerate(traces):
+        cut = _window(view, t, min(2.5, float(t.time[-1] - t.time[0])))
+        shown = (float(t.time[cut][0]), float(t.time[cut][-1]))
+        name = f"{t.name} ({t.use})"
+        name = f"{name}, {k + 1}" if name in choices else name
+        choices[name], captions[name] = panels(t, view.order, shown), caption(t, shown)
     return Chart(
         "time",
         "In time",
         "Measured and simulated signals, and what is left over, over time",
-        f"{kind} record “{trace.name}”. Left, the {window[1] - window[0]:.3g} s where the refitted model errs most (shaded on the right). "
-        f"Right, what is left over{': orange without, blue with what was found' if view.named else ''}; dotted, twice the noise; a peak of a few samples may pass the edge.{more}",
+        next(iter(captions.values())),
         choices,
         columns=2,
         size=(7.6, 1.45 * len(few) + 0.7),
         walk=True,
         widths=(1.15, 1.0),
         still=2 * len(few),
+        captions=captions,
     )
 
 
@@ -516,7 +611,7 @@ def draw_spectra(view: View) -> Chart | None:
         keep = keep if keep.sum() > 4 else f > 0
         _, old = mean(lambda t, c=c: t.measured[c] - t.refit[c])  # type: ignore[misc]
         curves = [("measured", p, Look(MUTED, "-", "", 1.4)), ("left over, old model", old, BEFORE)]
-        if view.named:
+        if view.changed:
             _, new = mean(lambda t, c=c: t.measured[c] - t.after[c])  # type: ignore[misc]
             curves.append(("left over, new model", new, AFTER))
         items: list[Item] = [Line(n, f[keep], y[keep], replace(look, marker="")) for n, y, look in curves]
@@ -528,11 +623,10 @@ def draw_spectra(view: View) -> Chart | None:
         density_unit = f"({unit.unit})²/Hz" if "/" in unit.unit else f"{unit.unit}²/Hz"
         y_axis = Axis("density", density_unit, log=True, low=low, high=high, ticks=decades(low, high))
         panels.append(Panel(x, y_axis, tuple(items), title=channel_text(c), link="frequency"))
-    what = "held-out" if view.trace.held_out else "fitted"
     over = (
-        f"the {what} record “{view.trace.name}”"
+        f"the record “{view.trace.name}” ({view.trace.use})"
         if len(used) == 1
-        else f"{len(used)} {what} records, averaged: {', '.join(t.name for t in used)}"
+        else f"{len(used)} records ({view.trace.use}), averaged: {', '.join(t.name for t in used)}"
     )
     shade = (
         " Grey bands hold most of the old model's excess error in the fitted records."
@@ -595,19 +689,20 @@ def draw_plane(view: View) -> Chart | None:
                 items.append(Line("the law that was found", factor * axis, middle, look, band=(low, high)))
             y = _force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
-    where = "the law, drawn over it, took no part in that" if view.named else "no law was assumed"
+    drawn = any(cloud.laws for cloud in view.clouds)
+    where = "the law, drawn over it, took no part in that" if drawn else "no law was assumed"
     short = ""
-    if view.named:
+    if drawn:
         short = (
             " Where the dots fall short of the law, the refit has made up for a part with the old parameters."
         )
-    held = "held-out" if view.trace and view.trace.held_out else "fitted"
+    assert view.trace is not None
     return Chart(
         "plane",
-        "What is missing, against the motion",
+        view.plane_title,
         "The missing force, or residual, over travel or rate, before and after",
         "Each dot is the force that the measurements ask for at one moment, on top of what the model says: reconstructed "
-        f"from the residuals of all channels of a {held} record through the linear model; {where}. What the sensors do not "
+        f"from the residuals of all channels of the record “{view.trace.name}” ({view.trace.use}) through the linear model; {where}. What the sensors do not "
         f"resolve is smoothed, so corners look rounder than they are; a dot in fifty may lie outside.{short}",
         {"all": panels},
         columns=2,
@@ -662,7 +757,7 @@ def _draw_channel_plane(view: View) -> Chart | None:
         panels.append(Panel(axis, y, tuple(items), title=title))
     return Chart(
         "plane",
-        "What is missing, against the motion",
+        view.plane_title,
         "The missing force, or residual, over travel or rate, before and after",
         f"What is left over in {channel_text(channel)} on the record “{trace.name}”, sample by sample.",
         {"all": panels},
@@ -766,7 +861,12 @@ def draw_law(view: View) -> Chart | None:
         "law",
         "The law that was found",
         "Force over travel or rate with its interval",
-        "Force of what was found, positive in tension, with its 95 % interval. Beyond the data nothing is claimed.",
+        "Force of what was found, positive in tension, with its 95 % interval. Beyond the data nothing is claimed."
+        + (
+            ""
+            if d.tabulated is None or d.tabulated.over != "both"
+            else " It also depends on rate; drawn is the force at rest."
+        ),
         {"all": panels},
         columns=columns,
         size=((4.8, 6.2, 8.2)[columns - 1], 2.9),
@@ -824,7 +924,13 @@ def draw_parameters(view: View) -> Chart | None:
         items.append(
             Marks(label, x, [k for k, _, _ in own], look, spans, notes=notes, open=hollow, size=4.5, bar=2.2)
         )
-    together = ", together with the effect that was found" if view.named else ""
+    together = (
+        ", together with the effect that was found"
+        if view.named
+        else ", without the missing force"
+        if view.changed
+        else ""
+    )
     return Chart(
         "parameters",
         "Parameters",

@@ -11,7 +11,6 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata, resources
@@ -21,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 

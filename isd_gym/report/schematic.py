@@ -8,16 +8,19 @@ strokes and words, written as SVG (in a page it follows the reader's colours), o
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .. import elements as el
 from ..errors import InputError
-from ..network import Channel, Network
 from .plots import channel_text, number, unit_text
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+
+    from ..network import Channel, Network
 
 GROUND = "ground"
 SYMBOL = 46.0  # height of an element's symbol [px]
@@ -216,6 +219,8 @@ def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
 
 def values_text(e: el.Element, network: Network) -> list[str]:
     """The numbers of an element with their units, a line each."""
+    if isinstance(e, el.TabulatedForce) and e.scale == 1.0:
+        return [f"table over {' and '.join(k for k in ('elongation', 'rate') if getattr(e, k))}"]
     out = []
     for f in el.parameter_fields(type(e)):
         value = getattr(e, f.name)

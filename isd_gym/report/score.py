@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,8 @@ from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, pictur
 from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..scoring import Score
 
 SCORE_KIND = "score report"
@@ -81,9 +82,15 @@ class Shown:
         self.best = min(self.names, key=lambda n: self.costs[n].mean())
 
     @property
-    def paper_road(self) -> bool:
-        """Whether these are the conditions of the paper's tables."""
-        return self.score.road == "paper" and abs(self.score.speed - 20.0) < 1e-9
+    def bounds(self) -> list[str]:
+        """Sentences on the bounds of these conditions."""
+        told = self.score.references
+        return [text for key, text in told.items() if key.startswith("ceiling_") or key == "clairvoyant"]
+
+    @property
+    def left_out(self) -> str:
+        """Which bounds and published figures are not shown, and why; nothing where all are."""
+        return self.score.references.get("left_out") or self.score.comparable.left_out or ""
 
     def few(self, count: int) -> tuple[list[str], str]:
         """The reference and the `count` best, and a sentence on who is left out: nobody can follow many curves."""
@@ -207,19 +214,27 @@ def histories(shown: Shown) -> Chart:
         return out
 
     seed = shown.score.seed
-    choices = {f"seed {seed + middle}: the middle by {shown.reference}'s cost": panels(middle)}
-    if hardest != middle:
-        choices[f"seed {seed + hardest}: the hardest for {shown.reference}"] = panels(hardest)
     stride = f" Every {every}th sample." if every > 1 else ""
+    choices, captions = {}, {}
+    for episode, words in (
+        (middle, f"the middle by {shown.reference}'s cost"),
+        (hardest, f"the hardest for {shown.reference}"),
+    )[: 1 + (hardest != middle)]:
+        name = f"seed {seed + episode}: {words}"
+        choices[name] = panels(episode)
+        captions[name] = (
+            f"Episode with seed {seed + episode}, {words}; the {width * shown.step:g} s around its greatest tyre load. Travel is "
+            f"positive in extension, tyre load in compression.{stride}{left_out}"
+        )
     return Chart(
         "histories",
         "In time",
         "Signals of one episode over time",
-        f"Episode with seed {seed + middle}, the one in the middle by {shown.reference}'s cost; the {width * shown.step:g} s "
-        f"around its greatest tyre load. Travel is positive in extension, tyre load in compression.{stride}{left_out}",
+        next(iter(captions.values())),
         choices,
         size=(7.2, 1.35 * len(moved) + 0.5),
         walk=True,
+        captions=captions,
     )
 
 
@@ -277,13 +292,12 @@ def spectra(shown: Shown) -> Chart | None:
 
 
 def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
-    """Tyre load change and the causal bound's (travel change, acceleration change), where somebody knows it."""
+    """Tyre load change and the causal bound's (travel change, acceleration change), where its conditions hold."""
     from ..errors import InputError
-    from ..network import Network
     from ..plugins import REFERENCES, plugins
 
-    if any(name != "passive" for name in list(score.runs)[:1]):
-        return []  # the bound is told against the conventional car
+    if score.plant is None or score.comparable.lq_bound:
+        return []
     for point in plugins(REFERENCES, "lq_front"):
         travel = np.array([-0.5, -0.4, -0.35, -0.3, -0.26, -0.22, -0.18, -0.14, -0.1, -0.05, 0.0, 0.3])
         out = []
@@ -295,9 +309,9 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
                         point.load()(
                             tyre,
                             travel,
-                            network=Network.load(score.network),
+                            network=score.plant,
                             speed=score.speed,
-                            road=score.road,
+                            road=score.ground,
                         ),
                     )
                 )
@@ -365,7 +379,7 @@ def trade_off(shown: Shown) -> Chart:
         )
         mark(name, 100 * l["change"], 100 * a["change"], look, t.get("change"), spans, more)
     own = len(xs) - 1
-    paper = shown.paper_road and shown.reference == "passive"
+    paper = not shown.score.comparable.tables
     for (name, (before, after)), marker in zip(PAPER.items(), ("*", "p"), strict=True):
         if paper:
             a, l, t = (q / p - 1 for p, q in zip(before, after, strict=True))
@@ -390,12 +404,12 @@ def trade_off(shown: Shown) -> Chart:
         items.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, line, "", 1.1)))
     bound = (
         " Lines: the linear-quadratic optimum of any force between body and wheel, unlimited and without friction, at "
-        "the tyre load written there; no controller that does not see the road ahead is below on average."
+        "the tyre load written there. In the mean over roads no controller that does not see the road ahead is below."
         if curves
         else ""
     )
     if known:
-        bound += " The clairvoyant optimum knows these very roads in advance, which no controller does."
+        bound += " The clairvoyant optimum knows these very roads in advance, which no controller does; it is searched, not proven."
     crosses = (
         f"Crosses are 95 % paired intervals over {shown.score.episodes} episodes; the"
         if shown.score.episodes > 1

@@ -8,17 +8,19 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.random import Generator
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from .bench import COARSE, Drive, Fit, Rig, changed, outputs, run, scale, set_relative, shares
 from .effects import FIRST, Change, Hidden, cogging, coulomb, hardening, quadratic
 from .plant import Array, Model, Run
 from .rivals import imitated
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+    from numpy.typing import NDArray
 
 MAIN = {
     "linear_stiffness": "stiffness",

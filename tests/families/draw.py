@@ -7,11 +7,14 @@ log-uniform; stiffness, damping, forces and what is hidden follow from those.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.random import Generator
 
 from .plant import Array, Element, Model, Signal
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 
 def log(r: Generator, low: float, high: float) -> float:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
 
-from .plant import Element
+if TYPE_CHECKING:
+    from .plant import Element
 
 Pair = tuple[str, str]
 

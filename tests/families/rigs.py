@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.random import Generator
 
 from . import effects as fx
 from .bench import Drive, Rig, at_rest
@@ -23,6 +24,9 @@ from .draw import (
     tempo,
 )
 from .effects import NOTHING, at, devices, play, unknown
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 BASE, SOIL = ("mass", "base"), ("mass", "ground")
 

@@ -8,12 +8,15 @@ place: it is a fair first judge, not a last one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
-from .plant import Array
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from .plant import Array
 
 #: laws that a diagnosis may name beside the truth and still be right: the truth is a special case of them, or nearly
 CONTAINS = {

@@ -6,7 +6,7 @@ with a seed that has not been used before, and VALIDATION says which seeds were.
 
 from __future__ import annotations
 
-from numpy.random import Generator
+from typing import TYPE_CHECKING
 
 from . import effects as fx
 from .bench import Drive, Rig, at_rest
@@ -26,6 +26,9 @@ from .draw import (
     tempo,
 )
 from .effects import NOTHING, Pair, Scale, Sized, at, devices, play, unknown
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
 
 
 # ------------------------------------------------------------------------------------- laws that no library here has

@@ -13,13 +13,16 @@ effects that stand side by side with that element.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .make import ALL_KINDS, family, make_case
 from .secret import Case
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 __all__ = ["ALL_KINDS", "Case", "family", "make_case", "save"]
 

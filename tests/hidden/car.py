@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.random import Generator
 
 from .secret import (
     FINE,
@@ -23,6 +22,11 @@ from .secret import (
     sensor,
     strange,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.random import Generator
 
 
 def car_base(r: Generator, _: Secret) -> Model:

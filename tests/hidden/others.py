@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.random import Generator
 
 from .secret import (
     FINE,
@@ -22,6 +21,11 @@ from .secret import (
     sensor,
     strange,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.random import Generator
 
 
 # ---------------------------------------------------------------------------------------------- the force rig

@@ -79,7 +79,11 @@ class Figure {
       if (this.area.clientWidth && Math.abs(this.area.clientWidth - last) > 2) { last = this.area.clientWidth; this.build(); }
     }).observe(this.area);
     dark.addEventListener("change", () => { this.fill(); this.build(); });
+    addEventListener("beforeprint", () => this.caption(0));  // what is printed is the picture
+    addEventListener("afterprint", () => this.caption(this.choice));
   }
+
+  caption(choice) { this.element.querySelector("figcaption").textContent = this.chart.choices[choice].caption; }
 
   get panels() { return this.chart.choices[this.choice].panels; }
 
@@ -111,7 +115,7 @@ class Figure {
       const list = make("select", {"aria-label": "record"});
       this.chart.choices.forEach((c, i) => list.append(make("option", {value: i}, c.name)));
       list.value = this.choice;
-      list.onchange = () => { this.choice = +list.value; this.windows = null; this.fill(); this.build(); };
+      list.onchange = () => { this.choice = +list.value; this.windows = null; this.caption(this.choice); this.fill(); this.build(); };
       this.tools.append(list);
     }
     const tool = (text, says, action) => {
@@ -144,7 +148,7 @@ class Figure {
       this.panels.findIndex(p => p.link && p.link === a.link) - this.panels.findIndex(p => p.link && p.link === b.link));
     for (const panel of (this.panels.every(p => p.link) && !this.chart.walk ? order : this.panels)) {
       const cell = make("div", {class: "panel"});
-      const label = panel.kind === "lines" || this.chart.walk ? panel.y.label.replace("\n", " ") + (panel.y.unit ? ` [${panel.y.unit}]` : "") : "";
+      const label = panel.kind === "lines" || this.chart.walk || panel.y.label.includes("\n") ? panel.y.label.replace("\n", " ") + (panel.y.unit ? ` [${panel.y.unit}]` : "") : "";
       const head = make("h4", {}, panel.title);
       if (label) head.append(make("small", {}, (panel.title ? "  " : "") + label));
       cell.append(head);
@@ -407,8 +411,8 @@ function points(fig, panel, cell, width, columns) {
         svg("line", {x1: left, x2: width - right, y1: Y(t), y2: Y(t), stroke: css("line")}, frame);
         word(short(t), left - 6, Y(t) + 4, "end");
       }
-      const label = panel.y.label.replace("\n", " ") + (panel.y.unit ? ` [${panel.y.unit}]` : "");
-      word(label, 0, 0, "middle", {transform: `translate(12 ${(top + height - bottom) / 2}) rotate(-90)`});
+      const label = panel.y.label + (panel.y.unit ? ` [${panel.y.unit}]` : "");
+      if (!label.includes("\n")) word(label, 0, 0, "middle", {transform: `translate(12 ${(top + height - bottom) / 2}) rotate(-90)`});
     }
     const inner = svg("g", {"clip-path": `url(#${id})`}, canvas);
     for (const i of items) {

@@ -1,0 +1,78 @@
+"""Bounds and the paper's tables stand beside a score only where their conditions hold."""
+
+import numpy as np
+import pytest
+
+from isd_gym.comparability import Comparable, comparable
+from isd_gym.network import Network
+from isd_gym.policies import find, passive
+from isd_gym.scoring import Entry, Idle, score
+from isd_gym.sensors import Sensors
+
+CAR = Network.load("quarter-car-isd")
+HEAVY = CAR.with_parameters({"body.mass": 400.0})
+
+
+@pytest.mark.parametrize(
+    ("change", "left_out"),
+    [
+        ({}, set()),
+        ({"network": Network.load("quarter-car-eq8")}, set()),
+        ({"network": HEAVY}, {"tables"}),
+        ({"speed": 25.0}, {"tables"}),
+        ({"road": "C"}, {"tables"}),
+        ({"road": "paper-printed"}, {"tables"}),
+        ({"sensors": Sensors(noise=1.0)}, {"tables"}),
+        ({"road": "bump"}, {"tables", "lq_bound", "ceiling"}),
+        ({"road": "paper+bump"}, {"tables", "lq_bound", "ceiling"}),
+        ({"episodes": 31}, {"tables", "lq_bound", "ceiling"}),
+        ({"duration": 19.0}, {"tables", "lq_bound", "ceiling"}),
+        ({"randomize": {"body.mass": (0.8, 1.3)}}, {"tables", "lq_bound", "ceiling", "clairvoyant"}),
+        ({"reference": "isd-passive"}, {"tables", "lq_bound", "ceiling", "clairvoyant"}),
+    ],
+)
+def test_every_condition_counts(change, left_out):
+    usual = {"network": CAR, "road": "paper", "speed": 20.0, "episodes": 32, "duration": 20.0}
+    found = comparable(**usual | change)
+    assert {name for name, reason in vars(found).items() if reason} == left_out
+    assert (found.left_out is None) == (not left_out)
+
+
+def test_the_reasons_are_one_line():
+    few = "2 x 4 s is too small a sample"
+    line = Comparable(tables="another road", lq_bound=few, ceiling=few).left_out
+    assert line == (
+        "Left out: Tables 7 and 8 of the paper (another road); the LQ bound and the causal ceiling "
+        "(2 x 4 s is too small a sample)."
+    )
+
+
+def test_a_small_sample_has_no_share_of_the_causal_gain():
+    entries = [passive(CAR), Entry("isd-passive", lambda: Idle("isd-passive"))]
+    usual = {"reference": entries[0], "duration": 1.0, "ceiling": lambda preview: {"change": -0.3}}
+    few = score(entries, CAR, episodes=2, **usual)
+    assert all(row["share_of_causal_gain"] is None for row in few.policies)
+
+
+def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
+    """Neither bound nor the paper's tables in the picture; the page says why."""
+    from isd_gym.report import score as page
+
+    asked = []
+
+    class Point:
+        def load(self):
+            return lambda tyre, travel, **options: asked.append(options) or np.zeros((3, 2))
+
+    monkeypatch.setattr("isd_gym.plugins.plugins", lambda group, name=None: [Point()])
+    result = score([find("isd-passive", CAR)], CAR, reference=passive(CAR), episodes=2, duration=1.0)
+    assert page.fronts(result) == [] and not asked
+    chart = page.trade_off(page.Shown(result))
+    assert "paper" not in chart.caption and "bound" not in chart.caption.replace("boundary", "")
+    html = page.score_report(result, tmp_path / "page").read_text(encoding="utf-8")
+    assert "Left out: Tables 7 and 8 of the paper, the LQ bound and the causal ceiling" in html
+
+    result.comparable = Comparable()
+    assert len(page.fronts(result)) == 2
+    assert asked[0]["network"] is CAR and asked[0]["road"].name == "paper"  # the plant itself, not its name
+    assert "the paper's two for comparison" in page.trade_off(page.Shown(result)).caption

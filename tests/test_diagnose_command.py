@@ -1,0 +1,445 @@
+"""The command `isd-gym diagnose` to its end: every verdict and way, and every file that it writes opened again."""
+
+from __future__ import annotations
+
+import html.parser
+import json
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from isd_gym import cli, schemas, simulate
+from isd_gym.data import Table, read_table, write_table
+from isd_gym.discrepancy.structure import Hypothesis
+from isd_gym.discrepancy.words import summary_of, unit_summary_of
+from isd_gym.network import Network
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+jsonschema = pytest.importorskip("jsonschema")
+image = pytest.importorskip("matplotlib.image")
+
+RATE = 100.0
+OWN = Network.load(
+    {
+        "schema": "isd-model/1",
+        "name": "pushed",
+        "masses": {"mass": 5.0},
+        "elements": [
+            {
+                "name": "spring",
+                "type": "linear_stiffness",
+                "between": ["mass", "ground"],
+                "stiffness": 2000.0,
+            },
+            {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 30.0},
+        ],
+        "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
+        "outputs": [
+            {"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"},
+            {"name": "felt", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
+        ],
+        "uncertainty": {"spring.stiffness": 0.1, "damper.damping": 0.1},
+    }
+)
+PLACE = frozenset({"mass", "ground"})
+
+
+def with_odd(**law: Any) -> Network:
+    """The rig with a law between mass and ground that the model lacks."""
+    return OWN.with_element({"name": "odd", "between": ["mass", "ground"], **law})
+
+
+def wide(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A force [N] of many sines from 0.3 to 8 Hz, 40 N RMS."""
+    f, phase = rng.uniform(0.3, 8.0, 30), rng.uniform(0.0, 2 * np.pi, 30)
+    x = np.sin(2 * np.pi * f[:, None] * t + phase[:, None]).sum(axis=0)
+    return np.asarray(40.0 * x / x.std())
+
+
+def sine(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return 40.0 * np.sin(2 * np.pi * 2.0 * t)
+
+
+def record(
+    truth: Network,
+    seed: int,
+    push: Callable[[np.ndarray, np.random.Generator], np.ndarray] = wide,
+    *,
+    seconds: float = 8.0,
+    noise: float = 0.01,
+    settled: float = 0.0,
+    hidden: float = 0.0,
+) -> Table:
+    """A record of a rig, noise added. settled [s]: left out at the beginning. hidden [N]: a force that nobody measures."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds + settled, 1.0 / RATE)
+    force = push(t, rng)
+    other = hidden * np.sin(2 * np.pi * 4.1 * t + rng.uniform(0, 6)) * np.sign(np.sin(1.7 * t))
+    out = {"push": force, **simulate(truth, t, {"push": force + other})}
+    keep = t >= settled
+    out = {n: x[keep] for n, x in out.items()}
+    noisy = {n: x + (n != "push") * noise * x.std() * rng.standard_normal(len(x)) for n, x in out.items()}
+    return Table(t[keep] - t[keep][0], noisy, f"r{seed}")
+
+
+class Text(html.parser.HTMLParser):
+    """The text of a page, and the tags that are open at its end."""
+
+    VOID = frozenset(
+        [
+            "area",
+            "base",
+            "br",
+            "col",
+            "embed",
+            "hr",
+            "img",
+            "input",
+            "link",
+            "meta",
+            "source",
+            "track",
+            "wbr",
+            "path",
+            "rect",
+            "circle",
+            "line",
+        ]
+    )
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.pieces: list[str] = []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in self.open:
+            while self.open.pop() != tag:
+                pass
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] not in ("script", "style"):
+            self.pieces.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join("".join(self.pieces).split())
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A finished command: its folder, its document and what it printed."""
+
+    folder: Path
+    document: dict[str, Any]
+    printed: str
+
+    @property
+    def model(self) -> Network:
+        return Network.load(self.folder / "model.json")
+
+    @property
+    def page(self) -> Text:
+        return Text((self.folder / "report.html").read_text())
+
+
+def diagnosed(out: Path, *words: object) -> Outcome:
+    """Run the command; every file in its folder is opened again and checked."""
+    done = CliRunner().invoke(cli.app, ["diagnose", *map(str, words), "--out", str(out)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    document = json.loads((out / "diagnosis.json").read_text())
+    outcome = Outcome(out, document, done.output)
+    check_folder(outcome)
+    return outcome
+
+
+def check_folder(o: Outcome) -> None:
+    d = o.document
+    jsonschema.Draft202012Validator(schemas.load("isd-diagnosis/1")).validate(d)
+    own = (o.folder / "model.json").exists()
+    assert own != (o.folder / "parameters.ssv").exists()
+    assert d["summary"] == (summary_of if own else unit_summary_of)(
+        d
+    )  # from the numbers of the document alone
+    assert not re.search(r"\b(inf|nan|None)\b", d["summary"])
+    first = re.split(r" \(|; ", d["summary"])[0]
+    assert first in " ".join(o.printed.split())
+    assert o.page.open == [] and first in o.page.text
+    for file in o.folder.iterdir():
+        if file.suffix == ".png":
+            assert image.imread(file).std() > 0, file.name  # not blank
+        elif file.suffix == ".csv":
+            assert len(read_table(file).time) > 100
+    assert {"gap.png", "time.png"} <= {f.name for f in o.folder.iterdir()}
+    for g in d["gates"]:
+        compared = {"<": "__lt__", "<=": "__le__", ">": "__gt__", ">=": "__ge__"}[g["relation"]]
+        assert g["passed"] == getattr(float(g["value"]), compared)(float(g["limit"]))
+    if own:
+        t = np.arange(0, 1, 0.01)
+        inputs = {c.name: 0.01 * np.sin(9 * t) for c in o.model.inputs}
+        assert all(np.isfinite(y).all() for y in simulate(o.model, t, inputs).values())
+
+
+def restrict(patch: pytest.MonkeyPatch, *known: str) -> None:
+    """Let the library have these effects alone."""
+    whole = Hypothesis.stands
+    patch.setattr(Hypothesis, "stands", lambda self, network: self.effect in known and whole(self, network))
+
+
+@pytest.fixture
+def library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few effects: the way is that of the whole library, in a tenth of its time."""
+    restrict(monkeypatch, "coulomb_friction", "quadratic_damping", "inertance", "sensor_gain")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the model and the records of all rigs."""
+    folder = tmp_path_factory.mktemp("rigs")
+    OWN.save(folder / "model.json")
+    replace(OWN, uncertainty={"damper.damping": 0.1}).save(folder / "stiff.json")
+    hard = {"type": "cubic_stiffness", "stiffness": 4e6}
+    rigs: dict[str, tuple[Network, dict[str, Any]]] = {
+        "clean": (OWN, {}),
+        "stiffer": (OWN.with_parameters({"spring.stiffness": 2250.0, "damper.damping": 34.0}), {}),
+        "friction": (with_odd(type="coulomb_friction", level=12.0), {}),
+        "hard": (with_odd(**hard), {}),
+        "hum": (OWN, {"hidden": 25.0}),
+        "sine": (
+            with_odd(type="inertance", inertance=1.0),
+            {"push": sine, "settled": 4.0, "noise": 0.02},
+        ),
+    }
+    for name, (truth, how) in rigs.items():
+        for seed in (1, 2):
+            write_table(folder / f"{name}{seed}.csv", record(truth, seed, **how))
+    return folder
+
+
+def run(
+    files: Path, tmp_path: Path, name: str, *, validate: bool = True, model: str = "model.json"
+) -> Outcome:
+    one, two = files / f"{name}1.csv", files / f"{name}2.csv"
+    held = ["--validate", two] if validate else [two]
+    return diagnosed(tmp_path / "out", one, *held, "--model", files / model)
+
+
+def test_no_discrepancy(files: Path, library: None, tmp_path: Path) -> None:
+    o = run(files, tmp_path, "clean")
+    assert o.document["verdict"] == "no_discrepancy" and o.document["effects"] == []
+    assert o.document["summary"].startswith("The model agrees with the measurements (")
+    assert o.document["reason"] == "immaterial"
+
+
+def test_parameters_only_from_a_single_record(files: Path, library: None, tmp_path: Path) -> None:
+    o = diagnosed(tmp_path / "out", files / "stiffer1.csv", "--model", files / "model.json")
+    assert o.document["verdict"] == "parameters_only"
+    assert o.model.parameters["spring.stiffness"] == pytest.approx(2250.0, rel=0.01)
+    assert "spring.stiffness from 2000 to 22" in o.document["summary"]
+    assert any("last third" in note for note in o.document["notes"])
+    assert re.search(r"Record “stiffer1” \(fitted up to \d[\d.]* s, then held out\)", o.page.text)
+
+
+@pytest.mark.parametrize("validate", [True, False])
+def test_missing_effect(files: Path, library: None, tmp_path: Path, validate: bool) -> None:
+    o = run(files, tmp_path, "friction", validate=validate)
+    assert o.document["verdict"] == "missing_effect"
+    (effect,) = o.document["effects"]
+    assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == PLACE
+    (odd,) = [e for e in o.model.elements if e.type == "coulomb_friction"]
+    assert o.model.parameters[f"{odd.name}.level"] == pytest.approx(12.0, rel=0.1)
+    assert o.document["best_candidate"] is None and (o.folder / "law.png").exists()
+    assert all(g["passed"] for g in o.document["gates"])
+    refit, after = (o.document["gap"]["held_out"][k]["travel"] for k in ("refit", "after"))
+    assert after < 0.2 * refit
+    assert "Record “friction2” (held out)" in o.page.text  # also where nobody set it aside
+
+
+@pytest.mark.slow
+def test_unknown_effect_with_its_table(files: Path, library: None, tmp_path: Path) -> None:
+    """A hardening spring, which this library does not have."""
+    o = run(files, tmp_path, "hard")
+    d = o.document
+    assert d["verdict"] == "unknown_effect" and d["effects"] == []
+    assert d["tabulated"] is not None and set(d["tabulated"]["between"]) == PLACE
+    assert o.model.element(d["tabulated"]["element"]).type == "tabulated_force"
+    assert "Force between mass and ground, as a table over travel" in o.page.text
+    assert "the model with what was found" in o.page.text and (o.folder / "law.png").exists()
+    assert d["best_table"]["explained"] == d["tabulated"]["explained"] >= 0.5
+    assert f"removes {100 * d['tabulated']['explained']:.0f} %" in d["summary"]
+    rejected = d["best_candidate"]
+    assert rejected is None or [g["gate"] for g in rejected["failed_gates"]] == [
+        g["gate"] for g in d["gates"] if not g["passed"]
+    ]
+
+
+def test_unknown_effect_that_no_force_between_nodes_explains(
+    files: Path, library: None, tmp_path: Path
+) -> None:
+    """A force that nobody measured and that depends on time."""
+    d = run(files, tmp_path, "hum").document
+    assert d["verdict"] == "unknown_effect" and d["tabulated"] is None
+    tried = d["best_table"]
+    failed = [g["gate"] for g in tried["gates"] if not g["passed"]]
+    assert "explains" in failed and tried["explained"] < 0.5
+    assert "The missing force may depend on time" in d["summary"]
+
+
+@pytest.mark.slow
+def test_ambiguous_with_the_test_that_would_decide(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One sine: inertance, and a compliance in series, give the same force there."""
+    restrict(monkeypatch, "inertance", "series_compliance")
+    o = run(files, tmp_path, "sine", model="stiff.json")
+    d = o.document
+    assert d["verdict"] == "ambiguous", d["summary"]
+    assert {tuple(a["effects"]) for a in d["alternatives"]} == {("inertance",), ("series_compliance",)}
+    assert [g["gate"] for g in d["best_candidate"]["failed_gates"]] == ["ahead"]
+    assert (
+        "which of 2 explanations is right: inertance between" in d["summary"]
+        or "or inertance" in d["summary"]
+    )
+    test = read_table(o.folder / "next_experiment.csv")
+    assert set(test.columns) == {"push"}
+    played = simulate(OWN, test.time, test.columns)
+    assert all(np.isfinite(y).all() for y in played.values())
+    assert d["summary"].endswith("Next: play the test in next_experiment.csv.")
+
+
+# ---------------------------------------------------------------------------------------------------- other ways
+
+
+@pytest.mark.slow
+def test_a_unit_for_co_simulation(files: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pythonfmu", reason="exporting the unit wants pythonfmu")
+    pytest.importorskip("fmpy", reason="running the unit wants fmpy")
+    from isd_gym.fmu import export_fmu
+
+    unit = export_fmu(OWN, tmp_path / "rig.fmu", step=1.0 / RATE)
+    free = ["--uncertain", "spring.stiffness=0.2", "--uncertain", "damper.damping=0.2"]
+    records = [files / "stiffer1.csv", "--validate", files / "stiffer2.csv"]
+    o = diagnosed(tmp_path / "out", *records, "--model", unit, "--trust-fmu", *free)
+    assert o.document["verdict"] == "parameters_only"
+    assert o.document["summary"].startswith("Refitted parameters explain the difference (")
+    q = o.document["parameters"]["spring.stiffness"]
+    assert q["value"] == pytest.approx(2250.0, rel=0.02)
+    values = ElementTree.parse(o.folder / "parameters.ssv")
+    assert "spring.stiffness" in {e.get("name") for e in values.iter()}
+
+
+def test_a_fleet(files: Path, library: None, tmp_path: Path) -> None:
+    cases = tmp_path / "cases"
+    for date, level in (("2024-05-01", 12.0), ("2024-07-01", 18.0)):
+        (cases / f"van_{date}").mkdir(parents=True)
+        for k, name in enumerate(("run", "validation")):
+            truth = with_odd(type="coulomb_friction", level=level)
+            write_table(cases / f"van_{date}" / f"{name}.csv", record(truth, 5 + k))
+    out = tmp_path / "out"
+    words = ["diagnose", cases, "--model", files / "model.json", "--out", out]
+    done = CliRunner().invoke(cli.app, [*map(str, words)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    told = json.loads((out / "fleet.json").read_text())
+    assert told["schema"] == "isd-fleet/1" and told["missing"] == 0
+    assert [c["verdict"] for c in told["cases"]] == ["missing_effect"] * 2
+    page = Text((out / "fleet.html").read_text())
+    assert page.open == [] and "coulomb friction" in page.text
+    for case in told["cases"]:
+        stored = json.loads((out / case["file"]).read_text())["result"]
+        jsonschema.Draft202012Validator(schemas.load("isd-diagnosis/1")).validate(stored["diagnosis"])
+        assert stored["diagnosis"]["summary"] == case["summary"] == summary_of(stored["diagnosis"])
+        assert "coulomb_friction" in {e.type for e in Network.load(stored["model"]).elements}
+    levels = [c["effects"][0]["parameters"]["level"]["value"] for c in told["cases"]]
+    assert levels == pytest.approx([12.0, 18.0], rel=0.1)
+
+
+def car() -> Network:
+    """A passive quarter car with accelerometers at body and wheel, and its travel."""
+    return replace(
+        Network.load(
+            Network.load("quarter-car-passive").to_dict()
+            | {
+                "outputs": [
+                    {"name": "wheel", "quantity": "acceleration", "at": "wheel", "unit": "m/s^2"},
+                    {"name": "body", "quantity": "acceleration", "at": "body", "unit": "m/s^2"},
+                    {"name": "travel", "quantity": "displacement", "between": ["body", "wheel"], "unit": "m"},
+                ],
+                "uncertainty": {"body.mass": 0.03, "damper.damping": 0.1},
+            }
+        ),
+        name="car",
+    )
+
+
+def rough(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A road [m] that is white in velocity."""
+    steps = rng.standard_normal(len(t) - 1) * np.sqrt(4e-4 * (t[1] - t[0]))
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def smooth(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A road [m] of sines from 0.4 to 9 Hz."""
+    f, phase = rng.uniform(0.4, 9.0, 30), rng.uniform(0.0, 6.0, 30)
+    road = (0.004 / f[:, None] * np.sin(2 * np.pi * f[:, None] * t + phase[:, None])).sum(axis=0)
+    return np.asarray(road - road[0])
+
+
+def drive(truth: Network, seed: int, road: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Table:
+    """A record of a car, 8 s at 250 Hz, that does not hold its road."""
+    rng, t, thin = np.random.default_rng(seed), np.arange(0.0, 8.0, 1e-3), slice(None, None, 4)
+    out = simulate(truth, t, {"road": road(t, rng)})
+    noisy = {n: x[thin] + 0.01 * x.std() * rng.standard_normal(len(t[thin])) for n, x in out.items()}
+    return Table(t[thin], noisy, f"drive{seed}")
+
+
+@pytest.mark.slow
+def test_a_car_cut_at_its_wheel(library: None, tmp_path: Path) -> None:
+    rub = {"name": "rub", "type": "coulomb_friction", "between": ["body", "wheel"], "level": 150.0}
+    car().save(tmp_path / "car.json")
+    drives = [tmp_path / f"drive{seed}.csv" for seed in (1, 2)]
+    for seed, file in enumerate(drives, 1):
+        write_table(file, drive(car().with_element(rub), seed, smooth))
+    words = [drives[0], "--validate", drives[1], "--model", tmp_path / "car.json", "--cut", "wheel"]
+    o = diagnosed(tmp_path / "out", *words)
+    assert o.document["verdict"] == "missing_effect", o.document["summary"]
+    (effect,) = o.document["effects"]
+    assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == {"body", "wheel"}
+    assert {"tyre", "coulomb_friction"} <= {e.name for e in o.model.elements} | {
+        e.type for e in o.model.elements
+    }
+    assert any("left out: tyre" in note for note in o.document["notes"])
+
+
+@pytest.mark.slow
+def test_a_road_that_nobody_measured(tmp_path: Path) -> None:
+    """The damper of the model is 30 % off; the wheel's mass sets the scale."""
+    replace(car(), uncertainty={"damper.damping": 0.3}).with_parameters({"damper.damping": 1950.0}).save(
+        tmp_path / "car.json"
+    )
+    write_table(tmp_path / "drive.csv", drive(car(), 1, rough))
+    out = tmp_path / "out"
+    words = ["diagnose", tmp_path / "drive.csv", "--model", tmp_path / "car.json", "--out", out]
+    done = CliRunner().invoke(cli.app, [*map(str, words), "--unmeasured", "road"])
+    assert done.exit_code == 0, (done.output, done.exception)
+    told = json.loads((out / "unmeasured.json").read_text())
+    jsonschema.Draft202012Validator(schemas.load("isd-unmeasured/1")).validate(told)
+    assert told["road"] == "road" and "damper.damping" in done.output
+    found = Network.load(out / "model.json")
+    assert found.parameters["damper.damping"] == pytest.approx(car().parameters["damper.damping"], rel=0.05)
+    t = np.arange(0, 1, 0.004)
+    moved = simulate(found, t, {"road": 0.01 * np.sin(9 * t)})
+    assert all(np.isfinite(y).all() for y in moved.values())
