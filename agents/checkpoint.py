@@ -12,13 +12,15 @@ import os
 import re
 import shutil
 from operator import attrgetter
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym.errors import InputError, shown
 from isd_gym.inputs import read_json
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SCHEMA = "isd-checkpoint/1"
 NAME = re.compile(r"checkpoint-(\d{12})")

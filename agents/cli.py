@@ -26,7 +26,11 @@ def train(
     ],
     seed: Annotated[int, typer.Option(help="Training seed.", min=0)] = 0,
     steps: Annotated[
-        int | None, typer.Option(help="Control steps of all cars together; tuned unless given.", min=1)
+        int | None,
+        typer.Option(
+            help="Control steps of all cars together, to within a rollout (ppo: 327680 steps, with --preview 393216; sac: 4096); tuned unless given.",
+            min=1,
+        ),
     ] = None,
     network: Annotated[
         str, typer.Option(help="The plant: a built-in network or a model file.")
@@ -46,7 +50,7 @@ def train(
     sensors: Annotated[
         str,
         typer.Option(
-            help="How imperfect they are, joined by commas: noise=1 (or 0:2), delay=1, road_error=0.001, road_lag=0.01, road_range=3."
+            help="Imperfections of the sensors, joined by commas: noise=1 (or 0:2), delay=1, road_error=0.001, road_lag=0.01, road_range=3."
         ),
     ] = "",
     json_file: Annotated[
@@ -55,8 +59,9 @@ def train(
 ) -> None:
     """Train a policy; called again with the same folder it resumes where it stopped.
 
-    Ctrl-C saves where it is and prints the line that goes on. Shows the cost J on validation roads beside the passive car's and the baselines'. The best policy is in DIR/policy, for
-    `isd-gym score DIR/policy`; TensorBoard's log is in DIR/tensorboard.
+    The policy first imitates the friction-aware MPC, then PPO or SAC trains it. Ctrl-C saves the run and prints the
+    command that continues it. Shows the cost J on validation roads, after the passive car's and the baselines'. The best
+    policy is in DIR/policy, for `isd-gym score DIR/policy`; the log of TensorBoard is in DIR/tensorboard.
 
     Example: isd-gym train sac --out runs/sac
     """
@@ -115,7 +120,8 @@ def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]
         bar.update(tasks[name], completed=min(share, 1.0))
 
     with bar:
-        yield (lambda line: console.print(line, soft_wrap=True)), progress
+        # wrapped at words, but for a command that is to be typed again
+        yield (lambda line: console.print(line, soft_wrap="isd-gym train" in line)), progress
 
 
 def convert(
@@ -127,7 +133,8 @@ def convert(
     ],
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
     normalize: Annotated[
-        Path | None, typer.Option("--normalize", help="Its saved VecNormalize.", metavar="FILE")
+        Path | None,
+        typer.Option("--normalize", help="The saved VecNormalize of the archive.", metavar="FILE"),
     ] = None,
     network: Annotated[str, typer.Option(help="The network it was trained on.")] = "quarter-car-isd",
     onnx: Annotated[Path | None, typer.Option("--onnx", help="Write an ONNX file.", metavar="FILE")] = None,
@@ -143,7 +150,7 @@ def convert(
 ) -> None:
     """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX, plain C or a folder for a hub.
 
-    mpc-friction, mpc-friction-preview and mpc-robust, believing in --network, can be written as C, too.
+    The controllers mpc-friction, mpc-friction-preview and mpc-robust, with --network as their model, can be written as C, too.
 
     Example: isd-gym convert model.zip --normalize norm.pkl --out my-policy
     """

@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from isd_gym.cost import StageCost
 from isd_gym.driving import Entry
 from isd_gym.errors import InputError
-from isd_gym.network import Network
 
 from .policy import SHIPPED, Policy
+
+if TYPE_CHECKING:
+    from isd_gym.cost import StageCost
+    from isd_gym.network import Network
 
 
 def open_policy(

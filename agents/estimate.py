@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,9 +12,11 @@ from baselines.model import N_SENSORS
 from isd_gym.batch import SLEW_LIMIT
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
-from isd_gym.network import Network
 
 from .memory import Filter, tuples
+
+if TYPE_CHECKING:
+    from isd_gym.network import Network
 
 CARS, STEPS, FORGET = 32, 1500, 300  # of the drive that gives the spread of the state
 SEED = 800_000  # roads that nothing else uses

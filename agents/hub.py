@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +23,9 @@ from isd_gym.scoring import Entry, score
 from isd_gym.show import film
 
 from .policy import JSON_NAME, WEIGHTS_NAME, Policy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 ENVIRONMENT = "ISDSuspension-v0"
 CARD, SCORE, FILM = "README.md", "score.json", "replay.mp4"

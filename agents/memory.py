@@ -10,14 +10,16 @@ policy means the same thing in training, in a checkpoint and in a car. Numpy alo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym.errors import InputError, shown
 from isd_gym.inputs import number
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 #: what a policy's file may ask for: states of a filter, signals, orders of change, the size of any number
 STATES, SIGNALS, ORDERS, LARGEST = 64, 1024, 8, 1e12

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import math
 import pickletools
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from isd_gym.errors import InputError, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 OPCODES = 1_000_000
 DIMENSIONS = 8

@@ -7,8 +7,7 @@ operations. The header says inputs, units, order and step.
 from __future__ import annotations
 
 import re
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +15,9 @@ from isd_gym.env import MEASURED
 from isd_gym.files import make_folder, write_text
 
 from .policy import CURRENT_SIGNAL, Policy
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 HEADER = """\
 /* Policy {name}: {origin}.

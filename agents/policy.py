@@ -14,11 +14,10 @@ import json
 import math
 import os
 import struct
-from collections.abc import Mapping
 from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +29,9 @@ from isd_gym.network import Network
 
 from .memory import LARGEST, Memory, Recall
 from .pickles import sizes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 SCHEMA = "isd-policy/1"
 JSON_NAME, WEIGHTS_NAME = "policy.json", "weights.safetensors"

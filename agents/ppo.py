@@ -9,8 +9,7 @@ values, were larger than what is left of the gradient, and pointed elsewhere (do
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -19,6 +18,9 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
 from isd_gym.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
 
 
 class PPOPolicy(ActorCriticPolicy):

@@ -9,20 +9,22 @@ changes (Mao et al., ICLR 2019); the actor sees the first `seen` columns, which 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from gymnasium import spaces
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.utils import polyak_update
-from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import Actor
 from stable_baselines3.sac.policies import SACPolicy as _SACPolicy
 from torch import nn
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
+    from stable_baselines3.common.vec_env import VecNormalize
 
 
 class Bilinear(nn.Module):

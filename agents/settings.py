@@ -58,6 +58,11 @@ class Settings:
     evaluations: int = 12  # over the whole training
     checkpoint_seconds: float = 60.0
 
+    @property
+    def rollout(self) -> int:
+        """Control steps of all cars between updates: a training ends after a whole number of rollouts."""
+        raise NotImplementedError
+
 
 @dataclass(frozen=True)
 class PPOSettings(Settings):
@@ -74,6 +79,11 @@ class PPOSettings(Settings):
     log_std: float = -0.9  # increments of 0.4 of the slew limit: nearly all of a good law is at either limit
     averaging: float = 0.98
     actor: tuple[int, ...] = (64, 64)
+
+    @property
+    def rollout(self) -> int:
+        """Control steps of all cars between updates."""
+        return self.cars * self.horizon
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
         """Keyword arguments of `stable_baselines3.PPO`."""
@@ -130,6 +140,16 @@ class SACSettings(Settings):
     entropy: float = 1e-4  # tuned by itself (SB3's auto) the temperature overshot and drowned the values
     actor: tuple[int, ...] = (64, 64)
     critic: tuple[int, ...] = (64,)
+
+    @property
+    def rollout(self) -> int:
+        """Control steps of all cars between updates."""
+        return self.cars * self.every
+
+    @property
+    def alone(self) -> int:
+        """Control steps of all cars before the policy is trained: those of the critic alone."""
+        return self.warm_up + self.rollout * -(-self.critic_updates // self.updates) if self.teacher else 0
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
         """Keyword arguments of `sac.GroupSAC`."""

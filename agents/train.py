@@ -13,12 +13,11 @@ import platform
 import shlex
 import time
 import warnings
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,9 +32,13 @@ from isd_gym.scoring import Entry, drive, score
 from isd_gym.sensors import Sensors
 
 from . import checkpoint
-from .memory import Memory
 from .policy import Policy
 from .settings import SETTINGS, PPOSettings, SACSettings, robust, with_preview
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from .memory import Memory
 
 SCHEMA = "isd-training/1"
 #: kind, mark and parts of the folder of a run
@@ -93,7 +96,15 @@ def train(
     if steps is not None:
         if steps < 1:
             raise InputError(f"steps must be at least 1, not {steps}")
+        if steps < settings.rollout:
+            raise InputError(
+                f"{steps} steps are less than one rollout of {settings.cars} cars: give {settings.rollout} or more"
+            )
         settings = replace(settings, steps=steps)
+        if isinstance(settings, SACSettings) and steps <= settings.alone:
+            say(
+                f"the critic learns alone for {settings.alone} steps: with {steps} the policy stays the imitation"
+            )
     plant = Network.load(network)
     find_road(road)
     senses = Sensors.of(sensors)
@@ -271,6 +282,8 @@ class Run:
         if "references" not in self.state:
             self.state["references"] = self._references()
         self.progress("preparing", 1.0)
+        known = ", ".join(f"{name} {j:.4f}" for name, j in self.state["references"].items())
+        self.say(f"J on the validation roads: {known}")
         if model.num_timesteps < s.steps:
             try:
                 model.learn(
@@ -409,17 +422,13 @@ class Run:
         )
         if j < best:
             self._describe(policy).save(self.out / "policy")
-        known = self.state["references"]
-        idle, *rivals = known
-        rival = min(rivals, key=known.__getitem__, default=None)
+        idle = next(iter(self.state["references"].values()))
         self.say(
             f"{100 * min(model.num_timesteps / self.settings.steps, 1.0):5.1f} %  {model.num_timesteps / 1e6:6.2f} M steps"
-            f"  {self.state['seconds']:5.0f} s  J {j:.4f} ({100 * (j / known[idle] - 1):+.1f} %)"
-            f"  best {min(j, best):.4f}  {idle} {known[idle]:.4f}"
-            + (f"  {rival} {known[rival]:.4f}" if rival else "")
+            f"  {self.state['seconds']:5.0f} s  J {j:.4f} ({100 * (j / idle - 1):+.1f} %)  best {min(j, best):.4f}"
         )
         model.logger.record("score/cost", j)
-        model.logger.record("score/change", j / known[idle] - 1)
+        model.logger.record("score/change", j / idle - 1)
 
     def command(self, out: Path | str = "DIR") -> str:
         """What to type for this run, or how it differs from what can be typed."""

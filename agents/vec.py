@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from isd_gym.env import N_MEASURED
 from isd_gym.road import road
 
-from .memory import Memory
 from .policy import CURRENT_SIGNAL, FEATURE_LIMIT, Head
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+    from .memory import Memory
 
 ROAD_STRIDE = 2  # control steps between the points of the road ahead
 USUAL_SPEED = 20.0  # m/s

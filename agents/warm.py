@@ -7,15 +7,17 @@ that: a trained policy is a network and nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from isd_gym.driving import Entry
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
-from .settings import PPOSettings, SACSettings
+    from isd_gym.driving import Entry
+
+    from .settings import PPOSettings, SACSettings
 
 FORGET = 200  # steps at the start of an episode, from rest, that teach little
 NOISE = 0.5  # of the demonstrated increments, so that recovering is taught as well

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from isd_gym.cost import StageCost
 from isd_gym.driving import Idle
@@ -18,6 +17,9 @@ from isd_gym.errors import InputError
 from isd_gym.network import Network
 
 from .controller import Controller
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 Factory = Callable[..., Controller | Idle]
 PREVIEW = 0.25  # s of road ahead that the controllers with preview see unless told otherwise

@@ -1,4 +1,4 @@
-"""Two limits that put every score in place: what no causal controller can pass, and what is reachable on one road.
+"""Two limits that put every score in place: a causal bound on the mean over roads, and what is reachable on one road.
 
 The **causal bound** is the linear-quadratic optimum of the body and wheel with any force whatever between them: full
 state, no friction, no limits, a road of white velocity. Every suspension is a special case, so none is better on average.
@@ -12,10 +12,8 @@ episode in the real network, friction, end stop and all limits of Table 5 includ
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import null_space, solve_continuous_are, solve_continuous_lyapunov
@@ -27,6 +25,10 @@ from isd_gym.errors import InputError
 from isd_gym.network import Channel, Network, linearise
 from isd_gym.road import REFERENCE_FREQUENCY, Road
 from isd_gym.road import road as find_road
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
 
 # ============================================================================================ the causal bound
 

@@ -1,4 +1,4 @@
-"""The causal ceiling: what no controller can pass that does not know the road beyond a given preview.
+"""The causal ceiling: a searched bound for controllers that do not know the road beyond a given preview.
 
 **Information relaxation** (Brown, Smith and Sun, Operations Research 58, 2010). Let pi be a penalty whose mean is zero
 for every policy that acts on what it can know. For each of them ``E[cost] = E[cost - pi] >= E[min (cost - pi)]``, the
@@ -20,9 +20,9 @@ penalised optimum is the Riccati value (a test). On the real car it varies littl
 control variates.
 
 **What is computed** is the clairvoyant's descent on the penalised cost, through the real kernel with friction, stop and
-limits. It ends in a local optimum of a problem that friction makes non-convex, so `Ceiling.value` is the bound as nearly as it
-is found; what other starts find is in docs/ceiling.md. `Ceiling.proven` is the relaxation of `relaxed` with the same penalty:
-a proven bound of the car without end stops, and a loose one.
+limits. It ends in a local optimum of a problem that friction makes non-convex, so `Ceiling.value` is searched, not proven: a
+better search lowers it. What other starts find is in docs/ceiling.md. `Ceiling.proven` is the relaxation of `relaxed` with the
+same penalty: a proven bound of the car without end stops, and a loose one. `Ceiling.sentence` says both.
 """
 
 from __future__ import annotations
@@ -210,9 +210,9 @@ class NewsValue:
 
 @dataclass(frozen=True)
 class Ceiling:
-    """The bound of the mean cost J of every controller that knows `preview` [s] of road ahead.
+    """A searched bound of the mean cost J of every controller that knows `preview` [s] of road ahead.
 
-    roads (episodes,): the penalised optimum of each road, whose mean is the bound; proven (episodes,): a proven lower bound of
+    roads (episodes,): the penalised optimum of each road as found, whose mean is the ceiling; proven (episodes,): a proven lower bound of
     each, for the car without end stops. passive: J of the conventional car in expectation, exact.
     """
 
@@ -226,9 +226,29 @@ class Ceiling:
         return float(self.roads.mean())
 
     @property
+    def sentence(self) -> str:
+        """What the ceiling is worth, in one sentence; the documentation says the same."""
+        what, who = "causal ceiling", "that does not see the road"
+        if self.preview:
+            what, who = (
+                f"ceiling with {self.preview:g} s of road ahead",
+                f"that sees {self.preview:g} s of road",
+            )
+        proven = 100 * (self.proven.mean() / self.passive - 1.0)
+        bound = "there is no proven bound"
+        if math.isfinite(proven):
+            error = 100 * _standard_error(self.proven) / self.passive
+            bound = f"the proven bound, of a car without end stops, is {proven:+.1f} +- {error:.1f} %"
+        return (
+            f"The {what} is searched, not proven: J {100 * self.change:+.1f} +- "
+            f"{100 * self.standard_error / self.passive:.1f} % against passive, which no controller {who} is known to pass; "
+            f"{bound}."
+        )
+
+    @property
     def standard_error(self) -> float:
         """Of `value` by the choice of roads."""
-        return float(self.roads.std(ddof=1) / math.sqrt(len(self.roads))) if len(self.roads) > 1 else math.nan
+        return _standard_error(self.roads)
 
     @property
     def change(self) -> float:
@@ -245,7 +265,14 @@ class Ceiling:
             "change": self.change,
             "change_standard_error": self.standard_error / self.passive,
             "proven_without_stops": float(self.proven.mean()) / self.passive - 1.0,
+            "proven_standard_error": _standard_error(self.proven) / self.passive,
+            "sentence": self.sentence,
         }
+
+
+def _standard_error(values: np.ndarray) -> float:
+    """Of the mean of `values`, one of each road."""
+    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
 
 
 def passive_cost(
@@ -275,6 +302,7 @@ FILE = Path(__file__).with_name("ceiling.json")
 #: roads that nothing was tuned on
 SEED = 600_000
 ROADS = 16
+FEWEST = 4  # roads of a ceiling that a score quotes
 
 
 def ceiling(
@@ -296,7 +324,7 @@ def ceiling(
 
     Roads are those of seeds `seed`, `seed + 1`, ...; what is known of them is shipped or in the user's cache, the rest is
     computed (some 15 s a road) and kept there, or in the file `store`. Without `compute` it is that of the roads there are,
-    and None where there are fewer than two.
+    and None where there are fewer than `FEWEST`.
     Raises `InputError` for a road that is not rough, or a car without a motor.
     """
     network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
@@ -309,7 +337,7 @@ def ceiling(
     if not compute:  # as many as there are, one after another
         count = next(i for i in range(len(known) + 1) if seed + i not in known)
         episodes = min(episodes, count)
-        if episodes < 2:
+        if episodes < FEWEST:
             return None
     wanted = range(seed, seed + episodes)
     missing = [s for s in wanted if s not in known]
@@ -442,7 +470,7 @@ def command(
     network: Annotated[
         str, typer.Option(help="The plant: a built-in network or a model file.")
     ] = "quarter-car-isd",
-    episodes: Annotated[int, typer.Option(help="Roads, some 15 s of work each.", min=2)] = ROADS,
+    episodes: Annotated[int, typer.Option(help="Number of roads; each takes some 15 s.", min=2)] = ROADS,
     duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1)] = 20.0,
     store: Annotated[
         Path | None, typer.Option("--store", help="Keep what is computed in this file.", metavar="FILE")
@@ -451,9 +479,10 @@ def command(
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Bound what any controller can reach that knows so much of the road ahead: the causal ceiling, and with preview.
+    """Search a bound for all controllers that know so much of the road ahead: the causal ceiling, and with preview.
 
-    What has been computed is kept and not computed again. `isd-gym score` quotes the ceilings it finds.
+    The ceiling is searched, not proven; a proven and looser bound is printed beside it. Computed roads are kept and not
+    computed again. `isd-gym score` quotes the ceilings it finds.
 
     Example: isd-gym ceiling --preview 0 --preview 0.1
     """
@@ -463,6 +492,7 @@ def command(
     from rich.console import Console
     from rich.progress import track
 
+    from isd_gym.console import tell
     from isd_gym.files import check_file, write_text
 
     if json_file is not None:
@@ -499,10 +529,8 @@ def command(
         assert bound is not None
         row = bound.to_dict()
         found.append(row)
-        typer.echo(
-            f"{s:4.2f} s ahead: J {row['cost']:.4f} +- {row['standard_error']:.4f}, "
-            f"{100 * row['change']:+.1f} +- {100 * row['change_standard_error']:.1f} % against passive "
-            f"({episodes} roads; proven without end stops {100 * row['proven_without_stops']:+.1f} %)"
+        tell(
+            f"{s:g} s ahead: J {row['cost']:.4f} +- {row['standard_error']:.4f} ({episodes} roads). {row['sentence']}"
         )
     if json_file is not None:
         write_text(json_file, json.dumps({"schema": "isd-ceiling/1", "ceilings": found}, indent=1) + "\n")

@@ -23,10 +23,9 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -56,6 +55,9 @@ from .descent import (
 from .descent import (
     Path as Rollout,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 CONTROL_STEP = 5e-3  # s
 SLACK = 1e-9  # the currents stay this far inside the limits [A]
@@ -490,20 +492,17 @@ def reachable(
     seed: int = 0,
     duration: float = 20.0,
     cost: StageCost | None = None,
-    *,
-    signals: dict[str, np.ndarray] | None = None,
-) -> np.ndarray | None:
-    """Least known cost of each episode (episodes,) for the score; None where one is not known (see `reference`).
+) -> dict[str, np.ndarray] | None:
+    """What is known of these episodes, for the score; None where one of them is not known (see `reference`).
 
-    `signals`, where given, gets the RMS of body_acceleration, suspension_travel and tyre_load at that cost (episodes,).
+    Arrays (episodes,): `value`, the least cost known; `lower`, proven; at that cost the RMS of body_acceleration,
+    suspension_travel and tyre_load.
     """
     found = reference(network, road, speed, episodes, seed, duration, cost)
     if found is None:
         return None
-    if signals is not None:
-        names = {"acceleration": "body_acceleration", "travel": "suspension_travel", "tyre_load": "tyre_load"}
-        signals |= {name: found[own] for own, name in names.items()}
-    return found["value"]
+    names = {"acceleration": "body_acceleration", "travel": "suspension_travel"}
+    return {names.get(name, name): values for name, values in found.items()}
 
 
 def main() -> None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.env import MEASURED
 from isd_gym.errors import InputError
-from isd_gym.network import Network
+
+if TYPE_CHECKING:
+    from isd_gym.network import Network
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
 CURRENT = 5  # place of the present current in the observation

@@ -10,13 +10,15 @@ from __future__ import annotations
 import functools
 import math
 import types
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba as nb
 import numpy as np
 
 from isd_gym.kernel.compiled import kernel, stamp
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 PIECE = 40  # control steps that share a step length
 CAUTION = 0.5  # how much more than its curvature a deviation at the end of a piece is taken to cost

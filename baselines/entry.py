@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from isd_gym.cost import StageCost
 from isd_gym.driving import Entry
-from isd_gym.network import Network
+
+if TYPE_CHECKING:
+    from isd_gym.cost import StageCost
+    from isd_gym.network import Network
 
 
 def open_policy(

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numba as nb
 import numpy as np
@@ -25,7 +26,6 @@ from isd_gym import elements as el
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
-from isd_gym.network import Network
 
 from .controller import CURRENT, BatchController, rises, steps_ahead
 from .estimator import Estimator
@@ -39,6 +39,9 @@ from .model import (
     move_regulator,
     prediction_model,
 )
+
+if TYPE_CHECKING:
+    from isd_gym.network import Network
 
 
 @nb.njit(cache=True, error_model="numpy")

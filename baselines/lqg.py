@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym.batch import state_channels
 from isd_gym.cost import StageCost
-from isd_gym.network import Network
 
 from .controller import BatchController, rises, steps_ahead
 from .estimator import Estimator
@@ -21,6 +20,9 @@ from .model import (
     prediction_model,
     preview_regulator,
 )
+
+if TYPE_CHECKING:
+    from isd_gym.network import Network
 
 STEEPEST = 0.1  # [m] that a road rises in a control step at most
 

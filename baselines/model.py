@@ -8,18 +8,22 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from isd_gym import elements as el
 from isd_gym.batch import signal_channels, state_channels
-from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble
 from isd_gym.road import paper_road
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from isd_gym.cost import StageCost
 
 PAPER_CAR = "quarter-car-isd"
 SLIDING = 0.05  # m/s, a rate of the device on the paper's road: where a friction's level is read

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import erf
@@ -20,7 +21,6 @@ from scipy.special import erf
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
-from isd_gym.network import Network
 
 from .controller import CURRENT, BatchController
 from .estimator import Estimator
@@ -35,6 +35,9 @@ from .model import (
     statistical_linearisation,
 )
 from .qp import Program, program
+
+if TYPE_CHECKING:
+    from isd_gym.network import Network
 
 ACCELERATION_LIMIT = 5.0  # m/s^2, Table 5
 TRAVEL_LIMIT = 0.08  # m, Table 5

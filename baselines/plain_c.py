@@ -8,8 +8,7 @@ rounding.
 from __future__ import annotations
 
 import re
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +19,9 @@ from isd_gym.files import make_folder, write_text
 
 from .friction import FrictionMpc
 from .model import N_SENSORS
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 HEADER = """\
 /* {title}: predictive control that knows of the seal's friction, for network {network}.

@@ -11,17 +11,19 @@ with F_now from the measured body acceleration, and b, c_p, k_p, f of what stand
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym import elements as el
 from isd_gym.batch import signal_channels
-from isd_gym.cost import StageCost
-from isd_gym.network import Network
 
 from .controller import BatchController
 from .model import SLIDING
+
+if TYPE_CHECKING:
+    from isd_gym.cost import StageCost
+    from isd_gym.network import Network
 
 
 @dataclass(frozen=True)

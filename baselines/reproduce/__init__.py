@@ -45,14 +45,13 @@ def command(
 
 def show(result: dict[str, Any]) -> None:
     """The claims and the tables on the terminal."""
-    import sys
-
     from rich import box
-    from rich.console import Console
     from rich.table import Table as Rich
 
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(result["lead"], highlight=False)
+    from isd_gym.console import printer
+
+    console = printer()
+    console.print(result["lead"])
     for table in result["tables"]:
         shown = Rich(title=table["title"] or table["section"], box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False,
                      show_lines=table["section"] == "The claims")  # fmt: skip

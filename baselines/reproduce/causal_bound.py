@@ -1,11 +1,10 @@
-"""What no causal controller can pass, and where the triples of Tables 7 and 8 lie."""
+"""The causal linear-quadratic bound, and where the triples of Tables 7 and 8 lie."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -28,6 +27,9 @@ from .study import (
     Study,
     Table,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def causal_bound(study: Study) -> Section:

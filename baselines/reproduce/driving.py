@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +20,9 @@ from .study import (
     SERIES,
     Study,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 #: controllers driven on the series network
 DRIVEN = ("isd-passive", "lqg", "mpc-paper", "mpc", "mpc-friction")

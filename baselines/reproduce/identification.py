@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from isd_gym.network import Network
 from isd_gym.report.plots import (
@@ -20,6 +19,9 @@ from .study import (
     Study,
     Table,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def table_4(study: Study) -> Section:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,6 +33,9 @@ from .study import (
     Table,
 )
 from .sweep import sweep
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SECTIONS: tuple[Callable[[Study], Section], ...] = (
     device, slow_test, table_4, response, road_level, causal_bound, simulation, sweep,

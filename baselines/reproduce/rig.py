@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from isd_gym.network import Network
 from isd_gym.simulate import simulate
 
 from .study import (
     AMPLITUDE,
     FREQUENCIES,
 )
+
+if TYPE_CHECKING:
+    from isd_gym.network import Network
 
 
 def triangle(time: np.ndarray, frequency: float) -> np.ndarray:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from isd_gym.report.plots import (
     number,
+    percent,
 )
 from isd_gym.road import PRINTED_KAPPA, paper_road
 from isd_gym.scoring import PAPER
@@ -19,6 +20,9 @@ from .study import (
     Study,
     Table,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def road_level(study: Study) -> Section:
@@ -68,8 +72,9 @@ def road_level(study: Study) -> Section:
     return Section(
         "Which passive car, on which road",
         [
-            "Table 7's passive row is met by the conventional car, spring and damper in parallel with Table 6's values, if the road is ten times smoother "
-            "(in power) than printed. All is in expectation, from the Lyapunov equation."
+            "Acceleration and tyre load of Table 7's passive row are met by the conventional car, spring and damper in parallel with Table 6's values, if the "
+            f"road is ten times smoother (in power) than printed: {percent(base[0] / b7[0] - 1)} and {percent(base[2] / b7[2] - 1)}. Its travel is not: "
+            f"{number(1e3 * base[1])} mm, {percent(base[1] / b7[1] - 1)}. All is in expectation, from the Lyapunov equation."
         ],
         [Table("", ("RMS of the passive car", "acceleration [m/s²]", "travel [mm]", "tyre load [N]"), rows)],
     )

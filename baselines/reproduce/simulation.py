@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from .study import (
     Study,
     Table,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def simulation(study: Study) -> Section:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from isd_gym.report.plots import Picture as PagePicture
 from isd_gym.report.plots import (
@@ -13,6 +12,9 @@ from isd_gym.report.plots import (
     pixels,
     save,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SCHEMA = "isd-reproduction/1"
 KIND = "reproduction"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +27,9 @@ from .study import (
     Study,
     Table,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def drive_lqg(network: Network, control_step: float, episodes: int, duration: float) -> np.ndarray:
