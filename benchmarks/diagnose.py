@@ -1,4 +1,6 @@
-"""Run the diagnosis over rigs whose truth is known, and print what was right, wrong and missed, family by family.
+"""Run `isd-gym diagnose` over rigs whose truth is known, and print what was right, wrong and missed, family by family.
+
+Each case is the command to its end, report included: a case whose report fails has no result.
 
 python benchmarks/diagnose.py FOLDER [NAME ...]            a folder of rigs: FOLDER/truth.json or FOLDER.truth.json
 python benchmarks/diagnose.py --suite [WHAT ...] --seeds 1 2   rigs of the hidden suite
@@ -20,18 +22,19 @@ of measured rigs: benchmarks/real.json says what may be named there.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
+import io
 import json
 import os
 import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 os.environ.update(
     {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
@@ -45,6 +48,9 @@ from grading import Row
 
 from isd_gym import engine
 from isd_gym.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -105,30 +111,43 @@ def in_suite(wanted: list[str], seeds: list[int]) -> Iterator[Job]:
                 yield Job(suite, family, kind, f"{kind}-{seed}", seed=seed)
 
 
-def load(job: Job) -> tuple[list[Any], Any, list[Any], Any, Any]:
-    """(records, model, records held out, answer, truth) of a case."""
+@dataclass(frozen=True)
+class Case:
+    """The files of a case, as the command takes them: records to fit by, the model, records held out."""
+
+    records: list[Path]
+    model: Path
+    held: list[Path]
+
+
+def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
+    """The files of a case (written to `place` where they are made), its answer and its truth."""
     if job.folder:
         folder = Path(job.folder)
         records, held = (sorted(folder.glob(f"{which}*.csv")) for which in ("estimation", "validation"))
-        return records, folder / "model.json", held, job.answer, job.truth
+        return Case(records, folder / "model.json", held), job.answer, job.truth
     import families
     import hidden
 
-    from isd_gym.data import Table
+    from isd_gym.data import Table, write_table
     from isd_gym.network import Network
 
     case = (hidden if job.suite == "home" else families).make_case(job.kind, job.seed)
 
-    def tables(which: str) -> list[Any]:
+    def tables(which: str) -> list[Path]:
         columns = dict(getattr(case, which) or {})
-        return [Table(columns.pop("time"), columns, which)] if columns else []
+        if not columns:
+            return []
+        write_table(place / f"{which}.csv", Table(columns.pop("time"), columns, which))
+        return [place / f"{which}.csv"]
 
-    model = Network.load(case.model)
+    Network.load(case.model).save(place / "model.json")
     truth = {**case.record()["truth"], "base": base_values(case)}
     more = {
         k: case.record()[k] for k in ("snr_db", "spread", "visibility", "irreducible") if k in case.record()
     }
-    return tables("estimation"), model, tables("validation"), case.answer, {**truth, **more}
+    files = Case(tables("estimation"), place / "model.json", tables("validation"))
+    return files, case.answer, {**truth, **more}
 
 
 def base_values(case: Any) -> dict[str, float]:
@@ -148,29 +167,45 @@ def run(limit: float, **case: Any) -> Row:
     """Diagnose one case, the fields of a `Job`: an item of `engine`."""
     job = Job(**case)
     row: Row = {k: case[k] for k in ("suite", "family", "kind", "name")} | {"state": code_state()}
-    try:
-        records, model, held, row["answer"], row["truth"] = load(job)
-    except ArithmeticError as error:
-        raise InputError(f"no data: {error}") from None
-    from isd_gym.discrepancy import diagnose
+    with tempfile.TemporaryDirectory() as place:
+        try:
+            files, row["answer"], row["truth"] = load(job, Path(place))
+        except ArithmeticError as error:
+            raise InputError(f"no data: {error}") from None
 
-    def stop(*_: Any) -> None:
-        raise OutOfTime
+        def stop(*_: Any) -> None:
+            raise OutOfTime
 
-    signal.signal(signal.SIGPROF, stop)
-    wall, began = time.perf_counter(), time.process_time()
-    signal.setitimer(signal.ITIMER_PROF, limit)
-    try:
-        row["diagnosis"] = diagnose(records, model, validate=held).to_dict()
-    except OutOfTime:
-        row["timed_out"] = True
-    except Exception as error:
-        row["error"] = f"{type(error).__name__}: {error}"
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-    row["seconds"], row["wall"] = time.process_time() - began, time.perf_counter() - wall
+        signal.signal(signal.SIGPROF, stop)
+        wall, began = time.perf_counter(), time.process_time()
+        signal.setitimer(signal.ITIMER_PROF, limit)
+        try:
+            row["diagnosis"] = command(files, Path(place) / "found")
+        except OutOfTime:
+            row["timed_out"] = True
+        except Exception as error:
+            row["error"] = f"{type(error).__name__}: {error}"
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+        row["seconds"], row["wall"] = time.process_time() - began, time.perf_counter() - wall
     print(line(row), flush=True)
     return row
+
+
+def command(files: Case, out: Path) -> Any:
+    """Run `isd-gym diagnose` and return its diagnosis.json. Raises where the command, or its report, fails."""
+    from isd_gym.cli import app
+
+    held = ["--validate", *files.held] if files.held else []
+    words = ["diagnose", *files.records, "--model", files.model, "--out", out, *held]
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        status = app([str(w) for w in words], standalone_mode=False)
+    missing = [f for f in ("diagnosis.json", "model.json", "report.html") if not (out / f).exists()]
+    if status or missing:
+        last = (said.getvalue().strip().splitlines() or [""])[-1]
+        raise RuntimeError(f"exit status {status or 0}, without {', '.join(missing) or 'fault'}: {last}")
+    return json.loads((out / "diagnosis.json").read_text())
 
 
 def line(row: Row) -> str:

@@ -14,11 +14,10 @@ import os
 import pickle
 import struct
 import zipfile
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +26,9 @@ from isd_gym.errors import InputError
 from isd_gym.files import claim_folder, whole_folder, write_text
 from isd_gym.network import Network, builtin_networks, linearise
 from isd_gym.road import road
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 HOSTILE: list[Any] = [
     None, True, False, 0, -1, 1, 5, 99, 2**31, 2**63, -(2**63), 10**40, 10**299, 0.0, -0.0, 1e-300, 1e-9, 1e9, 1e33, 1e308, -1e308,

@@ -15,9 +15,8 @@ import json
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.signal import decimate, savgol_filter
@@ -33,6 +32,9 @@ from isd_gym.elements import beside as standing
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
 
 SETTLE = 2.0  # s of a record that are not compared: the models begin at rest
 WINDOW = 21  # samples of the Savitzky-Golay filter

@@ -13,8 +13,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import gymnasium as gym
 import numpy as np
@@ -22,6 +22,9 @@ import numpy as np
 from isd_gym.network import Network
 from isd_gym.road import paper_road
 from isd_gym.simulate import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def seconds(run: Callable[[], None]) -> float:
