@@ -75,7 +75,7 @@ def law() -> None:
 
 
 def reports() -> None:
-    """What a score's and a diagnosis' page draw: eight episodes, and the records of the tutorial on diagnoses."""
+    """What a score's and a diagnosis' page draw: 32 episodes, and the records of the tutorial on diagnoses."""
     from isd_gym.discrepancy import diagnose
     from isd_gym.policies import passive
     from isd_gym.report import score_report, write_report
@@ -83,7 +83,7 @@ def reports() -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         names = ("passive", "isd-passive", "skyhook", "lqg", "mpc", "mpc-friction", "ppo", "sac")
-        result = score([find(n, CAR) for n in names], CAR, reference=passive(CAR), episodes=8)
+        result = score([find(n, CAR) for n in names], CAR, reference=passive(CAR))
         score_report(result, Path(folder) / "score")
         page = (HERE.parent / "tutorials" / "diagnose.md").read_text(encoding="utf-8")
         blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[:2]
@@ -315,9 +315,7 @@ def preview() -> None:
     figure, axes = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
     for (name, points), mark in zip(found.items(), "s^o", strict=True):
         axes.plot(*zip(*sorted(points), strict=True), marker=mark, label=name)
-    axes.plot(
-        *zip(*sorted(bounds), strict=True), color="0.4", linestyle="--", label="ceiling of any controller"
-    )
+    axes.plot(*zip(*sorted(bounds), strict=True), color="0.4", linestyle="--", label="ceiling (searched)")
     axes.set(xlabel="road ahead [s]", ylabel="J against the passive car [%]")
     axes.legend()
     save(figure, "preview")
