@@ -99,6 +99,29 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
     return PlaceForces(by_node, prescribed)
 
 
+def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
+    """Compute the forces of the elements between two nodes over all records to fit by.
+
+    Args:
+        problem: records and channels.
+        fit: fitted structure with its initial states.
+        where: the two nodes; the sign of each force is that of an element from the first to the second.
+
+    Returns:
+        Force [N] (samples,), or torque [N m], by element.
+
+    Raises:
+        InputError: the simulation breaks down.
+    """
+    net, pair = fit.network, set(where)
+    here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
+    watched = watching(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
+    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
+    seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=net)
+    together = np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
+    return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
+
+
 def _measured_force(problem: Problem) -> float:
     """Largest deviation of a force that the records hold [N]; 0 where they hold none."""
     net, y = problem.network, problem.measured() / problem.factors

@@ -15,9 +15,8 @@ from ..errors import InputError
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
 from .fit import Fit, Fitter, residuals
-from .forces import place_forces
+from .forces import element_forces, place_forces
 from .initial import carried, next_states
-from .motion import watching
 from .noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
 from .structure import Structure, base_structure
 from .unmodelled import unmodelled
@@ -252,19 +251,12 @@ def share_at_place(problem: Problem, fit: Fit, name: str) -> float:
         return _share_of_current(problem, net, e)
     if e.series:
         return 1.0  # force and deflection are shared in series: what it changes in the outputs decides
-    pair = set(e.where)
-    here = [x for x in net.elements if x.place == "between" and set(x.where) == pair]
-    extra = tuple(net.probe(f"_{x.name}", "force", element=x.name) for x in here)
-    watched = watching(net, extra)
-    begun = {i: fit.initial[i][:, None] for i in problem.estimation}
     try:
-        seen = problem.watching(watched).simulate_all([watched], problem.estimation, begun, like=net)
+        forces = element_forces(problem, fit, e.where)
     except InputError:
         return 1.0
-    y = np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
-    sign = np.array([1.0 if x.where == e.where else -1.0 for x in here])
-    own = y[:, [x.name for x in here].index(name)] * e.own_share(here)
-    return rms(own) / max(rms(y @ sign), _force_around(problem, fit, e), 1e-300)
+    own = forces[name] * e.own_share([net.element(x) for x in forces])
+    return rms(own) / max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
 
 
 def _force_around(problem: Problem, fit: Fit, e: el.Element) -> float:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import elements as el
+from ..errors import InputError
 from .candidate import BROKEN, Candidate, level, reckoned
 from .evidence import EffectEvidence, Evidence, row
 from .fit import Fit, Fitter, gap, residuals
-from .forces import place_forces
+from .forces import element_forces, place_forces
 from .imitate import repeats, sound
 from .judge import Outcome, replication
 from .motion import motions
@@ -276,15 +277,32 @@ def shapeless(search: Search, trial: Trial) -> float:
 
 
 def _by_curve(search: Search, trial: Trial, without: Outcome, named: el.Element) -> Iterator[float]:
-    """Shares of what `without` leaves that free curves at an effect's place remove: over what its law reads, and over all there is."""
+    """Shares of what `without` leaves that free curves at an effect's place remove: over what its law reads, and over all there is.
+
+    A curve whose force differs from that of `without` by less than a small effect's force is no other law.
+    """
     for over in (None, "both"):
         curve = in_its_place(search.judge, trial.base, named, over)
         try:
             now = trial.of(curve) if curve is not None else None
         except BROKEN:
             continue
-        if now is not None and replication(without, now) >= search.criteria.replicated:
+        if (
+            now is not None
+            and replication(without, now) >= search.criteria.replicated
+            and _force_apart(search.problem, without.candidate, now.candidate, named) >= search.criteria.small
+        ):
             yield trial.share(without, now)
+
+
+def _force_apart(problem: Problem, one: Candidate, other: Candidate, named: el.Element) -> float:
+    """Root mean square by which the forces of two fits differ at an element's place, as a share of the typical force there."""
+    try:
+        a, b = (np.sum([*element_forces(problem, c.fit, named.where).values()], axis=0) for c in (one, other))
+    except InputError:
+        return math.inf
+    typical = max(el.rms(a), place_forces(problem, one.fit, without=named.name).at(named.where))
+    return float(el.rms(a - b) / max(typical, 1e-300))
 
 
 def _over_one_plane(search: Search, best: Candidate) -> list[str]:
