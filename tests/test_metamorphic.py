@@ -1,0 +1,167 @@
+"""Changes of the data or of the model's order that say nothing about the rig must not change the verdict of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose, race
+from isd_gym.discrepancy import hypotheses as library
+from isd_gym.network import Network
+from isd_gym.simulate import simulate
+
+if TYPE_CHECKING:
+    from isd_gym.discrepancy import Diagnosis
+
+STEP, SAMPLES = 5e-3, 1600
+
+#: two masses on a shaken base, as their owner knows them
+MODEL: dict[str, Any] = {
+    "schema": "isd-model/1",
+    "name": "two masses",
+    "masses": {"lower": 1.0, "upper": 2.0},
+    "elements": [
+        {"name": "spring", "type": "linear_stiffness", "between": ["lower", "base"], "stiffness": 4000.0},
+        {"name": "damper", "type": "linear_damping", "between": ["lower", "base"], "damping": 20.0},
+        {"name": "link", "type": "linear_stiffness", "between": ["upper", "lower"], "stiffness": 2500.0},
+        {"name": "oil", "type": "linear_damping", "between": ["upper", "lower"], "damping": 8.0},
+    ],
+    "inputs": [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}],
+    "outputs": [
+        {"name": "stroke", "quantity": "displacement", "between": ["upper", "lower"], "unit": "m"},
+        {"name": "shake", "quantity": "acceleration", "at": "lower", "unit": "m/s^2"},
+    ],
+    "uncertainty": {"spring.stiffness": 0.1, "oil.damping": 0.3},
+}
+FRICTION = {"name": "rub", "type": "coulomb_friction", "between": ["upper", "lower"], "level": 4.0}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Everything that a diagnosis is given."""
+
+    model: dict[str, Any]
+    training: tuple[Table, ...]
+    validation: tuple[Table, ...]
+
+    def diagnose(self) -> Diagnosis:
+        return diagnose(self.training, self.model, validate=self.validation)
+
+    def with_tables(self, change: Any) -> Rig:
+        return replace(
+            self, training=tuple(map(change, self.training)), validation=tuple(map(change, self.validation))
+        )
+
+
+def measured(hidden: bool) -> Rig:
+    """Records of the rig with friction in it, or without, and noise of one per cent."""
+    rng = np.random.default_rng(5)
+    true = Network.load({**MODEL, "elements": [*MODEL["elements"], *([FRICTION] if hidden else [])]})
+    band = butter(2, [0.5, 15.0], "band", fs=1 / STEP, output="sos")
+
+    def table(name: str) -> Table:
+        base = 0.004 * sosfiltfilt(band, rng.standard_normal(SAMPLES))
+        out = simulate(true, STEP * np.arange(SAMPLES), {"base": base})
+        noisy = {
+            k: out[k] + 0.01 * np.std(out[k]) * rng.standard_normal(SAMPLES) for k in ("stroke", "shake")
+        }
+        return Table(STEP * np.arange(SAMPLES), {"base": base, **noisy}, name)
+
+    return Rig(MODEL, (table("first"), table("second")), (table("third"),))
+
+
+def scaled(table: Table, factors: dict[str, float]) -> Table:
+    columns = {k: v * factors.get(k, 1.0) for k, v in table.columns.items()}
+    return Table(table.time, columns, table.source)
+
+
+def records_in_another_order(rig: Rig) -> Rig:
+    return replace(rig, training=rig.training[::-1])
+
+
+def channels_in_another_order(rig: Rig) -> Rig:
+    return replace(rig, model={**rig.model, "outputs": rig.model["outputs"][::-1]})
+
+
+def elements_in_another_order(rig: Rig) -> Rig:
+    return replace(rig, model={**rig.model, "elements": rig.model["elements"][::-1]})
+
+
+def millimetres(rig: Rig) -> Rig:
+    outputs = [{**rig.model["outputs"][0], "unit": "mm"}, rig.model["outputs"][1]]
+    return replace(rig, model={**rig.model, "outputs": outputs}).with_tables(
+        lambda t: scaled(t, {"stroke": 1e3})
+    )
+
+
+def mirrored(rig: Rig) -> Rig:
+    return rig.with_tables(lambda t: scaled(t, dict.fromkeys(t.columns, -1.0)))
+
+
+def first_record_in_halves(rig: Rig) -> Rig:
+    first, *others = rig.training
+    half = len(first) // 2
+    parts = [
+        Table(first.time[s] - first.time[s][0], {k: v[s] for k, v in first.columns.items()}, name)
+        for name, s in (("first, one", slice(None, half)), ("first, two", slice(half, None)))
+    ]
+    return replace(rig, training=(*parts, *others))
+
+
+def a_millionth_of_noise(rig: Rig) -> Rig:
+    rng = np.random.default_rng(9)
+
+    def noisy(t: Table) -> Table:
+        columns = {k: v + 1e-6 * np.std(v) * rng.standard_normal(len(v)) for k, v in t.columns.items()}
+        return Table(t.time, columns, t.source)
+
+    return rig.with_tables(noisy)
+
+
+CHANGES = [
+    records_in_another_order,
+    channels_in_another_order,
+    elements_in_another_order,
+    millimetres,
+    mirrored,
+    first_record_in_halves,
+    a_millionth_of_noise,
+]
+
+
+def stated(d: Diagnosis) -> tuple[str, set[tuple[str, frozenset[str]]]]:
+    return d.verdict, {(e.effect, frozenset(e.between or ())) for e in d.effects}
+
+
+NAMED = ("missing_effect", {("coulomb_friction", frozenset({"upper", "lower"}))})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", CHANGES)
+def test_the_name_does_not_depend_on(change: Any) -> None:
+    d = change(measured(hidden=True)).diagnose()
+    assert stated(d) == NAMED
+    level = d.effects[0].parameters["level"].value
+    assert level == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", CHANGES)
+def test_nothing_is_named_where_nothing_is_missing(change: Any) -> None:
+    assert change(measured(hidden=False)).diagnose().verdict in ("no_discrepancy", "parameters_only")
+
+
+@pytest.mark.slow
+def test_the_name_does_not_depend_on_the_order_of_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:
+    forward = library.hypotheses
+
+    def backward(network: Network) -> Any:
+        return iter(list(forward(network))[::-1])
+
+    monkeypatch.setattr(race, "hypotheses", backward)
+    assert stated(measured(hidden=True).diagnose()) == NAMED
