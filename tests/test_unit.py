@@ -122,15 +122,15 @@ def test_what_agrees_is_left_alone_and_what_the_unit_hides_is_not_named(unit):
 
 def test_the_unit_is_stepped_so_that_its_inputs_are_not_late(unit):
     """A unit knows an input at the beginning of a step alone: run naively it would be a step late, 1 % noise or none."""
-    from isd_gym.discrepancy.blackbox import Comparison
-    from isd_gym.discrepancy.unit import _read
+    from isd_gym.discrepancy.fmu.comparison import FmuComparison
+    from isd_gym.discrepancy.fmu.diagnosis import _read
 
     r, ports = _read(record(RIG, 4, "a", 800), unit.model, [], [], {}, {})
-    c = Comparison(unit, unit.model, [r], ports)
+    c = FmuComparison(unit, unit.model, [r], ports)
     c.settle(lambda line: None)
-    assert c.ahead == {"base": 1.0}  # ours goes there while the step lasts
+    assert c.lead == {"base": 1.0}  # ours goes there while the step lasts
     error = (r.measured - c.simulate(unit.model, 0))[200:].std(axis=0) / r.measured.std(axis=0)
-    c.ahead, c.every = {"base": 0.0}, 1
+    c.lead, c.steps_per_sample = {"base": 0.0}, 1
     late = (r.measured - c.run(unit.model, 0))[200:].std(axis=0) / r.measured.std(axis=0)
     assert np.all(error < 0.015) and np.all(late > 5 * error)
 

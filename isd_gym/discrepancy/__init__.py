@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from .criteria import CRITERIA, Criteria, Gate
 from .evidence import EffectEvidence, Evidence
+from .fmu import diagnose_unit
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
 from .settings import SearchSettings
-from .unit import diagnose_unit
 from .workflow import diagnose
 
 if TYPE_CHECKING:

@@ -13,6 +13,8 @@ from .motion import motions
 from .result import Law, Place, Quantity, Tabulated
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
 
     from ..elements import Motion
@@ -43,55 +45,70 @@ def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float
     return [(round(out[k][0], 2), round(out[k][1], 2)) for k in best]
 
 
-def when(
-    problem: Problem, fit: Fit, residual: dict[int, Array], motion: dict[tuple[str, str], Motion]
-) -> str:
-    """The condition under which the residual's energy per sample is highest above its mean: in plain words."""
-    i = problem.estimation[0]
-    record = problem.records[i]
-    e = residual[i] ** 2
-    n = len(e)
-    if not e.mean() > 0:
+def find_condition(residual: Array, width: int, conditions: Iterable[tuple[NDArray[np.bool_], str]]) -> str:
+    """Find the condition under which the energy of a residual is highest.
+
+    Args:
+        residual: The residual (n,).
+        width: Samples of the moving average of the energy.
+        conditions: Samples (n,) where each condition is true, and the condition in words.
+
+    Returns:
+        The words of the best condition, or "everywhere" if no condition raises the mean energy by a factor of 1.6.
+    """
+    energy = residual**2
+    if not energy.mean() > 0:
         return "everywhere"
-    width = max(1, int(0.2 * problem.time / record.rate))
-    e = np.asarray(np.convolve(e, np.ones(width) / width, mode="same"), dtype=np.float64)
-    best = (1.6, "everywhere")  # a condition must raise the energy by this factor to be worth saying
+    energy = np.convolve(energy, np.ones(width) / width, mode="same")
+    mean, best = energy.mean(), (1.6, "everywhere")
+    for mask, text in conditions:
+        if 0.01 < mask.mean() < 0.5:
+            best = max(best, (float(energy[mask].mean() / mean), text), key=lambda b: b[0])
+    return best[1]
 
-    def consider(mask: NDArray[np.bool_], text: str) -> None:
-        nonlocal best
-        share = mask.mean()
-        if 0.01 < share < 0.5:
-            ratio = float(e[mask].mean() / e.mean())
-            if ratio > best[0]:
-                best = (ratio, text)
 
+def near_reversals(rate: Array, width: int) -> NDArray[np.bool_]:
+    """Return the samples (n,) within `width` samples of a change of sign of `rate` (n,)."""
+    turn = np.concatenate([[False], np.sign(rate[1:]) != np.sign(rate[:-1])])
+    return np.asarray(np.convolve(turn, np.ones(2 * width + 1), mode="same") > 0)
+
+
+def conditions(
+    problem: Problem, motion: dict[tuple[str, str], Motion], n: int, width: int
+) -> Iterator[tuple[NDArray[np.bool_], str]]:
+    """Yield conditions on the motion of node pairs and on currents, in the first fitted record.
+
+    Args:
+        problem: Model and records.
+        motion: Motion by pair of nodes.
+        n: Number of compared samples.
+        width: Samples around a reversal of the motion.
+
+    Yields:
+        The samples (n,) where the condition is true, and the condition in words.
+    """
+    record = problem.records[problem.estimation[0]]
     for (a, b), m in motion.items():
         turns = {a, b} & problem.network.rotating
         scale, length, speed = (1.0, "rad", "rad/s") if turns else (1e3, "mm", "m/s")
         d, v = record.seen(m.d[: record.samples]), record.seen(m.v[: record.samples])
         if len(d) < n:
             continue
-        turn = np.zeros(n, bool)
-        turn[1:] = np.sign(v[1:]) != np.sign(v[:-1])
-        near = np.convolve(turn, np.ones(2 * width + 1), mode="same") > 0
-        consider(near, f"velocity of {a}-{b} changes sign")
+        yield near_reversals(v, width), f"velocity of {a}-{b} changes sign"
         for q in (0.8, 0.95):
             level = float(np.quantile(np.abs(d), q))
             if not order_told(problem.network, (a, b)):
-                consider(np.abs(d) > level, f"|travel of {a}-{b}| beyond {scale * level:.3g} {length}")
+                yield np.abs(d) > level, f"|travel of {a}-{b}| beyond {scale * level:.3g} {length}"
             level = float(np.quantile(np.abs(v), q))
-            consider(np.abs(v) > level, f"|velocity of {a}-{b}| above {level:.3g} {speed}")
-            consider(v > np.quantile(v, q), f"{a}-{b} extends faster than {np.quantile(v, q):.3g} {speed}")
-            consider(
-                v < np.quantile(v, 1 - q),
-                f"{a}-{b} compresses faster than {-np.quantile(v, 1 - q):.3g} {speed}",
-            )
+            yield np.abs(v) > level, f"|velocity of {a}-{b}| above {level:.3g} {speed}"
+            low, high = np.quantile(v, 1 - q), np.quantile(v, q)
+            yield v > high, f"{a}-{b} extends faster than {high:.3g} {speed}"
+            yield v < low, f"{a}-{b} compresses faster than {-low:.3g} {speed}"
     for c in problem.network.inputs:
         if c.quantity == "current":
             current = np.abs(record.seen(record.inputs[c.name]))
             level = float(np.quantile(current, 0.8))
-            consider(current > level, f"{c.name} above {level:.3g} A")
-    return best[1]
+            yield current > level, f"{c.name} above {level:.3g} A"
 
 
 def places(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
@@ -113,16 +130,13 @@ def places(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
     total = sum(excess) or 1.0
     out = []
     for j, name in enumerate(problem.channels):
-        r = {i: problem.records[i].measured[:, j] - fit.outputs[i][:, j] for i in problem.estimation}
         first = problem.estimation[0]
-        out.append(
-            Place(
-                name,
-                excess[j] / total,
-                tuple(bands(r[first], floor[j], problem.records[first].rate)),
-                when(problem, fit, r, motion),
-            )
-        )
+        record = problem.records[first]
+        r = record.measured[:, j] - fit.outputs[first][:, j]
+        width = max(1, int(0.2 * problem.time / record.rate))
+        condition = find_condition(r, width, conditions(problem, motion, len(r), width))
+        found = tuple(bands(r, floor[j], record.rate))
+        out.append(Place(name, excess[j] / total, found, condition))
     return tuple(sorted(out, key=lambda p: -p.share))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..network import Network, assemble
 from .initial import guess, next_states
-from .least_squares import bounded_step
+from .least_squares import bounded_step, damped_step
 from .objective import Objective, Point, Slope
 from .problem import Array, Problem, bare
 from .tangent import tangents
@@ -159,22 +159,18 @@ class Fitter(Objective):
             if len(s.own):
                 g = g - s.gram[:p, p:] @ np.linalg.solve(s.own, down[i][p:])
         H = hessian + np.diag(1.0 / sigma**2)
-        for _ in range(1 if chord else 6):
+
+        def take(damping: float) -> tuple[Point, float]:
             step = bounded_step(H, g, at.x, low, high, wide, damping) if p else np.zeros(0)
             moves = {}
             for i, s in slopes.items():
                 moves[i] = np.linalg.solve(s.own, down[i][p:] - s.gram[p:, :p] @ step)
             then = self._moved(at, at.x + step, moves)
             then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
-            total = self.seen(structure, then, records).total
-            if np.isfinite(total) and total < at.total:
-                return then, max(damping * 0.2, 1e-6)
-            if chord:
-                break
-            damping = max(damping * 10, 1e-3)
-            if not np.isfinite(total) or damping > 1e4:
-                damping = max(damping, 1.0)
-        return None, damping
+            return then, self.seen(structure, then, records).total
+
+        then, _, damping = damped_step(take, at.total, damping, tries=1 if chord else 6)
+        return then, damping
 
     def _states(
         self, structure: Structure, at: Point, records: Sequence[int], iterations: int, tolerance: float

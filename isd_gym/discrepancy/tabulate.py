@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from .. import elements as el
 from ..elements.starts import generic_starts
@@ -22,6 +21,7 @@ from ..network import Network, assemble
 from ..network.frames import order_told
 from .candidate import BROKEN, Candidate, reckoned, settled, transferred, with_fit
 from .criteria import table_gates
+from .curve_matching import match_law
 from .fit import Fit, Fitter, residuals
 from .forces import PlaceForces, place_forces
 from .hypotheses import hypotheses, pairs
@@ -34,7 +34,7 @@ from .structure import Free, Structure
 from .tangent import tangents
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from .criteria import Criteria
 
@@ -52,7 +52,6 @@ BOTH = 2  # pairs at which one over both is fitted
 RICHER = 1.15  # by how much less a table over both, or a rougher one, must leave
 POINTS = 300  # of the motion at which laws are compared
 MARGINAL = 4000  # of the motion at which the arguments of a table are told apart
-EFFORT = 60  # evaluations of a law that is fitted to a table
 
 
 @dataclass(frozen=True)
@@ -412,42 +411,39 @@ def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tup
             begun = h.kind.starts(at)[:4]
         except (InputError, StopIteration):
             begun = generic_starts(h.kind, at)[:4]
-        for start in begun:
-            share = _share(h.kind, start.values, at, target, size)
+        match = match_law(h.kind, (s.values for s in begun), _misfit(h.kind, at, target, size), mirrored=True)
+        if match is not None:
+            share = 1.0 - float(np.mean(match.residual**2))
             out[h.effect] = max(out.get(h.effect, 0.0), share)
     ranked = sorted(out.items(), key=lambda t: -t[1])
     return [(name, share) for name, share in ranked if share > 0.05][:3]
 
 
-def _share(
-    kind: type[el.Element], values: dict[str, float], at: el.Setting, target: Array, size: float
-) -> float:
-    free = [f for f in el.parameter_fields(kind) if not f.metadata["fixed"] and f.name in values]
-    unit = [max(abs(values[f.name]), 1e-12) for f in free]
-    log = [f.metadata["minimum"] >= 0 for f in free]
+def _misfit(
+    kind: type[el.Element], at: el.Setting, target: Array, size: float
+) -> Callable[[dict[str, float]], Array]:
+    """Return the function from a law's values to its difference from a force.
 
-    def miss(x: Array) -> Array:
-        own = {
-            f.name: u * math.exp(min(v, 50.0)) if lg else u * v
-            for f, u, v, lg in zip(free, unit, x, log, strict=True)
-        }
+    Args:
+        kind: Class of the law.
+        at: Place, options and motion of the law.
+        target: The force [N] (samples,).
+        size: Root mean square of the force [N].
+
+    Returns:
+        Function to the relative difference (samples,), which is large for values that contradict the law's name.
+    """
+
+    def misfit(values: dict[str, float]) -> Array:
         try:
-            e = kind(name="trial", where=at.where, **{**values, **own}, **at.options)
+            e = kind(name="trial", where=at.where, **values, **at.options)
         except InputError:
             return np.full(len(target), 1e3)
-        if not e.well_formed():  # what is not what its name says is no neighbour
+        if not e.well_formed():
             return np.full(len(target), 1e3)
         return np.asarray((force_over(e, at.moves) - target) / size, dtype=np.float64)
 
-    signs = (1.0, -1.0) if not all(log) else (1.0,)
-    best = math.inf
-    for sign in signs:
-        x0 = np.array([0.0 if lg else sign for lg in log])
-        try:
-            best = min(best, float(np.mean(least_squares(miss, x0, max_nfev=EFFORT).fun ** 2)))
-        except (*BROKEN, ValueError, OverflowError):
-            continue
-    return max(0.0, 1.0 - best)
+    return misfit
 
 
 def force_over(e: el.Element, m: el.Motion) -> Array:
