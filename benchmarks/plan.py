@@ -27,8 +27,15 @@ import numpy as np
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.excitation import Rig, default, record_of, rig_of
-from isd_gym.discrepancy.planning import Foreseen, Plan, plan
+from isd_gym.discrepancy.planning import (
+    EffectForecast,
+    Plan,
+    Rig,
+    infer_rig,
+    make_excitation,
+    make_record,
+    plan,
+)
 from isd_gym.discrepancy.structure import Hypothesis, add, base_structure
 from isd_gym.elements import TYPES
 from isd_gym.network import Network
@@ -94,21 +101,21 @@ MODELS: dict[str, Any] = {"shaken": SHAKEN, "rig": "force-rig", "car": "quarter-
 
 def laid(case: Case) -> tuple[Network, Rig, dict[str, float] | None]:
     network = Network.load(MODELS[case.rig])
-    rig = rig_of(network)
+    rig = infer_rig(network)
     if case.noise is None:
         return network, rig, None
-    record = record_of(network, rig, default(network, rig))
+    record = make_record(network, rig, make_excitation(network, rig))
     clean = simulate(network, record.time, record.inputs)
     return network, rig, {name: case.noise * float(y.std()) for name, y in clean.items()}
 
 
-def planned(case: Case) -> tuple[Plan, Foreseen]:
+def planned(case: Case) -> tuple[Plan, EffectForecast]:
     network, rig, noise = laid(case)
     found = plan(network, rig=rig, noise=noise, only=[case.effect, *case.where], add_sensors=False)
     return found, found.effects[0]
 
 
-def sized(e: Foreseen, factor: float) -> dict[str, float]:
+def sized(e: EffectForecast, factor: float) -> dict[str, float]:
     """The values of the effect, `factor` times as large as the smallest that is said to be named."""
     values = {k: a.value for k, a in e.smallest.items()}
     defaults = {f.name: f.default for f in TYPES[e.effect].__dataclass_fields__.values()}
@@ -119,7 +126,7 @@ def sized(e: Foreseen, factor: float) -> dict[str, float]:
     return values
 
 
-def asked(p: Plan, e: Foreseen, case: Case, factor: float, seed: int) -> dict[str, Any]:
+def asked(p: Plan, e: EffectForecast, case: Case, factor: float, seed: int) -> dict[str, Any]:
     """What the diagnosis says of the planned test on a rig that has the effect."""
     network = Network.load(MODELS[case.rig])
     h = Hypothesis(e.effect, case.where, e.options)
@@ -158,9 +165,9 @@ def threshold(case: Case, seed: int, out: Path, until: float) -> dict[str, Any]:
             path.write_text(json.dumps(make(), indent=1))
         return json.loads(path.read_text())
 
-    cache: list[tuple[Plan, Foreseen]] = []
+    cache: list[tuple[Plan, EffectForecast]] = []
 
-    def the_plan() -> tuple[Plan, Foreseen]:
+    def the_plan() -> tuple[Plan, EffectForecast]:
         if not cache:
             cache.append(planned(case))
         return cache[0]

@@ -15,17 +15,10 @@ from .errors import InputError, plain, shown
 
 if TYPE_CHECKING:
     from .data import Table
-    from .discrepancy.excitation import Rig
-    from .discrepancy.foreseen import Plan
+    from .discrepancy.planning import Plan, Rig
     from .network import Network
 
 AMOUNT = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*)")
-STATUS = {
-    "confused": "told from no rival, at any size",
-    "hidden": "the parameters that may move make up for it",
-    "unseen": "no sensor sees it",
-    "untried": "could not be simulated",
-}
 
 
 def command(
@@ -198,19 +191,18 @@ def _made(
     options: dict[str, Any],
 ) -> Plan:
     """The plan of a test that is made here, and the test written where it is asked for."""
-    from .discrepancy.excitation import Limits, rig_of
+    from .discrepancy.planning import Limits, infer_rig, read_planned_record
     from .discrepancy.planning import plan as run
-    from .discrepancy.planning import planned
 
     limit, band, length, rate = bounds
-    records = [planned(table, network)[1] for table in data]
+    records = [read_planned_record(table, network) for table in data]
     units = {c.name: c.si for c in network.inputs}
     own = {c.name: c.unit for c in network.inputs}
     reaches = [text.partition(",")[0] for text in limit or ()]
     values = amounts(reaches, units, "--limit", "the model has no input", own)
     speeds = [f"{t.partition('=')[0]}={t.partition(',')[2]}" for t in limit or () if "," in t]
     steep = amounts(speeds, {n: f"{u}/s" for n, u in units.items()}, "--limit", "the model has no input")
-    rig = rig_of(
+    rig = infer_rig(
         network,
         records,
         limits={name: Limits(value, steep.get(name, math.inf)) for name, value in values.items()},
@@ -235,17 +227,20 @@ def _designed(
     notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
-    from .discrepancy.design import design as choose
-    from .discrepancy.design import noise_of, rivals_of
-    from .discrepancy.planning import best_test
+    from .discrepancy.planning import (
+        design_general_test,
+        design_test,
+        estimate_output_noise,
+        read_rivals,
+    )
     from .discrepancy.planning import plan as run
 
     update = options["progress"]
-    noise = noise_of(network, rig, options["noise"], records)
+    noise = estimate_output_noise(network, rig, options["noise"], records)
     if after is not None:
-        chosen = choose(network, rivals_of(network, after), rig, noise, progress=update)
+        chosen = design_test(network, read_rivals(network, after), rig, noise, progress=update)
     else:
-        chosen = best_test(network, rig, noise, only=options["only"], progress=update)
+        chosen = design_general_test(network, rig, noise, only=options["only"], progress=update)
     if chosen is None:
         raise InputError(
             "none of the tests within these limits can be simulated: smaller --limit, or another --band"
@@ -316,6 +311,7 @@ def _print(found: Plan) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from .discrepancy.planning import STATUS
     from .report.plan import size_of
 
     console = printer()

@@ -327,10 +327,10 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends() -> None:
     # friction gives the piston many rests: from a guess the first stretch held out ended in another (0.063 of the deviation)
     from isd_gym.discrepancy.candidate import Candidate
-    from isd_gym.discrepancy.excitation import default, record_of, rig_of
     from isd_gym.discrepancy.fit import Fitter
     from isd_gym.discrepancy.judge import Judge
     from isd_gym.discrepancy.noise import plain
+    from isd_gym.discrepancy.planning import infer_rig, make_excitation, make_record
     from isd_gym.discrepancy.problem import Problem
     from isd_gym.discrepancy.records import dealt
     from isd_gym.discrepancy.structure import base_structure
@@ -338,8 +338,8 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     net = Network.load("force-rig").with_element(
         {"name": "drag", "type": "quadratic_damping", "between": ["piston", "ground"], "damping": 1381.0}
     )
-    rig = rig_of(net)
-    record = record_of(net, rig, default(net, rig))
+    rig = infer_rig(net)
+    record = make_record(net, rig, make_excitation(net, rig))
     clean = simulate(net, record.time, record.inputs)["force"]
     noisy = clean + 16.0 * np.random.default_rng(1).standard_normal(len(clean))
     whole = Problem(net, [replace(record, measured=noisy[:, None])], ["fit"])

@@ -12,15 +12,17 @@ from typer.testing import CliRunner
 
 from isd_gym.data import Table, read_table
 from isd_gym.discrepancy import Criteria, diagnose, plan
-from isd_gym.discrepancy.excitation import (
+from isd_gym.discrepancy.planning import (
     KINDS,
     Excitation,
     Limits,
     Rig,
-    candidates,
-    default,
-    record_of,
-    rig_of,
+    design_test,
+    infer_rig,
+    list_excitations,
+    make_excitation,
+    make_record,
+    read_rivals,
 )
 from isd_gym.errors import InputError
 from isd_gym.network import Network
@@ -30,7 +32,7 @@ from isd_gym.simulate import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from isd_gym.discrepancy.foreseen import Plan
+    from isd_gym.discrepancy.planning import Plan
 
 MASS: dict[str, Any] = {
     "schema": "isd-model/1",
@@ -68,7 +70,7 @@ def test_twice_the_noise_asks_for_twice_the_size() -> None:
 
 
 def test_a_record_of_four_times_the_length_halves_the_size() -> None:
-    record = record_of(Network.load(MASS), SHORT, default(Network.load(MASS), SHORT))
+    record = make_record(Network.load(MASS), SHORT, make_excitation(Network.load(MASS), SHORT))
     stroke = 1e3 * record.inputs["stroke"]
     sizes = []
     for times in (4, 16):
@@ -191,13 +193,13 @@ def test_an_excitation_keeps_within_the_rigs_limits(kind: str) -> None:
 
 def test_limits_come_from_the_data_where_nobody_states_them() -> None:
     network = Network.load(MASS)
-    record = record_of(network, SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
-    rig = rig_of(network, [record])
+    record = make_record(network, SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
+    rig = infer_rig(network, [record])
     assert rig.limits["stroke"].reach == pytest.approx(np.abs(record.inputs["stroke"]).max())
     assert rig.length == pytest.approx(8.0, rel=0.01)
     assert 0.5 < rig.band[0] < 1.5
     assert 3.0 < rig.band[1] < 7.0
-    every = list(candidates(network, rig))
+    every = list(list_excitations(network, rig))
     assert {e.kind for e in every} == set(KINDS)
 
 
@@ -212,7 +214,7 @@ def test_limits_come_from_the_data_where_nobody_states_them() -> None:
 )
 def test_a_rig_that_cannot_be_is_refused_with_one_line(choice: dict[str, Any], word: str) -> None:
     with pytest.raises(InputError, match=word) as error:
-        rig_of(Network.load(MASS), **choice)
+        infer_rig(Network.load(MASS), **choice)
     assert "\n" not in str(error.value)
 
 
@@ -291,7 +293,7 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
     """The same test, its columns called and scaled as a logger does: by --rename and --unit, and by a map."""
     model = tmp_path / "model.json"
     model.write_text(json.dumps(MASS))
-    record = record_of(Network.load(MASS), SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
+    record = make_record(Network.load(MASS), SHORT, Excitation("sweep", 1.0, 5.0, ("stroke",), 0.5))
     stroke = 1e3 * record.inputs["stroke"]
     acceleration = simulate(Network.load(MASS), record.time, {"stroke": stroke})["acceleration"]
     rows = zip(record.time, stroke / 10.0, acceleration, strict=True)
@@ -374,28 +376,24 @@ def test_no_test_is_designed_after_a_decided_diagnosis(tmp_path: Path, verdict: 
 
 
 def test_a_designed_test_separates_rivals_better_than_the_usual_one() -> None:
-    from isd_gym.discrepancy.design import design, rivals_of
-
     network = Network.load(MASS)
-    left = rivals_of(network, rivals((3.0, 14.0)))
+    left = read_rivals(network, rivals((3.0, 14.0)))
     assert [r.label for r in left] == ["coulomb_friction at table-ground", "linear_damping at table-ground"]
     tests = [
-        default(network, SHORT),
+        make_excitation(network, SHORT),
         Excitation("triangle", 1.0, 7.0, ("stroke",), 0.4),
         Excitation("sweep", 1.0, 7.0, ("stroke",), 0.3),
     ]
-    found = design(network, left, SHORT, np.array([0.05]), tests=tests)
+    found = design_test(network, left, SHORT, np.array([0.05]), tests=tests)
     assert found is not None
     assert found.separation >= found.usual > 0
     assert np.abs(found.record.inputs["stroke"]).max() <= 0.01 + 1e-12
-    louder = design(network, left, SHORT, np.array([0.5]), tests=tests)
+    louder = design_test(network, left, SHORT, np.array([0.5]), tests=tests)
     assert louder is not None
     assert louder.separation < found.separation
 
 
 def test_results_without_rivals_are_refused_with_one_line() -> None:
-    from isd_gym.discrepancy.design import rivals_of
-
     network = Network.load(MASS)
     for change, word in (
         ({"alternatives": []}, "no rivals"),
@@ -403,13 +401,11 @@ def test_results_without_rivals_are_refused_with_one_line() -> None:
         ({"alternatives": [{"effects": ["coulomb_friction"], "where": [["table", "ground"]]}]}, "again"),
     ):
         with pytest.raises(InputError, match=word) as error:
-            rivals_of(network, {**rivals((3.0, 14.0)), **change})
+            read_rivals(network, {**rivals((3.0, 14.0)), **change})
         assert "\n" not in str(error.value)
 
 
 def test_rivals_that_a_stranger_wrote_are_refused_with_one_line() -> None:
-    from isd_gym.discrepancy.design import rivals_of
-
     network, whole = Network.load(MASS), rivals((3.0, 14.0))
     row = whole["alternatives"][0]
     for wrong in (
@@ -424,7 +420,7 @@ def test_rivals_that_a_stranger_wrote_are_refused_with_one_line() -> None:
         {"options": [{"behind": 5}]},
     ):
         with pytest.raises(InputError) as error:
-            rivals_of(network, {**whole, "alternatives": [{**row, **wrong}, row]})
+            read_rivals(network, {**whole, "alternatives": [{**row, **wrong}, row]})
         assert "\n" not in str(error.value), wrong
     for change in (
         {"alternatives": [1, 2]},
@@ -433,5 +429,5 @@ def test_rivals_that_a_stranger_wrote_are_refused_with_one_line() -> None:
         {"parameters": {"a": {}}},
     ):
         with pytest.raises(InputError) as error:
-            rivals_of(network, {**whole, **change})
+            read_rivals(network, {**whole, **change})
         assert "\n" not in str(error.value), change

@@ -19,13 +19,13 @@ from ..network import cut as network_cut
 from .align import aligned, read_again
 from .candidate import BROKEN, Candidate, reckoned, values_of
 from .criteria import CRITERIA, Criteria, Decision, confidence, decide
-from .design import next_experiment, played
 from .explain import law, places, table_law
 from .fit import Fitter, residuals
 from .hypotheses import hypotheses
 from .judge import Judge
 from .measure import intervals, measure
 from .noise import plain, whitener
+from .planning import next_experiment, played
 from .problem import Problem, Record, Role, bare, pace
 from .rasters import fast_enough
 from .records import FORGETS, dealt, derivatives, read, stretches

@@ -15,16 +15,9 @@ from .plots import Picture, channel_text, embedded, figure, page, pixels, save, 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..discrepancy.foreseen import Foreseen, Plan
+    from ..discrepancy.planning import EffectForecast, Plan
 
 SHADES = 3.0  # decades of distance between black and white
-STATUS = {
-    "named": "named",
-    "confused": "told from no rival, at any size",
-    "hidden": "the parameters that may move make up for it",
-    "unseen": "no sensor sees it",
-    "untried": "could not be simulated",
-}
 
 
 def write_plan(plan: Plan, path: str | Path) -> Path:
@@ -32,6 +25,8 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
 
     path: the file. Raises `InputError` where it cannot be written.
     """
+    from ..discrepancy.planning import STATUS
+
     check_file(path)
     with style(), tempfile.TemporaryDirectory() as folder:
         fig = matrix_figure(plan)
@@ -84,7 +79,7 @@ def matrix_figure(plan: Plan) -> Figure:
     return fig
 
 
-def size_of(e: Foreseen, amounts: dict[str, Any]) -> str:
+def size_of(e: EffectForecast, amounts: dict[str, Any]) -> str:
     """``level 12.3 N (shape 2 m)``: what scales, and the shape of which it is told."""
     from ..discrepancy.words import plain_number
 

@@ -1,0 +1,57 @@
+"""Plan and design of tests before a diagnosis.
+
+The modules depend on each other in this order: `excitation` (test signals of a rig), `virtual_bench` (simulated test),
+`plan_result`, `sensitivity` (linearised responses to all effects), `detectability` (evidence for one effect),
+`forecast` (smallest nameable sizes), `design` (choice of a test), `workflow` (`plan`).
+"""
+
+from .design import (
+    Design,
+    Rival,
+    design_general_test,
+    design_test,
+    estimate_output_noise,
+    next_experiment,
+    played,
+    read_rivals,
+)
+from .excitation import (
+    KINDS,
+    Excitation,
+    Limits,
+    Rig,
+    infer_rig,
+    list_excitations,
+    make_excitation,
+    make_record,
+    make_table,
+)
+from .plan_result import STATUS, Amount, EffectForecast, Plan, SensorGain
+from .workflow import plan, read_planned_record
+
+__all__ = [
+    "KINDS",
+    "STATUS",
+    "Amount",
+    "Design",
+    "EffectForecast",
+    "Excitation",
+    "Limits",
+    "Plan",
+    "Rig",
+    "Rival",
+    "SensorGain",
+    "design_general_test",
+    "design_test",
+    "estimate_output_noise",
+    "infer_rig",
+    "list_excitations",
+    "make_excitation",
+    "make_record",
+    "make_table",
+    "next_experiment",
+    "plan",
+    "played",
+    "read_planned_record",
+    "read_rivals",
+]

@@ -1,0 +1,348 @@
+"""Evidence that a diagnosis would have for one effect, as a function of the effect's size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...errors import InputError
+from ..candidate import BROKEN, relative
+from ..criteria import decide
+from ..evidence import EffectEvidence, Evidence, row
+from ..fit import Fit, Fitter
+from ..initial import carried
+from ..judge import BLOCKS, share_at_place
+from ..measure import complaint, difference, spread_of
+from ..noise import lagged, plain, predicted
+from ..result import Quantity
+from ..settings import SearchSettings
+from ..structure import Hypothesis, Structure, add
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from ... import elements as el
+    from ..criteria import Gate
+    from ..problem import Array, Problem
+    from .virtual_bench import BenchFit, VirtualBench
+
+ORDER = 20  # of the whitening filters, as in the diagnosis
+#: range of sizes, as multiples of the simulated size
+SMALLEST, LARGEST = 0.02, 30.0
+#: smallest excess score of a candidate, as a share of the score of noise
+LEAST_EXCESS = 0.01
+DECISIVE_DEVIANCE = 50.0  # deviance by which a rival is worse
+
+
+class NoiseFreeResidual:
+    """Noise-free residual of a fit, which is proportional to the effect's size.
+
+    Args:
+        bench: The virtual bench.
+        fitted: The fit.
+    """
+
+    def __init__(self, bench: VirtualBench, fitted: BenchFit):
+        self.bench = bench
+        self.prior = fitted.fit.prior
+        self.parameters = len(fitted.fit.x)
+        training, validation = fitted.training, fitted.validation
+        self._lags = []
+        for j in range(training[0].shape[1]):
+            series = [r[:, j] - r[:, j].mean() for r in training]
+            self._lags.append(lagged(series, min(ORDER, min(map(len, series)) // 8)))
+        self.samples = sum(map(len, training))
+        self.training_power = np.mean(np.concatenate(training) ** 2, axis=0)  # (channels,)
+        self.validation_power = np.mean(np.concatenate(validation) ** 2, axis=0)  # (channels,)
+        blocks = []
+        for r in validation:
+            square = np.mean((r / bench.weighting_noise) ** 2, axis=1)
+            edges = np.linspace(0, len(square), BLOCKS + 1).astype(int)
+            blocks += [(float(square[a:b].mean()), b - a) for a, b in pairwise(edges) if b > a]
+        self._scores = np.array([score for score, _ in blocks])
+        self._sizes = np.array([n for _, n in blocks]) * len(bench.weighting_noise)
+
+    def excess_deviance(self, scale: float) -> float:
+        """Return the deviance of noise plus residual minus the deviance of noise, at a multiple of the size."""
+        total = 0.0
+        for (gram, rhs, power, count), white in zip(self._lags, self.bench.weighting_noise, strict=True):
+            square = scale * scale
+            _, sigma = predicted(square * gram, square * rhs, square * power, count, float(white))
+            total += 2 * self.samples * math.log(max(sigma / white, 1.0))
+        return self.bench.length_factor * total + scale * scale * self.prior
+
+    def excess_score(self, scale: float) -> float:
+        """Return the excess of the validation score, at a multiple of the size."""
+        return scale * scale * float(self._scores.mean())
+
+    def score_errors(self, scale: float, noise: float) -> float:
+        """Return the excess score in standard errors over blocks, at a multiple of the size.
+
+        Args:
+            scale: Multiple of the simulated size.
+            noise: Score of noise.
+        """
+        excess = scale * scale * self._scores
+        return self._standard_errors(excess, np.mean(4 * excess * noise / self._sizes))
+
+    def log_ratio_errors(self, scale: float, noise: float) -> float:
+        """Return the logarithm of the score ratio in standard errors over blocks, at a multiple of the size.
+
+        Args:
+            scale: Multiple of the simulated size.
+            noise: Score of noise.
+        """
+        excess = scale * scale * self._scores
+        random = np.mean(4 * excess * noise / self._sizes / (noise + excess) ** 2)
+        return self._standard_errors(np.log1p(excess / noise), random)
+
+    def _standard_errors(self, values: Array, random: float) -> float:
+        """Return the mean of block values (blocks,) in standard errors, with the variance by noise, `random`."""
+        variance = float(values.var(ddof=1)) + float(random) if len(values) > 1 else math.inf
+        error = math.sqrt(max(variance / (len(values) * self.bench.length_factor), 1e-300))
+        return float(values.mean() / error)
+
+    def power_ratio(self, scale: float) -> float:
+        """Return the geometric mean over channels of residual plus noise power over noise power."""
+        noise = self.bench.noise**2
+        return float(np.exp(np.mean(np.log1p(scale * scale * self.training_power / noise))))
+
+
+@dataclass(frozen=True, eq=False)
+class RefittedRival:
+    """A rival refitted to the outputs of the true effect."""
+
+    hypothesis: Hypothesis
+    residual: NoiseFreeResidual
+
+
+@dataclass(eq=False)
+class SimulatedEffect:
+    """A true effect at one size, with the residuals of the refitted nominal model and of rivals.
+
+    Methods with a `scale` extrapolate to a multiple of the simulated size.
+    """
+
+    bench: VirtualBench
+    hypothesis: Hypothesis
+    truth: Problem  # the nominal model with the outputs of the true effect
+    structure: Structure  # with the effect
+    fit: Fit  # of that structure
+    residual: NoiseFreeResidual  # of the refitted nominal model
+    share: float  # of force, current or signal at the place
+    covariance: Array  # of the transformed free parameters (parameters, parameters)
+    complaint: str  # contradiction between values and name of the effect
+    rivals: list[RefittedRival]
+
+    @property
+    def element(self) -> el.Element:
+        """The element of the effect."""
+        return self.structure.network.element(self.structure.names[-1])
+
+    @property
+    def noise_score(self) -> float:
+        """Validation score of noise."""
+        return float(np.mean((self.bench.noise / self.bench.weighting_noise) ** 2))
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviation of the measured outputs, noise included (channels,)."""
+        y = self.truth.measured(self.truth.choosing)
+        return np.asarray(np.sqrt(y.var(axis=0) + self.bench.noise**2))
+
+    def uncertainty(self, scale: float) -> float:
+        """Return the widest relative 95 % interval of the effect's values (logarithm of a factor)."""
+        element, quantities = self.element, {}
+        for free, variance in zip(self.structure.free, np.diag(self.covariance), strict=True):
+            if free.owner < 0:
+                continue
+            sigma = min(math.sqrt(max(float(variance), 0.0)) / scale, free.sigma)
+            x = free.forward(getattr(element, free.path.rpartition(".")[2]))
+            low = free.back(max(x - 1.96 * sigma, -700.0))
+            high = free.back(min(x + 1.96 * sigma, 700.0)) if free.log else x + 1.96 * sigma
+            unit = self.structure.network.unit_of(free.path)
+            quantities[free.path] = Quantity(free.back(x), low, high, unit)
+        covariance = self.covariance / scale**2
+        apart = difference(self.bench.network, self.structure, self.structure.start, element, covariance)
+        return spread_of(element, quantities, apart)
+
+    def is_distinguishable(self, rival: RefittedRival, scale: float) -> bool:
+        """Return whether a diagnosis would distinguish the effect from a rival.
+
+        Args:
+            rival: The refitted rival.
+            scale: Multiple of the simulated size.
+        """
+        c, samples = self.bench.criteria, self.residual.samples * self.bench.length_factor
+        deviance, excess = rival.residual.excess_deviance(scale), rival.residual.excess_score(scale)
+        own = LEAST_EXCESS * self.noise_score
+        more = rival.residual.parameters - len(self.structure.free)
+        penalised = deviance + more * math.log(samples)
+        if more > 0:
+            return penalised > c.decisive
+        is_worse = deviance > DECISIVE_DEVIANCE or (
+            rival.residual.score_errors(scale, self.noise_score) > c.replicated
+        )
+        if excess < c.ahead * own or not is_worse:
+            return False
+        if relative(self.hypothesis, rival.hypothesis):  # a special case is preferred unless clearly worse
+            change = scale * np.sqrt(rival.residual.validation_power) / self.deviation
+            is_visible = bool(np.any(change > self.bench.unmodelled_envelope))
+            return is_visible and (
+                deviance > SearchSettings().chance or rival.residual.power_ratio(scale) > 1.5
+            )
+        floor = 0.005 * self.residual.excess_score(scale)
+        explains_as_much = more < 0 and max(excess, floor) < c.ahead * max(own, floor)
+        return not (explains_as_much and penalised < 0)
+
+    def evidence(self, scale: float = 1.0, *, with_rivals: bool = True) -> Evidence:
+        """Return the evidence that a diagnosis would have.
+
+        Args:
+            scale: Multiple of the simulated size.
+            with_rivals: Whether to compare with the refitted rivals.
+
+        Returns:
+            The evidence, with noise in expectation.
+        """
+        bench, residual, noise = self.bench, self.residual, self.noise_score
+        floor = bench.noise / self.deviation
+        refit = np.sqrt(scale * scale * residual.validation_power / self.deviation**2 + floor**2)
+        own = LEAST_EXCESS * noise
+        rivals = self.rivals if with_rivals else []
+        share = self.share if self.hypothesis.kind.series else scale * self.share
+        effect = EffectEvidence(
+            label=self.hypothesis.label,
+            share=share,
+            spread=self.uncertainty(scale),
+            complaint=self.complaint,
+            sensor=self.hypothesis.place == "channel",
+            fault=scale * self.element.fault(bench.problem.time),
+        )
+        nominal = residual.excess_score(scale)
+        excess = [(r.residual.excess_score(scale), r.hypothesis.place != "channel") for r in rivals]
+        return Evidence(
+            channels=tuple(bench.problem.channels),
+            before=row(refit),
+            refit=row(refit),
+            after=row(floor),
+            floor=row(floor),
+            floor_known=tuple(True for _ in floor),
+            worth=row(bench.unmodelled_envelope),
+            effects=(effect,),
+            gain=residual.excess_deviance(scale),
+            power_left=1.0 / residual.power_ratio(scale),
+            again=residual.log_ratio_errors(scale, noise),
+            explained=1.0,
+            lead=min([nominal, *(e for e, _ in excess)]) / own,
+            abreast=tuple(r.hypothesis.label for r in rivals if not self.is_distinguishable(r, scale)),
+            force_lead=min([nominal, *(e for e, is_force in excess if is_force)]) / own,
+            closest=row(floor),
+            closest_share=share,
+        )
+
+    def gates(self, scale: float = 1.0, *, with_rivals: bool = True) -> tuple[Gate, ...]:
+        """Return the gates of the decision. See `evidence` for the arguments."""
+        return decide(self.evidence(scale, with_rivals=with_rivals), self.bench.criteria).gates
+
+    def is_named(self, scale: float = 1.0, *, with_rivals: bool = True) -> bool:
+        """Return whether a diagnosis would name the effect. See `evidence` for the arguments."""
+        evidence = self.evidence(scale, with_rivals=with_rivals)
+        return decide(evidence, self.bench.criteria).verdict == "missing_effect"
+
+    def is_significant(self, scale: float) -> bool:
+        """Return whether a diagnosis would find a significant and replicated gain, rivals aside."""
+        failed = {g.name for g in self.gates(scale, with_rivals=False) if not g.passed}
+        return not failed & {"significant", "replicated"}
+
+
+def find_smallest_scale(passes: Callable[[float], bool]) -> float:
+    """Find the smallest multiple of the simulated size from which on a test passes, by bisection.
+
+    Args:
+        passes: Function from a multiple of the size to the result of the test.
+
+    Returns:
+        The multiple, between `SMALLEST` and `LARGEST`; infinite if the test fails at `LARGEST`.
+    """
+    if not passes(LARGEST):
+        return math.inf
+    if passes(SMALLEST):
+        return SMALLEST
+    low, high = math.log(SMALLEST), math.log(LARGEST)
+    while high - low > 0.02:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if passes(math.exp(middle)) else (middle, high)
+    return math.exp(high)
+
+
+def simulate_effect(bench: VirtualBench, h: Hypothesis, values: dict[str, float]) -> SimulatedEffect:
+    """Simulate an effect on the bench and refit the nominal model.
+
+    Args:
+        bench: The virtual bench.
+        h: The hypothesis.
+        values: Parameters of the effect.
+
+    Returns:
+        The simulated effect, without rivals.
+
+    Raises:
+        InputError: The simulation or the refit fails.
+    """
+    structure = add(bench.structure, h, values)
+    truth = bench.measure(structure.network)
+    residual = NoiseFreeResidual(bench, bench.fit(truth, bench.structure, bench.structure.start))
+    fit, covariance = _fit_truth(bench, truth, structure)
+    name = structure.names[-1]
+    why = complaint(truth, fit, structure.network.element(name))
+    share = share_at_place(truth, fit, name)
+    return SimulatedEffect(bench, h, truth, structure, fit, residual, share, covariance, why, [])
+
+
+def refit_rival(
+    effect: SimulatedEffect, h: Hypothesis, starts: Sequence[dict[str, float]]
+) -> RefittedRival | None:
+    """Refit a rival to the outputs of a simulated effect.
+
+    Args:
+        effect: The simulated effect.
+        h: The rival.
+        starts: Start values of the rival.
+
+    Returns:
+        The rival with the smallest deviance, or None if all fits fail.
+    """
+    bench, best = effect.bench, None
+    for values in starts:
+        try:
+            structure = add(bench.structure, h, values)
+            residual = NoiseFreeResidual(bench, bench.fit(effect.truth, structure, structure.start))
+        except BROKEN:
+            continue
+        if best is None or residual.excess_deviance(1.0) < best.excess_deviance(1.0):
+            best = residual
+    return None if best is None else RefittedRival(h, best)
+
+
+def _fit_truth(bench: VirtualBench, truth: Problem, structure: Structure) -> tuple[Fit, Array]:
+    """Return the fit of the true structure, and the covariance by noise and by small unmodelled effects."""
+    weights = plain(bench.weighting_noise)
+    known = carried(truth, bench.network, bench.nominal.initial, structure)
+    fit = Fitter(truth, weights).fit(structure, structure.start, known, iterations=0)
+    sigma = np.array([q.sigma for q in structure.free])
+    if fit.hessian is None or not np.isfinite(fit.hessian).all():
+        raise InputError("the simulation breaks down beside these values")
+    covariance = np.linalg.inv(bench.length_factor * fit.hessian + np.diag(1 / sigma**2))
+    try:
+        with np.errstate(invalid="ignore", over="ignore"):
+            shift, _ = Fitter(truth, weights).refit(fit, bench.unmodelled_responses)
+        shift = np.clip(np.nan_to_num(shift), -1e6, 1e6)
+        covariance = covariance + shift @ shift.T
+    except BROKEN:
+        pass
+    return fit, np.asarray(covariance, dtype=np.float64)

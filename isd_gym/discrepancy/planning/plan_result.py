@@ -1,0 +1,161 @@
+"""Results of a plan: detectability of each effect, gain by each additional sensor, JSON document."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...files import write_text
+from ..result import _plain
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ...arrays import Array
+    from ...network import Network
+    from ..problem import Record
+
+SCHEMA = "isd-plan/1"
+#: status of an effect, in words
+STATUS = {
+    "named": "named",
+    "confused": "told from no rival, at any size",
+    "hidden": "the parameters that may move make up for it",
+    "unseen": "no sensor sees it",
+    "untried": "could not be simulated",
+}
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A value with its unit."""
+
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class EffectForecast:
+    """Predicted result of a diagnosis for one hypothesis."""
+
+    label: str
+    effect: str  # type of the element
+    where: tuple[str, ...]  # nodes, motor or channel of the owner's model
+    options: tuple[tuple[str, str], ...]  # non-numeric choices of the hypothesis
+    #: `named` (from `smallest` on), `confused` (with a rival at any size), `hidden` (by refitted parameters),
+    #: `unseen` (by the sensors) or `untried` (the simulation failed)
+    status: str
+    smallest: dict[str, Amount] = field(default_factory=dict)  # values at the smallest size that is named
+    share: float | None = None  # of force, current or signal at the place, at that size
+    seen: dict[str, Amount] = field(default_factory=dict)  # values at the smallest size that is significant
+    varied: tuple[str, ...] = ()  # parameters that scale with the size; the rest is the shape
+    limited_by: tuple[str, ...] = ()  # gates that a smaller size does not pass
+    confused_with: tuple[str, ...] = ()  # labels of rivals
+    #: label and distance [standard deviations of the noise] of refitted rivals, closest first
+    near: tuple[tuple[str, float], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the forecast as JSON types."""
+
+        def amounts(values: dict[str, Amount]) -> dict[str, dict[str, Any]]:
+            return {k: {"value": a.value, "unit": a.unit} for k, a in values.items()}
+
+        return {
+            "label": self.label,
+            "effect": self.effect,
+            "where": list(self.where),
+            "options": dict(self.options),
+            "status": self.status,
+            "smallest": amounts(self.smallest),
+            "share": self.share,
+            "seen": amounts(self.seen),
+            "varied": list(self.varied),
+            "limited_by": list(self.limited_by),
+            "confused_with": list(self.confused_with),
+            "near": [{"rival": label, "sigma": d} for label, d in self.near],
+        }
+
+
+@dataclass(frozen=True)
+class SensorGain:
+    """Gain by one additional sensor."""
+
+    name: str  # of the channel
+    quantity: str
+    where: str  # node, pair or elements
+    noise: float  # assumed RMS noise [unit]
+    unit: str
+    told: int  # hypotheses that only the additional sensor makes distinguishable
+    factor: float  # median factor by which the smallest distinguishable size falls
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the gain as JSON types."""
+        return dict(self.__dict__)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Predicted result of a diagnosis after a planned test."""
+
+    network: Network  # the owner's model with the assumed noise
+    effects: tuple[EffectForecast, ...]
+    #: distance [standard deviations of the noise] (effects, effects) of the row's effect at its smallest nameable
+    #: size from the refitted rival of the column, linearised; on the diagonal from the refitted model
+    matrix: Array
+    sensors: tuple[SensorGain, ...]  # best first
+    test: str  # in words
+    excitation: dict[str, Any] | None  # None if the test is given as records
+    records: tuple[Record, ...]  # inputs of the test
+    noise: dict[str, float]  # RMS noise by output [unit of the output]
+    length: float  # of the test [s]
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0  # computing time [s]
+
+    def with_status(self, status: str) -> list[EffectForecast]:
+        """Return the effects with one status."""
+        return [e for e in self.effects if e.status == status]
+
+    @property
+    def summary(self) -> str:
+        """The plan in two sentences."""
+        named = self.with_status("named")
+        text = f"Of {len(self.effects)} hypotheses {len(named)} could be named"
+        shares = [e.share for e in named if e.share is not None and e.share < 1]
+        if shares:
+            text += f", half of them from {np.median(shares):.0%} of the force, current or signal at their place on"
+        words = {"confused": "told from no rival", "hidden": "hidden in the parameters", "unseen": "unseen"}
+        rest = [f"{n} {word}" for k, word in words.items() if (n := len(self.with_status(k)))]
+        text += f"; {', '.join(rest)}." if rest else "."
+        best = self.sensors[0] if self.sensors else None
+        if best is not None and (best.told or best.factor > 1.2):
+            text += f" The sensor that would help most: {best.name} ({best.told} more told apart, others {best.factor:.1f} times smaller)."
+        return text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plan as an `isd-plan/1` document."""
+        return _plain(
+            {
+                "schema": SCHEMA,
+                "summary": self.summary,
+                "model": self.network.name,
+                "test": self.test,
+                "excitation": self.excitation,
+                "length": self.length,
+                "noise": self.noise,
+                "effects": [e.to_dict() for e in self.effects],
+                "matrix": self.matrix.tolist(),
+                "sensors": [s.to_dict() for s in self.sensors],
+                "notes": list(self.notes),
+            }
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan as a JSON file.
+
+        Args:
+            path: Path of the file.
+        """
+        write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")

@@ -1,0 +1,266 @@
+"""Simulated test bench: the nominal model, the sensors' noise, and records split as by a diagnosis.
+
+Simulations are free of noise. White noise enters in expectation, so results are smooth in noise level and test length.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...errors import InputError, shown
+from ...network import Network, assemble
+from ..candidate import BROKEN, Candidate
+from ..criteria import CRITERIA, Criteria
+from ..fit import Fit, Fitter, residuals
+from ..forces import PlaceForces, place_forces
+from ..initial import along, carried
+from ..judge import LEAST_NOISE, SMALL, Judge
+from ..motion import motions
+from ..noise import floor_of, innovations, plain, whitener
+from ..problem import Array, Problem, Record, bare
+from ..records import dealt, derivatives
+from ..structure import Structure, base_structure
+from ..unmodelled import unmodelled
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ...elements import Motion
+
+MOST = 16000  # simulated samples; a part of a longer test represents the whole test
+
+
+@dataclass(frozen=True, eq=False)
+class BenchFit:
+    """A structure fitted to noise-free outputs."""
+
+    fit: Fit
+    training: list[Array]  # residuals (samples, channels) of the training records
+    validation: list[Array]  # residuals (samples, channels) of the validation records
+
+
+class VirtualBench:
+    """A planned test with noise, on which effects are simulated and models are fitted.
+
+    Args:
+        network: The nominal model.
+        records: Records with the inputs of the test.
+        noise: RMS noise by output [unit of the output]. Default: as in the model, else 1 % of the deviation.
+        criteria: Limits of the diagnosis.
+        notes: List that receives a line per assumption.
+
+    Raises:
+        InputError: The model has no outputs, the noise is invalid, or the simulation fails.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        records: Sequence[Record],
+        *,
+        noise: Mapping[str, float] | None = None,
+        criteria: Criteria = CRITERIA,
+        notes: list[str] | None = None,
+    ):
+        self.criteria, self.notes = criteria, notes if notes is not None else []
+        if not network.outputs:
+            raise InputError(f"model '{network.name}' has no outputs: nothing is measured")
+        #: length of the whole test over the simulated length
+        records, self.length_factor = _shorten(records, self.notes)
+        records = [replace(r, name=f"test {k + 1}", start=0.0) for k, r in enumerate(records)]
+        whole = Problem(network, records, ["fit"] * len(records))
+        clean = _simulate(whole, network)
+        #: RMS noise (channels,) [unit of the channel]
+        self.noise = self._stated_noise(network, np.concatenate(clean), noise or {})
+        known = tuple(replace(c, noise=float(s)) for c, s in zip(network.outputs, self.noise, strict=True))
+        self.network = replace(network, outputs=known)
+        rng = np.random.default_rng(0)  # the split of the records depends on the signals
+        noisy = [
+            replace(r, measured=y + self.noise * rng.standard_normal(y.shape))
+            for r, y in zip(records, clean, strict=True)
+        ]
+        noisy = derivatives(noisy, self.network)
+        self._whole = Problem(self.network, noisy, ["fit"] * len(noisy))
+        pieces, roles = dealt(noisy, [], [], self._whole.time)
+        index = {r.name: k for k, r in enumerate(noisy)}
+        self._cuts = []  # record, first sample and end of each piece
+        for p in pieces:
+            k = index[p.name]
+            first = round((p.start - noisy[k].start) / p.rate)
+            self._cuts.append((k, first, first + len(p)))
+        self.problem = Problem(self.network, self._cut(pieces, self.network), roles)
+        self.structure = base_structure(self.network)
+        #: noise that a diagnosis expects (channels,) [unit of the channel]
+        self.floors = np.maximum(self.noise, LEAST_NOISE * self.problem.measured().std(axis=0))
+        #: white noise of the residual weights (channels,) [unit of the channel]
+        self.weighting_noise = np.hypot(self.noise, self.floors)
+        self.nominal = self._fit_initial_states()
+
+    def _stated_noise(self, network: Network, outputs: Array, given: Mapping[str, float]) -> Array:
+        """Return the RMS noise (channels,): as given, as in the model, or a share of the outputs' deviation."""
+        names = [c.name for c in network.outputs]
+        for name, rms in given.items():
+            if name not in names:
+                raise InputError(
+                    f"--noise: the model has no output {shown(name)} (it has: {', '.join(names)})"
+                )
+            if not (math.isfinite(rms) and rms > 0):
+                raise InputError(f"--noise: {name} must be a number > 0, not {rms:g}")
+        out = []
+        for c, y in zip(network.outputs, outputs.T, strict=True):
+            value: float | None = given.get(c.name, c.noise)
+            if value is None:
+                value = LEAST_NOISE * float(y.std())
+                if not value > 0:
+                    raise InputError(
+                        f"nothing shows in output '{c.name}' under this test: say its noise with --noise {c.name}=VALUE"
+                    )
+                self.notes.append(
+                    f"noise of {c.name}: taken to be 1 % of its deviation, {value:.3g} {c.unit} (--noise {c.name}=VALUE says otherwise)"
+                )
+            out.append(value)
+        return np.array(out)
+
+    def _cut(self, pieces: Sequence[Record], network: Network) -> list[Record]:
+        """Return the pieces with simulated outputs of `network`."""
+        outputs = _simulate(self._whole, network)
+        return [replace(p, measured=outputs[k][a:b]) for p, (k, a, b) in zip(pieces, self._cuts, strict=True)]
+
+    def measure(self, truth: Network) -> Problem:
+        """Return the problem with noise-free outputs of another network.
+
+        Args:
+            truth: The network that produces the outputs.
+
+        Returns:
+            The nominal model with records of `truth`.
+
+        Raises:
+            InputError: The simulation of `truth` fails.
+        """
+        p = self.problem
+        return Problem(p.network, self._cut(p.records, truth), p.roles, p.step, p.time)
+
+    def _fit_initial_states(self) -> Fit:
+        """Fit the initial states of the nominal model, from the states of a simulation from rest."""
+        s, x = self.structure, self.structure.start
+        rest = np.zeros(assemble(bare(self.network)).size[0])
+        initial = {}
+        for i, (k, first, _) in enumerate(self._cuts):
+            initial[i] = along(self._whole, s, x, {k: rest}, [first])[k][0] if first and len(rest) else rest
+        fitter, pieces = Fitter(self.problem, plain(self.weighting_noise)), list(range(len(self._cuts)))
+        return fitter.fit(s, x, initial, records=pieces, frozen=True, iterations=3)
+
+    # -- the nominal model on the training records ----------------------------------------------------------
+    @cached_property
+    def training_fit(self) -> Fit:
+        """The nominal model on the training records."""
+        f, own = self.nominal, self.problem.estimation
+        return replace(f, outputs={i: f.outputs[i] for i in own}, initial={i: f.initial[i] for i in own})
+
+    @cached_property
+    def motion(self) -> dict[tuple[str, str], Motion]:
+        """Motion by pair of nodes."""
+        return motions(self.problem, self.training_fit)
+
+    @cached_property
+    def forces(self) -> PlaceForces:
+        """Typical forces by place."""
+        return place_forces(self.problem, self.training_fit)
+
+    @cached_property
+    def unmodelled_responses(self) -> dict[int, Array]:
+        """Responses (samples, channels, laws) to small unmodelled effects by training record."""
+        return unmodelled(self.problem, self.training_fit, SMALL)
+
+    @cached_property
+    def unmodelled_envelope(self) -> Array:
+        """Largest error (channels,) by small unmodelled effects, as a share of each channel's deviation."""
+        base = Candidate(self.training_fit, 0.0)
+        return Judge(self.problem).worth(base, self.criteria.small, self.criteria.material)
+
+    # -- fitting --------------------------------------------------------------------------------------------
+    def deviance(self, residual: Sequence[Array]) -> float:
+        """Return -2 log L of noise-free residuals [(samples, channels), ...] under white noise."""
+        return innovations(residual, self.weighting_noise)
+
+    def fit(self, truth: Problem, structure: Structure, x: Array, *, iterations: int = 5) -> BenchFit:
+        """Fit a structure to noise-free outputs as a diagnosis does: with white weights, then with coloured ones.
+
+        Args:
+            truth: The problem with the outputs.
+            structure: The structure.
+            x: Start values of the structure's transformed parameters (parameters,).
+            iterations: Iterations with white weights.
+
+        Returns:
+            The fit with the lower deviance.
+
+        Raises:
+            InputError: The simulation fails at the start values.
+        """
+        known = carried(truth, self.structure.network, self.nominal.initial, structure)
+        W = plain(self.weighting_noise)
+        f = Fitter(truth, W).fit(structure, x, known, iterations=iterations, tolerance=1e-3)
+        left = residuals(truth, f)
+        power = np.mean(np.concatenate(left) ** 2, axis=0)
+        if np.any(power > 0.3 * self.noise**2):  # else noise hides the residual's spectrum
+            white = np.sqrt(np.maximum(self.floors**2, 10.0 * (power + self.noise**2 - self.floors**2)))
+            coloured = Fitter(truth, whitener(left, np.hypot(white, self.noise)))
+            try:
+                again = coloured.fit(structure, f.x, f.initial, f.offset, iterations=3, tolerance=1e-3)
+                other = residuals(truth, again)
+                if self.deviance(other) + again.prior < self.deviance(left) + f.prior:
+                    f, left = again, other
+            except BROKEN:
+                pass
+        held = Fitter(truth, W).follow(structure, f.x, truth.choosing, known, iterations=2)
+        return BenchFit(f, left, residuals(truth, held))
+
+
+def _simulate(problem: Problem, network: Network) -> list[Array]:
+    """Simulate all records from rest; return outputs (samples, channels), or raise `InputError` if not finite."""
+    out = []
+    for i in range(len(problem.records)):
+        y = problem.simulate([network], i)[:, :, 0]
+        if not np.isfinite(y).all() or np.abs(y).max() > 1e12:
+            raise InputError(f"model '{network.name}' breaks down under this test")
+        out.append(y)
+    return out
+
+
+def _shorten(records: Sequence[Record], notes: list[str]) -> tuple[list[Record], float]:
+    """Return at most about `MOST` samples of the records, and the ratio of whole to simulated length."""
+    total = sum(r.samples for r in records)
+    if total <= MOST:
+        return list(records), 1.0
+    share = MOST / total
+    cut = [r.part(0, max(int(share * len(r)), 400), r.name) if len(r) > 400 else r for r in records]
+    factor = total / sum(r.samples for r in cut)
+    notes.append(f"the first {1 / factor:.0%} of each record was simulated, and stands for the rest")
+    return cut, factor
+
+
+def measured_noise(records: Sequence[Record], network: Network) -> dict[str, float]:
+    """Estimate the noise of measured outputs from the outputs' spectra.
+
+    Args:
+        records: Records; outputs may be zero.
+        network: The nominal model.
+
+    Returns:
+        RMS noise [unit of the output] by output, for outputs without noise in the model and with a visible noise floor.
+    """
+    out = {}
+    for j, c in enumerate(network.outputs):
+        series = [r.measured[:, j] for r in records if np.ptp(r.measured[:, j]) > 0]
+        if c.noise is None and series:
+            found = floor_of(series, records[0].step)
+            if found.known and found.deviation > 0:
+                out[c.name] = found.deviation
+    return out
