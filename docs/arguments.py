@@ -17,6 +17,8 @@ CLAUSE = re.compile(
     rf"(?:(?<=^)|(?<=[.;] ))(?P<names>{NAME}(?:, {NAME})*(?:,? and {NAME})?)(?P<end>:(?= )|[.;])"
 )
 WORD = re.compile(r"`?([A-Za-z_]\w*)`?")
+#: a section in Google style; such a docstring stays as it is
+SECTION = re.compile(r"^\s*(Args|Attributes|Returns|Raises|Yields):$", re.MULTILINE)
 RAISES = re.compile(r"(?:^|(?<=[.;] ))Raises `(\w+)`,? ?(.*?)(?:\.(?= |$)|$)", re.DOTALL)
 
 
@@ -53,12 +55,17 @@ def sentence(summary: str, text: str, name: str) -> str:
 
 
 def comments(thing: griffe.Class) -> dict[str, str]:
-    """What stands beside the fields of a dataclass."""
-    out = {}
+    """Return the comment beside or above each field of a dataclass."""
+    out: dict[str, str] = {}
+    above: list[str] = []
     for line in thing.lines:
-        if match := re.match(r"\s+(\w+)\s*:[^#]*#:?\s*(.+)", line):
-            out[match[1]] = match[2]
-    return out
+        if line.strip().startswith("#"):
+            above.append(line.strip().lstrip("#: "))
+            continue
+        if match := re.match(r"\s+(\w+)\s*:[^#]*(?:#:?\s*(.+))?$", line):
+            out[match[1]] = match[2] or " ".join(above)
+        above = []
+    return {name: text for name, text in out.items() if text}
 
 
 def once(rows: dict[str, str]) -> dict[str, str]:
@@ -71,6 +78,8 @@ def once(rows: dict[str, str]) -> dict[str, str]:
 
 def told(text: str, names: list[str], more: dict[str, str], title: str = "Args") -> str:
     """A docstring with sections for its arguments (or attributes: `title`) and errors."""
+    if SECTION.search(text):
+        return text
     known, rows, errors, kept = set(names), dict(more), [], []
     for paragraph in re.split(r"\n\s*\n", text.strip()):
         if re.search(r"^\s*(\||```|- |\d\. )", paragraph, re.MULTILINE):

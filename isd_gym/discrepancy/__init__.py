@@ -4,12 +4,9 @@ Data go one way: `records` and `problem` (what was measured), `structure` and `h
 `noise`, `objective`, `fit`, `initial`, `states`, `begin` (how a model is fitted, and where it stands at first), `candidate`, `screen`, `race`,
 `refits`, `compare`, `search` (which models are fitted, which of two is kept),
 `judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
-`words`, `result` (how it is said), `workflow` (all of it);
-`blackbox` and `unit` do what can be done of that for a model without an inside.
+`words`, `result` (how it is said), `workflow` (all of it). Without a road: `unmeasured`, by its `likelihood`.
 
-Before the test: `excitation` (what a rig can play), `stand` (a test that was not done), `field` (small effects, all at
-once), `prospect` (one effect at one size), `planning` (all of it), `foreseen` (how it is said), `design` (the test that
-tells rivals apart). Without a road: `unmeasured`, by its `likelihood`.
+Packages: `planning` (plan and design of tests), `fmu` (diagnosis of a co-simulation FMU).
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,13 +1,12 @@
 """Plan and design of tests before a diagnosis.
 
-The modules depend on each other in this order: `excitation` (test signals of a rig), `virtual_bench` (simulated test),
+Modules, lower ones first: `excitation` (test signals of a rig), `virtual_bench` (simulated test),
 `plan_result`, `sensitivity` (linearised responses to all effects), `detectability` (evidence for one effect),
 `forecast` (smallest nameable sizes), `design` (choice of a test), `workflow` (`plan`).
 """
 
 from .design import (
     Design,
-    Rival,
     design_general_test,
     design_test,
     estimate_output_noise,
@@ -24,22 +23,19 @@ from .excitation import (
     list_excitations,
     make_excitation,
     make_record,
-    make_table,
 )
-from .plan_result import STATUS, Amount, EffectForecast, Plan, SensorGain
+from .plan_result import STATUS, EffectForecast, Plan, SensorGain
 from .workflow import plan, read_planned_record
 
 __all__ = [
     "KINDS",
     "STATUS",
-    "Amount",
     "Design",
     "EffectForecast",
     "Excitation",
     "Limits",
     "Plan",
     "Rig",
-    "Rival",
     "SensorGain",
     "design_general_test",
     "design_test",
@@ -48,7 +44,6 @@ __all__ = [
     "list_excitations",
     "make_excitation",
     "make_record",
-    "make_table",
     "next_experiment",
     "plan",
     "played",

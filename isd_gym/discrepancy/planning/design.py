@@ -43,8 +43,8 @@ FEW_SAMPLES = 6000  # of a test in the linearised comparison of all hypotheses
 class Rival:
     """A set of effects with values."""
 
-    label: str
-    structure: Structure
+    label: str  # names of the effects
+    structure: Structure  # the nominal model with the effects
     x: Array  # transformed free parameters (parameters,)
 
 
@@ -52,10 +52,10 @@ class Rival:
 class Design:
     """A designed test."""
 
-    excitation: Excitation
-    rig: Rig
+    excitation: Excitation  # the test signal
+    rig: Rig  # the rig with the limits
     record: Record  # with the inputs of the test
-    text: str  # the test in words
+    text: str  # description of the test
     #: distance of the two closest rivals after a refit [standard deviations of the noise, over the whole record]
     separation: float = 0.0
     closest: tuple[str, str] = ("", "")  # labels of these rivals; empty for a test without given rivals

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ... import elements as el
-    from ..criteria import Gate
+    from ..criteria import Decision
     from ..problem import Array, Problem
     from .virtual_bench import BenchFit, VirtualBench
 
@@ -245,18 +245,17 @@ class SimulatedEffect:
             closest_share=share,
         )
 
-    def gates(self, scale: float = 1.0, *, with_rivals: bool = True) -> tuple[Gate, ...]:
-        """Return the gates of the decision. See `evidence` for the arguments."""
-        return decide(self.evidence(scale, with_rivals=with_rivals), self.bench.criteria).gates
+    def decide(self, scale: float = 1.0, *, with_rivals: bool = True) -> Decision:
+        """Return the decision that a diagnosis would make. See `evidence` for the arguments."""
+        return decide(self.evidence(scale, with_rivals=with_rivals), self.bench.criteria)
 
     def is_named(self, scale: float = 1.0, *, with_rivals: bool = True) -> bool:
         """Return whether a diagnosis would name the effect. See `evidence` for the arguments."""
-        evidence = self.evidence(scale, with_rivals=with_rivals)
-        return decide(evidence, self.bench.criteria).verdict == "missing_effect"
+        return self.decide(scale, with_rivals=with_rivals).verdict == "missing_effect"
 
     def is_significant(self, scale: float) -> bool:
         """Return whether a diagnosis would find a significant and replicated gain, rivals aside."""
-        failed = {g.name for g in self.gates(scale, with_rivals=False) if not g.passed}
+        failed = {g.name for g in self.decide(scale, with_rivals=False).gates if not g.passed}
         return not failed & {"significant", "replicated"}
 
 

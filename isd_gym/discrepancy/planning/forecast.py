@@ -15,7 +15,7 @@ from ..criteria import decide
 from ..structure import owner_pair
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
 from .plan_result import Amount, EffectForecast
-from .sensitivity import FARTHEST, REQUIRED_DEVIANCE, is_rival
+from .sensitivity import FARTHEST, NEGLIGIBLE, REQUIRED_DEVIANCE, is_rival
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -69,7 +69,7 @@ def forecast_effects(
         t, scale = typical[h], 1.0
         if linear.response[t] < 1e-6:
             forecasts.append(_make_forecast(bench, h, "unseen"))
-        elif linear.is_hidden[t]:
+        elif linear.remainder[t] < NEGLIGIBLE * linear.response[t]:
             forecasts.append(_make_forecast(bench, h, "hidden"))
         else:
             shape = s.shapes[s.typical[t]]

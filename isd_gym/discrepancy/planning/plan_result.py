@@ -1,9 +1,9 @@
-"""Results of a plan: detectability of each effect, gain by each additional sensor, JSON document."""
+"""Results of a plan: forecasts for all effects, gains by additional sensors, JSON document."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,7 +41,7 @@ class Amount:
 class EffectForecast:
     """Predicted result of a diagnosis for one hypothesis."""
 
-    label: str
+    label: str  # effect and place
     effect: str  # type of the element
     where: tuple[str, ...]  # nodes, motor or channel of the owner's model
     options: tuple[tuple[str, str], ...]  # non-numeric choices of the hypothesis
@@ -59,24 +59,8 @@ class EffectForecast:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the forecast as JSON types."""
-
-        def amounts(values: dict[str, Amount]) -> dict[str, dict[str, Any]]:
-            return {k: {"value": a.value, "unit": a.unit} for k, a in values.items()}
-
-        return {
-            "label": self.label,
-            "effect": self.effect,
-            "where": list(self.where),
-            "options": dict(self.options),
-            "status": self.status,
-            "smallest": amounts(self.smallest),
-            "share": self.share,
-            "seen": amounts(self.seen),
-            "varied": list(self.varied),
-            "limited_by": list(self.limited_by),
-            "confused_with": list(self.confused_with),
-            "near": [{"rival": label, "sigma": d} for label, d in self.near],
-        }
+        near = [{"rival": label, "sigma": distance} for label, distance in self.near]
+        return _plain({**asdict(self), "options": dict(self.options), "near": near})
 
 
 @dataclass(frozen=True)
@@ -84,16 +68,16 @@ class SensorGain:
     """Gain by one additional sensor."""
 
     name: str  # of the channel
-    quantity: str
+    quantity: str  # measured quantity
     where: str  # node, pair or elements
     noise: float  # assumed RMS noise [unit]
-    unit: str
+    unit: str  # of the noise
     told: int  # hypotheses that only the additional sensor makes distinguishable
     factor: float  # median factor by which the smallest distinguishable size falls
 
     def to_dict(self) -> dict[str, Any]:
         """Return the gain as JSON types."""
-        return dict(self.__dict__)
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -101,7 +85,7 @@ class Plan:
     """Predicted result of a diagnosis after a planned test."""
 
     network: Network  # the owner's model with the assumed noise
-    effects: tuple[EffectForecast, ...]
+    effects: tuple[EffectForecast, ...]  # one per hypothesis
     #: distance [standard deviations of the noise] (effects, effects) of the row's effect at its smallest nameable
     #: size from the refitted rival of the column, linearised; on the diagonal from the refitted model
     matrix: Array
@@ -111,7 +95,7 @@ class Plan:
     records: tuple[Record, ...]  # inputs of the test
     noise: dict[str, float]  # RMS noise by output [unit of the output]
     length: float  # of the test [s]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # assumptions
     seconds: float = 0.0  # computing time [s]
 
     def with_status(self, status: str) -> list[EffectForecast]:

@@ -144,11 +144,6 @@ class Distances:
     to_shape: Array  # distance from each refitted shape (typical, shapes)
     amplitude: Array  # amplitudes of the refitted shapes (typical, shapes, 2)
 
-    @property
-    def is_hidden(self) -> np.ndarray:
-        """Whether refitted parameters reproduce the response (typical,)."""
-        return self.remainder < NEGLIGIBLE * self.response
-
 
 class Sensitivities:
     """Responses of existing and additional channels to all hypotheses and to the nominal model's parameters.
