@@ -1,8 +1,14 @@
 """Plan and design of tests before a diagnosis.
 
-Modules, lower ones first: `excitation` (test signals of a rig), `virtual_bench` (simulated test),
-`plan_result`, `sensitivity` (linearised responses to all effects), `detectability` (evidence for one effect),
-`forecast` (smallest nameable sizes), `design` (choice of a test), `workflow` (`plan`).
+Modules, lower ones first:
+
+- `excitation`: test signals of a rig.
+- `virtual_bench`: simulation of a test.
+- `plan_result`: results of a plan.
+- `sensitivity`: linearised responses to all effects.
+- `detectability`: evidence for one effect.
+- `sensors`, `forecast`, `design`: additional sensors, smallest nameable sizes, choice of a test.
+- `workflow`: the function `plan`.
 """
 
 from .design import (

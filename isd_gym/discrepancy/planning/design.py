@@ -27,11 +27,10 @@ from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from ...network import Network
-
-    Progress = Callable[[str, float], None]
+    from .plan_result import Progress
 
 FINALISTS = 5  # tests for which rivals are refitted in full
 MOST = 3  # rivals that are compared

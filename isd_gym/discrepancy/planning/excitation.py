@@ -319,13 +319,12 @@ def _measured_band(records: Sequence[Record], network: Network) -> tuple[float, 
 # ------------------------------------------------------------------------------------------- tests and their records
 
 
-def list_excitations(network: Network, rig: Rig, seed: int = 0) -> Iterator[Excitation]:
+def list_excitations(network: Network, rig: Rig) -> Iterator[Excitation]:
     """Yield the tests among which a design chooses.
 
     Args:
         network: The model with the inputs.
         rig: The rig with band and length.
-        seed: Of phases and step heights.
 
     Yields:
         Tests of each kind, over the whole band and halves, at two levels, at all inputs and at each input.
@@ -339,22 +338,21 @@ def list_excitations(network: Network, rig: Rig, seed: int = 0) -> Iterator[Exci
             for a, b in [(low, high), *lower, (middle, high)]:
                 if rig.length * a >= 1.0:
                     for level in (1.0, 0.4):
-                        yield Excitation(kind, a, b, at, level, seed)
+                        yield Excitation(kind, a, b, at, level)
 
 
-def make_excitation(network: Network, rig: Rig, kind: str = "multisine", seed: int = 0) -> Excitation:
+def make_excitation(network: Network, rig: Rig, kind: str = "multisine") -> Excitation:
     """Make a test over the whole band at all inputs.
 
     Args:
         network: The model with the inputs.
         rig: The rig with the band.
         kind: One of `KINDS`.
-        seed: Of phases and step heights.
 
     Returns:
         The test.
     """
-    return Excitation(kind, *rig.band, tuple(c.name for c in network.inputs), 1.0, seed)
+    return Excitation(kind, *rig.band, tuple(c.name for c in network.inputs))
 
 
 def make_record(

@@ -18,12 +18,13 @@ from .plan_result import Amount, EffectForecast
 from .sensitivity import FARTHEST, NEGLIGIBLE, REQUIRED_DEVIANCE, is_rival
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from ...elements import Start
     from ..problem import Array
     from ..structure import Hypothesis
     from .detectability import SimulatedEffect
+    from .plan_result import Progress
     from .sensitivity import Distances, LawShape, Sensitivities
     from .virtual_bench import VirtualBench
 
@@ -45,7 +46,7 @@ def forecast_effects(
     bench: VirtualBench,
     s: Sensitivities,
     wanted: Sequence[Hypothesis],
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> tuple[list[EffectForecast], Array]:
     """Forecast the result of a diagnosis for each hypothesis.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from ...arrays import Array
     from ...network import Network
     from ..problem import Record
+
+#: function that receives the stage and the finished share
+Progress = Callable[[str, float], None]
 
 SCHEMA = "isd-plan/1"
 #: status of an effect, in words

@@ -1,4 +1,4 @@
-"""Linearised responses of the outputs to small effects, distances between effects, and gains by additional sensors.
+"""Linearised responses of the outputs to small effects, and distances between effects.
 
 The response to a small effect is linear in the effect's size. One matrix of products per channel therefore gives the
 distances between all effects after a refit of parameters and initial states. An additional sensor adds one matrix.
@@ -23,11 +23,11 @@ from ..motion import setting, together
 from ..problem import Array, Problem, bare
 from ..structure import Hypothesis, Structure, add, in_line, twin
 from ..tangent import tangents
-from .plan_result import SensorGain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Sequence
+    from collections.abc import Callable, Container, Mapping, Sequence
 
+    from ..fit import Fit
     from .virtual_bench import VirtualBench
 
 STARTS = 5  # of a hypothesis at most; refits find the shapes between
@@ -197,7 +197,8 @@ class Sensitivities:
             k: problem.simulate([problem.network], k, x0[:, None], like=problem.network)
             for k, x0 in initial.items()
         }
-        responses = self._simulate_responses(problem, structure, networks, nominal, initial, progress)
+        fit = replace(bench.training_fit, structure=structure, initial=initial, outputs={})
+        responses = _simulate_responses(problem, fit, nominal, networks, progress)
         #: columns whose simulation fails
         self.broken = {
             c for y in responses.values() for c in np.flatnonzero(~np.isfinite(y).all(axis=(0, 1))).tolist()
@@ -221,35 +222,6 @@ class Sensitivities:
         #: RMS noise (channels,) [unit of the channel], of existing and additional channels
         self.noise = np.concatenate([bench.noise, more])
         self._weighting_noise = np.hypot(self.noise, np.maximum(self.noise, LEAST_NOISE * deviation))
-
-    def _simulate_responses(
-        self,
-        problem: Problem,
-        structure: Structure,
-        networks: Sequence[Network],
-        nominal: dict[int, Array],
-        initial: dict[int, Array],
-        progress: Callable[[float], None],
-    ) -> dict[int, Array]:
-        """Return the change of the outputs (samples, channels, networks) by record; NaN if a simulation fails."""
-        fit = replace(self.bench.training_fit, structure=structure, initial=initial, outputs={})
-        out = {
-            k: np.full((len(r), len(problem.channels), len(networks)), np.nan)
-            for k, r in enumerate(problem.records)
-        }
-        done = 0
-        for chunk, k, y in together(problem, fit, networks):
-            with np.errstate(over="ignore", invalid="ignore"):
-                out[k][:, :, chunk] = y - nominal[k]
-            done += len(chunk)
-            progress(min(1.0, done / max(1, len(networks) * len(out))))
-        for k, y in out.items():  # a failed simulation may have stopped the networks beside it
-            single = Problem(problem.network, [problem.records[k]], ["fit"], problem.step, problem.time)
-            own = replace(fit, initial={0: fit.initial[k]})
-            for c in np.flatnonzero(np.isnan(y).all(axis=(0, 1))).tolist():
-                for _, _, alone in together(single, own, [networks[c]]):
-                    y[:, :, c] = alone[:, :, 0] - nominal[k][:, :, 0]
-        return out
 
     def _assumed_noise(self, c: Channel, deviation: float) -> float:
         """Return the RMS noise of an additional channel: as in channels of the same kind, at least 1 %."""
@@ -360,6 +332,41 @@ def _build_ways(structure: Structure, s: ChosenStart) -> list[Network]:
     return built
 
 
+def _simulate_responses(
+    problem: Problem,
+    fit: Fit,
+    nominal: Mapping[int, Array],
+    networks: Sequence[Network],
+    progress: Callable[[float], None],
+) -> dict[int, Array]:
+    """Simulate the change of the outputs by small effects.
+
+    Args:
+        problem: The nominal model with all channels.
+        fit: The fit with the initial states.
+        nominal: Outputs of the nominal model (samples, channels, 1) by record.
+        networks: The nominal model with one effect each.
+        progress: Function that receives the finished share.
+
+    Returns:
+        Changes (samples, channels, networks) by record; NaN if a simulation fails.
+    """
+    out = {k: np.full((*y.shape[:2], len(networks)), np.nan) for k, y in nominal.items()}
+    done = 0
+    for chunk, k, y in together(problem, fit, networks):
+        with np.errstate(over="ignore", invalid="ignore"):
+            out[k][:, :, chunk] = y - nominal[k]
+        done += len(chunk)
+        progress(min(1.0, done / max(1, len(networks) * len(out))))
+    for k, y in out.items():  # a failed simulation may have stopped the networks beside it
+        single = Problem(problem.network, [problem.records[k]], ["fit"], problem.step, problem.time)
+        own = replace(fit, initial={0: fit.initial[k]})
+        for c in np.flatnonzero(np.isnan(y).all(axis=(0, 1))).tolist():
+            for _, _, alone in together(single, own, [networks[c]]):
+                y[:, :, c] = alone[:, :, 0] - nominal[k][:, :, 0]
+    return out
+
+
 def _eliminate(gram: Array, gone: Sequence[int], kept: Sequence[int]) -> Array:
     """Return the products of the kept columns after a least-squares fit by the other columns (Schur complement)."""
     if not len(gone):
@@ -369,72 +376,3 @@ def _eliminate(gram: Array, gone: Sequence[int], kept: Sequence[int]) -> Array:
     own = own / np.outer(scale, scale) + 1e-11 * np.eye(len(own))
     cross = cross / scale[:, None]
     return np.asarray(gram[np.ix_(kept, kept)] - cross.T @ np.linalg.solve(own, cross), dtype=np.float64)
-
-
-# ------------------------------------------------------------------------------------------- additional sensors
-
-
-def list_additional_sensors(network: Network) -> list[Channel]:
-    """List sensors that the model lacks: accelerations of masses, elongations and forces of joined pairs.
-
-    Args:
-        network: The nominal model.
-
-    Returns:
-        The channels.
-    """
-    probes = [network.probe(f"{m}_acceleration", "acceleration", at=m) for m in network.masses]
-    joined: dict[frozenset[str], list[tuple[str, tuple[str, str]]]] = {}
-    for e in network.elements:
-        if e.place == "between" and not e.series:
-            joined.setdefault(frozenset(e.where), []).append((e.name, e.between))
-    for members in joined.values():
-        first, second = pair = members[0][1]
-        probes.append(network.probe(f"{first}_{second}_travel", "displacement", between=pair))
-        same = tuple(name for name, own in members if own == pair)
-        cell = network.probe(f"{first}_{second}_force", "force", element=same[0])
-        probes.append(replace(cell, element=same) if len(same) > 1 else cell)
-    moved = {str(c.at) for c in network.inputs if c.quantity == "displacement"}
-    probes += [network.probe(f"{n}_force", "force", at=n) for n in sorted(moved)]
-    existing = {_measurand(c) for c in network.outputs}
-    names = {c.name for c in (*network.inputs, *network.outputs)}
-    out = []
-    for c in probes:
-        is_prescribed = bool(c.between) and set(c.between or ()) <= moved | {"ground"}
-        if _measurand(c) in existing or c.name in names or is_prescribed:
-            continue
-        try:
-            assemble(bare(replace(network, outputs=(*network.outputs, c))))
-        except BROKEN:
-            continue
-        out.append(c)
-    return out
-
-
-def _measurand(c: Channel) -> tuple[object, ...]:
-    """Return the measured quantity and place of a channel."""
-    return c.quantity, c.at, frozenset(c.between or ()), frozenset(c.elements)
-
-
-def rank_sensors(s: Sensitivities, progress: Callable[[str, float], None]) -> tuple[SensorGain, ...]:
-    """Rank the additional channels by their gain, linearised.
-
-    Args:
-        s: Sensitivities with additional channels.
-        progress: Function that receives the stage and the finished share.
-
-    Returns:
-        Gains, best first.
-    """
-    now, gains = s.smallest_sizes(), []
-    for k, c in enumerate(s.more):
-        progress("sensors", k / len(s.more))
-        then = s.smallest_sizes(k)
-        told = int(np.sum((now > FARTHEST) & (then <= FARTHEST)))
-        both = (now <= FARTHEST) & (then <= FARTHEST)
-        factor = float(np.exp(np.median(np.log(now[both] / then[both])))) if both.any() else 1.0
-        where = "-".join(c.between) if c.between else c.at or " and ".join(c.elements)
-        noise = float(s.noise[len(s.bench.noise) + k])
-        gains.append(SensorGain(c.name, c.quantity, where, noise, c.unit, told, factor))
-    progress("sensors", 1.0)
-    return tuple(sorted(gains, key=lambda g: (-g.told, -g.factor)))

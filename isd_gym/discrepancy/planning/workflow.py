@@ -17,11 +17,14 @@ from ..problem import Array, Record
 from .excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from .forecast import forecast_effects
 from .plan_result import Plan
-from .sensitivity import Sensitivities, list_additional_sensors, rank_sensors, select_hypotheses
+from .sensitivity import Sensitivities, select_hypotheses
+from .sensors import list_additional_sensors, rank_sensors
 from .virtual_bench import VirtualBench, measured_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
+
+    from .plan_result import Progress
 
 LEAST_SAMPLES = 400  # of a test
 
@@ -37,7 +40,7 @@ def plan(
     add_sensors: bool = True,
     criteria: Criteria = CRITERIA,
     notes: Sequence[str] = (),
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Plan:
     """Predict which effects `diagnose` could name after a test, and the smallest size of each.
 
