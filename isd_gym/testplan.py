@@ -1,4 +1,4 @@
-"""The command `isd-gym plan`: before the test, what it could tell; and the test that tells most."""
+"""The command `isd-gym plan`: prediction and design of a test before a diagnosis."""
 
 from __future__ import annotations
 
@@ -317,9 +317,9 @@ def _print(found: Plan) -> None:
     console = printer()
     console.print(f"Test: {plain(found.test, 300)}")
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in ("effect", "smallest that is named", "held back by"):
+    for head in ("effect", "smallest nameable size", "limited by"):
         made.add_column(head, overflow="fold")
-    made.add_column("of the force", justify="right", no_wrap=True)
+    made.add_column("share of force", justify="right", no_wrap=True)
     for e in found.effects:
         share = "" if e.share is None or e.status != "named" else f"{100 * e.share:.0f} %"
         what = size_of(e, e.smallest) if e.status == "named" else STATUS[e.status]
@@ -328,10 +328,10 @@ def _print(found: Plan) -> None:
     console.print(made)
     if found.sensors:
         more = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-        for head in ("one sensor more", "where", "noise"):
+        for head in ("additional sensor", "where", "noise"):
             more.add_column(head)
-        more.add_column("more told apart", justify="right")
-        more.add_column("told from noise at", justify="right")
+        more.add_column("more distinguishable", justify="right")
+        more.add_column("distinguishable at", justify="right")
         for s in found.sensors[:8]:
             more.add_row(
                 Text(plain(s.name, 40)),

@@ -1,4 +1,4 @@
-"""The page of a plan: what a test could tell, before it is done."""
+"""The page of a plan: smallest nameable sizes, distances between effects, additional sensors."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
         file = save(fig, Path(folder) / "matrix.png")
         picture = Picture(
             "matrix.png",
-            "Which from which",
-            "Matrix of distances between effects and what their rivals make of them",
-            "Each row is an effect at the smallest size that is named (a twentieth of the typical force where it has none); each "
-            "column a rival that was refitted to it, with the model's parameters, to first order. The scale beside it is how "
-            "far the rival stays away, in standard deviations of the noise over the whole record: at 1 or less nobody tells the two apart; on the "
-            "diagonal is the refitted model without any effect. What has more parameters is no rival to what has fewer, however close it comes.",
+            "Distances between effects",
+            "Matrix of distances between effects and refitted rivals",
+            "Each row is an effect at its smallest nameable size (without one, at a twentieth of the typical force). Each "
+            "column is a rival, refitted together with the model's parameters, linearised. The shade is the distance in "
+            "standard deviations of the noise over the whole record; at 1 or less, effect and rival are indistinguishable. "
+            "The diagonal shows the refitted model without any effect. An effect with more parameters is no rival.",
             embedded(file),
             pixels(fig),
         )

@@ -146,12 +146,14 @@ class FmuComparison:
             if least < STEP_TOLERANCE or self.steps_per_sample >= FINEST:
                 break
             self.steps_per_sample *= 2
-        words = {0.0: "at the beginning", 0.5: "in the middle", 1.0: "at the end"}
-        how = ", ".join(f"{name} as it is {words[lead]} of a step" for name, lead in self.lead.items())
+        words = {0.0: "at the start", 0.5: "in the middle", 1.0: "at the end"}
+        how = ", ".join(f"{name} {words[lead]} of a step" for name, lead in self.lead.items())
         step = 1e3 * record.step / self.steps_per_sample
-        notes = [f"the unit is stepped every {step:.3g} ms" + (f", {how}" if how else "")]
+        notes = [f"communication step of the unit: {step:.3g} ms" + (f"; input values: {how}" if how else "")]
         if least >= STEP_TOLERANCE:
-            notes.append(f"its outputs still depend on the step, by {least:.1%} of their deviation")
+            notes.append(
+                f"the unit's outputs depend on the communication step, by {least:.1%} of their deviation"
+            )
         return notes
 
     def run_in(self) -> tuple[float, bool]:

@@ -79,18 +79,17 @@ def diagnose_unit(
     comparison = FmuComparison(
         unit, replace(unit.model, outputs=tuple(ports), uncertainty=free), records, ports
     )
-    progress("finding out how the unit takes its inputs, and how long it remembers its beginning")
+    progress("measuring the input timing and the run-in of the unit")
     notes += comparison.settle(progress)
     run_in, seen = comparison.run_in()
     notes.append(
-        f"the unit starts at rest and was seen to remember that for {run_in:.3g} s"
-        + ("" if seen else " at least (what sticks does for ever)")
-        + "; of each record that much is not compared, and no more than a third of it"
+        f"the run-in from rest takes {run_in:.3g} s{'' if seen else ' or more'}: "
+        "this part of each record, at most a third, is not compared"
     )
     refit = FmuRefit(comparison, _segments(records, len(list(validate)), run_in, notes))
     errors = _fit_and_measure(refit, progress)
     notes.append(
-        "the intervals count noise alone: what small effects drag along cannot be told without an inside"
+        "the intervals include noise only: shifts by small unmodelled effects need a network of the rig"
     )
     result = _diagnosis(refit, errors, criteria, notes)
     result = replace(result, seconds=clock.perf_counter() - start)
@@ -167,7 +166,9 @@ def _column(table: Table, port: Port, notes: list[str]) -> Array:
             raise InputError(f"{table.source}: column {shown(name)}: {error}") from None
     elif unit != port.unit:
         own = port.unit or "none"
-        notes.append(f"{table.source}: {name} is taken as it is, in {unit or 'no unit'}; the unit says {own}")
+        notes.append(
+            f"{table.source}: {name} is used without conversion, in {unit or 'no unit'}; the unit states {own}"
+        )
     if not np.isfinite(values).all():
         raise InputError(f"{table.source}: {name}: not every sample is finite")
     return values
@@ -184,11 +185,11 @@ def _uncertainty(model: UnitModel, stated: Mapping[str, float], notes: list[str]
     able = [k for k, v in model.parameters.items() if v != 0 and math.isfinite(v)]
     if len(able) > MOST_FREE:
         raise InputError(
-            f"unit {shown(model.name)} has {len(able)} parameters that could be refitted: say which with --uncertain NAME=0.1"
+            f"unit {shown(model.name)} has {len(able)} parameters that could be refitted: select some with --uncertain NAME=0.1"
         )
     if able:
         notes.append(
-            f"no uncertainty was stated: each of {len(able)} parameters was taken as known to {UNCERTAINTY:.0%}"
+            f"no uncertainty was stated: {UNCERTAINTY:.0%} was assumed for each of {len(able)} parameters"
         )
     return dict.fromkeys(able, UNCERTAINTY)
 

@@ -67,18 +67,17 @@ class Design:
     @property
     def sentence(self) -> str:
         """The choice and its reason."""
-        head = f"Of {self.tried} tests the one that tells"
-        usual = "a multisine over all of the band"
+        usual = "a multisine over the whole band"
         if self.closest[0]:
-            a, b = self.closest
             return (
-                f"{head} {a} from {b} best: {self.text}. They stay {self.separation:.3g} standard deviations of the noise apart "
-                f"({self.usual:.3g} by {usual}); watch {self.watch}."
+                f"The best of {self.tried} tests to distinguish {' from '.join(self.closest)}: {self.text}. "
+                f"Their distance is {self.separation:.3g} standard deviations of the noise ({self.usual:.3g} under {usual}). "
+                f"Watch {self.watch}."
             )
-        told, before, of = self.told
+        told, before, count = self.told
         return (
-            f"{head} most: {self.text}. At a twentieth of the force it tells {told} of {of} hypotheses from all others, "
-            f"{usual} {before}."
+            f"The best of {self.tried} tests: {self.text}. At a twentieth of the force, {told} of {count} hypotheses are "
+            f"distinguishable from all rivals ({before} under {usual})."
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -140,7 +139,7 @@ class RivalComparison:
         blank = Problem(network, [record], ["fit"])
         self.outputs = [blank.simulate([r.structure.at(r.x)], 0)[:, :, 0] for r in rivals]
         if not all(np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in self.outputs):
-            raise InputError("breaks down")
+            raise InputError("the simulation of a rival fails")
         self.problem = Problem(network, [replace(record, measured=self.outputs[0])], ["fit"])
         level = np.maximum(noise, LEAST_NOISE * np.max([y.std(axis=0) for y in self.outputs], axis=0))
         self.noise = np.where(level > 0, level, 1.0)
@@ -296,7 +295,7 @@ def read_rivals(network: Network, result: str | Path | Mapping[str, Any]) -> lis
         ) from None
     if len(out) < 2:
         raise InputError(
-            f"{name}: its verdict is {shown(str(data.get('verdict')))}, there are no rivals to tell apart"
+            f"{name}: its verdict is {shown(str(data.get('verdict')))}, there are no rivals to distinguish"
         )
     return out
 

@@ -335,7 +335,7 @@ def _fit_truth(bench: VirtualBench, truth: Problem, structure: Structure) -> tup
     fit = Fitter(truth, weights).fit(structure, structure.start, known, iterations=0)
     sigma = np.array([q.sigma for q in structure.free])
     if fit.hessian is None or not np.isfinite(fit.hessian).all():
-        raise InputError("the simulation breaks down beside these values")
+        raise InputError("the simulation fails near these values")
     covariance = np.linalg.inv(bench.length_factor * fit.hessian + np.diag(1 / sigma**2))
     try:
         with np.errstate(invalid="ignore", over="ignore"):

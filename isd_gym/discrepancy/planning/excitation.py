@@ -62,16 +62,16 @@ class Rig:
     def __post_init__(self) -> None:
         low, high = self.band
         if not 0 < low < high < math.inf:
-            raise InputError(f"the band must go from a frequency > 0 to a higher one, not {low:g}:{high:g}")
+            raise InputError(f"the band must have frequencies 0 < LOW < HIGH, not {low:g}:{high:g}")
         if not (self.length > 0 and math.isfinite(self.length)):
             raise InputError(f"the length of a test must be a number of seconds > 0, not {self.length:g}")
         if high * self.step > 0.25:
             raise InputError(
-                f"a band up to {high:g} Hz wants a sampling rate of {4 * high:g} Hz or more, not {1 / self.step:g}"
+                f"a band up to {high:g} Hz needs a sampling rate of {4 * high:g} Hz or more, not {1 / self.step:g}"
             )
         if self.length * low < 1.0:
             raise InputError(
-                f"in {self.length:g} s there is no period of {low:g} Hz: longer, or a higher band"
+                f"a test of {self.length:g} s is shorter than a period of {low:g} Hz: use a longer test or a higher band"
             )
 
     @property
@@ -238,7 +238,7 @@ def infer_rig(
         InputError: The statements contradict each other or the model, or a limit cannot be inferred.
     """
     if not network.inputs:
-        raise InputError(f"model '{network.name}' has no inputs: there is no test to play")
+        raise InputError(f"model '{network.name}' has no inputs: a test is not possible")
     notes = notes if notes is not None else []
     given, names = dict(limits or {}), [c.name for c in network.inputs]
     for name in given:
@@ -250,7 +250,7 @@ def infer_rig(
     low, high = band or (_measured_band(records, network) if records else _natural_band(network))
     if band is None and not records:
         notes.append(
-            f"band: {low:.3g} to {high:.3g} Hz, about the model's own frequencies (--band says otherwise)"
+            f"band: {low:.3g} to {high:.3g} Hz, from the model's natural frequencies (change with --band)"
         )
     step = 1 / rate if rate else records[0].step if records else 1.0 / (SAMPLES * high)
     if band is None:
@@ -279,9 +279,9 @@ def _typical_limits(c: Channel, network: Network, notes: list[str]) -> Limits:
     reach = TYPICAL_REACH.get(c.si) or weight
     if not reach:
         raise InputError(
-            f"how far {c.name} may go is not known: say it with --limit {c.name}=VALUE [{c.unit}]"
+            f"the largest value of {c.name} is unknown: state it with --limit {c.name}=VALUE [{c.unit}]"
         )
-    notes.append(f"{c.name}: taken to reach {_amount(reach, c)} (--limit {c.name}=VALUE says otherwise)")
+    notes.append(f"{c.name}: assumed amplitude {_amount(reach, c)} (change with --limit {c.name}=VALUE)")
     return Limits(reach, TYPICAL_SLOPE.get(c.si, math.inf))
 
 

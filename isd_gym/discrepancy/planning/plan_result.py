@@ -26,10 +26,10 @@ SCHEMA = "isd-plan/1"
 #: status of an effect, in words
 STATUS = {
     "named": "named",
-    "confused": "told from no rival, at any size",
-    "hidden": "the parameters that may move make up for it",
-    "unseen": "no sensor sees it",
-    "untried": "could not be simulated",
+    "confused": "not distinguishable from a rival at any size",
+    "hidden": "hidden: refitted parameters have the same effect",
+    "unseen": "not visible in any sensor",
+    "untried": "the simulation failed",
 }
 
 
@@ -108,18 +108,22 @@ class Plan:
 
     @property
     def summary(self) -> str:
-        """The plan in two sentences."""
+        """The plan in a few sentences."""
         named = self.with_status("named")
-        text = f"Of {len(self.effects)} hypotheses {len(named)} could be named"
+        text = f"A diagnosis could name {len(named)} of {len(self.effects)} hypotheses."
         shares = [e.share for e in named if e.share is not None and e.share < 1]
         if shares:
-            text += f", half of them from {np.median(shares):.0%} of the force, current or signal at their place on"
-        words = {"confused": "told from no rival", "hidden": "hidden in the parameters", "unseen": "unseen"}
+            text += f" The median of the smallest sizes is {np.median(shares):.0%} of the force, current or signal at the place."
+        words = {
+            "confused": "not distinguishable from a rival",
+            "hidden": "hidden by refitted parameters",
+            "unseen": "not visible in any sensor",
+        }
         rest = [f"{n} {word}" for k, word in words.items() if (n := len(self.with_status(k)))]
-        text += f"; {', '.join(rest)}." if rest else "."
+        text += f" The others: {', '.join(rest)}." if rest else ""
         best = self.sensors[0] if self.sensors else None
         if best is not None and (best.told or best.factor > 1.2):
-            text += f" The sensor that would help most: {best.name} ({best.told} more told apart, others {best.factor:.1f} times smaller)."
+            text += f" The most useful additional sensor is {best.name}: {best.told} more hypotheses become distinguishable, the others at sizes smaller by a factor of {best.factor:.1f}."
         return text
 
     def to_dict(self) -> dict[str, Any]:

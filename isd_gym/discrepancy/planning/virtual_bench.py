@@ -118,10 +118,10 @@ class VirtualBench:
                 value = LEAST_NOISE * float(y.std())
                 if not value > 0:
                     raise InputError(
-                        f"nothing shows in output '{c.name}' under this test: say its noise with --noise {c.name}=VALUE"
+                        f"output '{c.name}' does not change under this test: state its noise with --noise {c.name}=VALUE"
                     )
                 self.notes.append(
-                    f"noise of {c.name}: taken to be 1 % of its deviation, {value:.3g} {c.unit} (--noise {c.name}=VALUE says otherwise)"
+                    f"noise of {c.name}: assumed 1 % of its deviation, {value:.3g} {c.unit} (change with --noise {c.name}=VALUE)"
                 )
             out.append(value)
         return np.array(out)
@@ -229,7 +229,7 @@ def _simulate(problem: Problem, network: Network) -> list[Array]:
     for i in range(len(problem.records)):
         y = problem.simulate([network], i)[:, :, 0]
         if not np.isfinite(y).all() or np.abs(y).max() > 1e12:
-            raise InputError(f"model '{network.name}' breaks down under this test")
+            raise InputError(f"model '{network.name}' cannot be simulated under this test")
         out.append(y)
     return out
 
@@ -242,7 +242,7 @@ def _shorten(records: Sequence[Record], notes: list[str]) -> tuple[list[Record],
     share = MOST / total
     cut = [r.part(0, max(int(share * len(r)), 400), r.name) if len(r) > 400 else r for r in records]
     factor = total / sum(r.samples for r in cut)
-    notes.append(f"the first {1 / factor:.0%} of each record was simulated, and stands for the rest")
+    notes.append(f"the first {1 / factor:.0%} of each record was simulated and represents the whole record")
     return cut, factor
 
 

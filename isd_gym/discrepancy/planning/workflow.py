@@ -119,7 +119,7 @@ def read_planned_record(source: Table | str | Path, network: Network) -> Record:
         InputError: An input is missing or not finite, or the samples are too few or not evenly spaced.
     """
     if not network.inputs:
-        raise InputError(f"model '{network.name}' has no inputs: there is no test to play")
+        raise InputError(f"model '{network.name}' has no inputs: a test is not possible")
     table = source if isinstance(source, Table) else _read_table(source, network)
     for c in network.inputs:
         table[c.name]  # raises an error for a missing column
@@ -130,7 +130,7 @@ def read_planned_record(source: Table | str | Path, network: Network) -> Record:
         or intervals.min() < 0.5 * table.step
         or intervals.max() > 1.5 * table.step
     ):
-        raise InputError(f"{table.source}: a test needs 400 or more evenly spaced samples of time")
+        raise InputError(f"{table.source}: a test needs at least 400 evenly spaced samples")
     inputs = {}
     for c in network.inputs:
         x = convert(np.asarray(table[c.name]), table.units.get(c.name) or c.unit, c.si)
