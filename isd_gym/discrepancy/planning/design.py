@@ -324,12 +324,7 @@ def _read_rival(network: Network, row: Mapping[str, Any], fitted: Mapping[str, f
 
 
 def design_general_test(
-    network: Network,
-    rig: Rig,
-    noise: Array,
-    *,
-    only: Sequence[str] = (),
-    progress: Progress | None = None,
+    network: Network, rig: Rig, noise: Array, *, only: Sequence[str] = (), progress: Progress | None = None
 ) -> Design | None:
     """Choose the test that distinguishes most hypotheses, each at a twentieth of the force under a multisine.
 

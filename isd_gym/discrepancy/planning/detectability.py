@@ -279,12 +279,12 @@ def find_smallest_scale(passes: Callable[[float], bool]) -> float:
     return math.exp(high)
 
 
-def simulate_effect(bench: VirtualBench, h: Hypothesis, values: dict[str, float]) -> SimulatedEffect:
+def simulate_effect(bench: VirtualBench, hypothesis: Hypothesis, values: dict[str, float]) -> SimulatedEffect:
     """Simulate an effect on the bench and refit the nominal model.
 
     Args:
         bench: The virtual bench.
-        h: The hypothesis.
+        hypothesis: The hypothesis.
         values: Parameters of the effect.
 
     Returns:
@@ -293,24 +293,24 @@ def simulate_effect(bench: VirtualBench, h: Hypothesis, values: dict[str, float]
     Raises:
         InputError: The simulation or the refit fails.
     """
-    structure = add(bench.structure, h, values)
+    structure = add(bench.structure, hypothesis, values)
     truth = bench.measure(structure.network)
     residual = NoiseFreeResidual(bench, bench.fit(truth, bench.structure, bench.structure.start))
     fit, covariance = _fit_truth(bench, truth, structure)
     name = structure.names[-1]
     why = complaint(truth, fit, structure.network.element(name))
     share = share_at_place(truth, fit, name)
-    return SimulatedEffect(bench, h, truth, structure, fit, residual, share, covariance, why, [])
+    return SimulatedEffect(bench, hypothesis, truth, structure, fit, residual, share, covariance, why, [])
 
 
 def refit_rival(
-    effect: SimulatedEffect, h: Hypothesis, starts: Sequence[dict[str, float]]
+    effect: SimulatedEffect, rival: Hypothesis, starts: Sequence[dict[str, float]]
 ) -> RefittedRival | None:
     """Refit a rival to the outputs of a simulated effect.
 
     Args:
         effect: The simulated effect.
-        h: The rival.
+        rival: The rival.
         starts: Start values of the rival.
 
     Returns:
@@ -319,13 +319,13 @@ def refit_rival(
     bench, best = effect.bench, None
     for values in starts:
         try:
-            structure = add(bench.structure, h, values)
+            structure = add(bench.structure, rival, values)
             residual = NoiseFreeResidual(bench, bench.fit(effect.truth, structure, structure.start))
         except BROKEN:
             continue
         if best is None or residual.excess_deviance(1.0) < best.excess_deviance(1.0):
             best = residual
-    return None if best is None else RefittedRival(h, best)
+    return None if best is None else RefittedRival(rival, best)
 
 
 def _fit_truth(bench: VirtualBench, truth: Problem, structure: Structure) -> tuple[Fit, Array]:

@@ -19,17 +19,8 @@ if TYPE_CHECKING:
 
 KINDS = ("multisine", "sweep", "steps", "triangle")
 #: amplitude [SI unit] and rate [SI unit/s] of a typical rig
-TYPICAL_REACH = {
-    "m": 0.01,
-    "m/s": 0.2,
-    "m/s^2": 3.0,
-    "rad": 0.2,
-    "rad/s": 2.0,
-    "rad/s^2": 30.0,
-    "A": 5.0,
-    "V": 6.0,
-}
-TYPICAL_SLOPE = {"m": 0.5, "rad": 5.0}
+REACH = {"m": 0.01, "m/s": 0.2, "m/s^2": 3.0, "rad": 0.2, "rad/s": 2.0, "rad/s^2": 30.0, "A": 5.0, "V": 6.0}
+SLOPE = {"m": 0.5, "rad": 5.0}
 WEIGHT = 0.1 * 9.81  # amplitude of a force per mass of the model [N/kg]
 LENGTH = 20.0  # [s]
 SAMPLES = 20.0  # per period of the highest frequency
@@ -276,13 +267,13 @@ def _measured_limits(c: Channel, records: Sequence[Record]) -> Limits | None:
 def _typical_limits(c: Channel, network: Network, notes: list[str]) -> Limits:
     """Return the limits of a typical rig at an input. Raise `InputError` for an unusual unit."""
     weight = WEIGHT * sum(network.masses.values()) if c.si == "N" else 0.0
-    reach = TYPICAL_REACH.get(c.si) or weight
+    reach = REACH.get(c.si) or weight
     if not reach:
         raise InputError(
             f"the largest value of {c.name} is unknown: state it with --limit {c.name}=VALUE [{c.unit}]"
         )
     notes.append(f"{c.name}: assumed amplitude {_amount(reach, c)} (change with --limit {c.name}=VALUE)")
-    return Limits(reach, TYPICAL_SLOPE.get(c.si, math.inf))
+    return Limits(reach, SLOPE.get(c.si, math.inf))
 
 
 def _natural_band(network: Network) -> tuple[float, float]:

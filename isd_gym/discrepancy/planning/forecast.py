@@ -43,24 +43,21 @@ class _Rival:
 
 
 def forecast_effects(
-    bench: VirtualBench,
-    s: Sensitivities,
-    wanted: Sequence[Hypothesis],
-    progress: Progress,
+    bench: VirtualBench, responses: Sensitivities, wanted: Sequence[Hypothesis], progress: Progress
 ) -> tuple[list[EffectForecast], Array]:
     """Forecast the result of a diagnosis for each hypothesis.
 
     Args:
         bench: The virtual bench.
-        s: Sensitivities to all hypotheses.
+        responses: Sensitivities to all hypotheses.
         wanted: The hypotheses.
         progress: Function that receives the stage and the finished share.
 
     Returns:
         The forecasts, and the matrix of distances; see `Plan`.
     """
-    linear, groups = s.distances(), s.by_hypothesis
-    typical = {s.shapes[k].hypothesis: t for t, k in enumerate(s.typical)}
+    linear, groups = responses.distances(), responses.by_hypothesis
+    typical = {responses.shapes[k].hypothesis: t for t, k in enumerate(responses.typical)}
     forecasts, matrix = [], np.full((len(wanted), len(wanted)), np.nan)
     for n, h in enumerate(wanted):
         progress("sizes", n / len(wanted))
@@ -73,8 +70,8 @@ def forecast_effects(
         elif linear.remainder[t] < NEGLIGIBLE * linear.response[t]:
             forecasts.append(_make_forecast(bench, h, "hidden"))
         else:
-            shape = s.shapes[s.typical[t]]
-            forecast, scale = _find_smallest_size(bench, shape, _rank_rivals(s, linear, h, t))
+            shape = responses.shapes[responses.typical[t]]
+            forecast, scale = _find_smallest_size(bench, shape, _rank_rivals(responses, linear, h, t))
             forecasts.append(forecast)
         for j, other in enumerate(wanted):
             if other == h:
@@ -85,14 +82,16 @@ def forecast_effects(
     return forecasts, matrix
 
 
-def _rank_rivals(s: Sensitivities, linear: Distances, h: Hypothesis, t: int) -> list[_Rival]:
+def _rank_rivals(responses: Sensitivities, linear: Distances, h: Hypothesis, t: int) -> list[_Rival]:
     """Return the rivals of a hypothesis, closest first; `t` is the index of the typical shape."""
     rivals = []
-    for r, members in s.by_hypothesis.items():
-        if is_rival(s.bench.network, r, h):
+    for r, members in responses.by_hypothesis.items():
+        if is_rival(responses.bench.network, r, h):
             order = sorted(members, key=lambda k: float(linear.to_shape[t, k]))
             starts = [
-                (s.shapes[k], linear.amplitude[t, k]) for k in order[:2] if linear.amplitude[t, k].any()
+                (responses.shapes[k], linear.amplitude[t, k])
+                for k in order[:2]
+                if linear.amplitude[t, k].any()
             ]
             rivals.append(_Rival(r, float(linear.to_shape[t, order[0]]), starts))
     return sorted(rivals, key=lambda r: r.distance)

@@ -60,25 +60,25 @@ def _measurand(c: Channel) -> tuple[object, ...]:
     return c.quantity, c.at, frozenset(c.between or ()), frozenset(c.elements)
 
 
-def rank_sensors(s: Sensitivities, progress: Progress) -> tuple[SensorGain, ...]:
+def rank_sensors(responses: Sensitivities, progress: Progress) -> tuple[SensorGain, ...]:
     """Rank the additional channels by their gain, linearised.
 
     Args:
-        s: Sensitivities with additional channels.
+        responses: Sensitivities with additional channels.
         progress: Function that receives the stage and the finished share.
 
     Returns:
         Gains, best first.
     """
-    now, gains = s.smallest_sizes(), []
-    for k, c in enumerate(s.more):
-        progress("sensors", k / len(s.more))
-        then = s.smallest_sizes(k)
+    now, gains = responses.smallest_sizes(), []
+    for k, c in enumerate(responses.more):
+        progress("sensors", k / len(responses.more))
+        then = responses.smallest_sizes(k)
         told = int(np.sum((now > FARTHEST) & (then <= FARTHEST)))
         both = (now <= FARTHEST) & (then <= FARTHEST)
         factor = float(np.exp(np.median(np.log(now[both] / then[both])))) if both.any() else 1.0
         where = "-".join(c.between) if c.between else c.at or " and ".join(c.elements)
-        noise = float(s.noise[len(s.bench.noise) + k])
+        noise = float(responses.noise[len(responses.bench.noise) + k])
         gains.append(SensorGain(c.name, c.quantity, where, noise, c.unit, told, factor))
     progress("sensors", 1.0)
     return tuple(sorted(gains, key=lambda g: (-g.told, -g.factor)))

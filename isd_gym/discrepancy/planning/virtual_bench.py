@@ -205,8 +205,8 @@ class VirtualBench:
             InputError: The simulation fails at the start values.
         """
         known = carried(truth, self.structure.network, self.nominal.initial, structure)
-        W = plain(self.weighting_noise)
-        f = Fitter(truth, W).fit(structure, x, known, iterations=iterations, tolerance=1e-3)
+        weights = plain(self.weighting_noise)
+        f = Fitter(truth, weights).fit(structure, x, known, iterations=iterations, tolerance=1e-3)
         left = residuals(truth, f)
         power = np.mean(np.concatenate(left) ** 2, axis=0)
         if np.any(power > 0.3 * self.noise**2):  # else noise hides the residual's spectrum
@@ -219,7 +219,7 @@ class VirtualBench:
                     f, left = again, other
             except BROKEN:
                 pass
-        held = Fitter(truth, W).follow(structure, f.x, truth.choosing, known, iterations=2)
+        held = Fitter(truth, weights).follow(structure, f.x, truth.choosing, known, iterations=2)
         return BenchFit(f, left, residuals(truth, held))
 
 
