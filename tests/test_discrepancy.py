@@ -369,7 +369,9 @@ def test_candidates_that_are_compared_share_the_initial_states_of_the_one_that_e
     weights = judge.weights(base)
     alone = judge.outcome(base, weights).score
     both = judge.own(base), judge.own(best)
-    assert judge.outcome(base, weights).score == alone  # a function of its arguments, whatever was scored before
+    assert (
+        judge.outcome(base, weights).score == alone
+    )  # a function of its arguments, whatever was scored before
     held_out = both[1].held
     begun = judge.nearest_starts(both, base.fit.structure)  # each in the coordinates of its own states
     assert set(begun) == set(problem.held)

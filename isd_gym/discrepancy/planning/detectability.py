@@ -21,6 +21,7 @@ from ..noise import lagged, plain, predicted
 from ..result import Quantity
 from ..settings import SearchSettings
 from ..structure import Hypothesis, Structure, add
+from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,7 +36,9 @@ ORDER = 20  # of the whitening filters, as in the diagnosis
 SMALLEST, LARGEST = 0.02, 30.0
 #: smallest excess score of a candidate, as a share of the score of noise
 LEAST_EXCESS = 0.01
-DECISIVE_DEVIANCE = 50.0  # deviance by which a rival is worse
+#: smallest excess score that counts in a comparison, as a share of the nominal model's excess score
+LEAST_SHARE = 0.005
+WORSE = 1.5  # power ratio from which a special case of the truth is clearly worse
 
 
 class NoiseFreeResidual:
@@ -184,7 +187,7 @@ class SimulatedEffect:
         penalised = deviance + more * math.log(samples)
         if more > 0:
             return penalised > c.decisive
-        is_worse = deviance > DECISIVE_DEVIANCE or (
+        is_worse = deviance > REQUIRED_DEVIANCE or (
             rival.residual.score_errors(scale, self.noise_score) > c.replicated
         )
         if excess < c.ahead * own or not is_worse:
@@ -193,9 +196,9 @@ class SimulatedEffect:
             change = scale * np.sqrt(rival.residual.validation_power) / self.deviation
             is_visible = bool(np.any(change > self.bench.unmodelled_envelope))
             return is_visible and (
-                deviance > SearchSettings().chance or rival.residual.power_ratio(scale) > 1.5
+                deviance > SearchSettings().chance or rival.residual.power_ratio(scale) > WORSE
             )
-        floor = 0.005 * self.residual.excess_score(scale)
+        floor = LEAST_SHARE * self.residual.excess_score(scale)
         explains_as_much = more < 0 and max(excess, floor) < c.ahead * max(own, floor)
         return not (explains_as_much and penalised < 0)
 

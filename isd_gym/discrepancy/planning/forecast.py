@@ -15,7 +15,8 @@ from ..criteria import decide
 from ..structure import owner_pair
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
 from .plan_result import Amount, EffectForecast
-from .sensitivity import FARTHEST, NEGLIGIBLE, REQUIRED_DEVIANCE, is_rival
+from .sensitivity import FARTHEST, NEGLIGIBLE, is_rival
+from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

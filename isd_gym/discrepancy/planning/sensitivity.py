@@ -23,6 +23,7 @@ from ..motion import setting, together
 from ..problem import Array, Problem, bare
 from ..structure import Hypothesis, Structure, add, in_line, twin
 from ..tangent import tangents
+from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 STARTS = 5  # of a hypothesis at most; refits find the shapes between
 NEGLIGIBLE = 1e-3  # share of a response that may be rounding
-REQUIRED_DEVIANCE = 50.0  # deviance by which a rival must be worse
 FARTHEST = 20.0  # largest size of interest, as a multiple of the start's size
 
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from ...elements import Motion
 
+REQUIRED_DEVIANCE = 50.0  # deviance by which a rival must be worse
 MOST = 16000  # simulated samples; a part of a longer test represents the whole test
 
 
