@@ -19,8 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import numpy as np
 from families import FAMILIES, make_case
 
-from isd_gym.discrepancy.align import aligned, read_again
-from isd_gym.discrepancy.rasters import record_of
+from isd_gym.discrepancy.records import align_clocks, build_record
 from isd_gym.errors import InputError
 from isd_gym.loggers import Recording, Signal
 from isd_gym.network import Network
@@ -79,10 +78,8 @@ def main() -> None:
                 begun = time.process_time()
                 row: dict[str, Any] = {"kind": kind, "seed": seed, "lag": lag, "snr_db": case.snr_db}
                 try:
-                    record = record_of(run, network)
-                    _, (found,) = aligned(
-                        [record], network, lambda r, known, net=network: read_again(r, known, net)
-                    )
+                    record = build_record(run, network)
+                    _, (found,) = align_clocks([record], network)
                     told = (found.value, found.low, found.high)
                     if (
                         found.clock == "first"

@@ -5,9 +5,8 @@ import pytest
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
-from isd_gym.discrepancy.bandwidth import decimation, differentiated
 from isd_gym.discrepancy.problem import Problem, Record
-from isd_gym.discrepancy.records import derivatives
+from isd_gym.discrepancy.records import choose_decimation, count_derivatives, differentiate_inputs
 from isd_gym.network import Network, linearise, natural_frequencies, transfer
 
 SAMPLES = 12_000
@@ -89,7 +88,7 @@ def test_preparation_keeps_the_measured_power_where_the_model_responds(kind, nat
     rng = np.random.default_rng(3)
     network, motion = shaken(natural, quantity), base_motion(kind, natural, rate, rng)
     record, clean = measured(network, motion, rate, rng, noise=3e-3 * motion.std())
-    (prepared,) = derivatives([record], network)
+    (prepared,) = differentiate_inputs([record], network)
     assert share_kept(prepared, clean[:, 0]) > 0.98
     assert share_kept(prepared, clean[:, 0], 0.5 * natural, 2 * natural) > 0.98
 
@@ -99,7 +98,7 @@ def test_the_harmonics_that_friction_makes_of_a_sine_are_compared():
     rub = {"name": "rub", "type": "coulomb_friction", "between": ["mass", "base"], "level": 0.15}
     network, motion = shaken(natural), base_motion("sine above resonance", natural, rate, rng)
     record, clean = measured(network.with_element(rub), motion, rate, rng, noise=3e-3 * motion.std())
-    (prepared,) = derivatives([record], network)
+    (prepared,) = differentiate_inputs([record], network)
     third = 3 * 1.8 * natural
     assert share_kept(prepared, clean[:, 0], 0.95 * third, 1.05 * third) > 0.98
 
@@ -110,7 +109,7 @@ def test_a_resonance_that_friction_holds_is_compared_too():
     network, motion = shaken(natural), base_motion("slow and broadband", natural, rate, rng)
     record, _ = measured(network, motion, rate, rng, noise=2e-5)
     still = Record("stuck", record.step, record.inputs, 0.01 * rng.standard_normal(record.measured.shape))
-    (prepared,) = derivatives([still], network)
+    (prepared,) = differentiate_inputs([still], network)
     responds = np.sin(2 * np.pi * natural * np.arange(SAMPLES) / rate)
     assert share_kept(prepared, responds, 0.5 * natural, 2 * natural) > 0.98
 
@@ -135,7 +134,7 @@ def test_the_noise_that_a_force_makes_of_a_displacement_is_left_out(element, hig
     rate, rng = 1000.0, np.random.default_rng(5)
     motion = band_limited(0.02, highest, rate, rng, 5e-3)
     record, clean = measured(network, motion, rate, rng, noise=1.5e-5)
-    (prepared,) = derivatives([record], network)
+    (prepared,) = differentiate_inputs([record], network)
     assert share_kept(prepared, clean[:, 0]) > 0.9
 
     def error(r):
@@ -159,14 +158,14 @@ def test_an_input_that_tells_more_is_differentiated_less():
     ):
         model["inputs"][0].update(quantity=quantity, unit=unit)
         model["outputs"][0].update(quantity="acceleration", unit="m/s^2")
-        assert differentiated(Network.load(model)) == orders
+        assert count_derivatives(Network.load(model)) == orders
 
 
 def test_a_displacement_without_noise_needs_no_low_pass():
     natural, rate, rng = 3.0, 100.0, np.random.default_rng(6)
     network, motion = shaken(natural), base_motion("random", natural, rate, rng)
     record, _ = measured(network, motion, rate, rng, noise=0.0)
-    assert decimation([record], network) == 1
+    assert choose_decimation([record], network) == 1
 
 
 def test_the_response_to_a_moved_base_is_the_transmissibility():

@@ -332,7 +332,7 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     from isd_gym.discrepancy.noise import plain
     from isd_gym.discrepancy.planning import infer_rig, make_excitation, make_record
     from isd_gym.discrepancy.problem import Problem
-    from isd_gym.discrepancy.records import dealt
+    from isd_gym.discrepancy.records import split_records
     from isd_gym.discrepancy.structure import base_structure
 
     net = Network.load("force-rig").with_element(
@@ -343,7 +343,7 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     clean = simulate(net, record.time, record.inputs)["force"]
     noisy = clean + 16.0 * np.random.default_rng(1).standard_normal(len(clean))
     whole = Problem(net, [replace(record, measured=noisy[:, None])], ["fit"])
-    problem = Problem(net, *dealt(whole.records, [], [], whole.time))
+    problem = Problem(net, *split_records(whole.records, [], [], whole.time))
     judge, structure = Judge(problem), base_structure(net)
     fit = Fitter(problem, plain(judge.floors)).fit(structure, structure.start, iterations=0)
     candidate = Candidate(fit, 0.0)
@@ -355,13 +355,15 @@ def test_candidates_that_are_compared_share_the_initial_states_of_the_one_that_e
     from isd_gym.discrepancy import CRITERIA
     from isd_gym.discrepancy.judge import Judge
     from isd_gym.discrepancy.problem import Problem
-    from isd_gym.discrepancy.records import dealt, read
+    from isd_gym.discrepancy.records import read_record, split_records
     from isd_gym.discrepancy.search import Search
 
     case = families.make_case("shaken.cubic", 306)
     net = Network.load(case.model)
-    fit, held = (read(table(c, n), net, [], ()) for c, n in ((case.estimation, "e"), (case.validation, "v")))
-    problem = Problem(net, *dealt([fit], [held], [], fit.pace))
+    fit, held = (
+        read_record(table(c, n), net, [], ()) for c, n in ((case.estimation, "e"), (case.validation, "v"))
+    )
+    problem = Problem(net, *split_records([fit], [held], [], fit.pace))
     search = Search(Judge(problem), SearchSettings(), CRITERIA, lambda line: None)
     judge, base = search.judge, search.refitted()
     best = search.stage(base, [])
@@ -709,29 +711,29 @@ def test_every_mass_and_the_ground_is_a_place_whatever_is_moved() -> None:
 
 def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
     from isd_gym.discrepancy.problem import Record
-    from isd_gym.discrepancy.records import dealt
+    from isd_gym.discrepancy.records import split_records
 
     t = 1e-2 * np.arange(3000)
     drive = Record("drive", 1e-2, {"u": t}, np.sin(6.0 * t)[:, None])
     notes: list[str] = []
-    records, roles = dealt([drive], [drive], notes, drive.pace)
+    records, roles = split_records([drive], [drive], notes, drive.pace)
     assert roles[0] == "fit" and {"choose", "report"} <= set(roles)
     assert sum(len(r) for r in records[1:]) == len(drive)
     # a decay: two thirds of its motion are over long before two thirds of its time
     decay = Record("decay", 1e-2, {}, (np.exp(-0.4 * t) * np.cos(6.0 * t))[:, None])
-    records, roles = dealt([decay], [], notes, decay.pace)
+    records, roles = split_records([decay], [], notes, decay.pace)
     assert roles[0] == "fit" and len(records[0]) < 0.4 * len(decay)
     assert any("only record" in n for n in notes)
     # a steep one: what is held out has a third of its way, and not the noise at its end alone
     steep = Record("steep", 1e-2, {}, (7.0 / (1.0 + 2.0 * t))[:, None])
-    records, _ = dealt([steep], [], notes, steep.pace)
+    records, _ = split_records([steep], [], notes, steep.pace)
     assert len(records[0]) < 0.15 * len(steep) < 0.15 * 1.01 * sum(map(len, records))
     # at rest after a third: noise is no motion, and most of the rest is left out
     still = np.where(t < 10.0, decay.measured[:, 0], 0.0) + 1e-3 * np.random.default_rng(0).standard_normal(
         len(t)
     )
     rested = Record("rested", 1e-2, {}, still[:, None])
-    records, roles = dealt([rested], [], notes, rested.pace)
+    records, roles = split_records([rested], [], notes, rested.pace)
     assert len(records[0]) < 0.2 * len(rested)
     assert sum(map(len, records)) < 0.5 * len(rested)
     assert "nothing moves" in notes[-2]
@@ -739,7 +741,7 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
 
 def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> None:
     from isd_gym.discrepancy.problem import Problem, Record
-    from isd_gym.discrepancy.records import dealt
+    from isd_gym.discrepancy.records import split_records
     from isd_gym.discrepancy.workflow import held_from
 
     net = Network.load("quarter-car-passive")
@@ -750,7 +752,7 @@ def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> Non
     inf = math.inf
 
     def since(fit, held) -> tuple[float, ...]:
-        records, roles = dealt(fit, held, [], 0.1)
+        records, roles = split_records(fit, held, [], 0.1)
         whole = Problem(net, [*fit, *held], ["fit"] * len(fit) + ["report"] * len(held))
         return held_from(whole, Problem(net, records, roles))
 
@@ -758,24 +760,24 @@ def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> Non
     assert since(runs[:1], runs[1:]) == (inf, -inf, -inf)
     (cut,) = since(runs[:1], [])  # the last third of the only record
     assert cut == pytest.approx(10.0, abs=1.0)
-    assert dealt(runs[:1], [], [], 0.1)[0][0].time[-1] == pytest.approx(cut - 0.005)
+    assert split_records(runs[:1], [], [], 0.1)[0][0].time[-1] == pytest.approx(cut - 0.005)
 
 
 def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by() -> None:
     from isd_gym.discrepancy.problem import Record
-    from isd_gym.discrepancy.records import dealt
+    from isd_gym.discrepancy.records import split_records
 
     counts = np.zeros(3000)  # an encoder's, which does not flicker
     counts[:4] = [9, -9, 9, -9]
     knock = Record("knock", 1e-2, {}, counts[:, None])
-    records, roles = dealt([knock], [], [], knock.pace)
+    records, roles = split_records([knock], [], [], knock.pace)
     assert roles[0] == "fit" and min(map(len, records)) >= 32
 
 
 @pytest.mark.parametrize("thin", [1, 2])
 def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin: int) -> None:
     from isd_gym.discrepancy.problem import Problem, Record, thinned
-    from isd_gym.discrepancy.records import FORGETS, dealt
+    from isd_gym.discrepancy.records import LEAD_IN, split_records
 
     model = Network.load("force-rig")
     moved, first = model.inputs[0].name, model.outputs[0].between or (model.outputs[0].at, "ground")
@@ -788,8 +790,8 @@ def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin: in
     said = Problem(net, [still], ["fit"]).simulate([net], 0)[:, :, 0]
     drive = Record("drive", 2e-3, {moved: x}, said)
     off = []
-    for lead in (0.0, FORGETS * drive.pace):
-        pieces, roles = dealt([drive], [drive], [], 0.1 * drive.pace, lead)
+    for lead in (0.0, LEAD_IN * drive.pace):
+        pieces, roles = split_records([drive], [drive], [], 0.1 * drive.pace, lead)
         pieces = [thinned(r, thin, ()) for r in pieces] if thin > 1 else pieces
         problem = Problem(net, pieces, roles)
         errors = [problem.simulate([net], i)[:, :, 0] - r.measured for i, r in enumerate(pieces)][2:]

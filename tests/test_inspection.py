@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from isd_gym import cli
 from isd_gym.data import Table, write_table
-from isd_gym.discrepancy.records import read
+from isd_gym.discrepancy.records import read_record
 from isd_gym.errors import InputError
 from isd_gym.inspection import command, inspect, lines, page
 from isd_gym.loggers import ChannelMap, Column, Logger, mended, rasters, runs
@@ -566,7 +566,7 @@ def test_an_angle_that_begins_anew_each_turn_is_unwrapped_with_a_note(tmp_path, 
         angle = record.signals["angle"].values
         np.testing.assert_allclose(np.diff(angle), 2 * np.pi * np.diff(turns), atol=1e-4)
         assert any("an angle that begins anew each turn" in n for n in record.notes)
-        assert read(record, network, []).measured.shape == (4000, 1)
+        assert read_record(record, network, []).measured.shape == (4000, 1)
 
 
 def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):

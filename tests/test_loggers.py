@@ -9,10 +9,8 @@ from test_inspection import CAR, drive
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.align import aligned, read_again
 from isd_gym.discrepancy.problem import Problem
-from isd_gym.discrepancy.rasters import record_of
-from isd_gym.discrepancy.records import read
+from isd_gym.discrepancy.records import align_clocks, build_record, read_record
 from isd_gym.errors import InputError
 from isd_gym.inspection import inspect, lines
 from isd_gym.loggers import ChannelMap, Recording, Signal
@@ -63,7 +61,7 @@ def test_one_raster_says_what_the_table_says(truth):
     stamps = dict.fromkeys((c.name for c in CHANNELS), even(2.5e-3))
     run = recording(truth, stamps)
     table = Table(stamps["road"], {n: s.values for n, s in run.signals.items()})
-    made, known = record_of(run, NETWORK), read(table, NETWORK, [])
+    made, known = build_record(run, NETWORK), read_record(table, NETWORK, [])
     a, b = (Problem(NETWORK, [r], ["fit"]).simulate([NETWORK], 0)[:, :, 0] for r in (made, known))
     np.testing.assert_allclose(a, b[made.margin : len(b) - made.margin], rtol=0, atol=1e-9 * np.abs(b).max())
     np.testing.assert_array_equal(made.measured, known.measured[made.margin : len(b) - made.margin])
@@ -73,7 +71,7 @@ def test_two_rasters_are_compared_without_a_trace_of_resampling(truth):
     """Accelerations at 1 kHz, the travel at 130 Hz between their instants: the true model fits both."""
     stamps = {c.name: even(1e-3) for c in CHANNELS} | {"travel": even(1 / 130, 0.0033)}
     notes = []
-    record = record_of(recording(truth, stamps), NETWORK, None, notes)
+    record = build_record(recording(truth, stamps), NETWORK, None, notes)
     assert record.rate == pytest.approx(1 / 130, rel=0.1)
     assert left(record).max() < 2e-3
     assert any("body_acceleration" in n and "low-pass that the model passes, too" in n for n in notes)
@@ -84,15 +82,15 @@ def test_uneven_stamps_are_compared_at_their_own_instants(truth):
     stray = even(2.5e-3) + 1e-3 * rng.uniform(-1, 1, len(even(2.5e-3)))
     stamps = {c.name: stray if c.name != "road" else even(2.5e-3) for c in CHANNELS}
     run = recording(truth, stamps)
-    assert left(record_of(run, NETWORK)).max() < 3e-3
+    assert left(build_record(run, NETWORK)).max() < 3e-3
     # as if they were even, they do not fit
     as_even = {n: replace(s, time=even(2.5e-3)) for n, s in run.signals.items()}
-    assert left(record_of(replace(run, signals=as_even), NETWORK)).max() > 0.02
+    assert left(build_record(replace(run, signals=as_even), NETWORK)).max() > 0.02
 
 
 def test_a_record_is_cut_where_its_samples_are(truth):
     stamps = {c.name: even(1e-3) for c in CHANNELS} | {"travel": even(1 / 130, 0.0033)}
-    record = record_of(recording(truth, stamps), NETWORK)
+    record = build_record(recording(truth, stamps), NETWORK)
     part = record.part(200, 900, "part")
     problem = Problem(NETWORK, [record, part], ["fit", "fit"])
     whole = problem.simulate([NETWORK], 0)[:, :, 0]
@@ -109,9 +107,9 @@ def test_the_lag_of_another_clock_is_found_early_and_late(truth, lag):
     )
     stamps = {c.name: even(2.5e-3) for c in CHANNELS} | {"road": even(2e-3)}
     run = recording(truth, stamps, lag, noise=0.03)
-    record = record_of(run, owner)
+    record = build_record(run, owner)
     assert record.clocks == ("b",)
-    (made,), (found,) = aligned([record], owner, lambda r, known: read_again(r, known, owner))
+    (made,), (found,) = align_clocks([record], owner)
     assert abs(found.value - lag) < 2e-4
     assert found.low < lag < found.high or abs(found.value - lag) < 5e-5
     assert made.lags["b"] == pytest.approx(lag, abs=2e-4)
@@ -121,7 +119,7 @@ def test_the_lag_of_another_clock_is_found_early_and_late(truth, lag):
 def test_a_lag_that_is_known_is_taken(truth):
     stamps = {c.name: even(2.5e-3) for c in CHANNELS}
     run = replace(recording(truth, stamps, 0.03), lags={"b": 0.03})
-    record = record_of(run, NETWORK)
+    record = build_record(run, NETWORK)
     assert record.clocks == () and left(record).max() < 3e-3
 
 
@@ -136,7 +134,7 @@ def test_inputs_on_two_clocks_ask_for_the_lag():
         for c in (*network.inputs, *network.outputs)
     }
     with pytest.raises(InputError, match=r'road on a, push on b.*"lag" in the map'):
-        record_of(Recording("run", signals), network)
+        build_record(Recording("run", signals), network)
 
 
 def test_a_rate_below_twice_the_motion_is_refused(truth):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isd_gym.data import Table, check
-from isd_gym.discrepancy.records import read
+from isd_gym.discrepancy.records import read_record
 from isd_gym.errors import InputError
 from isd_gym.network import Network, own_time
 from isd_gym.simulate import simulate
@@ -43,7 +43,7 @@ def rig(period: float, size: float) -> tuple[Network, Table]:
 
 def told(network: Network, table: Table) -> list[str]:
     notes: list[str] = []
-    read(table, network, notes)
+    read_record(table, network, notes)
     return [n for n in notes if "unit" in n]
 
 
@@ -76,4 +76,4 @@ def test_a_slip_of_the_unit_is_told_at_the_rigs_own_scale() -> None:
 def test_a_slow_rig_in_milliseconds_is_refused_as_a_car_is() -> None:
     network, table = rig(40.0, 0.1)
     with pytest.raises(InputError, match="another unit than s"):
-        read(Table(1e3 * table.time, table.columns, "rig"), network, [])
+        read_record(Table(1e3 * table.time, table.columns, "rig"), network, [])

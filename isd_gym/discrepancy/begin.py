@@ -12,11 +12,10 @@ from ..data import Table
 from ..errors import InputError
 from ..network import Network, assemble
 from ..units import convert
-from .align import Lag, aligned, read_again
 from .fit import Fitter
 from .noise import floors_of, plain
 from .problem import Array, Problem, bare
-from .records import read
+from .records import Lag, align_clocks, read_record
 from .states import carrier
 from .structure import base_structure
 
@@ -66,8 +65,8 @@ def initial_state(
             "initial state: none of the model's outputs is measured, so that there is nothing to fit it to"
         )
     notes: list[str] = []
-    record = read(data, network, notes, ("all",))
-    (record,), lags = aligned([record], network, lambda r, known: read_again(r, known, network))
+    record = read_record(data, network, notes, ("all",))
+    (record,), lags = align_clocks([record], network)
     problem = Problem(network, [record], ["fit"])
     structure = base_structure(network)
     noise = np.array([f.deviation for f in floors_of(problem)])

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..loggers.recording import Recording
-    from .rasters import Reading
+    from .records.multirate import OutputSampler
 
 #: what a record is for: to fit by, to choose among candidates by, to report by
 Role = Literal["fit", "choose", "report"]
@@ -53,7 +53,9 @@ class Record:
         0  # compared samples left out at either end, where the low-pass had to guess; inputs reach over them
     )
     lead: int = 0  # compared samples' worth of inputs before the first: what remembers has forgotten its beginning by then
-    reading: Reading | None = None  # of channels with stamps of their own: how the simulation is read at them
+    reading: OutputSampler | None = (
+        None  # of channels with stamps of their own: how the simulation is read at them
+    )
     clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
     late: tuple[Array, ...] = ()  # (channels,) of each: whether a channel has its stamps
     lags: Mapping[str, float] = field(default_factory=dict)  # [s] what is taken for it, clock by clock

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..network import Network
-    from .align import Lag
     from .criteria import Criteria, Gate, Reason
     from .evidence import Evidence
     from .problem import Array
+    from .records import Lag
     from .settings import SearchSettings
 
 SCHEMA = "isd-diagnosis/1"

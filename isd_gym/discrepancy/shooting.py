@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..network import Network, assemble
 from .fit import Fitter
 from .problem import Array, Problem, bare
-from .records import stretches
+from .records import cut_segments
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -43,7 +43,7 @@ def begun(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> 
     weights: a fitter of the same channels, whose weights are used.
     """
     pieces = [
-        s for i in problem.estimation for s in stretches(problem.records[i], STRETCH * problem.time, LEAST)
+        s for i in problem.estimation for s in cut_segments(problem.records[i], STRETCH * problem.time, LEAST)
     ]
     if len(pieces) <= len(problem.estimation):
         return None

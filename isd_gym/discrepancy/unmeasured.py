@@ -34,7 +34,7 @@ from .hypotheses import hypotheses
 from .likelihood import IMPOSSIBLE, Likelihood, Number
 from .noise import floors_of, lagged, predicted
 from .problem import Array, Problem
-from .records import read
+from .records import read_record
 from .result import Quantity, _plain
 from .structure import REACH as FAR
 from .structure import Hypothesis, Structure, add, base_structure
@@ -253,7 +253,7 @@ def identify(
     network, name = _riding(owner, road)
     notes: list[str] = []
     tables = [data] if isinstance(data, Table | Recording | str | Path) else list(data)
-    records = [read(t, _frameless(network, name), notes, accept) for t in tables]
+    records = [read_record(t, _frameless(network, name), notes, accept) for t in tables]
     if not records:
         raise InputError("data: no records")
     for r in records:

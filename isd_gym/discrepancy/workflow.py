@@ -16,7 +16,6 @@ from ..errors import InputError
 from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
-from .align import aligned, read_again
 from .candidate import BROKEN, Candidate, reckoned, values_of
 from .criteria import CRITERIA, Criteria, Decision, confidence, decide
 from .explain import law, places, table_law
@@ -27,8 +26,15 @@ from .measure import intervals, measure
 from .noise import plain, whitener
 from .planning import next_experiment, played
 from .problem import Problem, Record, Role, bare, pace
-from .rasters import fast_enough
-from .records import FORGETS, dealt, derivatives, read, stretches
+from .records import (
+    LEAD_IN,
+    align_clocks,
+    check_sampling_rates,
+    cut_segments,
+    differentiate_inputs,
+    read_record,
+    split_records,
+)
 from .result import (
     BestCandidate,
     Contender,
@@ -86,22 +92,23 @@ def diagnose(
         network = network_cut(network, cut)
         left = [e.name for e in whole_network.elements if e.name not in {x.name for x in network.elements}]
         notes.append(f"cut at {cut}, which {network.inputs[0].name} moves; left out: {', '.join(left)}")
-    fit = [read(d, network, notes, accept) for d in _several(data, "data")]
-    held = [read(d, network, notes, accept) for d in _several(validate, "validate")] if len(validate) else []
-
-    def again(r: Record, known: Mapping[str, float], by: Network = network) -> Record:
-        return read_again(r, known, by)
+    fit = [read_record(d, network, notes, accept) for d in _several(data, "data")]
+    held = (
+        [read_record(d, network, notes, accept) for d in _several(validate, "validate")]
+        if len(validate)
+        else []
+    )
 
     for record in (*fit, *held):
-        fast_enough(record, network)
-    loose, lags = aligned([*fit, *held], network, again, steps.max_lag)
-    filtered = derivatives(loose, network)
+        check_sampling_rates(record, network)
+    loose, lags = align_clocks([*fit, *held], network, steps.max_lag)
+    filtered = differentiate_inputs(loose, network)
     kept: list[Role] = ["fit"] * len(fit)
     kept += ["report"] * len(held)
     whole = Problem(network, filtered, kept)
     # a rig whose whole motion is prescribed begins a stretch with nothing but what its laws remember
-    lead = 0.0 if assemble(bare(network)).size[0] else FORGETS * whole.time
-    records, roles = dealt(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time, lead)
+    lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * whole.time
+    records, roles = split_records(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time, lead)
     problem = Problem(network, records, roles)
     flow = Workflow(
         problem, whole, progress or (lambda line: None), seed, steps, criteria, held_from(whole, problem)
@@ -112,7 +119,7 @@ def diagnose(
     if (
         found.verdict == "missing_effect" and lags and isinstance(found.model, Network)
     ):  # what was missing had a part in them
-        _, lags = aligned(loose, found.model, again, doubts=lags)
+        _, lags = align_clocks(loose, found.model, previous=lags)
     found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
     if cut is not None and isinstance(found.model, Network):
         found = replace(found, whole=rejoin(whole_network, found.model))
@@ -122,7 +129,7 @@ def diagnose(
 def held_from(whole: Problem, problem: Problem) -> tuple[float, ...]:
     """Time [s] from which each whole record takes no part in fitting; infinite for the records that are fitted to the end.
 
-    whole: the records as they came. problem: the same as `dealt`, those to fit by first.
+    whole: the records as they came. problem: the same as `split_records` returns them, those to fit by first.
     """
     fitted = len(problem.estimation)
     if len(whole.records) == fitted == 1:
@@ -232,7 +239,7 @@ class Workflow:
         seconds = seconds if times else max(seconds, self.settings.least_brief * slowest)
         pieces: dict[Role, list[Record]] = {"fit": [], "choose": [], "report": []}
         for r, role in zip(p.records, p.roles, strict=True):
-            pieces[role] += stretches(r, seconds, self.settings.shortest)
+            pieces[role] += cut_segments(r, seconds, self.settings.shortest)
         records: list[Record] = []
         roles: list[Role] = []
         for role, own in pieces.items():

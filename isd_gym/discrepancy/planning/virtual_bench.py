@@ -23,7 +23,7 @@ from ..judge import LEAST_NOISE, SMALL, Judge
 from ..motion import motions
 from ..noise import floor_of, innovations, plain, whitener
 from ..problem import Array, Problem, Record, bare
-from ..records import dealt, derivatives
+from ..records import differentiate_inputs, split_records
 from ..structure import Structure, base_structure
 from ..unmodelled import unmodelled
 
@@ -85,9 +85,9 @@ class VirtualBench:
             replace(r, measured=y + self.noise * rng.standard_normal(y.shape))
             for r, y in zip(records, clean, strict=True)
         ]
-        noisy = derivatives(noisy, self.network)
+        noisy = differentiate_inputs(noisy, self.network)
         self._whole = Problem(self.network, noisy, ["fit"] * len(noisy))
-        pieces, roles = dealt(noisy, [], [], self._whole.time)
+        pieces, roles = split_records(noisy, [], [], self._whole.time)
         index = {r.name: k for k, r in enumerate(noisy)}
         self._cuts = []  # record, first sample and end of each piece
         for p in pieces:

@@ -1,0 +1,26 @@
+"""Measured records: reading, filtering, several sampling rates, clock lags, and the training/validation/test split.
+
+`reading` checks and converts a source, `multirate` builds records from channels with time stamps of their own, `clock_lag`
+estimates the lags of other loggers' clocks, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
+and test records.
+"""
+
+from .clock_lag import Lag, align_clocks
+from .filtering import choose_decimation, count_derivatives, differentiate_inputs
+from .multirate import build_record, check_sampling_rates
+from .reading import read_record
+from .splitting import LEAD_IN, cut_segments, split_records
+
+__all__ = [
+    "LEAD_IN",
+    "Lag",
+    "align_clocks",
+    "build_record",
+    "check_sampling_rates",
+    "choose_decimation",
+    "count_derivatives",
+    "cut_segments",
+    "differentiate_inputs",
+    "read_record",
+    "split_records",
+]

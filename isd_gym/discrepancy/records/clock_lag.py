@@ -1,0 +1,360 @@
+"""Lag of another logger's clock, estimated with the nominal model for each record.
+
+A wide search with the model linear in parameters and initial state comes first. Gauss-Newton iterations over lags,
+parameters and initial state follow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...errors import InputError
+from ..fit import Fit, Fitter
+from ..initial import guess
+from ..noise import plain
+from ..problem import Array, Problem, Record
+from ..structure import Structure, base_structure
+from ..tangent import tangents
+from .multirate import build_record
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ...network import Network
+
+#: Largest lag that is searched [s].
+LIMIT = 0.5
+#: Number of lags in the wide search.
+TRIALS = 400
+#: Largest number of samples of a channel in the wide search.
+ROWS = 1500
+#: Least number of samples of a channel in the wide search.
+FEWEST = 16
+#: Assumed model error before any fit, as a share of a signal's deviation.
+ROUGH = 0.1
+#: Widths of the refinement about the best lag of the wide search, in time scales of the record.
+WIDTHS = (0.15, 0.06, 0.025, 0.01)
+#: Number of blocks whose scatter gives the confidence interval.
+BLOCKS = 20
+#: Largest number of Gauss-Newton rounds.
+ROUNDS = 6
+#: Largest change of a lag per round, in time scales of the record: outputs are linear over shorter times only.
+STRIDE = 0.3
+#: Ratio to the least cost up to which other minima of the wide search are fitted, too.
+RIVAL = 4.0
+#: Largest number of other minima that are fitted.
+MANY = 6
+#: Ratio to the least cost of fits up to which another lag counts as nearly as good.
+ALIKE = 1.3
+
+
+@dataclass(frozen=True)
+class Lag:
+    """Estimated lag of a clock in a record."""
+
+    record: str
+    clock: str
+    #: Delay of the time stamps [s], positive where they are late.
+    value: float
+    #: Lower end of the 95 % interval [s].
+    low: float
+    #: Upper end of the 95 % interval [s].
+    high: float
+    #: Reason to doubt the lag, such as another lag that is nearly as good; empty without doubt.
+    doubt: str = ""
+
+    def __str__(self) -> str:
+        half = 0.5 * (self.high - self.low)
+        text = f"{self.record}: the clock of {self.clock.partition(' ')[2] or self.clock} is {abs(1e3 * self.value):.2f} ms "
+        text += f"{'late' if self.value >= 0 else 'early'} (+- {1e3 * half:.2g} ms)"
+        return f"{text}; {self.doubt}" if self.doubt else text
+
+
+def align_clocks(
+    records: Sequence[Record],
+    network: Network,
+    limit: float = LIMIT,
+    previous: Sequence[Lag] | None = None,
+) -> tuple[list[Record], list[Lag]]:
+    """Estimate the lags of other clocks together with the parameters of a model.
+
+    Args:
+        records: Records; records with a single clock stay as they are.
+        network: The model.
+        limit: Largest lag that is searched [s].
+        previous: Lags found with an earlier model, at which `records` stand. The wide search is left out then.
+
+    Returns:
+        The records with their clocks aligned, and the lags.
+    """
+    if not any(r.clocks for r in records):
+        return list(records), []
+    out = list(records)
+    doubts = {i: x.doubt for i, r in enumerate(out) for x in previous or () if x.record == r.name}
+    structure = base_structure(network)
+    problem = _problem_of(network, out)
+    for i, r in enumerate(out):
+        if r.clocks and previous is None:
+            found, doubts[i], rivals = _search_lags(problem, structure, i, limit)
+            out[i] = _apply_lags(r, found, network)
+            if rivals:
+                out[i], doubts[i] = _fit_rivals(out[i], rivals, network)
+    x, fit = structure.start, None
+    for _ in range(ROUNDS):
+        problem = _problem_of(network, out)
+        deviation = np.maximum(problem.measured().std(axis=0), 1e-300)
+        try:
+            fit = Fitter(problem, plain(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
+        except InputError:  # the simulation diverges: the lags of the wide search stay
+            break
+        x, moved = fit.x, 0.0
+        for i, r in enumerate(out):
+            if r.clocks:
+                step = _clip_step(r, fit.offset[i][len(problem.channels) :])
+                moved = max(moved, float(np.abs(step).max() / r.pace))
+                lags = {k: r.lags[k] + float(s) for k, s in zip(r.clocks, step, strict=True)}
+                out[i] = _apply_lags(r, lags, network)
+        if moved < 1e-3:
+            break
+    if fit is None:
+        return out, []
+    problem = _problem_of(network, out)
+    return out, [lag for i in range(len(out)) for lag in _estimate_lags(problem, fit, i, doubts.get(i, ""))]
+
+
+def _problem_of(network: Network, records: Sequence[Record]) -> Problem:
+    """Return the problem in which all records are training records."""
+    return Problem(network, records, ["fit"] * len(records))
+
+
+def _apply_lags(record: Record, lags: Mapping[str, float], network: Network) -> Record:
+    """Return a record, built again from its recording with other lags [s]."""
+    assert record.source is not None
+    return replace(build_record(record.source, network, lags), name=record.name)
+
+
+def _clip_step(record: Record, step: Array) -> Array:
+    """Return steps of lags [s], limited to `STRIDE` time scales."""
+    return np.clip(step, -STRIDE * record.pace, STRIDE * record.pace)
+
+
+def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[Lag]:
+    """Return the lags of a record after a fit, with confidence intervals from the scatter of blocks."""
+    r, out = problem.records[index], []
+    if not r.clocks or index not in fit.outputs:
+        return []
+    y = fit.outputs[index]
+    n = min(len(y), len(r.measured))
+    residual = r.measured[:n] - y[:n]
+    size = np.maximum(residual.std(axis=0), 1e-300)
+    slope = np.gradient(y[:n], r.rate, axis=0)
+    for k, (clock, own) in enumerate(zip(r.clocks, r.late, strict=True)):
+        s = slope[:, own] / size[own]
+        score, information = (s * residual[:, own] / size[own]).sum(axis=1), (s**2).sum(axis=1)
+        parts = np.array([p.sum() for p in np.array_split(score - score.mean(), BLOCKS)])
+        half = 1.96 * math.sqrt(float(np.sum(parts**2))) / max(float(information.sum()), 1e-300)
+        value = r.lags[clock] + float(fit.offset[index][len(problem.channels) + k])
+        out.append(Lag(r.name, clock, value, value - half, value + half, doubt))
+    return out
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Smoothed and thinned samples of a measured channel."""
+
+    #: Time stamps [s] (n,).
+    time: Array
+    #: Values in the units of the model (n,).
+    values: Array
+    #: Standard deviation of the values.
+    deviation: float
+
+
+@dataclass(frozen=True)
+class _LagCost:
+    """Least squares of a record as a function of one clock's lag, minimised over parameters and initial state."""
+
+    #: Samples of the channels with a known clock and of the late channels, by channel index.
+    samples: Mapping[int, _Samples]
+    #: Indices of the channels with a known clock.
+    known: Sequence[int]
+    #: Indices of the late channels.
+    late: Sequence[int]
+    #: Simulation grid [s].
+    grid: np.ndarray
+    #: Interval of the grid [s].
+    step: float
+    #: Simulated outputs and their derivatives by parameters and initial state (grid, channels, 1 + unknowns).
+    columns: Array
+    #: One over the prior standard deviation of each unknown.
+    prior: Array
+    #: Whether each channel has a free offset (channels,).
+    free_offset: Array
+
+    def __call__(self, lag: float) -> float:
+        """Return the least sum of squares at a lag [s]."""
+        rows = np.concatenate([*self._fixed, *(self._rows(j, lag) for j in self.late)])
+        b, A = rows[:, 0] - rows[:, 1], rows[:, 2:]
+        if not A.shape[1]:
+            return float(b @ b)
+        H = A.T @ A + np.diag(self.prior**2)
+        g = A.T @ b
+        return float(b @ b - g @ np.linalg.solve(H + 1e-12 * np.trace(H) * np.eye(len(H)) / len(H), g))
+
+    @cached_property
+    def _fixed(self) -> list[Array]:
+        return [self._rows(j, 0.0) for j in self.known]
+
+    def _rows(self, channel: int, lag: float) -> Array:
+        """Return measured values, simulated values and derivatives of a channel (n, 2 + unknowns), weighted."""
+        samples = self.samples[channel]
+        place = (samples.time - lag - self.grid[0]) / self.step
+        k = np.clip(place.astype(int), 0, len(self.grid) - 2)
+        u = (place - k)[:, None]
+        simulated = (1 - u) * self.columns[k, channel] + u * self.columns[k + 1, channel]
+        out = np.column_stack([samples.values, simulated])
+        mean = out.mean(axis=0) * self.free_offset[channel]
+        return np.asarray((out - mean) / (ROUGH * samples.deviation))
+
+
+def _search_lags(
+    problem: Problem, base: Structure, index: int, limit: float
+) -> tuple[dict[str, float], str, list[float]]:
+    """Search the lag of each clock of a record, one clock after the other, over a wide range.
+
+    Args:
+        problem: The records.
+        base: The nominal model.
+        index: Index of the record.
+        limit: Largest lag [s].
+
+    Returns:
+        Lag of each clock [s], a reason to doubt the lags, and lags of a single clock that may be better after a fit [s].
+    """
+    record = problem.records[index]
+    x0 = guess(problem, base.at(base.start), index)
+    fine = Problem(problem.network, [record.unread()], ["fit"], time=problem.time)
+    tangent = tangents(fine, base, base.start, {0: x0})[0]
+    columns = np.concatenate([tangent.outputs[:, :, None], tangent.by_parameter, tangent.by_state], axis=2)
+    lags, doubt = dict(record.lags), ""
+    if not np.isfinite(columns).all():
+        return lags, "the model breaks down before anything is fitted", []
+    prior = np.concatenate(
+        [1 / np.array([f.sigma for f in base.free]), np.full(tangent.by_state.shape[2], 1e-9)]
+    )
+    grid = record.start + record.step * np.arange(len(columns))
+    reach = min(limit, 0.25 * (grid[-1] - grid[0]))
+    known = [j for j in range(len(problem.channels)) if not any(own[j] for own in record.late)]
+    rivals: list[float] = []
+    for clock, own in zip(record.clocks, record.late, strict=True):
+        late = np.flatnonzero(own).tolist()
+        samples = {j: _thin_samples(problem, record, j, grid, reach) for j in (*known, *late)}
+        if min(len(s.values) for s in samples.values()) < FEWEST:
+            return lags, "too short to look for it", []
+        cost = _LagCost(samples, known, late, grid, record.step, columns, prior, problem.free_offset)
+        trials = _choose_trials(cost, record.pace, reach)
+        costs = np.array([cost(float(t)) for t in trials])
+        best = float(trials[np.argmin(costs)])
+        for width in WIDTHS:
+            near = best + width * record.pace * np.arange(-2, 3)
+            best = float(near[int(np.argmin([cost(float(t)) for t in near]))])
+        lags[clock] = best
+        count = sum(len(s.values) for s in samples.values())
+        doubt, rivals = _find_rivals(trials, costs, best, cost(best), count, record.pace, doubt)
+        if abs(best) > 0.97 * reach:
+            doubt = f"at the limit of {reach:.3g} s within which it was sought"
+    return lags, doubt, rivals if len(record.clocks) == 1 else []
+
+
+def _thin_samples(problem: Problem, record: Record, channel: int, grid: np.ndarray, reach: float) -> _Samples:
+    """Return the samples of a channel that every lag up to `reach` [s] leaves on the grid, at most about `ROWS`."""
+    assert record.source is not None
+    signal = record.source.signals[problem.channels[channel]]
+    inside = (signal.time > grid[0] + reach) & (signal.time < grid[-1] - reach)
+    time, values = signal.time[inside], (signal.values * problem.factors[channel])[inside]
+    stride = max(1, len(time) // ROWS)
+    if stride > 1:  # the motion tells a lag, not the noise above the motion
+        values = np.convolve(values, np.ones(stride) / stride, mode="same")
+    return _Samples(time[::stride], values[::stride], max(float(values.std()), 1e-300))
+
+
+def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
+    """Return lags [s] for the wide search, a quarter of the time scale `pace` [s] apart, at most about `TRIALS`.
+
+    Of more lags, those at which simulated and measured outputs correlate best are returned.
+    """
+    every = np.arange(-reach, reach + 0.25 * pace, 0.25 * pace)
+    if 0.25 * pace >= 2 * reach / TRIALS:
+        return every
+    score = np.zeros(len(every))
+    for j in cost.late:
+        time, v = cost.samples[j].time, cost.samples[j].values
+        x = np.stack([np.interp(time - lag, cost.grid, cost.columns[:, j, 0]) for lag in every])
+        x = x - x.mean(axis=1, keepdims=True)
+        size = np.linalg.norm(x, axis=1) * np.linalg.norm(v - v.mean())
+        score += x @ (v - v.mean()) / np.maximum(size, 1e-300)
+    return every[np.sort(np.argsort(-score)[:TRIALS])]
+
+
+def _find_rivals(
+    trials: Array, costs: Array, best: float, least: float, count: int, pace: float, doubt: str
+) -> tuple[str, list[float]]:
+    """Return a reason to doubt the best lag, and other minima of the wide search that a fit may prefer [s].
+
+    Args:
+        trials: Lags of the wide search [s] (n,).
+        costs: Cost of each lag (n,).
+        best: The best lag after refinement [s].
+        least: Cost of the best lag.
+        count: Number of samples.
+        pace: Time scale of the record [s].
+        doubt: Reason to doubt the lag of an earlier clock, returned where none is found here.
+    """
+    far = np.abs(trials - best) > 2.0 * pace
+    if far.any() and float(costs[far].min()) < 1.15 * least + 0.02 * count:
+        doubt = _say_rival(float(trials[far][int(np.argmin(costs[far]))]))
+    valleys = [
+        k
+        for k in range(1, len(trials) - 1)
+        if costs[k] <= min(costs[k - 1], costs[k + 1])
+        and abs(trials[k] - best) > pace
+        and costs[k] < RIVAL * least
+    ]
+    small = sorted(valleys, key=lambda k: abs(trials[k]))[: MANY // 2]  # small lags are more likely
+    chosen = list(dict.fromkeys([*small, *sorted(valleys, key=lambda k: costs[k])]))[:MANY]
+    return doubt, [float(trials[k]) for k in chosen]
+
+
+def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tuple[Record, str]:
+    """Return a record with the best lag after a fit of parameters and initial state, and a reason to doubt the lag.
+
+    Args:
+        record: The record with the best lag of the wide search.
+        rivals: Other lags of the only clock [s].
+        network: The model.
+    """
+    (clock,) = record.clocks
+    structure, tried = base_structure(network), []
+    for r in [record, *(_apply_lags(record, {clock: lag}, network) for lag in rivals)]:
+        weights = plain(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
+        try:
+            fit = Fitter(_problem_of(network, [r]), weights).fit(structure, iterations=5)
+        except InputError:
+            continue
+        (step,) = _clip_step(r, fit.offset[0][len(network.outputs) :])
+        tried.append(((fit.cost + fit.prior) / len(r), r.lags[clock] + float(step)))
+    if not tried:
+        return record, "the model breaks down before anything is fitted"
+    least, best = min(tried)
+    alike = [lag for cost, lag in tried if cost < ALIKE * least and abs(lag - best) > record.pace]
+    doubt = _say_rival(min(alike, key=abs)) if alike else ""
+    return _apply_lags(record, {clock: best}, network), doubt
+
+
+def _say_rival(lag: float) -> str:
+    return f"{1e3 * lag:.4g} ms would be nearly as good"

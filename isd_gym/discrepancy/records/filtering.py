@@ -1,0 +1,275 @@
+"""Low-pass filtering and differentiation of noisy measured inputs that move a node.
+
+Model outputs and measured outputs pass the same low-pass, so the filter causes no bias. The pass band keeps every frequency
+at which an output holds a signal, and leaves out frequencies at which derivatives of the inputs are noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import firwin, welch
+
+from ...errors import InputError
+from ...network import MOTIONS, natural_frequencies, transfer
+from ..between import differences
+from ..problem import low_pass
+from .multirate import build_record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ...arrays import Array
+    from ...network import Channel, Network
+    from ..problem import Record
+
+#: Relative noise (RMS) of a derivative below which no low-pass is needed.
+QUIET = 0.02
+#: Share of the Nyquist frequency above which a low-pass removes too little to be worth its margins.
+WIDE = 0.7
+#: Cutoff of the low-pass as a share of the Nyquist frequency of the compared samples; the rest holds the roll-off.
+FILLED = 0.85
+#: Share of the cutoff up to which the low-pass keeps a signal whole (the gain at the cutoff is one half).
+PASSED = 0.75
+#: Ratio of an output's power density to the noise density above which the output holds a signal (2: equal parts).
+VISIBLE = 2.0
+#: Share of each output's power above its noise that must be kept at any frequency. Of a force that switches with the sign of a
+#: rate, the remainder is harmonics, for which noisier derivatives would have to be compared.
+KEPT = 0.95
+#: Multiple of the natural frequencies up to which the model resonates; the whole signal is kept there, however small its power.
+ABOVE_RESONANCE = 2.0
+#: Factor about a natural frequency within which input motion counts as excitation, since nominal parameters may be off.
+NEAR = 1.25
+#: Least number of independent periodogram values in a smoothed power density, for a standard error of about 12 %.
+AVERAGES = 64
+#: Largest number of samples of a periodogram.
+LENGTH = 2048
+
+
+def differentiate_inputs(records: list[Record], network: Network) -> list[Record]:
+    """Return the records with low-passed inputs and their derivatives, where noisy inputs have to be differentiated.
+
+    Args:
+        records: Training, validation and test records.
+        network: The nominal model.
+
+    Returns:
+        New records, all behind one low-pass; `records` itself where no low-pass is needed, or where sampling intervals differ.
+    """
+    orders = count_derivatives(network)
+    step = records[0].step
+    if not orders or any(abs(r.step - step) > 1e-3 * step for r in records):
+        return records
+    thin = choose_decimation(records, network)
+    if thin < 2:
+        return records
+    shortest = min(r.samples for r in records)
+    cutoff = FILLED * 0.5 / (step * thin)
+    size = min(2 * math.ceil(4.0 / (cutoff * step)) + 1, 2 * (shortest // 8) + 1)
+    taps = firwin(size, cutoff, fs=1 / step, window=("kaiser", 6.0))
+    # near the ends of a record the filter extrapolates: inputs and outputs there are not compared
+    margin = min(math.ceil(len(taps) / thin), shortest // (8 * thin))
+    moved = [c.name for c in network.moving if c.name in orders]
+    out = []
+    for r in records:
+        if r.source is not None:  # outputs with time stamps of their own
+            made = build_record(r.source, network, r.lags, thin=thin, cutoff=cutoff)
+            filtered = replace(made, name=r.name, taps=taps)
+        else:
+            kept = slice(margin * thin, r.samples - margin * thin, thin)
+            measured = low_pass(r.measured, taps)[kept]
+            filtered = replace(r, measured=measured, taps=taps, margin=margin, thin=thin)
+        inputs = dict(filtered.inputs) | {n: low_pass(filtered.inputs[n], taps) for n in moved}
+        slopes = {n: differences(inputs[n], filtered.step) for n in moved}
+        out.append(replace(filtered, inputs=inputs, slopes=slopes))
+    return out
+
+
+def count_derivatives(network: Network) -> dict[str, int]:
+    """Return the inputs that move a node and have to be differentiated.
+
+    Args:
+        network: The nominal model.
+
+    Returns:
+        Input name -> how often the input is differentiated, 1 or 2.
+    """
+    orders = {
+        c.name: _highest_derivative(network, str(c.at)) - MOTIONS.index(c.quantity) for c in network.moving
+    }
+    return {name: order for name, order in orders.items() if order > 0}
+
+
+def _highest_derivative(network: Network, node: str) -> int:
+    """Return the highest derivative of the displacement of a moved node that forces need: 2 where inertia acts on the node."""
+    here = [e for e in network.elements if e.place == "between" and node in e.where]
+    if any(e.linear()[2] for e in here):
+        return 2
+    has_force_sensor = any(c.quantity == "force" and c.at == node for c in network.outputs)
+    return 1 if has_force_sensor or any(e.linear()[1] for e in here) else 0
+
+
+def choose_decimation(records: Sequence[Record], network: Network) -> int:
+    """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency.
+
+    The low-pass ends where the derivatives of the inputs become noise (`find_derivative_band`), but never within the band
+    in which an output holds a signal (`find_signal_band`).
+
+    Args:
+        records: Records of one sampling interval.
+        network: The nominal model.
+
+    Returns:
+        1 where no low-pass is needed, or where every low-pass would remove signal.
+    """
+    orders = count_derivatives(network)
+    nyquist = 0.5 / records[0].step
+    bands = [
+        find_derivative_band(r, network, c, orders[c.name])
+        for r in records
+        for c in network.moving
+        if c.name in orders
+    ]
+    end = min(bands, default=math.inf)
+    if end > WIDE * nyquist:
+        return 1
+    keep = max(find_signal_band(r, network) for r in records)
+    most = FILLED * PASSED * nyquist / max(keep, 1e-300)
+    return max(min(math.ceil(nyquist / end), math.floor(most)), 1)
+
+
+def find_derivative_band(record: Record, network: Network, channel: Channel, order: int) -> float:
+    """Return the frequency [Hz] up to which the derivative of an input is signal rather than noise.
+
+    The band ends in the valley between motion and noise. A force sensor at the moved node gives a better estimate
+    (`_find_force_band`).
+
+    Args:
+        record: The measured record.
+        network: The nominal model.
+        channel: The input.
+        order: How often the input is differentiated.
+
+    Returns:
+        The frequency [Hz]; infinite where the noise of the derivative is too small to matter.
+    """
+    x, step = record.inputs[channel.name], record.step
+    f, density = _estimate_density(np.diff(x, order), step)
+    width = max(3, len(f) // 64)
+    level = _smooth_logarithm(density, width)
+    peak = int(np.argmax(level[: max(2, len(f) // 2)]))
+    valley = peak + int(np.argmin(level[peak : len(f) - width]))
+    if math.sqrt(density[valley:].sum() / max(density.sum(), 1e-300)) < QUIET:
+        return math.inf
+    end = float(f[valley])
+    sensors = [j for j, c in enumerate(network.outputs) if c.quantity == "force" and c.at == channel.at]
+    if sensors and len(record) == len(x):
+        motion = _integrate_density(f, density, step, order)
+        found = _find_force_band(record, network, channel, sensors[0], f, motion, valley)
+        end = end if found is None else found
+    return max(end, float(20 * f[1]))
+
+
+def _find_force_band(
+    record: Record,
+    network: Network,
+    channel: Channel,
+    output: int,
+    frequency: Array,
+    motion: Array,
+    valley: int,
+) -> float | None:
+    """Return the frequency [Hz] above which the force that the model computes from a measured motion is noise.
+
+    From there on up the computed force has 1.5 times the power of the measured force. A missing effect causes such an
+    excess at some frequencies only.
+
+    Args:
+        record: The measured record.
+        network: The nominal model.
+        channel: The input that moves the node.
+        output: Index of the force sensor at the node.
+        frequency: Frequencies [Hz] (n,).
+        motion: Power density of the measured motion (n,).
+        valley: Index of the frequency up to which computed and measured power are made equal.
+
+    Returns:
+        The frequency [Hz]; None where the linear model has no frequency response.
+    """
+    try:
+        gain = transfer(network, frequency)[:, output, network.inputs.index(channel)]
+    except (InputError, np.linalg.LinAlgError):
+        return None
+    width = max(3, len(frequency) // 64)
+    top = len(frequency) - width
+    computed = _smooth_logarithm(motion * np.abs(gain) ** 2, width)
+    seen = _smooth_logarithm(_estimate_density(record.measured[:, output], record.step)[1], width)
+    computed = computed * (
+        seen[:valley].sum() / max(computed[:valley].sum(), 1e-300)
+    )  # parameters may be off
+    signal = np.flatnonzero(computed[:top] < 1.5 * seen[:top])
+    return float(frequency[signal[-1]]) if len(signal) else 0.0
+
+
+def find_signal_band(record: Record, network: Network) -> float:
+    """Return the frequency [Hz] up to which a record holds a signal that the comparison must keep.
+
+    An output holds a signal where its power density is `VISIBLE` times its own noise density. The band includes
+
+    - every signal within the resonance of the nominal model (`ABOVE_RESONANCE`): slow motion has most of the power of a
+      displacement, but parameters and effects differ most at resonance;
+    - every signal of a displacement, since the noise of a derivative reaches a displacement only through a mass;
+    - `KEPT` of the power of forces and accelerations, which show the noise of derivatives directly;
+    - every natural frequency at which an input moves, with or without response.
+
+    Args:
+        record: The measured record.
+        network: The nominal model.
+    """
+    natural = natural_frequencies(network)
+    resonant = ABOVE_RESONANCE * float(natural.max(initial=0.0))
+    highest = 0.0
+    for c, y in zip(network.outputs, record.measured.T, strict=True):
+        f, density = _estimate_density(y, record.rate)
+        seen = _smooth(density)
+        above = np.maximum(seen - VISIBLE * float(seen.min()), 0.0)
+        power = np.cumsum(above)
+        bulk = f[np.searchsorted(power, KEPT * power[-1])] if power[-1] > 0 else 0.0
+        holds = (above > 0) & ((f < resonant) | (c.quantity == "displacement"))
+        highest = max(highest, float(bulk), float(f[holds].max(initial=0.0)))
+    for c in network.moving:
+        f, density = _estimate_density(np.diff(record.inputs[c.name]), record.step)
+        motion = _smooth(_integrate_density(f, density, record.step, 1))
+        moves = motion > VISIBLE * float(motion.min())
+        for at in natural:
+            if moves[(f > at / NEAR) & (f < at * NEAR)].any():
+                highest = max(highest, ABOVE_RESONANCE * float(at))
+    return highest
+
+
+def _estimate_density(values: Array, step: float) -> tuple[Array, Array]:
+    """Return frequencies [Hz] and one-sided power density of a signal (n,) without its mean."""
+    return welch(values - values.mean(), 1 / step, nperseg=min(LENGTH, len(values) // 4))
+
+
+def _integrate_density(frequency: Array, density: Array, step: float, order: int) -> Array:
+    """Return the power density of a signal from the density of its differences of the given order."""
+    return density / np.maximum(2 * np.sin(math.pi * frequency * step), 1e-9) ** (2 * order)
+
+
+def _smooth_logarithm(density: Array, width: int) -> Array:
+    """Return geometric means of a power density over `width` neighbouring frequencies."""
+    window = np.ones(width) / width
+    return np.exp(np.convolve(np.log(np.maximum(density, 1e-300)), window, mode="same"))
+
+
+def _smooth(density: Array) -> Array:
+    """Return means of a power density over neighbouring frequencies, of at least `AVERAGES` independent values."""
+    inner = density.copy()
+    # the mean is removed and the density one-sided: the first and the last values are no noise densities
+    inner[:2], inner[-1] = density[2], density[-2]
+    return uniform_filter1d(inner, max(len(density) // 64, AVERAGES // 7, 3), mode="nearest")

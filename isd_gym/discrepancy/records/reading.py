@@ -1,0 +1,111 @@
+"""Reading of measured records: data checks and conversion of units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...data import Table, check, read_table
+from ...data.quality import CAR, Scale, admit, known_check
+from ...errors import InputError, MissingColumn
+from ...loggers.recording import Recording
+from ...network import Channel, Network, own_time, without
+from ...units import convert
+from ..problem import Array, Problem, Record
+from .filtering import count_derivatives
+from .multirate import build_record, check_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+#: Least number of samples of a record from which the scale of the outputs is estimated.
+LEAST_SAMPLES = 32
+
+
+def read_record(
+    source: Table | Recording | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
+) -> Record:
+    """Return a measured record that passed the data checks.
+
+    Args:
+        source: Table, recording of loggers, or file.
+        network: The nominal model, whose inputs and outputs the record must have.
+        notes: List to which warnings are appended.
+        accept: Names of data checks (or 'all') whose errors count as warnings.
+
+    Returns:
+        Record with inputs in SI units and outputs in the units of the channels.
+
+    Raises:
+        InputError: A column is missing, a check failed, or `accept` names no check.
+    """
+    for name in accept:
+        known_check(name)
+    if isinstance(source, Recording):
+        recording = source
+        notes += recording.notes
+        table = source.table()
+        if table is None:  # channels have time stamps of their own
+            scale = _estimate_scale(network, lambda: build_record(recording, network))
+            check_recording(recording, network, accept, notes, scale)
+            return build_record(recording, network, None, notes)
+        source = table
+    expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
+    table = source if isinstance(source, Table) else read_table(source, expected=expected)
+    for name in expected:
+        try:
+            table[name]
+        except MissingColumn as error:
+            raise InputError(f"{error}{without(network, name)}") from None
+    findings = check(
+        table,
+        inputs={c.name: c.spoken for c in network.inputs},
+        outputs={c.name: c.spoken for c in network.outputs},
+        scale=_estimate_scale(network, lambda: _convert_table(table, network)),
+    )
+    admit(table, findings, notes, accept)
+    return _convert_table(table.uniform(), network)
+
+
+def _convert_table(table: Table, network: Network) -> Record:
+    """Return the record of a uniformly sampled table, in the units of the model."""
+
+    def values(c: Channel, unit: str) -> Array:
+        return convert(np.asarray(table[c.name]), table.units.get(c.name) or c.unit, unit)
+
+    inputs = {c.name: values(c, c.si) for c in network.inputs}
+    measured = np.stack([values(c, c.unit) for c in network.outputs], axis=1)
+    return Record(Path(table.source).stem, table.step, inputs, measured, {}, float(table.time[0]))
+
+
+def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
+    """Return the time scale of the rig and the standard deviation of each output, simulated from rest.
+
+    Args:
+        network: The nominal model.
+        read: Function that returns the record before any data check.
+
+    Returns:
+        The time scale alone where the model has no input, where an input is differentiated twice (its noise would rule the
+        outputs), or where the record cannot be simulated.
+    """
+    scale = Scale(own_time(network) or CAR)
+    if not network.inputs or 2 in count_derivatives(network).values():
+        return scale
+    try:
+        raw = read().unread()
+        is_sound = raw.step > 0 and all(np.isfinite(x).all() for x in (*raw.inputs.values(), raw.measured))
+        if not is_sound or raw.samples < LEAST_SAMPLES:
+            return scale
+        rest = {c.name: raw.inputs[c.name][0] * (c.quantity == "displacement") for c in network.inputs}
+        moved = replace(raw, inputs={n: x - rest[n] for n, x in raw.inputs.items()})
+        problem = Problem(network, [moved], ["fit"])
+        outputs = problem.simulate([network], 0)[moved.samples // 2 :, :, 0] / problem.factors
+    except (InputError, np.linalg.LinAlgError):
+        return scale
+    spread = dict(zip(problem.channels, map(float, outputs.std(axis=0)), strict=True))
+    return replace(scale, spread={n: s for n, s in spread.items() if math.isfinite(s) and s > 0})

@@ -1,0 +1,124 @@
+"""Split of measured records into training, validation and test records."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from ..problem import Array, Record, Role
+
+#: Length of validation and test segments as a multiple of the rig's time scale, about 30 periods.
+SEGMENT = 200.0
+#: Least length of the segments of a short record, as a multiple of the rig's time scale.
+LEAST_SEGMENT = 40.0
+#: Simulated time before a segment where laws with memory have the only state, as a multiple of the rig's time scale.
+LEAD_IN = 100.0
+#: Least number of windows in which the end of the motion is looked for; as many windows are kept.
+WINDOWS = 8
+#: Ratio to the power of the quietest window below which a window is at rest.
+STILL = 4.0
+
+
+def split_records(
+    data: list[Record], validate: list[Record], notes: list[str], time: float, lead: float = 0.0
+) -> tuple[list[Record], list[Role]]:
+    """Split records into training, validation and test records.
+
+    Held-out records are cut into segments, alternately for validation and for test. Without `validate` the last third of
+    the records is held out, or the last third of the motion of a single record.
+
+    Args:
+        data: Training records, from which records are held out where `validate` is empty.
+        validate: Records held out by the user.
+        notes: List to which a statement on the split is appended.
+        time: Time scale of the rig [s].
+        lead: Time before each held-out segment that is simulated but not compared [s].
+
+    Returns:
+        The records, training records first, and their roles: "fit" (training), "choose" (validation), "report" (test). A
+        single held-out segment is for validation; no test record is left then.
+    """
+    training, held = data, validate
+    if not held and len(training) > 1:
+        count = max(1, len(training) // 3)
+        training, held = training[:-count], training[-count:]
+        notes.append(f"held out for validation and test: {', '.join(r.name for r in held)}")
+    elif not held:
+        (whole,) = training
+        first, rest = _split_record(whole)
+        training, held = [first], [rest]
+        used = len(first) + len(rest)
+        still = f"; its last {1 - used / len(whole):.0%}, where nothing moves, is left out"
+        notes.append(
+            "held out for validation and test: the last third of the motion of the only record"
+            + still * (used < len(whole))
+        )
+    segments = [s for r in held for s in cut_segments(r, _choose_length(r, time), lead=lead)]
+    roles: list[Role] = ["choose" if k % 2 == 0 else "report" for k in range(len(segments))]
+    if len(segments) > 1:
+        notes.append(
+            f"{len(segments)} held-out segments, alternately for validation (choice of effects) and test (reported figures)"
+        )
+    else:
+        notes.append("too little is held out for test records: the reported figures are those of validation")
+    fitted: list[Role] = ["fit"] * len(training)
+    return [*training, *segments], fitted + roles
+
+
+def _choose_length(record: Record, time: float) -> float:
+    """Return the length [s] of the held-out segments of a record; a short record with inputs gives four segments."""
+    if not record.inputs:
+        return SEGMENT * time
+    return min(SEGMENT * time, max(0.25 * len(record) * record.rate, LEAST_SEGMENT * time))
+
+
+def _split_record(record: Record) -> tuple[Record, Record]:
+    """Split a record where the outputs have covered two thirds of their path: a decay hardly moves in its last third."""
+    y = record.measured - record.measured.mean(axis=0)
+    width = max(1, int(0.2 * record.pace / record.rate))
+    smooth = np.apply_along_axis(lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y)
+    change = np.abs(np.diff(smooth, axis=0)) / np.maximum(y.std(axis=0), 1e-300)
+    end = _find_rest(record, y)
+    path = np.cumsum(np.sum(change, axis=1))[: max(end - width, 1)]
+    at = int(np.searchsorted(path, 2 / 3 * path[-1])) + width // 2
+    # a steep decay covers most of its path in its first moments
+    at = min(max(at, end // 8, 32), end - max(end // 6, 32))
+    return record.part(0, at, record.name), record.part(at, end, record.name)
+
+
+def _find_rest(record: Record, y: Array) -> int:
+    """Return the sample at which a record ends to be worth comparing: more than half of the record after it is noise.
+
+    Args:
+        record: The record.
+        y: Its outputs without their mean (n, channels).
+    """
+    length = max(16, math.ceil(6 * record.pace / record.rate))
+    count = len(y) // length
+    if count < WINDOWS:
+        return len(y)
+    power = y[: count * length].reshape(count, length, -1).var(axis=1)
+    moving = np.flatnonzero((power > STILL * power.min(axis=0)).any(axis=1))
+    last = (int(moving[-1]) + 1 if len(moving) else count) * length
+    # a part of the rest is kept: a model must predict the rest, too
+    return len(y) if last > len(y) // 2 else max(last + last // 4, WINDOWS * length)
+
+
+def cut_segments(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
+    """Cut a record into segments of equal length, each with an initial state of its own.
+
+    Args:
+        record: The record.
+        seconds: Least length of a segment [s].
+        least: Least number of samples of a segment.
+        lead: Time before each segment that is simulated but not compared [s].
+    """
+    count = max(1, int(len(record) * record.rate / seconds))
+    count = min(count, max(1, len(record) // least))
+    edges = np.linspace(0, len(record), count + 1).astype(int)
+    before = int(lead / record.rate)
+    return [record.part(a, b, record.name, before) for a, b in pairwise(edges)]
