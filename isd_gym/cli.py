@@ -748,7 +748,7 @@ def _identify(
     json_file: Path | None,
 ) -> None:
     """A model without its road, in the likelihood."""
-    from .discrepancy.unmeasured import FOLDER, identify
+    from .discrepancy.unknown_input import FOLDER, identify
     from .files import check_folder
     from .loggers.records import outputs_of, records_of
 

@@ -10,8 +10,14 @@ from typer.testing import CliRunner
 from isd_gym import cli, simulate
 from isd_gym.data import Table, write_table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy import unmeasured as search
-from isd_gym.discrepancy.unmeasured import coloured_share, identify, plausible_range
+from isd_gym.discrepancy.unknown_input import identify
+from isd_gym.discrepancy.unknown_input.decision import (
+    check_fit,
+    compute_coloured_shares,
+    find_plausible_range,
+)
+from isd_gym.discrepancy.unknown_input.estimation import ModelFit, TimeLimit, estimate_uncertainty
+from isd_gym.discrepancy.unknown_input.identification import prepare_model
 from isd_gym.errors import InputError
 from isd_gym.loggers import Recording, Signal
 from isd_gym.network import Network
@@ -89,7 +95,7 @@ def test_what_is_asked_for_wrongly_is_said_in_a_line():
         identify([], car(False))
     cell = car(False).to_dict()
     cell["outputs"].append({"name": "F", "quantity": "force", "at": "road", "unit": "N"})
-    with pytest.raises(InputError, match="who has that has the road"):
+    with pytest.raises(InputError, match="the node whose motion is unknown"):
         identify([], Network.load(cell))
 
 
@@ -149,7 +155,7 @@ def test_rates_of_their_own_are_for_the_cut():
     units = {c.name: c.si for c in (*car(True).inputs, *car(True).outputs)}
     signals = {n: replace(s, unit=units[n]) for n, s in signals.items()}
     signals["l"] = replace(signals["l"], clock="another")
-    with pytest.raises(InputError, match="one raster; --cut"):
+    with pytest.raises(InputError, match="one sampling rate and one clock; --cut"):
         identify([Recording("run", signals)], unmeasured())
 
 
@@ -202,26 +208,15 @@ TWO = ("body_acceleration", "suspension_travel")
 THREE = (*TWO, "wheel_acceleration")
 
 
-def likelihood_of(table, owner):
-    """The likelihood at its start, as the search makes it."""
-    made = []
-
-    def keep(*args):
-        made.append(search_start(*args))
-        return made[0]
-
-    search_start, search._start = search._start, keep
-    try:
-        identify(table, owner, road="road", effects=False, max_seconds=1e-9)
-    finally:
-        search._start = search_start
-    return made[0]
+def kalman_model(table, owner):
+    """The model at the start of the fit."""
+    return prepare_model(table, owner, "road", (), [])
 
 
 def test_the_filter_has_a_solution_whatever_the_parameters():
     """The damper in series drifts, and no output sees its elongation: that must not keep the filter from its stationary state."""
-    L = likelihood_of(*sealed(THREE, 2.0))
-    x = np.array([n.mean for n in L.numbers])
+    L = kalman_model(*sealed(THREE, 2.0))
+    x = np.array([n.mean for n in L.priors])
     for k in range(len(x)):
         for step in (-0.3, -0.01, 0.001, 0.3):
             assert L.predict(x + step * (np.arange(len(x)) == k)) is not None
@@ -229,20 +224,20 @@ def test_the_filter_has_a_solution_whatever_the_parameters():
 
 def test_a_level_of_which_nothing_is_known_has_an_infinite_interval():
     """A road too even to be seen has a level of any size below: its 95 % interval overflowed."""
-    L = likelihood_of(short(), car(True))
-    x = np.array([n.mean for n in L.numbers])
+    L = kalman_model(short(), car(True))
+    x = np.array([n.mean for n in L.priors])
     x[len(L.structure.free)] = -70.0
-    estimates = search._estimates(L.structure.network, search.Fitted(L, x, L(x)))
+    estimates = estimate_uncertainty(L.structure.network, ModelFit(L, x, L.deviance(x)))
     assert estimates.level.high == np.inf and np.isfinite(estimates.level.value)
-    checks = search.soundness(L.structure.network, estimates, L.predict(x), np.ones(3))
-    (gate,) = [c.gate for c in checks if c.gate.name == "finite"]
+    gates = check_fit(L.structure.network, estimates, L.predict(x), np.ones(3))
+    (gate,) = [g for g in gates if g.name == "finite"]
     assert not gate.passed and (gate.value, gate.limit) == (1, 0)
 
 
 def test_a_model_that_runs_away_has_no_deviance():
     """Its prediction errors overflow; no warning and no exception comes of that."""
-    L = likelihood_of(short(), car(True))
-    x = np.array([n.mean for n in L.numbers])
+    L = kalman_model(short(), car(True))
+    x = np.array([n.mean for n in L.priors])
     (u, y), *_ = L.records
     assert L.predict(x) is not None
     assert replace(L, records=((u, np.full_like(y, np.inf)),)).predict(x) is None
@@ -250,10 +245,10 @@ def test_a_model_that_runs_away_has_no_deviance():
 
 
 def test_an_effect_is_plausible_in_the_range_of_its_class_or_of_the_model():
-    low, high = plausible_range(car(True), "linear_stiffness", "stiffness")
+    low, high = find_plausible_range(car(True), "linear_stiffness", "stiffness")
     assert low <= 1e3 < high < 4.3e6
     stiff = car(True).with_parameters({"tyre.stiffness": 1e7})
-    assert plausible_range(stiff, "linear_stiffness", "stiffness")[1] == pytest.approx(1e7)
+    assert find_plausible_range(stiff, "linear_stiffness", "stiffness")[1] == pytest.approx(1e7)
 
 
 def test_prediction_errors_that_their_past_predicts_are_told_from_white_ones():
@@ -262,9 +257,9 @@ def test_prediction_errors_that_their_past_predicts_are_told_from_white_ones():
     coloured = white.copy()
     for k in range(1, len(white)):
         coloured[k, 0] += 0.8 * coloured[k - 1, 0]
-    assert coloured_share([white], np.ones(2)).max() == 0.0
-    assert coloured_share([coloured], np.ones(2)) == pytest.approx([0.64, 0.0], abs=0.03)
-    assert coloured_share([coloured], np.full(2, 1e3)).max() == 0.0  # too small to matter
+    assert compute_coloured_shares([white], np.ones(2)).max() == 0.0
+    assert compute_coloured_shares([coloured], np.ones(2)) == pytest.approx([0.64, 0.0], abs=0.03)
+    assert compute_coloured_shares([coloured], np.full(2, 1e3)).max() == 0.0  # too small to matter
 
 
 @pytest.mark.slow
@@ -320,7 +315,7 @@ def test_a_missing_inerter_is_named_with_the_gates_that_it_passed():
 def test_the_time_limit_stops_the_search_and_says_so(limit, tried, monkeypatch):
     """A clock that goes on by a second whenever it is read."""
     now = iter(range(10**6))
-    monkeypatch.setattr(search.Clock, "seconds", property(lambda self: float(next(now))))
+    monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: float(next(now))))
     data = car(True).to_dict()
     data["elements"].append(
         {"name": "b", "type": "inertance", "between": ["body", "wheel"], "inertance": 60.0}
