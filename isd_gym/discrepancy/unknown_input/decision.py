@@ -114,7 +114,10 @@ def check_fit(
     gates.append(_gate("noise", float(shares[worst]), "<=", NOISE, text))
     shares = compute_coloured_shares(prediction.errors, deviation)
     worst = int(np.argmax(shares))
-    text = f"of the power of the prediction error of {outputs[worst]} predicted by its past, the largest share of all outputs"
+    text = (
+        f"of the power of the prediction error of {outputs[worst]} predicted by its past, the largest share of all outputs "
+        f"with a predictable part of at least {CRITERIA.material:.0%}"
+    )
     return [*gates, _gate("white", float(shares[worst]), "<=", COLOURED, text)]
 
 

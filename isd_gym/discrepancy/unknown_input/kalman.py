@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 SETTLE = 1.0
 #: Singular value, relative to the largest, below which a direction of the state is unobservable.
 UNOBSERVABLE = 1e-10
+#: Gain of the road's acceleration, relative to the largest gain of its velocity, that counts as zero.
+ROUND_OFF = 1e-9
 #: Deviance of parameters without a stationary filter.
 IMPOSSIBLE = 1e12
 
@@ -180,10 +182,12 @@ class KalmanModel:
             Van Loan, IEEE Transactions on Automatic Control 23 (1978) 395: discrete time, with the noise that the road adds
             during a sampling interval.
         """
-        if {*space.inputs} - {self.road, *self.inputs}:
-            raise InputError(f"an output depends on the acceleration of '{self.road}' itself")
         h, road = self.step, space.inputs.index(self.road)
         known = [space.inputs.index(c) for c in self.inputs]
+        gains = np.abs(np.vstack([space.B, space.D]))
+        derived = [j for j in range(gains.shape[1]) if j not in (road, *known)]
+        if gains[:, derived].max(initial=0.0) > ROUND_OFF * gains[:, road].max():
+            raise InputError(f"an output depends on the acceleration of '{self.road}' itself")
         kept = find_observable_states(space.A, space.C)
         A, B, C = kept.T @ space.A @ kept, kept.T @ space.B, space.C @ kept
         n, G = len(A), B[:, [road]]
