@@ -1,7 +1,7 @@
 """Measured records: reading, filtering, several sampling rates, clock lags, and the training/validation/test split.
 
 `reading` checks and converts a source, `multirate` builds records from channels with time stamps of their own, `clock_lag`
-estimates the lags of other loggers' clocks, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
+estimates lags between the clocks of loggers, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
 and test records.
 """
 

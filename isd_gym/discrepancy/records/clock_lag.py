@@ -1,4 +1,4 @@
-"""Lag of another logger's clock, estimated with the nominal model for each record.
+"""Lags between the clocks of loggers, estimated with the nominal model by record.
 
 A wide search with the model linear in parameters and initial state comes first. Gauss-Newton iterations over lags,
 parameters and initial state follow.
@@ -27,30 +27,20 @@ if TYPE_CHECKING:
 
     from ...network import Network
 
-#: Largest lag that is searched [s].
-LIMIT = 0.5
-#: Number of lags in the wide search.
-TRIALS = 400
-#: Largest number of samples of a channel in the wide search.
-ROWS = 1500
-#: Least number of samples of a channel in the wide search.
-FEWEST = 16
-#: Assumed model error before any fit, as a share of a signal's deviation.
-ROUGH = 0.1
+LIMIT = 0.5  # largest lag in the search [s]
+TRIALS = 400  # number of lags in the wide search
+ROWS = 1500  # largest number of samples of a channel in the wide search
+FEWEST = 16  # least number of samples of a channel in the wide search
+ROUGH = 0.1  # assumed model error before any fit, as a share of a signal's deviation
 #: Widths of the refinement about the best lag of the wide search, in time scales of the record.
 WIDTHS = (0.15, 0.06, 0.025, 0.01)
-#: Number of blocks whose scatter gives the confidence interval.
-BLOCKS = 20
-#: Largest number of Gauss-Newton rounds.
-ROUNDS = 6
+BLOCKS = 20  # number of blocks for the confidence interval by scatter
+ROUNDS = 6  # largest number of Gauss-Newton rounds
 #: Largest change of a lag per round, in time scales of the record: outputs are linear over shorter times only.
 STRIDE = 0.3
-#: Ratio to the least cost up to which other minima of the wide search are fitted, too.
-RIVAL = 4.0
-#: Largest number of other minima that are fitted.
-MANY = 6
-#: Ratio to the least cost of fits up to which another lag counts as nearly as good.
-ALIKE = 1.3
+RIVAL = 4.0  # ratio to the least cost of minima of the wide search to be fitted
+MANY = 6  # largest number of minima to be fitted beside the best
+ALIKE = 1.3  # ratio to the least cost of fits below which a lag is nearly as good
 
 
 @dataclass(frozen=True)
@@ -59,13 +49,10 @@ class Lag:
 
     record: str
     clock: str
-    #: Delay of the time stamps [s], positive where they are late.
-    value: float
-    #: Lower end of the 95 % interval [s].
-    low: float
-    #: Upper end of the 95 % interval [s].
-    high: float
-    #: Reason to doubt the lag, such as another lag that is nearly as good; empty without doubt.
+    value: float  # delay of the time stamps [s]
+    low: float  # lower end of the 95 % interval [s]
+    high: float  # upper end of the 95 % interval [s]
+    #: Reason to doubt the lag, such as a second lag of nearly equal cost; empty without doubt.
     doubt: str = ""
 
     def __str__(self) -> str:
@@ -81,16 +68,16 @@ def align_clocks(
     limit: float = LIMIT,
     previous: Sequence[Lag] | None = None,
 ) -> tuple[list[Record], list[Lag]]:
-    """Estimate the lags of other clocks together with the parameters of a model.
+    """Estimate the lags between clocks together with the parameters of a model.
 
     Args:
         records: Records; records with a single clock stay as they are.
         network: The model.
-        limit: Largest lag that is searched [s].
-        previous: Lags found with an earlier model, at which `records` stand. The wide search is left out then.
+        limit: Largest lag in the search [s].
+        previous: Lags found with an earlier model and applied to `records`. They replace the wide search.
 
     Returns:
-        The records with their clocks aligned, and the lags.
+        Records with aligned clocks, and the lags.
     """
     if not any(r.clocks for r in records):
         return list(records), []
@@ -128,12 +115,12 @@ def align_clocks(
 
 
 def _problem_of(network: Network, records: Sequence[Record]) -> Problem:
-    """Return the problem in which all records are training records."""
+    """Return the problem with every record as training record."""
     return Problem(network, records, ["fit"] * len(records))
 
 
 def _apply_lags(record: Record, lags: Mapping[str, float], network: Network) -> Record:
-    """Return a record, built again from its recording with other lags [s]."""
+    """Return a record, built again from its recording with new lags [s]."""
     assert record.source is not None
     return replace(build_record(record.source, network, lags), name=record.name)
 
@@ -167,34 +154,25 @@ def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[L
 class _Samples:
     """Smoothed and thinned samples of a measured channel."""
 
-    #: Time stamps [s] (n,).
-    time: Array
-    #: Values in the units of the model (n,).
-    values: Array
-    #: Standard deviation of the values.
-    deviation: float
+    time: Array  # time stamps [s] (n,)
+    values: Array  # values in the units of the model (n,)
+    deviation: float  # standard deviation of the values
 
 
 @dataclass(frozen=True)
 class _LagCost:
     """Least squares of a record as a function of one clock's lag, minimised over parameters and initial state."""
 
-    #: Samples of the channels with a known clock and of the late channels, by channel index.
+    #: Samples of channels with a known clock and of late channels, by channel index.
     samples: Mapping[int, _Samples]
-    #: Indices of the channels with a known clock.
-    known: Sequence[int]
-    #: Indices of the late channels.
-    late: Sequence[int]
-    #: Simulation grid [s].
-    grid: np.ndarray
-    #: Interval of the grid [s].
-    step: float
+    known: Sequence[int]  # indices of the channels with a known clock
+    late: Sequence[int]  # indices of the late channels
+    grid: np.ndarray  # simulation grid [s]
+    step: float  # interval of the grid [s]
     #: Simulated outputs and their derivatives by parameters and initial state (grid, channels, 1 + unknowns).
     columns: Array
-    #: One over the prior standard deviation of each unknown.
-    prior: Array
-    #: Whether each channel has a free offset (channels,).
-    free_offset: Array
+    prior: Array  # one over the prior standard deviation by unknown
+    free_offset: Array  # whether the offset of a channel is free (channels,)
 
     def __call__(self, lag: float) -> float:
         """Return the least sum of squares at a lag [s]."""
@@ -225,7 +203,7 @@ class _LagCost:
 def _search_lags(
     problem: Problem, base: Structure, index: int, limit: float
 ) -> tuple[dict[str, float], str, list[float]]:
-    """Search the lag of each clock of a record, one clock after the other, over a wide range.
+    """Search the lags of the clocks of a record over a wide range, clock by clock.
 
     Args:
         problem: The records.
@@ -234,7 +212,7 @@ def _search_lags(
         limit: Largest lag [s].
 
     Returns:
-        Lag of each clock [s], a reason to doubt the lags, and lags of a single clock that may be better after a fit [s].
+        Lags by clock [s], a reason to doubt the lags, and rival lags of a single clock to be fitted [s].
     """
     record = problem.records[index]
     x0 = guess(problem, base.at(base.start), index)
@@ -272,7 +250,7 @@ def _search_lags(
 
 
 def _thin_samples(problem: Problem, record: Record, channel: int, grid: np.ndarray, reach: float) -> _Samples:
-    """Return the samples of a channel that every lag up to `reach` [s] leaves on the grid, at most about `ROWS`."""
+    """Return about `ROWS` samples of a channel, on the grid for every lag up to `reach` [s]."""
     assert record.source is not None
     signal = record.source.signals[problem.channels[channel]]
     inside = (signal.time > grid[0] + reach) & (signal.time < grid[-1] - reach)
@@ -286,7 +264,7 @@ def _thin_samples(problem: Problem, record: Record, channel: int, grid: np.ndarr
 def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
     """Return lags [s] for the wide search, a quarter of the time scale `pace` [s] apart, at most about `TRIALS`.
 
-    Of more lags, those at which simulated and measured outputs correlate best are returned.
+    From a longer list the lags with the highest correlation of simulated and measured outputs are chosen.
     """
     every = np.arange(-reach, reach + 0.25 * pace, 0.25 * pace)
     if 0.25 * pace >= 2 * reach / TRIALS:
@@ -304,16 +282,16 @@ def _choose_trials(cost: _LagCost, pace: float, reach: float) -> Array:
 def _find_rivals(
     trials: Array, costs: Array, best: float, least: float, count: int, pace: float, doubt: str
 ) -> tuple[str, list[float]]:
-    """Return a reason to doubt the best lag, and other minima of the wide search that a fit may prefer [s].
+    """Return a reason to doubt the best lag, and further minima of the wide search for a fit [s].
 
     Args:
         trials: Lags of the wide search [s] (n,).
-        costs: Cost of each lag (n,).
+        costs: Cost by lag (n,).
         best: The best lag after refinement [s].
         least: Cost of the best lag.
         count: Number of samples.
         pace: Time scale of the record [s].
-        doubt: Reason to doubt the lag of an earlier clock, returned where none is found here.
+        doubt: Reason to doubt the lag of an earlier clock, returned by default.
     """
     far = np.abs(trials - best) > 2.0 * pace
     if far.any() and float(costs[far].min()) < 1.15 * least + 0.02 * count:
@@ -335,7 +313,7 @@ def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tu
 
     Args:
         record: The record with the best lag of the wide search.
-        rivals: Other lags of the only clock [s].
+        rivals: Rival lags of the only clock [s].
         network: The model.
     """
     (clock,) = record.clocks

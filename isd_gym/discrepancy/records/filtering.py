@@ -1,7 +1,7 @@
 """Low-pass filtering and differentiation of noisy measured inputs that move a node.
 
-Model outputs and measured outputs pass the same low-pass, so the filter causes no bias. The pass band keeps every frequency
-at which an output holds a signal, and leaves out frequencies at which derivatives of the inputs are noise.
+Model outputs and measured outputs pass the same low-pass, so the filter causes no bias. The pass band keeps the
+signals of the outputs and leaves out the noise of differentiated inputs.
 """
 
 from __future__ import annotations
@@ -27,38 +27,35 @@ if TYPE_CHECKING:
     from ...network import Channel, Network
     from ..problem import Record
 
-#: Relative noise (RMS) of a derivative below which no low-pass is needed.
-QUIET = 0.02
-#: Share of the Nyquist frequency above which a low-pass removes too little to be worth its margins.
-WIDE = 0.7
-#: Cutoff of the low-pass as a share of the Nyquist frequency of the compared samples; the rest holds the roll-off.
+QUIET = 0.02  # relative noise (RMS) of a derivative below which no low-pass is needed
+WIDE = 0.7  # share of the Nyquist frequency above which a low-pass removes too little to be worth its margins
+#: Cutoff of the low-pass as a share of the Nyquist frequency of the compared samples; the roll-off takes the rest.
 FILLED = 0.85
 #: Share of the cutoff up to which the low-pass keeps a signal whole (the gain at the cutoff is one half).
 PASSED = 0.75
-#: Ratio of an output's power density to the noise density above which the output holds a signal (2: equal parts).
+#: Ratio of power density to noise density above which an output holds a signal (2: equal parts).
 VISIBLE = 2.0
-#: Share of each output's power above its noise that must be kept at any frequency. Of a force that switches with the sign of a
-#: rate, the remainder is harmonics, for which noisier derivatives would have to be compared.
+#: Share of an output's power above its noise to keep at any frequency. The remainder of a force with the sign of a rate is
+#: harmonics, and a comparison of the harmonics needs noisier derivatives.
 KEPT = 0.95
-#: Multiple of the natural frequencies up to which the model resonates; the whole signal is kept there, however small its power.
+#: Multiple of the natural frequencies up to which the model resonates; the low-pass keeps the whole signal of this band.
 ABOVE_RESONANCE = 2.0
 #: Factor about a natural frequency within which input motion counts as excitation, since nominal parameters may be off.
 NEAR = 1.25
 #: Least number of independent periodogram values in a smoothed power density, for a standard error of about 12 %.
 AVERAGES = 64
-#: Largest number of samples of a periodogram.
-LENGTH = 2048
+LENGTH = 2048  # largest number of samples of a periodogram
 
 
 def differentiate_inputs(records: list[Record], network: Network) -> list[Record]:
-    """Return the records with low-passed inputs and their derivatives, where noisy inputs have to be differentiated.
+    """Return records with low-passed inputs and derivatives, if noisy inputs have to be differentiated.
 
     Args:
         records: Training, validation and test records.
         network: The nominal model.
 
     Returns:
-        New records, all behind one low-pass; `records` itself where no low-pass is needed, or where sampling intervals differ.
+        New records behind one low-pass; `records` unchanged if no low-pass is needed or sampling intervals differ.
     """
     orders = count_derivatives(network)
     step = records[0].step
@@ -105,7 +102,7 @@ def count_derivatives(network: Network) -> dict[str, int]:
 
 
 def _highest_derivative(network: Network, node: str) -> int:
-    """Return the highest derivative of the displacement of a moved node that forces need: 2 where inertia acts on the node."""
+    """Return the highest derivative of a moved node's displacement in the forces: 2 if inertia acts on the node."""
     here = [e for e in network.elements if e.place == "between" and node in e.where]
     if any(e.linear()[2] for e in here):
         return 2
@@ -116,15 +113,15 @@ def _highest_derivative(network: Network, node: str) -> int:
 def choose_decimation(records: Sequence[Record], network: Network) -> int:
     """Return n such that every n-th output sample is compared, behind a low-pass at `FILLED` of the new Nyquist frequency.
 
-    The low-pass ends where the derivatives of the inputs become noise (`find_derivative_band`), but never within the band
-    in which an output holds a signal (`find_signal_band`).
+    The low-pass ends at the noise of the derivatives of the inputs (`find_derivative_band`), but never within the signal band
+    of the outputs (`find_signal_band`).
 
     Args:
         records: Records of one sampling interval.
         network: The nominal model.
 
     Returns:
-        1 where no low-pass is needed, or where every low-pass would remove signal.
+        1 if no low-pass is needed or every low-pass would remove signal.
     """
     orders = count_derivatives(network)
     nyquist = 0.5 / records[0].step
@@ -155,7 +152,7 @@ def find_derivative_band(record: Record, network: Network, channel: Channel, ord
         order: How often the input is differentiated.
 
     Returns:
-        The frequency [Hz]; infinite where the noise of the derivative is too small to matter.
+        The frequency [Hz]; infinite if the noise of the derivative is negligible.
     """
     x, step = record.inputs[channel.name], record.step
     f, density = _estimate_density(np.diff(x, order), step)
@@ -183,10 +180,10 @@ def _find_force_band(
     motion: Array,
     valley: int,
 ) -> float | None:
-    """Return the frequency [Hz] above which the force that the model computes from a measured motion is noise.
+    """Return the frequency [Hz] above which the force computed from a measured motion is noise.
 
-    From there on up the computed force has 1.5 times the power of the measured force. A missing effect causes such an
-    excess at some frequencies only.
+    Above this frequency the computed force has more than 1.5 times the power of the measured force. A missing effect causes
+    an excess at some frequencies only.
 
     Args:
         record: The measured record.
@@ -198,7 +195,7 @@ def _find_force_band(
         valley: Index of the frequency up to which computed and measured power are made equal.
 
     Returns:
-        The frequency [Hz]; None where the linear model has no frequency response.
+        The frequency [Hz]; None if the linear model has no frequency response.
     """
     try:
         gain = transfer(network, frequency)[:, output, network.inputs.index(channel)]
@@ -216,15 +213,15 @@ def _find_force_band(
 
 
 def find_signal_band(record: Record, network: Network) -> float:
-    """Return the frequency [Hz] up to which a record holds a signal that the comparison must keep.
+    """Return the highest frequency [Hz] of the signals in a record.
 
-    An output holds a signal where its power density is `VISIBLE` times its own noise density. The band includes
+    An output holds a signal at frequencies with `VISIBLE` times the power density of its noise. The band includes
 
     - every signal within the resonance of the nominal model (`ABOVE_RESONANCE`): slow motion has most of the power of a
       displacement, but parameters and effects differ most at resonance;
-    - every signal of a displacement, since the noise of a derivative reaches a displacement only through a mass;
-    - `KEPT` of the power of forces and accelerations, which show the noise of derivatives directly;
-    - every natural frequency at which an input moves, with or without response.
+    - every signal of a displacement, since noise of a derivative reaches a displacement only through a mass;
+    - `KEPT` of the power of forces and accelerations, since derivatives add noise to both directly;
+    - every natural frequency present in the motion of an input, with or without response.
 
     Args:
         record: The measured record.

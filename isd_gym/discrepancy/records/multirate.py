@@ -1,8 +1,8 @@
-"""Records whose channels have time stamps of their own.
+"""Records of channels with different time stamps.
 
 The simulation runs on one grid. Simulated outputs are interpolated at the instants of each channel, and measured values are
-not resampled. Channels that are faster than the slowest one pass a low-pass, model and data alike, and are compared at the
-rate of the slowest. Stamps of another clock are late by an unknown lag (`clock_lag`).
+not resampled. Faster channels pass a low-pass, model and data alike, and are compared at the rate of the slowest
+channel. Stamps of another clock are late by an unknown lag (`clock_lag`).
 """
 
 from __future__ import annotations
@@ -32,28 +32,20 @@ if TYPE_CHECKING:
 
 #: Ratio of sampling intervals (channel to comparison) below which a channel is low-passed instead of picked from.
 PICKED = 0.7
-#: Cutoff of the low-pass as a share of the Nyquist frequency of the comparison.
-CUTOFF = 0.85
-#: Half the length of the low-pass, as a multiple of one over its cutoff.
-HALF = 3.5
-#: Least number of compared samples.
-LEAST = 64
-#: Refinement of the grid on which the bandwidth of the simulated motion is estimated.
-FINER = 4
-#: Samples per period of the middle frequency of the motion below which the sampling rate is checked.
-FEW = 8.0
-#: Share of a channel's power below the frequency that counts as the upper end of the motion.
-EDGE = 0.9
+CUTOFF = 0.85  # cutoff of the low-pass as a share of the Nyquist frequency of the comparison
+HALF = 3.5  # half the length of the low-pass, as a multiple of one over its cutoff
+LEAST = 64  # least number of compared samples
+FINER = 4  # refinement of the grid on which the bandwidth of the simulated motion is estimated
+FEW = 8.0  # samples per period of the middle frequency of the motion below which the sampling rate is checked
+EDGE = 0.9  # share of a channel's power below the frequency that counts as the upper end of the motion
 
 
 @dataclass(frozen=True)
 class OutputSampler:
     """Linear map from simulated outputs on the grid of a record to compared outputs."""
 
-    #: Sparse matrix (compared, grid) of each channel.
-    matrices: tuple[Any, ...]
-    #: Whether a matrix contains a low-pass.
-    filtered: bool
+    matrices: tuple[Any, ...]  # sparse matrix (compared, grid) of each channel
+    filtered: bool  # whether a matrix contains a low-pass
 
     def __call__(self, outputs: Array) -> Array:
         """Return compared outputs (compared, channels, lanes) of simulated outputs (grid, channels, lanes)."""
@@ -68,16 +60,11 @@ class OutputSampler:
 class _Grid:
     """Simulation grid and comparison instants of a recording."""
 
-    #: Start time [s].
-    start: float
-    #: Grid interval [s].
-    step: float
-    #: Grid intervals per comparison interval.
-    every: int
-    #: Comparison intervals at either end without compared samples.
-    margin: int
-    #: Number of compared samples.
-    size: int
+    start: float  # start time [s]
+    step: float  # grid interval [s]
+    every: int  # grid intervals per comparison interval
+    margin: int  # comparison intervals at either end without compared samples
+    size: int  # number of compared samples
 
     @property
     def time(self) -> np.ndarray:
@@ -96,10 +83,10 @@ def check_recording(
     """Run the data checks separately for each group of channels with common time stamps.
 
     Args:
-        recording: Channels with time stamps of their own.
+        recording: Channels with different time stamps.
         network: The nominal model.
-        accepted: Names of checks (or 'all') whose errors count as warnings.
-        notes: List to which warnings are appended.
+        accepted: Names of checks (or 'all') to reduce to warnings.
+        notes: List for warnings.
         scale: Time scale of the rig and expected deviations.
 
     Raises:
@@ -144,15 +131,15 @@ def build_record(
     thin: int = 1,
     cutoff: float | None = None,
 ) -> Record:
-    """Return a record whose outputs are compared at their own instants.
+    """Return a record with outputs compared at the instants of their samples.
 
     Args:
-        recording: Channels with time stamps of their own.
+        recording: Channels with different time stamps.
         network: The nominal model.
-        lags: Delay [s] of the stamps of each clock whose lag is unknown; zero by default.
-        notes: List to which statements on resampled inputs and filtered outputs are appended.
+        lags: Delay [s] of the stamps of clocks with unknown lag; zero by default.
+        notes: List for notes on resampled inputs and filtered outputs.
         thin: Least number of grid intervals between two compared samples.
-        cutoff: Cutoff [Hz] of a low-pass for all outputs; by default only faster outputs are low-passed.
+        cutoff: Cutoff [Hz] of a low-pass for every output; by default only faster outputs are low-passed.
 
     Raises:
         InputError: The inputs have several clocks of unknown lag, or the channels have too little time in common.
@@ -228,10 +215,10 @@ def _find_reference_clock(recording: Recording, network: Network) -> str:
 def _choose_grid(
     recording: Recording, network: Network, stamps: Mapping[str, Array], thin: int, cutoff: float | None
 ) -> tuple[_Grid, dict[str, float]]:
-    """Return the grid of a recording, and half the length [s] of the low-pass of each filtered output.
+    """Return the grid of a recording, and half the length [s] of the low-pass by filtered output.
 
     Args:
-        recording: Channels with time stamps of their own.
+        recording: Channels with different time stamps.
         network: The nominal model.
         stamps: Time stamps [s] of each channel without lag.
         thin: Least number of grid intervals between two compared samples.
@@ -308,7 +295,7 @@ def _build_interpolation(time: Array, start: float, step: float, size: int) -> A
 
 
 def check_sampling_rates(record: Record, network: Network) -> None:
-    """Refuse records with an output that is sampled below twice the bandwidth of its motion.
+    """Refuse records with an output sampled below twice the bandwidth of its motion.
 
     The bandwidth is that of the nominal model, simulated over the inputs of the record.
 

@@ -22,20 +22,19 @@ from .multirate import build_record, check_recording
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-#: Least number of samples of a record from which the scale of the outputs is estimated.
-LEAST_SAMPLES = 32
+LEAST_SAMPLES = 32  # least number of samples of a record from which the scale of the outputs is estimated
 
 
 def read_record(
     source: Table | Recording | str | Path, network: Network, notes: list[str], accept: Sequence[str] = ()
 ) -> Record:
-    """Return a measured record that passed the data checks.
+    """Return a measured record after the data checks.
 
     Args:
         source: Table, recording of loggers, or file.
-        network: The nominal model, whose inputs and outputs the record must have.
-        notes: List to which warnings are appended.
-        accept: Names of data checks (or 'all') whose errors count as warnings.
+        network: The nominal model, with the inputs and outputs of the record.
+        notes: List for warnings.
+        accept: Names of data checks (or 'all') to reduce to warnings.
 
     Returns:
         Record with inputs in SI units and outputs in the units of the channels.
@@ -49,7 +48,7 @@ def read_record(
         recording = source
         notes += recording.notes
         table = source.table()
-        if table is None:  # channels have time stamps of their own
+        if table is None:  # channels with different time stamps
             scale = _estimate_scale(network, lambda: build_record(recording, network))
             check_recording(recording, network, accept, notes, scale)
             return build_record(recording, network, None, notes)
@@ -83,15 +82,15 @@ def _convert_table(table: Table, network: Network) -> Record:
 
 
 def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
-    """Return the time scale of the rig and the standard deviation of each output, simulated from rest.
+    """Return the time scale of the rig and the standard deviations of outputs simulated from rest.
 
     Args:
         network: The nominal model.
-        read: Function that returns the record before any data check.
+        read: Function to get the record before any data check.
 
     Returns:
-        The time scale alone where the model has no input, where an input is differentiated twice (its noise would rule the
-        outputs), or where the record cannot be simulated.
+        The time scale alone if the model has no input, if an input is differentiated twice (noise would dominate the outputs),
+        or if the simulation fails.
     """
     scale = Scale(own_time(network) or CAR)
     if not network.inputs or 2 in count_derivatives(network).values():

@@ -13,14 +13,11 @@ if TYPE_CHECKING:
 
 #: Length of validation and test segments as a multiple of the rig's time scale, about 30 periods.
 SEGMENT = 200.0
-#: Least length of the segments of a short record, as a multiple of the rig's time scale.
-LEAST_SEGMENT = 40.0
-#: Simulated time before a segment where laws with memory have the only state, as a multiple of the rig's time scale.
+LEAST_SEGMENT = 40.0  # least length of the segments of a short record, as a multiple of the rig's time scale
+#: Simulated time before a segment if laws with memory have the only states, as a multiple of the rig's time scale.
 LEAD_IN = 100.0
-#: Least number of windows in which the end of the motion is looked for; as many windows are kept.
-WINDOWS = 8
-#: Ratio to the power of the quietest window below which a window is at rest.
-STILL = 4.0
+WINDOWS = 8  # least number of windows in the search for the end of the motion, and of windows kept
+STILL = 4.0  # ratio to the power of the quietest window below which a window is at rest
 
 
 def split_records(
@@ -32,11 +29,11 @@ def split_records(
     the records is held out, or the last third of the motion of a single record.
 
     Args:
-        data: Training records, from which records are held out where `validate` is empty.
+        data: Training records; the source of held-out records if `validate` is empty.
         validate: Records held out by the user.
-        notes: List to which a statement on the split is appended.
+        notes: List for a note on the split.
         time: Time scale of the rig [s].
-        lead: Time before each held-out segment that is simulated but not compared [s].
+        lead: Simulated time before a held-out segment, without comparison [s].
 
     Returns:
         The records, training records first, and their roles: "fit" (training), "choose" (validation), "report" (test). A
@@ -77,7 +74,7 @@ def _choose_length(record: Record, time: float) -> float:
 
 
 def _split_record(record: Record) -> tuple[Record, Record]:
-    """Split a record where the outputs have covered two thirds of their path: a decay hardly moves in its last third."""
+    """Split a record after two thirds of the path of its outputs, since a decay hardly moves in its last third."""
     y = record.measured - record.measured.mean(axis=0)
     width = max(1, int(0.2 * record.pace / record.rate))
     smooth = np.apply_along_axis(lambda x: np.convolve(x, np.ones(width) / width, mode="valid"), 0, y)
@@ -91,7 +88,7 @@ def _split_record(record: Record) -> tuple[Record, Record]:
 
 
 def _find_rest(record: Record, y: Array) -> int:
-    """Return the sample at which a record ends to be worth comparing: more than half of the record after it is noise.
+    """Return the sample at which the rest of a record begins, if the rest is more than half of the record.
 
     Args:
         record: The record.
@@ -109,13 +106,13 @@ def _find_rest(record: Record, y: Array) -> int:
 
 
 def cut_segments(record: Record, seconds: float, least: int = 300, lead: float = 0.0) -> list[Record]:
-    """Cut a record into segments of equal length, each with an initial state of its own.
+    """Cut a record into segments of equal length.
 
     Args:
         record: The record.
         seconds: Least length of a segment [s].
         least: Least number of samples of a segment.
-        lead: Time before each segment that is simulated but not compared [s].
+        lead: Simulated time before a segment, without comparison [s].
     """
     count = max(1, int(len(record) * record.rate / seconds))
     count = min(count, max(1, len(record) // least))

@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     from .kalman import Prediction
 
 LEAD = 6.0  # lead in 2 log L of a named effect over the next effect
-NOISE = 0.3  # largest share of an output's standard deviation that a fit may attribute to noise
-LAGS = 20  # number of past samples from which a prediction error is predicted
-COLOURED = 0.1  # largest share of the power of a prediction error that its past may predict
+NOISE = 0.3  # largest share of an output's standard deviation attributed to noise
+LAGS = 20  # number of past samples to predict a prediction error from
+COLOURED = 0.1  # largest predictable share of the power of a prediction error
 TINY = 0.01  # share of the model's largest value in the same unit below which no effect is plausible
 
 
 def compute_coloured_shares(errors: Sequence[Array], deviation: Array) -> Array:
-    """Compute how much of each prediction error its own past predicts; zero for a correct model.
+    """Compute the predictable share of prediction errors; zero for a correct model.
 
     Args:
-        errors: Prediction errors of each record (samples, outputs).
-        deviation: Standard deviation of each output (outputs,).
+        errors: Prediction errors by record (samples, outputs).
+        deviation: Standard deviations (outputs,).
 
     Returns:
-        Shares of the power (outputs,), beyond chance; 0 where the predictable part is below the material share of the output.
+        Shares of the power (outputs,), beyond chance; 0 if the predictable part is below the material share of the output.
     """
     out = np.zeros(len(deviation))
     for j in range(len(deviation)):
@@ -61,7 +61,7 @@ def find_plausible_range(network: Network, effect: str, name: str) -> tuple[floa
     """Return the plausible range of a parameter of a new effect.
 
     Args:
-        network: The nominal model, whose values in the same unit may widen the range of the effect's class.
+        network: The nominal model; values in the same unit may widen the range of the effect's class.
         effect: Type of the effect.
         name: Name of the parameter.
 
@@ -76,20 +76,20 @@ def find_plausible_range(network: Network, effect: str, name: str) -> tuple[floa
 
 
 def _gate(name: str, value: float, relation: Relation, limit: float, text: str) -> Gate:
-    """Return a gate that passes where ``value relation limit`` holds."""
+    """Return a gate with the condition ``value relation limit``."""
     return Gate(name, bool(COMPARE[relation](value, limit)), value, limit, text, relation)
 
 
 def check_fit(
     network: Network, estimates: Estimates, prediction: Prediction, deviation: Array, effect: str = ""
 ) -> list[Gate]:
-    """Return the gates for the soundness of a fit, which every verdict but `unknown_effect` has to pass.
+    """Return the gates for the soundness of a fit; a failed gate gives the verdict `unknown_effect`.
 
     Args:
         network: The nominal model.
         estimates: Estimates of the fit.
         prediction: Prediction of the fit.
-        deviation: Standard deviation of each output in SI units (outputs,).
+        deviation: Standard deviations in SI units (outputs,).
         effect: Type of the added effect, if any.
     """
     values = {"the road's level": estimates.level, **estimates.parameters, **estimates.effect}
@@ -122,7 +122,7 @@ def check_fit(
 
 
 def _explain_failure(nominal: Network, failed: Sequence[Gate]) -> str:
-    """Return why there is no verdict, by the gates that failed, and what helps."""
+    """Return the reason for an abstention, made of the failed gates, and remedies."""
     late = [g for g in failed if g.name in ("converged", "complete")]
     wrong = [g for g in failed if g not in late]
     sentences = []
@@ -152,14 +152,14 @@ def decide(
     clock: TimeLimit,
     notes: Sequence[str],
 ) -> UnknownInputResult:
-    """Apply the gates to the fits, and return the verdict with everything that the records determine.
+    """Apply the gates to the fits and return the result.
 
     Args:
         nominal: The nominal model.
         nominal_fit: Fit of the road's level and the noise alone, with nominal parameters.
         refit: Fit of all parameters.
         tried: Linear effects with their fits, the best first.
-        progress: Number of effects that were tried, and number of all effects.
+        progress: Numbers of tried effects and of effects.
         clock: Time limit of the search.
         notes: Notes so far.
     """

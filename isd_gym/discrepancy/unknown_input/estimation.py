@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from ..structure import Hypothesis, Structure
     from .kalman import Prediction
 
-#: Linear effects and the index of the coefficient of each in `Element.linear`.
+#: Linear effects and the index of the coefficient in `Element.linear`.
 LINEAR = {"linear_stiffness": 0, "linear_damping": 1, "inertance": 2}
-WIDE = 3.0  # prior standard deviation of a logarithm about which nothing is known
+WIDE = 3.0  # prior standard deviation of an unknown logarithm
 LEVEL_SIGMA = 1e3  # prior standard deviation of the logarithm of the road's level
-LEVELS = np.linspace(-30.0, 5.0, 36)  # logarithms of the road's level that are compared before a fit
+LEVELS = np.linspace(-30.0, 5.0, 36)  # logarithms of the road's level compared before a fit
 SIZES = (0.03, 0.3)  # first values of an effect, relative to the largest coefficient of its kind in the model
 DETERMINED = 0.5  # posterior relative to prior standard deviation below which a parameter is determined
 SCALE = 0.1  # standard deviation of the logarithm of the common scale above which only ratios are determined
@@ -35,7 +35,7 @@ STEP = 1e-4  # step of finite differences in logarithms
 REACH = 1.0  # largest change of a logarithm per iteration
 ITERATIONS = 60  # largest number of iterations of a fit
 SETTLED = 0.1  # gain in 2 log L per iteration below which a fit has converged
-#: Units of parameters that are proportional to a common scale of masses and forces.
+#: Units of parameters proportional to a common scale of masses and forces.
 SCALED = ("kg", "N/m", "N s/m", "N/A", "N", "kg m^2", "N m/rad", "N m s/rad", "N m")
 
 
@@ -77,25 +77,25 @@ class Estimates:
     level: Quantity  # two-sided intensity of the road's velocity [m^2/s] ([rad^2/s] of a turning road)
     parameters: dict[str, Quantity]  # of the nominal model by path
     effect: dict[str, Quantity]  # parameters of the added effect by name
-    #: Departure of each uncertain parameter from the nominal value, in stated standard deviations.
+    #: Departures of uncertain parameters from the nominal values, in stated standard deviations.
     departures: dict[str, float]
     determined: tuple[str, ...]  # parameters whose stated uncertainty the records at least halve
     scale: float  # standard deviation of the logarithm of a factor common to all masses and forces
     ratios_only: bool  # whether the records determine ratios to mass only
-    noise: dict[str, float]  # RMS noise of each output in SI units
+    noise: dict[str, float]  # RMS noise by output in SI units
 
 
 def build_model(
     structure: Structure, road: str, records: tuple[tuple[Array, Array], ...], step: float, noise: Array
 ) -> KalmanModel:
-    """Return the Kalman model of a network, with the road level at which it fits best before any fit.
+    """Return the Kalman model of a network, with the best road level at the prior means.
 
     Args:
         structure: The network in the frame of the road, with its free parameters.
         road: Name of the unmeasured input.
-        records: Inputs (samples, inputs) and outputs (samples, outputs) of each record about their means, in SI units.
+        records: Inputs (samples, inputs) and outputs (samples, outputs) by record about the means, in SI units.
         step: Sampling interval [s].
-        noise: Assumed noise of each output (outputs,) in SI units.
+        noise: Assumed noise (outputs,) in SI units.
 
     Raises:
         InputError: The model has no stationary motion at any road level.
@@ -123,7 +123,7 @@ def build_model(
 
 
 def _unit_steps(model: KalmanModel) -> Array:
-    """Return the unit of each number (n,): 1 for a logarithm, one prior standard deviation for any other number."""
+    """Return the units of fitted numbers (n,): 1 for a logarithm, else the prior standard deviation."""
     own = [1.0 if f.log else f.sigma for f in model.structure.free]
     return np.array(own + [1.0] * (len(model.priors) - len(own)))
 
@@ -137,7 +137,7 @@ def compute_information(
         model: The Kalman model.
         x: Fitted numbers (n,).
         here: Prediction of the model at `x`.
-        free: Indices (m,) of the numbers by which to differentiate.
+        free: Indices (m,) of the numbers to differentiate by.
 
     Returns:
         Gradient (m,) and Fisher information (m, m).
@@ -171,7 +171,7 @@ def fit_model(model: KalmanModel, x: Array, clock: TimeLimit, fixed: int = 0) ->
         model: The Kalman model with its priors.
         x: Start of the fit (n,).
         clock: Time limit of the fit.
-        fixed: Count of leading numbers that keep their start values.
+        fixed: Count of leading numbers with fixed values.
     """
     free = list(range(fixed, len(x)))
     precision = np.array([p.sigma for p in model.priors])[free] ** -2.0
@@ -212,7 +212,7 @@ def fit_effect(base: ModelFit, hypothesis: Hypothesis, clock: TimeLimit) -> Mode
         clock: Time limit of the fit.
 
     Returns:
-        The better fit; None where the effect cannot be built in or every fit fails.
+        The better fit; None if the effect cannot be built in or every fit fails.
     """
     model, own = base.model, len(base.model.structure.free)
     network = model.network(base.x)
@@ -287,13 +287,12 @@ def estimate_uncertainty(network: Network, fit: ModelFit) -> Estimates:
 def _estimate_scale(model: KalmanModel, x: Array, common: Array, information: Array) -> float:
     """Return the standard deviation of the logarithm of a common scale of masses and forces, from the records alone.
 
-    The smaller of two informations counts: the second difference of the deviance, and the Fisher information profiled over
-    all other numbers.
+    The smaller of two informations counts: the second difference of the deviance, and the profiled Fisher information.
 
     Args:
         model: The Kalman model.
         x: Fitted numbers (n,).
-        common: 1 for each number that is proportional to the scale, 0 for any other (n,).
+        common: 1 for numbers proportional to the scale, else 0 (n,).
         information: Fisher information of the records (n, n).
     """
     prior = np.array([(c / p.sigma) ** 2 for c, p in zip(common, model.priors, strict=True)]).sum()
@@ -310,5 +309,5 @@ def _estimate_scale(model: KalmanModel, x: Array, common: Array, information: Ar
 
 
 def _exp(x: float) -> float:
-    """Return exp(x); infinity where exp(x) overflows."""
+    """Return exp(x), or infinity on overflow."""
     return math.exp(x) if x < 709.0 else math.inf

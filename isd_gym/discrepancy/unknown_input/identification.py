@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from .kalman import KalmanModel
     from .result import UnknownInputResult
 
-#: Limit of the processor time of a search [s].
-MAX_SECONDS = 120.0
+MAX_SECONDS = 120.0  # limit of the processor time of a search [s]
 
 
 def identify(
@@ -44,15 +43,15 @@ def identify(
     """Refit a model to records without their road, and name a missing linear effect.
 
     Args:
-        data: Tables or files with the model's outputs and its inputs except the road.
+        data: Tables or files with the outputs and inputs of the model except the road.
         model: The nominal model.
-        road: The unmeasured input; by default the input that the model marks as unmeasured, or its only moved node.
+        road: The unmeasured input; by default the input with ``"measured": false``, or the only moved node.
         effects: Whether to search for missing linear effects.
-        accept: Names of data checks whose errors count as warnings.
-        max_seconds: Limit of processor time [s]. The search stops there, and a note says so.
+        accept: Names of data checks to reduce to warnings.
+        max_seconds: Limit of processor time [s]. The search stops at the limit, with a note.
 
     Returns:
-        Verdict, refitted model, and what the records determine.
+        Verdict, refitted model and determined parameters.
 
     Raises:
         InputError: Data or model do not allow an identification without the road.
@@ -148,7 +147,7 @@ def _move_to_road_frame(network: Network, road: str | None) -> tuple[Network, st
 
 
 def _without_input(network: Network, name: str) -> Network:
-    """Return a network without an input, as a list of channels: its checks would refuse the node that nothing moves."""
+    """Return a list of channels without an input; the checks of `Network` would refuse the unmoved node."""
     out = object.__new__(Network)
     out.__dict__.update({f.name: getattr(network, f.name) for f in fields(Network)})
     out.__dict__["inputs"] = tuple(c for c in network.inputs if c.name != name)

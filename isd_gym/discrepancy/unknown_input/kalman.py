@@ -1,4 +1,4 @@
-"""Kalman filter of a linear model whose road velocity is unmeasured white noise.
+"""Kalman filter of a linear model driven by a road with white, unmeasured velocity.
 
 The one-step prediction errors (innovations) of the stationary filter give the deviance, -2 log L, of measured records.
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ...network import StateSpace
     from ..structure import Structure
 
-#: Time at the beginning of a record in which the filter settles; prediction errors there are left out [s].
+#: Settling time of the filter at the beginning of a record, without prediction errors [s].
 SETTLE = 1.0
 #: Singular value, relative to the largest, below which a direction of the state is unobservable.
 UNOBSERVABLE = 1e-10
@@ -62,17 +62,17 @@ def _compute_innovations(A: Array, B: Array, C: Array, D: Array, K: Array, u: Ar
 
 
 def find_observable_states(A: Array, C: Array) -> Array:
-    """Return orthonormal directions of the state without constants that no output depends on.
+    """Return orthonormal directions of the observable states.
 
-    The elongation of a damper in series drifts freely, and neither a force nor an output depends on the elongation. Its
-    variance grows without bound, so the stationary Riccati equation has no solution for the whole state.
+    The elongation of a damper in series drifts freely, and no output depends on the elongation. The variance of the
+    elongation grows without bound, so the stationary Riccati equation has no solution for the whole state.
 
     Args:
         A: State matrix (n, n), continuous time.
         C: Output matrix (outputs, n).
 
     Returns:
-        Basis (n, m), m <= n, such that ``basis.T @ A @ basis`` is the state matrix of the observable states.
+        Basis (n, m), m <= n; ``basis.T @ A @ basis`` is the state matrix of the observable states.
     """
     kept = np.eye(len(A))
     while True:
@@ -98,19 +98,18 @@ class Prior:
 class Prediction:
     """One-step prediction errors of the Kalman filter."""
 
-    #: Errors of each record (samples, outputs) in SI units, without the first `SETTLE` seconds.
+    #: Errors by record (samples, outputs) in SI units, without the first `SETTLE` seconds.
     errors: tuple[Array, ...]
-    #: Covariance of the errors that the filter predicts (outputs, outputs).
-    covariance: Array
+    covariance: Array  # predicted covariance of the errors (outputs, outputs)
 
     @cached_property
     def whitening(self) -> Array:
-        """Matrix W (outputs, outputs) such that W e has unit covariance."""
+        """Matrix W (outputs, outputs) for unit covariance of W e."""
         return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
     @property
     def samples(self) -> int:
-        """Number of samples of all records."""
+        """Number of samples in the records."""
         return sum(len(e) for e in self.errors)
 
     @cached_property
@@ -126,22 +125,17 @@ class KalmanModel:
     """Linear model of records without their road.
 
     The fitted numbers x (n,) are, in this order: the free parameters of the structure, the logarithm of the road level, the
-    logarithm of the damping in place of each friction, and the logarithm of the noise of each output.
+    logarithms of the damping in place of friction, and the logarithms of the noise of the outputs.
     """
 
-    #: The network in the frame of the road, with its free parameters.
-    structure: Structure
-    #: Name of the unmeasured input.
-    road: str
-    #: Inputs (samples, inputs) and outputs (samples, outputs) of each record about their means, in SI units.
+    structure: Structure  # the network in the frame of the road, with its free parameters
+    road: str  # name of the unmeasured input
+    #: Inputs (samples, inputs) and outputs (samples, outputs) by record about the means, in SI units.
     records: tuple[tuple[Array, Array], ...]
-    #: Sampling interval [s].
-    step: float
-    #: Names of the friction elements that count as dampers of unknown strength.
-    frictions: tuple[str, ...]
-    #: Names of the measured inputs.
-    inputs: tuple[str, ...]
-    #: Prior of each fitted number (n,).
+    step: float  # sampling interval [s]
+    frictions: tuple[str, ...]  # friction elements, replaced by dampers of unknown strength
+    inputs: tuple[str, ...]  # names of the measured inputs
+    #: Priors of the fitted numbers (n,).
     priors: tuple[Prior, ...] = ()
 
     def network(self, x: Array) -> Network:
@@ -176,11 +170,11 @@ class KalmanModel:
         Args:
             space: State space of the network, continuous time, SI units.
             level: Two-sided intensity of the road's velocity [m^2/s].
-            noise: Standard deviation of the noise of each output (outputs,) in SI units.
+            noise: Standard deviation of the noise (outputs,) in SI units.
 
         References:
-            Van Loan, IEEE Transactions on Automatic Control 23 (1978) 395: discrete time, with the noise that the road adds
-            during a sampling interval.
+            Van Loan, IEEE Transactions on Automatic Control 23 (1978) 395: discrete time, with the noise of the road
+            over a sampling interval.
         """
         h, road = self.step, space.inputs.index(self.road)
         known = [space.inputs.index(c) for c in self.inputs]

@@ -24,7 +24,7 @@ FOLDER = ("result without a road", "unmeasured.json", ("unmeasured.json", "model
 
 @dataclass(frozen=True, kw_only=True)
 class UnknownInputResult(Estimates):
-    """Verdict on a model, and what records without a road determine.
+    """Verdict on a model, and estimates from records without a road.
 
     With the verdict `unknown_effect` no parameter of the refitted model is reliable, and `determined` is empty.
     """
@@ -32,7 +32,7 @@ class UnknownInputResult(Estimates):
     road: str  # name of the unmeasured input
     verdict: Verdict
     gates: tuple[Gate, ...]  # conditions of the verdict
-    reason: str  # reason for a verdict without a named effect, and what helps; empty otherwise
+    reason: str  # reason for an abstention, and remedies; empty otherwise
     #: Model with refitted parameters and the named effect; the nominal model for `unknown_effect` and `ambiguous`.
     model: Network
     effects: tuple[
@@ -61,7 +61,7 @@ class UnknownInputResult(Estimates):
         return f"{text} The records show no missing linear effect." if self.effects else text
 
     def lines(self) -> list[str]:
-        """Return lines for the terminal: summary, notes, and every fitted number."""
+        """Return lines for the terminal: summary, notes, and fitted numbers."""
         out = [self.summary, *(f"note: {note}" for note in self.notes)]
         rows = {f"level of {self.road} in velocity": self.level} | self.parameters
         width = max(map(len, rows))
@@ -73,7 +73,7 @@ class UnknownInputResult(Estimates):
         return out
 
     def to_dict(self) -> dict[str, Any]:
-        """Return JSON data (`isd-unmeasured/1`); numbers that are not finite become null."""
+        """Return JSON data (`isd-unmeasured/1`); infinite numbers become null."""
         found = None
         if self.found is not None:
             effect, where, values = self.found
@@ -102,7 +102,7 @@ class UnknownInputResult(Estimates):
         )
 
     def save(self, folder: str | Path) -> None:
-        """Write unmeasured.json and model.json to a `folder`: a new or empty one, or one of an earlier result."""
+        """Write unmeasured.json and model.json to a new or empty `folder`, or over an earlier result."""
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "unmeasured.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
         self.model.save(folder / "model.json")
