@@ -1,12 +1,14 @@
 """Find where simulation and measurement disagree, name the missing effect, and add it.
 
-Data go one way: `records` and `problem` (what was measured), `structure` and `hypotheses` (what could be missing, where),
+Data go one way: `records` (reading, filtering, clock lags, training/validation/test split) and `problem` (what was
+measured), `structure` and `hypotheses` (what could be missing, where),
 `noise`, `objective`, `fit`, `initial`, `states`, `begin` (how a model is fitted, and where it stands at first), `candidate`, `screen`, `race`,
 `refits`, `compare`, `search` (which models are fitted, which of two is kept),
 `judge`, `trial`, `measure`, `evidence` (what held-out records say of them), `criteria` (what that allows to say), `explain`,
-`words`, `result` (how it is said), `workflow` (all of it). Without a road: `unmeasured`, by its `likelihood`.
+`words`, `result` (how it is said), `workflow` (all of it).
 
-Packages: `planning` (plan and design of tests), `fmu` (diagnosis of a co-simulation FMU).
+Packages: `records` (reading, filtering, multirate, clock lag, splitting), `planning` (plan and design of tests), `fmu` (diagnosis of a
+co-simulation FMU), `unknown_input` (identification without a measured road).
 """
 
 from typing import TYPE_CHECKING, Any
