@@ -94,16 +94,10 @@ def check_recording(
     """
     inputs = {c.name: c.spoken for c in network.inputs}
     outputs = {c.name: c.spoken for c in network.outputs}
-    groups: list[list[str]] = []
+    groups: dict[tuple[str, bytes], list[str]] = {}
     for name, s in recording.signals.items():
-        for names in groups:
-            first = recording.signals[names[0]]
-            if first.clock == s.clock and np.array_equal(first.time, s.time):
-                names.append(name)
-                break
-        else:
-            groups.append([name])
-    for names in groups:
+        groups.setdefault((s.clock, s.time.tobytes()), []).append(name)
+    for names in groups.values():
         time = recording.signals[names[0]].time
         even = np.linspace(time[0], time[-1], len(time))
         stray = float(np.abs(time - even).max()) / (even[1] - even[0])
