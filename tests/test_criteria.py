@@ -68,7 +68,6 @@ def test_a_name_passes_every_gate() -> None:
         ("ahead", {"abreast": ("hysteresis at mass-ground",), "lead": 1.0}, "ambiguous"),
         ("shape", {"shapeless": 0.8}, "unknown_effect"),
         ("likely", {"sure": 0.4}, "unknown_effect"),
-        ("confirmed", {"confirmed": 0.4}, "unknown_effect"),
         ("forces first", {"effects": (GAIN,), "force_lead": 1.2}, "ambiguous"),
         ("forces first", {"effects": (replace(GAIN, fault=0.4),), "force_lead": 10.0}, "ambiguous"),
     ],
@@ -247,7 +246,6 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
         "ahead": not e.abreast,
         "shape": e.shapeless < c.half,
         "likely": e.sure >= c.likely,
-        "confirmed": e.confirmed >= c.half,
         "forces first": not sensors or e.force_lead >= far,
     }  # fmt: skip
 

@@ -278,13 +278,6 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             c.likely,
             "share of resamplings of the held-out records in which the choice stays",
         ),
-        gate(
-            "confirmed",
-            e.confirmed,
-            ">=",
-            c.half,
-            "share of the excess error removed on the test records, which took no part in fitting or choosing",
-        ),
         _forces_first(e, c),
     )
 

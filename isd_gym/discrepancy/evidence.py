@@ -75,8 +75,6 @@ class Evidence:
     fitted_explained: float = 0.0
     sure: float = 1.0
     shapeless: float = 0.0
-    #: share of the refitted model's excess error that the candidate removes on the test records
-    confirmed: float = 1.0
 
     def _excess(self, row: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(math.sqrt(max(x**2 - f**2, 0.0)) for x, f in zip(row, self.floor, strict=True))

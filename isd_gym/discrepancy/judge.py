@@ -40,7 +40,7 @@ class Outcome:
 
     `blocks` (blocks in time, channels) of it; `nrmse` (channels,) on those to choose by, `reported` on those to report by;
     `fitted`: on those it was fitted to, which may show what the others, driven harder or more softly, hardly do;
-    `tested`: mean whitened square on the test records, which take no part in a choice.
+    `start`: initial states that the records were followed from.
     """
 
     candidate: Candidate
@@ -49,7 +49,7 @@ class Outcome:
     nrmse: Array
     reported: Array
     fitted: Array
-    tested: float
+    start: dict[int, Array]
     held: Fit
 
     def excess(self, floor: Array) -> Array:
@@ -71,6 +71,7 @@ class Judge:
         self._worth: dict[int, tuple[Candidate, Array]] = {}
         self._fitted: dict[int, tuple[Candidate, Array]] = {}
         self._own: dict[int, tuple[Candidate, Outcome]] = {}
+        self._begun: dict[int, tuple[float, Fit]] = {}  # held-out record -> least plain error, and whose
         self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: the last alone
 
     @cached_property
@@ -109,27 +110,19 @@ class Judge:
         f = self.plain.follow(structure, structure.start, p.held)
         return self.error(f, p.choosing, self.spread), self.error(f, p.reporting, self.spread_reported)
 
-    def outcome(self, candidate: Candidate, W: Whitener, like: Sequence[Outcome] = ()) -> Outcome:
-        """Score a candidate on the held-out records: parameters as fitted, initial states and offsets from each record's own samples.
+    def outcome(self, candidate: Candidate, W: Whitener, before: Outcome | None = None) -> Outcome:
+        """Parameters as found; initial states and offsets from each record's own samples.
 
-        Args:
-            candidate: fitted set of effects.
-            W: filters that whiten the residuals.
-            like: scores of other candidates, whose initial states are starting points beside the candidate's own guesses.
-
-        Returns:
-            The score, a function of the arguments alone.
-
-        Raises:
-            InputError, LinAlgError: the simulation breaks down.
+        `before`: an earlier outcome of the same candidate. Raises where it breaks down.
         """
         p, fit = self.problem, candidate.fit
-        begun = self.nearest_starts(like, fit.structure)
-        f = Fitter(p, W).follow(fit.structure, fit.x, p.held, None, (self.after_fitted(fit), begun))
+        begun = self.begun(fit.structure)
+        start, about = (before.start, ()) if before else (None, (self.after_fitted(fit), begun))
+        f = Fitter(p, W).follow(fit.structure, fit.x, p.held, start, about)
         held = self.plain.follow(fit.structure, fit.x, p.held, f.initial, (begun,))
         f = self.lower(f, held, W)
+        self.remember(held)
         blocks = []
-        tested = np.concatenate([W(p.records[i].measured - f.outputs[i]) ** 2 for i in p.reporting])
         for i in p.choosing:
             e = W(p.records[i].measured - f.outputs[i]) ** 2
             edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
@@ -142,7 +135,7 @@ class Judge:
             self.error(held, p.choosing, self.spread),
             self.error(held, p.reporting, self.spread_reported),
             self.error(fit, p.estimation, self.spread_fitted),
-            float(tested.mean()),
+            f.initial,
             held,
         )
 
@@ -166,18 +159,20 @@ class Judge:
             f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
         )
 
-    def nearest_starts(self, like: Sequence[Outcome], structure: Structure) -> dict[int, Array]:
-        """Return, for each held-out record, the initial state of the score that errs least there, in the coordinates of `structure`."""
-        nearest: dict[int, tuple[float, Fit]] = {}
-        for held in (o.held for o in like):
-            for i, y in held.outputs.items():
-                error = float(np.sum(((self.problem.records[i].measured - y) / self.floors) ** 2))
-                if i not in nearest or error < nearest[i][0]:
-                    nearest[i] = error, held
+    def remember(self, held: Fit) -> None:
+        """Where held-out records begin is a matter of the records: who came nearest to one says it to all who follow."""
+        for i, y in held.outputs.items():
+            error = float(np.sum(((self.problem.records[i].measured - y) / self.floors) ** 2))
+            if i not in self._begun or error < self._begun[i][0]:
+                self._begun[i] = error, held
+
+    def begun(self, structure: Structure) -> dict[int, Array]:
+        """That, for each held-out record, in the coordinates of `structure`."""
+        whose = {id(fit): fit for _, fit in self._begun.values()}
         out: dict[int, Array] = {}
-        for fit in {id(f): f for _, f in nearest.values()}.values():
-            own = {i: fit.initial[i] for i, (_, f) in nearest.items() if f is fit}
-            out |= carried(self.problem, fit.network, own, structure)
+        for key, fit in whose.items():
+            its = {i: fit.initial[i] for i, (_, f) in self._begun.items() if id(f) == key}
+            out |= carried(self.problem, fit.network, its, structure)
         return out
 
     def after_fitted(self, fit: Fit) -> dict[int, Array]:
@@ -199,12 +194,12 @@ class Judge:
     def noise(self, outcome: Outcome) -> list[Noise]:
         """Every channel's noise: as its owner or its own spectrum tells, and no more than is left above the motion.
 
-        It is never read off a misfit alone: what the measured signal has above its band bounds it. Test records take no part.
+        It is never read off a misfit alone: what the measured signal has above its band bounds it.
         """
         p, out = self.problem, []
-        first = p.records[p.choosing[0]]
+        first = p.records[p.held[0]]
         for j, known in enumerate(self.known):
-            series = [p.records[i].measured[:, j] - outcome.held.outputs[i][:, j] for i in p.choosing]
+            series = [p.records[i].measured[:, j] - y[:, j] for i, y in outcome.held.outputs.items()]
             left = noise_of(series, first.rate, time=p.time, white=first.filtered)
             share = 1.0
             if known.source == "owner" or left.deviation > known.deviation:

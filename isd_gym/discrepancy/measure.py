@@ -236,7 +236,6 @@ def measure(
         fitted_explained=trial.fitted_explained(refit, after, worth),
         sure=steadfast(search, trial, seed),
         shapeless=shapeless(search, trial),
-        confirmed=trial.confirmed(best),
         lead=min((trial.of(r).score - trial.quiet for r in others), default=math.inf) / own,
         abreast=tuple(r.label for r in abreast),
         force_lead=min(trial.of(r).score - trial.quiet for r in forces) / own,

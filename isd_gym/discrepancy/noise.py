@@ -221,21 +221,14 @@ def quantum(series: Sequence[Array]) -> float:
 
 
 def floors_of(problem: Problem) -> list[Floor]:
-    """Estimate every channel's noise: the owner's statement, or the signal of the records to fit and to choose by.
-
-    Args:
-        problem: records and channels.
-
-    Returns:
-        One noise estimate per output. Test records take no part.
-    """
-    out, records = [], [problem.records[i] for i in dict.fromkeys((*problem.estimation, *problem.choosing))]
+    """Every channel's noise, as its owner states it or its own signal tells."""
+    out = []
     for j, c in enumerate(problem.network.outputs):
         if c.noise is not None:
             out.append(Floor(c.noise, True, "owner"))
             continue
-        series = [r.measured[:, j] for r in records]
-        first = records[0]
+        series = [r.measured[:, j] for r in problem.records]
+        first = problem.records[0]
         seen = floor_of(series, first.rate, white=first.filtered)
         grain = quantum(series) if not first.filtered else 0.0
         out.append(Floor(max(seen.deviation, grain), seen.known, seen.source))

@@ -75,7 +75,7 @@ class Search(Compared):
                     path, stages = [again], []
                     continue
             try:
-                then = self.judge.outcome(best, self.judge.weights(now), (here,))
+                then = self.judge.outcome(best, self.judge.weights(now))
             except BROKEN:
                 break
             path.append(best)
@@ -96,7 +96,7 @@ class Search(Compared):
     def moves(self, candidate: Candidate, now: Candidate, here: Outcome) -> bool:
         """Whether a candidate moves a channel of the held-out records enough to be named."""
         try:
-            then = self.judge.outcome(candidate, self.judge.weights(now), (here,))
+            then = self.judge.outcome(candidate, self.judge.weights(now))
         except BROKEN:
             return False
         return moved(here, then) >= self.criteria.material

@@ -209,7 +209,7 @@ def follow(judge: Judge, base: Candidate, criteria: Criteria) -> Followed:
     first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
     finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
     tried = [c for s in finals if (c := _settled(problem, base, s, floors)) is not None]
-    weighed = _weighed(judge, base, tried)
+    weighed = _weighed(judge, tried)
     if (
         weighed is not None and weighed.share(judge, base)[0] < ENOUGH
     ):  # a force of both, where one alone is not enough
@@ -220,7 +220,7 @@ def follow(judge: Judge, base: Candidate, criteria: Criteria) -> Followed:
             built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
             c = _settled(problem, base, built, floors)
             tried += [c] if c is not None else []
-        weighed = _weighed(judge, base, tried)
+        weighed = _weighed(judge, tried)
     if weighed is None:
         return Followed()
     weighed = _rougher(judge, base, weighed, forces)
@@ -268,8 +268,7 @@ class Weighed:
 
     def share(self, judge: Judge, base: Candidate) -> tuple[float, float, float]:
         """(share of the held-out excess that it removes, the most that it moves a channel, standard errors of the gain)."""
-        after = judge.outcome(self.best, self.filters, (judge.own(base),))
-        refit = judge.outcome(base, self.filters, (after,))
+        refit, after = judge.outcome(base, self.filters), judge.outcome(self.best, self.filters)
         quiet, floor = judge.quiet(after, self.filters), judge.floor(after)
         weights = 1.0 / np.maximum(floor, 1e-3) ** 2
         plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
@@ -298,7 +297,7 @@ def _settled(problem: Problem, base: Candidate, structure: Table, floors: Array)
         return None
 
 
-def _weighed(judge: Judge, base: Candidate, tried: Sequence[Candidate]) -> Weighed | None:
+def _weighed(judge: Judge, tried: Sequence[Candidate]) -> Weighed | None:
     """The one that leaves least of the held-out records, one over both only where it leaves clearly less."""
     if not tried:
         return None
@@ -306,7 +305,7 @@ def _weighed(judge: Judge, base: Candidate, tried: Sequence[Candidate]) -> Weigh
     scored = []
     for c in tried:
         try:
-            score = judge.outcome(c, filters, (judge.own(base),)).score
+            score = judge.outcome(c, filters).score
         except BROKEN:
             continue
         richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
@@ -330,10 +329,10 @@ def _rougher(judge: Judge, base: Candidate, weighed: Weighed, forces: PlaceForce
             )
             if c is None:
                 continue
-            then = judge.outcome(c, weighed.filters, (judge.own(base),)).score
+            then = judge.outcome(c, weighed.filters).score
         except BROKEN:
             continue
-        if RICHER * then < judge.outcome(weighed.best, weighed.filters, (judge.own(base),)).score:
+        if RICHER * then < judge.outcome(weighed.best, weighed.filters).score:
             weighed = Weighed(c, weighed.filters)
     return weighed
 

@@ -32,9 +32,7 @@ class Trial:
 
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.base
-        self.stages = [list(ran) for ran in self.stages]  # other trials keep theirs
         self._seen: dict[int, tuple[Candidate, Outcome]] = {}
-        self._like = tuple(self.judge.own(c) for c in (self.base, self.richest))
         self.filters = self.judge.weights(self.richest)
         self.floor = self.judge.floor(self.of(self.richest))
         self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
@@ -42,7 +40,8 @@ class Trial:
     def of(self, candidate: Candidate) -> Outcome:
         """Its outcome. Raises where it breaks down on the held-out records."""
         if id(candidate) not in self._seen:
-            found = self.judge.outcome(candidate, self.filters, self._like)
+            before = self.judge.own(candidate) if candidate is self.richest else None
+            found = self.judge.outcome(candidate, self.filters, before)
             self._seen[id(candidate)] = candidate, found
         return self._seen[id(candidate)][1]
 
@@ -81,20 +80,6 @@ class Trial:
         refit, after = self.of(self.base), self.of(candidate)
         before, left = refit.excess(self.floor) ** 2, after.excess(self.floor) ** 2
         return min(self.share(refit, after), _removed_where_widest(before, left, worth))
-
-    def confirmed(self, candidate: Candidate) -> float:
-        """Return the share of the refitted model's excess error that a candidate removes on the test records.
-
-        The whitened error counts, or the plain error where the plain error falls by more. Where the refitted model errs by no more
-        than noise on the test records, the share compares with a hundredth of the noise.
-        """
-        refit, after = self.of(self.base), self.of(candidate)
-        whitened = (refit.tested - after.tested) / max(refit.tested - self.quiet, 0.01 * self.quiet)
-        noise = (self.floor * self.judge.spread / self.judge.spread_reported) ** 2
-        weights = 1.0 / np.maximum(noise, 1e-24)
-        top = float(np.sum((refit.reported**2 - after.reported**2) * weights))
-        excess = float(np.sum(np.maximum(refit.reported**2 - noise, 0.0) * weights))
-        return max(whitened, top / max(excess, 0.01))
 
     def fitted_explained(self, last: Outcome, now: Outcome, worth: Array) -> float:
         """The same of what `now` removes of the excess of `last` on the records that were fitted to."""
