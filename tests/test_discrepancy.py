@@ -351,7 +351,7 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     assert seen.nrmse < 0.02  # 0.011 of it noise
 
 
-def test_candidates_that_are_compared_share_the_initial_states_of_the_one_that_errs_least() -> None:
+def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_begins() -> None:
     from isd_gym.discrepancy import CRITERIA
     from isd_gym.discrepancy.judge import Judge
     from isd_gym.discrepancy.problem import Problem
@@ -367,18 +367,13 @@ def test_candidates_that_are_compared_share_the_initial_states_of_the_one_that_e
     search = Search(Judge(problem), SearchSettings(), CRITERIA, lambda line: None)
     judge, base = search.judge, search.refitted()
     best = search.stage(base, [])
-    assert best is not None and not judge.nearest_starts((), best.fit.structure)
-    weights = judge.weights(base)
-    alone = judge.outcome(base, weights).score
-    both = judge.own(base), judge.own(best)
-    assert (
-        judge.outcome(base, weights).score == alone
-    )  # a function of its arguments, whatever was scored before
-    held_out = both[1].held
-    begun = judge.nearest_starts(both, base.fit.structure)  # each in the coordinates of its own states
+    assert best is not None and not judge.begun(best.fit.structure)
+    judge.own(base)
+    held_out = judge.own(best).held
+    begun = judge.begun(base.fit.structure)  # each in the coordinates of its own states
     assert set(begun) == set(problem.held)
     assert {len(x) for x in begun.values()} == {len(next(iter(base.fit.initial.values())))}
-    for i, x in judge.nearest_starts(both[::-1], best.fit.structure).items():  # the base errs by far more
+    for i, x in judge.begun(best.fit.structure).items():  # the base errs by far more
         assert x == pytest.approx(held_out.initial[i], abs=1e-9)
     # the nearest of those that are worth trying is gone on with, whatever was given
     far = {i: 3.0 * x for i, x in held_out.initial.items()}
