@@ -23,11 +23,15 @@ def test_the_completed_model_drives_the_car_better_than_the_owners() -> None:
     level = found.effects[0].parameters["level"]
     assert level.value == pytest.approx(500.0, rel=0.03)
     readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
-    told = re.search(r"names the friction at its place, (\S+) N, and takes .* from (\S+) to (\S+) %", readme)
+    # where friction holds, the refit of the old model ends in one of several optima, by the rounding of the processor
+    told = re.search(
+        r"names the friction at its place, (\S+) to (\S+) N .* from (\S+) to (\S+) % down to (\S+) %", readme
+    )
     assert told is not None
-    gap = found.gap
-    errors = [100 * gap[stage]["device_travel"] for stage in ("refit", "after")]
-    assert [float(x) for x in told.groups()] == pytest.approx([level.value, *errors], rel=5e-3, abs=0.1)
+    least, most, least_before, most_before, after = map(float, told.groups())
+    assert 0.995 * least <= level.value <= 1.005 * most
+    assert least_before - 0.5 <= 100 * found.gap["refit"]["device_travel"] <= most_before + 0.5
+    assert 100 * found.gap["after"]["device_travel"] == pytest.approx(after, abs=0.2)
     cost = {row["policy"]: row["cost"] for row in result.to_dict()["policies"]}
     assert cost["mpc, new model"]["high"] < cost["mpc, old model"]["low"]
     assert cost["mpc, new model"]["change"] < -0.2
