@@ -44,7 +44,7 @@ CHANGES = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", 
 
 @dataclass(frozen=True)
 class Case:
-    """A command: what it needs in its folder, how it is run there, and what it has written (None where there is nothing)."""
+    """A command: preparation of the folder, the run, and the written result (None without a result)."""
 
     prepare: Callable[[Path], None]
     run: Callable[[], None]

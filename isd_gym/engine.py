@@ -193,7 +193,7 @@ def _serve(pipe: Connection) -> None:
 
 @contextmanager
 def _deaf() -> Iterator[None]:
-    """Processes begun within do not hear Ctrl-C: who began them says what it means, and stops them."""
+    """Processes that start within the context ignore Ctrl-C; the parent process handles Ctrl-C and stops the children."""
     if threading.current_thread() is not threading.main_thread():  # only there can that be said
         yield
         return

@@ -1,7 +1,7 @@
 """Writing files and folders whole or not at all, and never where something of somebody else's lies.
 
 All that is written is made in a workshop, a locked folder ``.isd-gym-…`` beside its place, and takes that place in one
-step. A process that is killed leaves its workshop behind; the next one that writes there clears it.
+step. A process that is killed leaves its workshop behind; the next process that writes to the same place clears the workshop.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Case:
 def cases_of(folder: str | Path, model: str | None = None) -> list[Case]:
     """The cases in a folder, by vehicle and date. Raises `InputError` where there are none, or one has no model.
 
-    folder: of cases. model: for those that have none of their own.
+    folder: of cases. model: for cases without a model file.
     """
     folder = Path(folder)
     places = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))

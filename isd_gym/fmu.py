@@ -46,7 +46,7 @@ POWERS = {
 
 
 def base_units(unit: str) -> dict[str, str] | None:
-    """The attributes of a unit's `BaseUnit` in FMI; None for one that is none of ours."""
+    """Return the attributes of a unit's `BaseUnit` in FMI; None for an unknown unit."""
     si, factor = TABLE.get(unit, (unit, 1.0))
     total = [0] * 5
     for k, side in enumerate(si.split("/")):

@@ -150,8 +150,8 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
 def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) -> list[dict[str, Any]]:
     """Policies over all conditions, best first; each condition counts the same, whatever its road.
 
-    Of those that are there in every one: the mean of the `change` of J, the `worst` condition, and `against` each other policy
-    the mean difference of the changes; 95 % intervals over conditions drawn with replacement, the same ones for all.
+    Policies with a result in every condition have the mean `change` of J, the `worst` condition, and the mean difference of the
+    changes `against` each other policy. Intervals of 95 % come from conditions drawn with replacement, the same draws for all.
     """
     by = [{row["policy"]: row["cost"].get("change") for row in c["policies"]} for c in conditions]
     whole = [p for p in policies if p != "passive" and all(c.get(p) is not None for c in by)]

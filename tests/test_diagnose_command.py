@@ -142,7 +142,7 @@ class Text(html.parser.HTMLParser):
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished command: its folder, its document and what it printed."""
+    """A finished command: output folder, JSON document and printed text."""
 
     folder: Path
     document: dict[str, Any]

@@ -115,10 +115,9 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
     """
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
-    watched = watching(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
-    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
-    seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=net)
-    together = np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
+    together = _simulate(
+        problem, fit, watching(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
+    )
     return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
 
 
@@ -141,18 +140,21 @@ def _measured_force(problem: Problem) -> float:
     return found
 
 
+def _simulate(problem: Problem, fit: Fit, watched: Network) -> Array:
+    """Simulate a fit with other outputs over all records to fit by: (samples, outputs)."""
+    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
+    seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=fit.network)
+    return np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
+
+
 def _simulated(problem: Problem, fit: Fit, watched: Network) -> list[Array]:
     """Outputs of `watched`, one array over all records to fit by per output; zero where the simulation breaks down."""
     if not watched.outputs:
         return []
-    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
     try:
-        seen = problem.watching(watched).simulate_all(
-            [watched], problem.estimation, initial, like=fit.network
-        )
+        together = _simulate(problem, fit, watched)
     except (InputError, np.linalg.LinAlgError):
         return [np.zeros(1) for _ in watched.outputs]
-    together = np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
     return list(np.where(np.isfinite(together), together, 0.0).T)
 
 

@@ -221,7 +221,7 @@ class Element:
         return 0.0, 0.0, 0.0
 
     def parts(self) -> tuple[Element, ...]:
-        """What the kernel steps in its place: itself where it has a law, nothing where it is linear."""
+        """Elements that the kernel steps: the element where a law is defined, no element where the force is linear."""
         return (self,) if self.law is not None or self.bound is not None else ()
 
     def law_parameters(self) -> list[float]:
