@@ -38,9 +38,8 @@ GOOD = Evidence(
     floor_known=(True,),
     worth=(0.03,),
     effects=(FRICTION,),
-    gain=2000.0,
-    power_left=0.005,
-    again=9.0,
+    elpd_diff=2000.0,
+    elpd_dse=200.0,
     explained=0.995,
     lead=50.0,
     force_lead=50.0,
@@ -58,8 +57,8 @@ def test_a_name_passes_every_gate() -> None:
 @pytest.mark.parametrize(
     ("gate", "change", "verdict"),
     [
-        ("significant", {"gain": 20.0, "power_left": 0.9}, "unknown_effect"),
-        ("replicated", {"again": 0.5}, "unknown_effect"),
+        ("predicts better", {"elpd_diff": 3.0, "elpd_dse": 1.0}, "unknown_effect"),
+        ("predicts better", {"elpd_dse": 1500.0}, "unknown_effect"),
         ("material", {"effects": (replace(FRICTION, share=0.02),), "explained": 0.7}, "unknown_effect"),
         ("adequate", {"explained": 0.6, "after": (0.2,), "closest": (0.2,)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
@@ -68,6 +67,8 @@ def test_a_name_passes_every_gate() -> None:
         ("ahead", {"abreast": ("hysteresis at mass-ground",), "lead": 1.0}, "ambiguous"),
         ("shape", {"shapeless": 0.8}, "unknown_effect"),
         ("likely", {"sure": 0.4}, "unknown_effect"),
+        ("confirmed", {"confirmed": 0.4}, "unknown_effect"),
+        ("confirmed", {"confirmed": 0.6, "test_rest": 10.0}, "unknown_effect"),
         ("forces first", {"effects": (GAIN,), "force_lead": 1.2}, "ambiguous"),
         ("forces first", {"effects": (replace(GAIN, fault=0.4),), "force_lead": 10.0}, "ambiguous"),
     ],
@@ -163,7 +164,7 @@ def test_what_noise_may_hide_is_no_finding() -> None:
     assert decide(replace(clean, closest=())).verdict == "parameters_only"
     assert decide(replace(clean, closest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
     # what gains something is looked at whatever the noise
-    small = replace(clean, effects=(FRICTION,), after=(0.041,), gain=300.0, explained=0.6, shapeless=0.7)
+    small = replace(clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, shapeless=0.7)
     assert decide(small).verdict == "unknown_effect"
 
 
@@ -215,8 +216,8 @@ def evidences(draw: st.DrawFn) -> Evidence:
         **{name: draw(rows) for name in ("fitted_refit", "fitted_after", "closest")},
         floor_known=draw(st.tuples(*[st.booleans()] * count)),
         effects=tuple(draw(st.lists(EFFECTS, min_size=1, max_size=2))),
-        **{name: draw(NUMBERS) for name in ("gain", "again", "explained", "lead", "force_lead")},
-        **{name: draw(SHARES) for name in ("power_left", "fitted_explained", "sure", "shapeless")},
+        **{name: draw(NUMBERS) for name in ("elpd_diff", "explained", "lead", "force_lead", "confirmed")},
+        **{name: draw(SHARES) for name in ("elpd_dse", "fitted_explained", "sure", "shapeless", "test_rest")},
         **{name: draw(PARAMETERS) for name in ("abreast", "limits", "refit_limits", "beside")},
     )
 
@@ -237,8 +238,7 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
     excused = e.rest < c.several and (half or e.fitted_explained >= c.alone)
     far = c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far
     assert {n: g.passed for n, g in gates.items()} == {
-        "significant": e.gain > c.significant or e.power_left < 0.5,
-        "replicated": e.again > c.replicated,
+        "predicts better": e.elpd_diff > c.elpd_diff and e.elpd_diff / max(e.elpd_dse, 1e-12) > c.elpd_errors,
         "material": e.moved >= c.material and (size >= c.share or alone),
         "adequate": e.fitted_ratio <= 1.0 and (e.explained >= c.adequate or excused),
         "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.complaint for x in e.effects),
@@ -246,16 +246,17 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
         "ahead": not e.abreast,
         "shape": e.shapeless < c.half,
         "likely": e.sure >= c.likely,
+        "confirmed": e.confirmed >= c.adequate or (e.confirmed >= c.half and e.test_rest < c.several),
         "forces first": not sensors or e.force_lead >= far,
     }  # fmt: skip
 
 
 @given(NUMBERS, NUMBERS, NUMBERS)
-def test_so_are_those_of_a_table(explained: float, moved: float, again: float) -> None:
-    for g in table_gates(explained, moved, again):
+def test_so_are_those_of_a_table(explained: float, moved: float, errors: float) -> None:
+    for g in table_gates(explained, moved, errors):
         assert g.passed == COMPARE[g.relation](g.value, g.limit) and math.isfinite(g.value)
-    asked = explained >= CRITERIA.half and moved >= CRITERIA.material and again >= CRITERIA.replicated
-    assert all(g.passed for g in table_gates(explained, moved, again)) == asked
+    asked = explained >= CRITERIA.half and moved >= CRITERIA.material and errors > CRITERIA.elpd_errors
+    assert all(g.passed for g in table_gates(explained, moved, errors)) == asked
 
 
 def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against() -> None:

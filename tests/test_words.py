@@ -26,8 +26,8 @@ SEEN = Evidence(
     floor_known=(True,),
     worth=(0.03,),
     effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=0.05),),
-    gain=2000.0,
-    again=9.0,
+    elpd_diff=2000.0,
+    elpd_dse=200.0,
     explained=0.99,
     lead=50.0,
     force_lead=50.0,
@@ -90,15 +90,15 @@ def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() 
     assert "No known effect gains anything" in nothing
 
 
-def tried(explained: float, moved: float = 0.2, again: float = 5.0) -> dict[str, Any]:
-    gates = [g.to_dict() for g in table_gates(explained, moved, again)]
+def tried(explained: float, moved: float = 0.2, errors: float = 5.0) -> dict[str, Any]:
+    gates = [g.to_dict() for g in table_gates(explained, moved, errors)]
     return {"between": ["mass", "ground"], "over": "elongation", "explained": explained, "gates": gates}
 
 
 def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> None:
-    said = summary_of(document(VAGUE, best_table=tried(0.93, again=1.2)))
+    said = summary_of(document(VAGUE, best_table=tried(0.93, errors=1.2)))
     assert "removes 93 % of the held-out excess error" in said
-    assert "replicated (1.2, needed at least 2)" in said
+    assert "predicts better (1.2, needed above 2)" in said
     assert "depend on time" not in said and "half" not in said
     said = summary_of(document(VAGUE, best_table=tried(0.3)))
     assert "removes 30 % of the held-out excess error (needed 50 %)." in said

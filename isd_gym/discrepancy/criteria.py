@@ -34,15 +34,30 @@ def limit(value: float, unit: str, why: str, source: str) -> Any:
 class Criteria:
     """The limits that decide. Every one is documented by its metadata (unit, why, how it was calibrated)."""
 
-    significant: float = limit(
+    deviance_gain: float = limit(
         60.0,
         "2 log L",
-        "what chance, and the choice among some hundred hypotheses, gains for nothing",
+        "what chance, and the choice among some hundred hypotheses, gains on the training records",
         "a hundred hypotheses of two parameters each: 2 ln 100 + 2 x 4 is 17; coloured noise that is itself estimated takes "
         "the rest (clean rigs of the hidden suite stay below 50)",
     )
-    replicated: float = limit(
-        2.0, "standard errors", "the gain is there again in held-out blocks", "two-sided 95 %"
+    elpd_diff: float = limit(
+        4.0,
+        "nats",
+        "least difference of the log predictive density that a comparison counts: below it the standard error cannot be trusted",
+        "Sivula, Magnusson, Matamoros, Vehtari (2020), arXiv:2008.10296, section 3",
+    )
+    elpd_errors: float = limit(
+        2.0,
+        "standard errors",
+        "a candidate predicts better where the difference is larger than chance makes it",
+        "two-sided 95 %",
+    )
+    simpler_errors: float = limit(
+        1.0,
+        "standard errors",
+        "a candidate with more parameters must be ahead by so much of one with fewer",
+        "rule of one standard error: Breiman, Friedman, Olshen, Stone (1984), section 3.4.3",
     )
     material: float = limit(
         0.03,
@@ -85,15 +100,6 @@ class Criteria:
         "powers",
         "where less is explained, what is left may be so many small effects' sum",
         "two to four a rig",
-    )
-    ahead: float = limit(
-        1.1, "ratio of excess errors", "the nearest rival of another kind errs more", "a tenth, beyond chance"
-    )
-    decisive: float = limit(
-        6.0,
-        "difference of Schwarz's criterion",
-        "a rival with more parameters that gains nothing by them is beaten",
-        "strong evidence, Kass and Raftery, JASA 90 (1995)",
     )
     forces_first: float = limit(
         2.0,
@@ -236,14 +242,7 @@ def wide_enough(width: float, beyond_small: bool, size: float, c: Criteria = CRI
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     """Return the gates. Where a gate has several conditions, its figures are those of the condition that decided."""
     return (
-        _significant(e, c),
-        gate(
-            "replicated",
-            e.again,
-            ">",
-            c.replicated,
-            "standard errors, over held-out blocks, by which the error is smaller than the refitted model's",
-        ),
+        _predicts_better(e, c),
         _material(e, c),
         _adequate(e, c),
         _determined(e, c),
@@ -278,28 +277,42 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             c.likely,
             "share of resamplings of the held-out records in which the choice stays",
         ),
+        _confirmed(e, c),
         _forces_first(e, c),
     )
 
 
-def _significant(e: Evidence, c: Criteria) -> Gate:
-    return any_of(
+def _predicts_better(e: Evidence, c: Criteria) -> Gate:
+    text = "by which the log predictive density exceeds the refitted model's, over blocks of validation and training records"
+    return all_of(
         gate(
-            "significant",
-            e.gain,
+            "predicts better",
+            e.elpd_diff / max(e.elpd_dse, 1e-12),
             ">",
-            c.significant,
-            "twice the log likelihood gained over the refitted model, under the candidate's own coloured noise",
+            c.elpd_errors,
+            f"standard errors {text}",
         ),
-        gate(
-            "significant",
-            e.power_left,
-            "<",
-            1.0 - c.half,
-            f"share of the gap's power left on the fitted records; enough, though the gain is only {e.gain:.3g} (2 log L, needed "
-            f"{c.significant:.3g})",
-        ),
+        gate("predicts better", e.elpd_diff, ">", c.elpd_diff, f"nats {text}"),
     )
+
+
+def _confirmed(e: Evidence, c: Criteria) -> Gate:
+    removed = (
+        "share of the excess error removed on the test records, which took no part in fitting or choosing"
+    )
+    rest = f"what is left there is {e.test_rest:.3g} times the power of unmodelled effects"
+    main = gate("confirmed", e.confirmed, ">=", c.adequate, f"{removed}; {rest}")
+    part = gate(
+        "confirmed", e.confirmed, ">=", c.half, f"{removed}; enough, since {rest} (limit {c.several:g})"
+    )
+    few = gate(
+        "confirmed",
+        e.test_rest,
+        "<",
+        c.several,
+        "power left on the test records over that of unmodelled effects",
+    )
+    return any_of(main, all_of(part, few))
 
 
 def _material(e: Evidence, c: Criteria) -> Gate:
@@ -405,11 +418,14 @@ def _forces_first(e: Evidence, c: Criteria) -> Gate:
     )
 
 
-def table_gates(explained: float, moved: float, again: float, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
+def table_gates(explained: float, moved: float, errors: float, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
     """Return the conditions for a force without a name to be stated as a table.
 
-    explained: share of the held-out excess error that the table removes. moved: largest share of a channel's standard deviation by
-    which the error falls. again: standard errors of the gain over held-out blocks.
+    Args:
+        explained: Share of the held-out excess error that the table removes.
+        moved: Largest share of a channel's standard deviation by which the error falls.
+        errors: Difference of the log predictive density to the refitted model in standard errors.
+        c: Limits of the decision.
     """
     return (
         gate("explains", explained, ">=", c.half, "share of the held-out excess error removed"),
@@ -421,11 +437,11 @@ def table_gates(explained: float, moved: float, again: float, c: Criteria = CRIT
             "largest share of a channel's standard deviation by which the error falls",
         ),
         gate(
-            "replicated",
-            again,
-            ">=",
-            c.replicated,
-            "standard errors, over held-out blocks, by which the error is smaller than the refitted model's",
+            "predicts better",
+            errors,
+            ">",
+            c.elpd_errors,
+            "standard errors by which the log predictive density exceeds the refitted model's",
         ),
     )
 
@@ -435,13 +451,13 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
     agreed: Verdict = "no_discrepancy" if e.agrees_before else "parameters_only"
     gates = gates_of(e, c) if e.effects else ()
     failed = {g.name for g in gates if not g.passed}
-    there = bool(gates) and not failed & {"significant", "replicated", "determined"}
+    there = bool(gates) and not failed & {"predicts better", "determined"}
     if gates and not failed:
         return Decision("missing_effect", gates)
     if all(x < c.material for x in e.excess_refit) and e.believed(c.misses):
         return Decision(agreed, gates, small=there, reason="immaterial")
     # nothing gains anything, and more of what is left is noise: that is no finding
-    if not gates or "significant" in failed:
+    if not gates or "predicts better" in failed:
         hidden = all(x < f for x, f in zip(e.excess_refit, e.floor, strict=True))
         if hidden and e.width < c.wide and e.believed(c.misses):
             return Decision(agreed, gates, reason="noise")

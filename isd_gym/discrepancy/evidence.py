@@ -38,9 +38,7 @@ class Evidence:
 
     before, refit, after: errors of the owner's model, of it refitted, and of the candidate. floor: noise; floor_known:
     whether the signal or the owner tells it, or it is only bounded. worth: excess that small effects make of the model
-    refitted; worth_after: of the candidate, which may have many rests. Of the candidate: its `effects`; gain (2 log L) and
-    the share of the gap's power on the fitted records that it leaves (power_left); again: standard errors of the gain over held-out blocks; explained: share of the
-    refitted model's excess; lead: excess of the nearest rival of another kind over its own, and those that are abreast;
+    refitted; worth_after: of the candidate, which may have many rests. Of the candidate: its `effects`; explained: share of the refitted model's excess; lead: excess of the nearest rival of another kind over its own, and those that are abreast;
     force_lead: the same of the best rival that blames no sensor; sure: how often it is chosen when held-out blocks are drawn anew;
     shapeless: share of what it leaves that a free curve in its effect's place removes.
     fitted_refit, fitted_after, fitted_explained: errors, and the share that is explained, on the records that were fitted to.
@@ -57,9 +55,9 @@ class Evidence:
     floor_known: tuple[bool, ...]
     worth: tuple[float, ...]
     effects: tuple[EffectEvidence, ...] = ()
-    gain: float = 0.0
-    power_left: float = 1.0
-    again: float = 0.0
+    #: log predictive density minus that of the refitted model [nats], and its standard error
+    elpd_diff: float = 0.0
+    elpd_dse: float = math.inf
     explained: float = 0.0
     lead: float = math.inf
     abreast: tuple[str, ...] = ()
@@ -75,6 +73,10 @@ class Evidence:
     fitted_explained: float = 0.0
     sure: float = 1.0
     shapeless: float = 0.0
+    #: share of the refitted model's excess error that the candidate removes on the test records
+    confirmed: float = 1.0
+    #: power left on the test records over the power of unmodelled effects, largest over channels
+    test_rest: float = 0.0
 
     def _excess(self, row: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(math.sqrt(max(x**2 - f**2, 0.0)) for x, f in zip(row, self.floor, strict=True))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -14,6 +13,7 @@ from ..arrays import rms
 from ..errors import InputError
 from ..simulate import effective_current
 from .candidate import BROKEN, Candidate, reckoned
+from .comparison import Comparison, block_edges, compare, log_density
 from .fit import Fit, Fitter, residuals
 from .forces import element_forces, place_forces
 from .initial import carried, next_states
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .problem import Array, Problem
 
 BLOCKS = 20  # in which a held-out stretch is weighed
+LEAST_BLOCK = 10  # samples
 LEAST_NOISE = 0.01  # share of the signal: no model is better
 #: share of the typical force that each small effect, unmodelled, may have (one sigma)
 SMALL = 0.005
@@ -38,19 +39,28 @@ SMALL = 0.005
 class Outcome:
     """A candidate on the held-out records. `score`: mean whitened square of what it leaves of those to choose by.
 
-    `blocks` (blocks in time, channels) of it; `nrmse` (channels,) on those to choose by, `reported` on those to report by;
+    `lpd` (blocks,): log predictive density of validation records [nats], without constants; `training_lpd` (blocks,): the same of
+    training records, less one nat per parameter (Akaike 1974), spread over the blocks; `squares` (blocks, 2): sum of
+    whitened squares and their number; `nrmse` (channels,) on those to choose by, `reported` on those to report by;
     `fitted`: on those it was fitted to, which may show what the others, driven harder or more softly, hardly do;
-    `start`: initial states that the records were followed from.
+    `tested`: mean whitened square on the test records, which take no part in a choice.
     """
 
     candidate: Candidate
     score: float
-    blocks: Array
+    lpd: Array
+    training_lpd: Array
+    squares: Array
     nrmse: Array
     reported: Array
     fitted: Array
-    start: dict[int, Array]
+    tested: float
     held: Fit
+
+    def versus(self, other: Outcome) -> Comparison:
+        """Compare with another candidate behind the same filters, on the blocks of validation and training records."""
+        mine, theirs = ((o.lpd, o.training_lpd) for o in (self, other))
+        return compare(np.concatenate(mine), np.concatenate(theirs))
 
     def excess(self, floor: Array) -> Array:
         """Error beyond noise (channels,), as a share of a channel's deviation."""
@@ -70,8 +80,9 @@ class Judge:
         self.spread_fitted = np.maximum(deviation, 1e-300)
         self._worth: dict[int, tuple[Candidate, Array]] = {}
         self._fitted: dict[int, tuple[Candidate, Array]] = {}
-        self._own: dict[int, tuple[Candidate, Outcome]] = {}
-        self._begun: dict[int, tuple[float, Fit]] = {}  # held-out record -> least plain error, and whose
+        self._along: dict[
+            tuple[int, ...], tuple[Candidate, Outcome]
+        ] = {}  # the candidate keeps its id in use
         self._responses: tuple[Candidate, dict[int, Array]] | None = None  # they are large: the last alone
 
     @cached_property
@@ -110,40 +121,70 @@ class Judge:
         f = self.plain.follow(structure, structure.start, p.held)
         return self.error(f, p.choosing, self.spread), self.error(f, p.reporting, self.spread_reported)
 
-    def outcome(self, candidate: Candidate, W: Whitener, before: Outcome | None = None) -> Outcome:
-        """Parameters as found; initial states and offsets from each record's own samples.
+    def outcome(self, candidate: Candidate, W: Whitener, like: Sequence[Outcome] = ()) -> Outcome:
+        """Score a candidate on the held-out records: parameters as fitted, initial states and offsets from each record's own samples.
 
-        `before`: an earlier outcome of the same candidate. Raises where it breaks down.
+        Args:
+            candidate: fitted set of effects.
+            W: filters that whiten the residuals.
+            like: scores of other candidates, whose initial states are starting points beside the candidate's own guesses.
+
+        Returns:
+            The score, a function of the arguments alone.
+
+        Raises:
+            InputError, LinAlgError: the simulation breaks down.
         """
         p, fit = self.problem, candidate.fit
-        begun = self.begun(fit.structure)
-        start, about = (before.start, ()) if before else (None, (self.after_fitted(fit), begun))
-        f = Fitter(p, W).follow(fit.structure, fit.x, p.held, start, about)
+        begun = self.nearest_starts(like, fit.structure)
+        f = Fitter(p, W).follow(fit.structure, fit.x, p.held, None, (self.after_fitted(fit), begun))
         held = self.plain.follow(fit.structure, fit.x, p.held, f.initial, (begun,))
         f = self.lower(f, held, W)
-        self.remember(held)
-        blocks = []
-        for i in p.choosing:
-            e = W(p.records[i].measured - f.outputs[i]) ** 2
-            edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)
-            blocks += [e[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a]
-        rows = np.array(blocks)
+        tested = np.concatenate([W(p.records[i].measured - f.outputs[i]) ** 2 for i in p.reporting])
+        squares, lpd = self._blocks(p.choosing, f, W)
+        _, training = self._blocks(p.estimation, fit, W)
         return Outcome(
             candidate,
-            float(rows.mean()),
-            rows,
+            float(squares[:, 0].sum() / squares[:, 1].sum()),
+            lpd,
+            training - len(fit.x) / len(training),
+            squares,
             self.error(held, p.choosing, self.spread),
             self.error(held, p.reporting, self.spread_reported),
             self.error(fit, p.estimation, self.spread_fitted),
-            f.initial,
+            float(tested.mean()),
             held,
         )
 
+    def _blocks(self, records: Sequence[int], fit: Fit, W: Whitener) -> tuple[Array, Array]:
+        """Return the whitened residuals of records in blocks: sum and number of squares (blocks, 2), log density (blocks,) [nats]."""
+        squares, lpd = [], []
+        for i in records:
+            y = self.problem.records[i].measured
+            e = W(y - fit.outputs[i]) ** 2
+            edges = block_edges(y, BLOCKS, LEAST_BLOCK)
+            for a, b in pairwise(edges):
+                squares.append((float(e[a:b].sum()), e[a:b].size))
+                lpd.append(log_density(e[a:b], len(e) / (len(edges) - 1)))
+        return np.array(squares), np.array(lpd)
+
+    def along(self, path: Sequence[Candidate]) -> tuple[Outcome, ...]:
+        """Return the scores of a path of candidates, each behind its own filters and with the initial states of those before it.
+
+        Args:
+            path: candidates, each with one more effect than the candidate before it.
+        """
+        out: tuple[Outcome, ...] = ()
+        for k, candidate in enumerate(path):
+            key = tuple(id(c) for c in path[: k + 1])
+            if key not in self._along:
+                self._along[key] = candidate, self.outcome(candidate, self.weights(candidate), out)
+            out = (*out, self._along[key][1])
+        return out
+
     def own(self, candidate: Candidate) -> Outcome:
-        """The outcome behind the filters of its own residual, once."""
-        if id(candidate) not in self._own:
-            self._own[id(candidate)] = candidate, self.outcome(candidate, self.weights(candidate))
-        return self._own[id(candidate)][1]
+        """Return the score of a candidate behind the filters of its own residual."""
+        return self.along((candidate,))[0]
 
     def lower(self, f: Fit, plainly: Fit, W: Whitener) -> Fit:
         """The same, begun again where `plainly` errs less behind the filters, too: where friction holds there are many ways to begin."""
@@ -159,20 +200,18 @@ class Judge:
             f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
         )
 
-    def remember(self, held: Fit) -> None:
-        """Where held-out records begin is a matter of the records: who came nearest to one says it to all who follow."""
-        for i, y in held.outputs.items():
-            error = float(np.sum(((self.problem.records[i].measured - y) / self.floors) ** 2))
-            if i not in self._begun or error < self._begun[i][0]:
-                self._begun[i] = error, held
-
-    def begun(self, structure: Structure) -> dict[int, Array]:
-        """That, for each held-out record, in the coordinates of `structure`."""
-        whose = {id(fit): fit for _, fit in self._begun.values()}
+    def nearest_starts(self, like: Sequence[Outcome], structure: Structure) -> dict[int, Array]:
+        """Return, for each held-out record, the initial state of the score that errs least there, in the coordinates of `structure`."""
+        nearest: dict[int, tuple[float, Fit]] = {}
+        for held in (o.held for o in like):
+            for i, y in held.outputs.items():
+                error = float(np.sum(((self.problem.records[i].measured - y) / self.floors) ** 2))
+                if i not in nearest or error < nearest[i][0]:
+                    nearest[i] = error, held
         out: dict[int, Array] = {}
-        for key, fit in whose.items():
-            its = {i: fit.initial[i] for i, (_, f) in self._begun.items() if id(f) == key}
-            out |= carried(self.problem, fit.network, its, structure)
+        for fit in {id(f): f for _, f in nearest.values()}.values():
+            own = {i: fit.initial[i] for i, (_, f) in nearest.items() if f is fit}
+            out |= carried(self.problem, fit.network, own, structure)
         return out
 
     def after_fitted(self, fit: Fit) -> dict[int, Array]:
@@ -194,12 +233,12 @@ class Judge:
     def noise(self, outcome: Outcome) -> list[Noise]:
         """Every channel's noise: as its owner or its own spectrum tells, and no more than is left above the motion.
 
-        It is never read off a misfit alone: what the measured signal has above its band bounds it.
+        It is never read off a misfit alone: what the measured signal has above its band bounds it. Test records take no part.
         """
         p, out = self.problem, []
-        first = p.records[p.held[0]]
+        first = p.records[p.choosing[0]]
         for j, known in enumerate(self.known):
-            series = [p.records[i].measured[:, j] - y[:, j] for i, y in outcome.held.outputs.items()]
+            series = [p.records[i].measured[:, j] - outcome.held.outputs[i][:, j] for i in p.choosing]
             left = noise_of(series, first.rate, time=p.time, white=first.filtered)
             share = 1.0
             if known.source == "owner" or left.deviation > known.deviation:
@@ -289,25 +328,4 @@ def moved(last: Outcome, now: Outcome) -> float:
     return max(float(np.sqrt(np.maximum(a**2 - b**2, 0.0)).max()) for a, b in pairs)
 
 
-def block_lead(rival: Outcome, best: Outcome) -> float:
-    """By how many of its own standard errors, over blocks, the rival's score is behind."""
-    d = (rival.blocks - best.blocks).mean(axis=1)
-    if len(d) < 2:
-        return 0.0
-    return float(d.mean() / max(d.std(ddof=1) / math.sqrt(len(d)), 1e-12))
-
-
-def replication(rival: Outcome, best: Outcome) -> float:
-    """By how many standard errors, over blocks, the rival's error is the larger one, by the logarithm of its ratio.
-
-    In a decay nearly all of the error's power lies in the first few blocks; that it is there again in the others counts.
-    """
-    ratio = np.log(
-        np.maximum(rival.blocks.mean(axis=1), 1e-300) / np.maximum(best.blocks.mean(axis=1), 1e-300)
-    )
-    if len(ratio) < 2:
-        return 0.0
-    return float(ratio.mean() / max(ratio.std(ddof=1) / math.sqrt(len(ratio)), 1e-12))
-
-
-__all__ = ["BROKEN", "Judge", "Outcome", "block_lead", "moved", "replication", "share_at_place"]
+__all__ = ["BROKEN", "Judge", "Outcome", "moved", "share_at_place"]

@@ -9,12 +9,11 @@ import numpy as np
 
 from .. import elements as el
 from ..errors import InputError
-from .candidate import BROKEN, Candidate, level, reckoned
+from .candidate import BROKEN, Candidate, reckoned
 from .evidence import EffectEvidence, Evidence, row
-from .fit import Fit, Fitter, gap, residuals
+from .fit import Fit, Fitter, residuals
 from .forces import element_forces, place_forces
 from .imitate import repeats, sound
-from .judge import Outcome, replication
 from .motion import motions
 from .noise import whitener
 from .result import Quantity
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from ..network import Network
+    from .judge import Outcome
     from .problem import Array, Problem
     from .search import Search
     from .trial import Trial
@@ -225,17 +225,20 @@ def measure(
     abreast = search.abreast(trial)
     forces = [r for r in rivals if not blames_sensor(r.hypotheses)] + [base]
     own = trial.beyond(best)
+    worth_after = search.worth(best)
+    versus = after.versus(refit)
     evidence = Evidence(
         after=row(after.nrmse),
         effects=effects,
-        gain=level(problem, base, best, search.floors) - level(problem, best, best, search.floors),
-        power_left=gap(problem, best.fit) / max(gap(problem, base.fit), 1e-300),
-        again=replication(refit, after),
+        elpd_diff=versus.elpd_diff,
+        elpd_dse=versus.dse,
         explained=trial.explained(best, worth),
-        worth_after=row(search.worth(best)),
+        worth_after=row(worth_after),
         fitted_explained=trial.fitted_explained(refit, after, worth),
         sure=steadfast(search, trial, seed),
         shapeless=shapeless(search, trial),
+        confirmed=trial.confirmed(best),
+        test_rest=trial.test_rest(best, worth_after),
         lead=min((trial.of(r).score - trial.quiet for r in others), default=math.inf) / own,
         abreast=tuple(r.label for r in abreast),
         force_lead=min(trial.of(r).score - trial.quiet for r in forces) / own,
@@ -289,7 +292,7 @@ def _by_curve(search: Search, trial: Trial, without: Outcome, named: el.Element)
             continue
         if (
             now is not None
-            and replication(without, now) >= search.criteria.replicated
+            and now.versus(without).is_better(search.criteria)
             and _force_apart(search.problem, without.candidate, now.candidate, named) >= search.criteria.small
         ):
             yield trial.share(without, now)
@@ -325,20 +328,21 @@ def steadfast(search: Search, trial: Trial, seed: int) -> float:
     """Share of block resamplings of the held-out records in which the foremost candidate stays the choice."""
     c, rng = search.criteria, np.random.default_rng(seed)
     best, refit = trial.of(trial.foremost), trial.of(trial.base)
-    # one that is not what its name says is no choice
-    blocks = [
-        trial.of(r).blocks
+    # a candidate whose effects are ill-formed is no choice
+    rivals = [
+        trial.of(r).lpd
         for r in trial.rivals()
         if sound(search.problem, r)
         and not search.same(r, trial.foremost)
-        and not search.outclassed(trial, r, trial.foremost)
+        and not search.beaten(trial, r, trial.foremost)
     ]
-    # where half is removed only of what was fitted to, on held-out records it has to be better
+    # where the candidate removes half of the excess on the training records only, the held-out records must not get worse
     part = c.half if trial.share(refit, best) >= c.half else 0.0
-    count, hits, rounds = len(best.blocks), 0, 500
+    count, hits, rounds = len(best.lpd), 0, 500
     for _ in range(rounds):
         pick = rng.integers(0, count, count)
-        b, r0 = best.blocks[pick].mean(), refit.blocks[pick].mean()
-        removed = r0 - b >= part * max(r0 - trial.quiet, 0.0)
-        hits += bool(removed and all(o[pick].mean() > b for o in blocks))
+        squares, total = best.squares[pick].sum(axis=0)
+        before = refit.squares[pick, 0].sum()
+        removed = before - squares >= part * max(before - trial.quiet * total, 0.0)
+        hits += bool(removed and all(lpd[pick].sum() < best.lpd[pick].sum() for lpd in rivals))
     return (hits + 0.5) / (rounds + 1.0)

@@ -221,14 +221,21 @@ def quantum(series: Sequence[Array]) -> float:
 
 
 def floors_of(problem: Problem) -> list[Floor]:
-    """Every channel's noise, as its owner states it or its own signal tells."""
-    out = []
+    """Estimate every channel's noise: the owner's statement, or the signal of the training and validation records.
+
+    Args:
+        problem: Records and channels.
+
+    Returns:
+        One noise estimate per output. Test records take no part.
+    """
+    out, records = [], [problem.records[i] for i in dict.fromkeys((*problem.estimation, *problem.choosing))]
     for j, c in enumerate(problem.network.outputs):
         if c.noise is not None:
             out.append(Floor(c.noise, True, "owner"))
             continue
-        series = [r.measured[:, j] for r in problem.records]
-        first = problem.records[0]
+        series = [r.measured[:, j] for r in records]
+        first = records[0]
         seen = floor_of(series, first.rate, white=first.filtered)
         grain = quantum(series) if not first.filtered else 0.0
         out.append(Floor(max(seen.deviation, grain), seen.known, seen.source))

@@ -57,11 +57,6 @@ class Refits:
     def worth(self, candidate: Candidate) -> Array:
         return self.judge.worth(candidate, self.criteria.small, self.criteria.material)
 
-    def schwarz(self, candidate: Candidate, best: Candidate) -> float:
-        """Schwarz's criterion (2 log L, a penalty for every parameter), with the noise that `best` leaves."""
-        samples = sum(map(len, best.fit.outputs.values()))
-        return level(self.problem, candidate, best, self.floors) + len(candidate.fit.x) * math.log(samples)
-
     def loss(self, other: Candidate, best: Candidate) -> float:
         """By how much `other` is the less likely one (2 log L), with the noise that `best` leaves."""
         return level(self.problem, other, best, self.floors) - level(self.problem, best, best, self.floors)
@@ -85,7 +80,7 @@ class Refits:
         `outrun`: or where, seen roughly, it errs so many times as much (in power).
         """
         p, least = self.problem, reckoned(self.problem, like.fit, self.floors)
-        near = level(p, like, like, self.floors) + self.criteria.significant
+        near = level(p, like, like, self.floors) + self.criteria.deviance_gain
         # the owner's parameters as they are there; what was added begins as `structure` says
         own = zip(like.fit.structure.free, like.fit.x, strict=True)
         known = {f.path: v for f, v in own if f.owner < 0}

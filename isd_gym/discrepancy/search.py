@@ -21,10 +21,10 @@ from .candidate import (
 from .compare import Compared
 from .criteria import wide_enough
 from .fit import gap
-from .imitate import imitations, joined, sound
+from .imitate import imitations, joined
 from .judge import Outcome, moved
 from .race import compete
-from .trial import Trial
+from .trial import RIVALS, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -48,7 +48,7 @@ class Search(Compared):
         path, stages = list(path), list(stages)
         while len(path) <= (depth or self.settings.depth) and worthwhile(path[-1]):
             now = path[-1]
-            here = self.judge.own(now)
+            here = self.judge.along(path)[-1]
             left = here.excess(self.judge.floor(here))
             # a noise that is only bounded must not hide what is wide
             sure = all(k.known or e < c.misses for k, e in zip(self.judge.known, here.nrmse, strict=True))
@@ -71,16 +71,15 @@ class Search(Compared):
             if len(path) == 1 and self.judge.sizes(best)[-1] < c.share:
                 # a force of next to nothing may only have led the owner's model out of a place of its own
                 again = self.settle_again(now, best)
-                if now.likelihood - again.likelihood > c.significant:
+                if now.likelihood - again.likelihood > c.deviance_gain:
                     path, stages = [again], []
                     continue
             try:
-                then = self.judge.outcome(best, self.judge.weights(now))
+                then = self.judge.outcome(best, self.judge.weights(now), (here,))
             except BROKEN:
                 break
             path.append(best)
-            rest = then.excess(self.judge.floor(then))
-            idle = len(path) > 2 and bool(np.all(c.ahead * rest**2 > left**2))  # nothing to build on
+            idle = len(path) > 2 and not then.versus(here).is_better(c)  # nothing to build on
             if moved(here, then) < c.material or self.judge.sizes(best)[-1] < c.share or idle:
                 break
         return path, stages
@@ -91,12 +90,12 @@ class Search(Compared):
         finish = compete(self.problem, now.fit, self.floors, few)
         here = level(self.problem, now, now, np.maximum(self.floors, 0.1 * finish.white))
         best = next(iter(finish.ranked), None)
-        return best if best is not None and here - best.likelihood > self.criteria.significant else None
+        return best if best is not None and here - best.likelihood > self.criteria.deviance_gain else None
 
     def moves(self, candidate: Candidate, now: Candidate, here: Outcome) -> bool:
         """Whether a candidate moves a channel of the held-out records enough to be named."""
         try:
-            then = self.judge.outcome(candidate, self.judge.weights(now))
+            then = self.judge.outcome(candidate, self.judge.weights(now), (here,))
         except BROKEN:
             return False
         return moved(here, then) >= self.criteria.material
@@ -120,14 +119,14 @@ class Search(Compared):
         gain = here - best.likelihood
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
         stages.append(ranked)
-        weak = gain < c.significant and c.half * gap(p, now.fit) < gap(p, best.fit)
+        weak = gain < c.deviance_gain and c.half * gap(p, now.fit) < gap(p, best.fit)
         return None if weak else best
 
     # -- back ---------------------------------------------------------------------------------------------
     def weigh(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> Trial:
         """Of the effects added on the way, those that earn their place."""
         richest = path[-1]
-        trial = Trial(self.judge, path[0], richest, stages)
+        trial = Trial(self.judge, path, stages)
         depth = len(path) - 1
         while depth > 0 and not self.earns(trial, path[depth - 1], path[depth]):
             depth -= 1
@@ -136,78 +135,33 @@ class Search(Compared):
             return trial
         chosen = path[depth]
         if depth < len(path) - 1:
-            chosen = self.stood_for(trial, chosen, path[depth + 1])
-        if not chosen.well_formed(last=True):
-            known = [r for r in stages[depth - 1] if r.well_formed()][:1]
-            plainer = [
-                self.anew(s, chosen) for _, s in simpler(self.problem, chosen) if len(s.hypotheses) == depth
-            ]
-            known += [r for r in plainer if r is not None and r.well_formed()]
-            chosen = min(known, key=lambda r: level(self.problem, r, chosen, self.floors), default=chosen)
-        elif depth < len(path) - 1:
             chosen = self.settle_again(chosen, richest)
-        chosen = self.challenged(trial, self.refined(trial, self.merged(trial, self.prune(trial, chosen))))
-        trial.chosen = trial.foremost = self.plainest(trial, chosen)
+        chosen = self.refined(trial, self.prune(trial, chosen))
+        trial.chosen = trial.foremost = self.challenged(trial, self.merged(trial, chosen))
         return trial
 
-    def stood_for(self, trial: Trial, chosen: Candidate, richer: Candidate) -> Candidate:
-        """What was added first, or what it may have stood for: as many of those that were added together, where these explain more."""
-        best = chosen
-        for _, structure in simpler(self.problem, richer):
-            swapped = len(structure.hypotheses) == len(chosen.hypotheses)
-            if not swapped or structure.hypotheses == chosen.hypotheses:
-                continue
-            r = self.anew(structure, richer)
-            if r is None or not r.well_formed() or not trial.follows(r):
-                continue
-            if self.criteria.ahead * trial.left(r) < trial.left(best):
-                best = r
-        if best is not chosen:
-            trial.stages[len(chosen.hypotheses) - 1].insert(0, best)
-        return best
-
-    def plainest(self, trial: Trial, chosen: Candidate) -> Candidate:
-        """Of those that explain as much with fewer parameters, the best by Schwarz's criterion."""
-        best, runners = chosen, trial.stages[len(chosen.hypotheses) - 1]
-        for r in list(runners):
-            if len(r.fit.x) >= len(best.fit.x) or not r.well_formed() or not trial.follows(r):
-                continue
-            as_much = trial.left(r) < self.criteria.ahead * trial.left(best)
-            if as_much and self.schwarz(r, chosen) < self.schwarz(best, chosen):
-                best = r
-        if best is not chosen:
-            runners.append(chosen)
-        return best
-
     def merged(self, trial: Trial, chosen: Candidate) -> Candidate:
-        """One law for several over one plane at one place, where it explains as much: what was found first, and the rest, may be its parts."""
+        """Return one law for several over one plane at one place, where the several predict no better."""
         for structure in joined(self.problem, chosen):
             r = self.anew(structure, chosen)
             if r is None or not r.well_formed() or not trial.follows(r):
                 continue
-            as_much = trial.left(r) < self.criteria.ahead * trial.left(chosen)
-            if as_much and self.loses_little(trial, r, chosen):
+            if not self.needed(trial, chosen, r, None):
                 several = "; ".join(h.label for h in chosen.hypotheses)
-                trial.notes.append(f"{r.label}: explains as much as {several} together")
+                trial.notes.append(f"{r.label}: predicts as well as {several} together")
                 trial.stages[len(r.hypotheses) - 1].insert(0, r)
                 return r
         return chosen
 
     def challenged(self, trial: Trial, chosen: Candidate) -> Candidate:
-        """Other laws that give the force which was found: they run, too, from there, and the best of them is chosen."""
-        runners, best = trial.stages[len(chosen.hypotheses) - 1], chosen
-        ran = list(runners)
+        """Return the simplest candidate with as many effects that none predicts better than: rivals, and other laws for the same force."""
+        runners = trial.stages[len(chosen.hypotheses) - 1]
         for structure in imitations(self.problem, chosen):
             r = self.anew(structure, chosen, self.settings.outrun)
             if r is not None and trial.follows(r):
                 runners.insert(1, r)
-                ran.append(r)
-                if r.well_formed() and self.replaces(trial, r, best, chosen):
-                    best = r
-        if not sound(self.problem, best):
-            able = [r for r in ran if sound(self.problem, r) and self.stands_in(trial, r, chosen)]
-            # of those that leave as little, the plainest
-            best = min(able, key=lambda r: (len(r.fit.x), self.schwarz(r, chosen)), default=best)
+        others = [r for r in runners if r is not chosen][:RIVALS]
+        best = self.simplest(trial, [chosen, *others])
         if best is not chosen:
             runners.append(chosen)
         return best
@@ -250,7 +204,8 @@ class Search(Compared):
             f"error (needed {c.half:.0%}), moves a channel by {nearer:.1%} of its deviation (needed {c.material:.0%}), "
             f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
-        return removes and b.score < a.score and nearer >= c.material and (size >= c.share or alone)
+        better = self.predicts_better(trial, now, last)
+        return removes and better and nearer >= c.material and (size >= c.share or alone)
 
     def prune(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""
@@ -273,6 +228,9 @@ class Search(Compared):
                     )
                     chosen = r
                     break
+                runners = trial.stages[len(structure.hypotheses) - 1]
+                if swapped and not any(q is r for q in runners):
+                    runners.insert(1, r)
             else:
                 return chosen
 
@@ -292,19 +250,20 @@ class Search(Compared):
         return r
 
     # -- rivals -------------------------------------------------------------------------------------------
-    def keeps_up(self, trial: Trial, candidate: Candidate, ahead: float) -> bool:
-        """Whether what began with a runner-up is not where the first way had come by with as many effects, and leaves less than `ahead`
-        times as much."""
+    def leads(self, trial: Trial, candidate: Candidate) -> bool:
+        """Return whether a path from a runner-up is new, and its candidate not worse than that of the first path with as many effects."""
         effects = len(candidate.hypotheses)
         if effects < 2 or effects > len(trial.stages):
             return True
         there = trial.stages[effects - 1][0]
-        if akin(candidate.hypotheses, there.hypotheses):
-            return False
-        return trial.left(candidate) < ahead * trial.left(there)
+        if akin(
+            candidate.hypotheses, there.hypotheses
+        ):  # the same effects, maybe from a better local optimum
+            return self.predicts_better(trial, candidate, there)
+        return not self.predicts_better(trial, there, candidate)
 
     def runners_up(self, trial: Trial, enough: Callable[[Trial], bool]) -> Trial:
-        """What comes first may lead astray where it is not enough: those that do best on held-out records get their turn."""
+        """Return the best trial that starts from the first candidate, or from those that predict best where that is not enough."""
         if enough(trial) or not trial.stages:
             return trial
         begun, base = trial.stages[0][0], trial.of(trial.base).score
@@ -313,17 +272,32 @@ class Search(Compared):
             if relative(begun.hypotheses[-1], runner.hypotheses[-1]) or score > base:
                 continue
             self.say(f"starting over with {runner.hypotheses[-1].label}")
-            # no further where it leaves as much as the first way; but what it came to may be what its names say
-            leads = functools.partial(self.keeps_up, trial, ahead=1.0 / self.criteria.ahead)
             try:
+                leads = functools.partial(self.leads, trial)
                 path, stages = self.walk([trial.base, runner], trial.stages[:1], worthwhile=leads)
-                if not self.keeps_up(trial, path[-1], self.criteria.ahead):
+                if not self.leads(trial, path[-1]):
                     continue
                 other = self.weigh(path, stages)
-                trial = other if self.better(other, trial) else trial
+                trial = other if self.improves(other, trial) else trial
             except BROKEN:
                 continue
         return trial
+
+    def improves(self, other: Trial, best: Trial) -> bool:
+        """Return whether another trial's choice predicts better, or no worse with fewer effects.
+
+        Both choices are scored behind the filters of the trial whose richest candidate is the likelier one: filters from a poor fit
+        distinguish nothing.
+        """
+        mine, theirs = other.chosen, best.chosen
+        common = min(other, best, key=lambda trial: trial.richest.likelihood)
+        if not common.follows(mine):
+            return False
+        if not common.follows(theirs):
+            return True
+        if len(mine.hypotheses) < len(theirs.hypotheses):
+            return bool(mine.hypotheses) and not self.predicts_better(common, theirs, mine)
+        return self.predicts_better(common, mine, theirs)
 
     def run(self, base: Candidate, enough: Callable[[Trial], bool]) -> Trial:
         """From the owner's model refitted to the set of effects that earns its place."""

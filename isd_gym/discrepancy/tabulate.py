@@ -25,7 +25,6 @@ from .curve_matching import match_law
 from .fit import Fit, Fitter, residuals
 from .forces import PlaceForces, place_forces
 from .hypotheses import hypotheses, pairs
-from .judge import Judge, replication
 from .motion import motions, setting
 from .noise import Whitener, whitener
 from .problem import Array, Problem, bare
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from .criteria import Criteria
+    from .judge import Judge
 
 KNOTS = {"rate": 33, "elongation": 33, "both": 13}
 #: correlation lengths, as shares of half the motion's range, that are tried in turn
@@ -209,7 +209,7 @@ def follow(judge: Judge, base: Candidate, criteria: Criteria) -> Followed:
     first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
     finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
     tried = [c for s in finals if (c := _settled(problem, base, s, floors)) is not None]
-    weighed = _weighed(judge, tried)
+    weighed = _weighed(judge, base, tried)
     if (
         weighed is not None and weighed.share(judge, base)[0] < ENOUGH
     ):  # a force of both, where one alone is not enough
@@ -220,7 +220,7 @@ def follow(judge: Judge, base: Candidate, criteria: Criteria) -> Followed:
             built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
             c = _settled(problem, base, built, floors)
             tried += [c] if c is not None else []
-        weighed = _weighed(judge, tried)
+        weighed = _weighed(judge, base, tried)
     if weighed is None:
         return Followed()
     weighed = _rougher(judge, base, weighed, forces)
@@ -268,14 +268,15 @@ class Weighed:
 
     def share(self, judge: Judge, base: Candidate) -> tuple[float, float, float]:
         """(share of the held-out excess that it removes, the most that it moves a channel, standard errors of the gain)."""
-        refit, after = judge.outcome(base, self.filters), judge.outcome(self.best, self.filters)
+        after = judge.outcome(self.best, self.filters, (judge.own(base),))
+        refit = judge.outcome(base, self.filters, (after,))
         quiet, floor = judge.quiet(after, self.filters), judge.floor(after)
         weights = 1.0 / np.maximum(floor, 1e-3) ** 2
         plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
         plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - floor**2, 0.0) * weights)), 1e-12)
         whitened = (refit.score - after.score) / max(refit.score - quiet, 1e-12)
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
-        return min(max(whitened, plain), 1.0), moved, replication(refit, after)
+        return min(max(whitened, plain), 1.0), moved, after.versus(refit).errors
 
 
 def _roughly(problem: Problem, base: Candidate, floors: Array) -> Candidate:
@@ -297,7 +298,7 @@ def _settled(problem: Problem, base: Candidate, structure: Table, floors: Array)
         return None
 
 
-def _weighed(judge: Judge, tried: Sequence[Candidate]) -> Weighed | None:
+def _weighed(judge: Judge, base: Candidate, tried: Sequence[Candidate]) -> Weighed | None:
     """The one that leaves least of the held-out records, one over both only where it leaves clearly less."""
     if not tried:
         return None
@@ -305,7 +306,7 @@ def _weighed(judge: Judge, tried: Sequence[Candidate]) -> Weighed | None:
     scored = []
     for c in tried:
         try:
-            score = judge.outcome(c, filters).score
+            score = judge.outcome(c, filters, (judge.own(base),)).score
         except BROKEN:
             continue
         richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
@@ -329,10 +330,10 @@ def _rougher(judge: Judge, base: Candidate, weighed: Weighed, forces: PlaceForce
             )
             if c is None:
                 continue
-            then = judge.outcome(c, weighed.filters).score
+            then = judge.outcome(c, weighed.filters, (judge.own(base),)).score
         except BROKEN:
             continue
-        if RICHER * then < judge.outcome(weighed.best, weighed.filters).score:
+        if RICHER * then < judge.outcome(weighed.best, weighed.filters, (judge.own(base),)).score:
             weighed = Weighed(c, weighed.filters)
     return weighed
 

@@ -10,8 +10,14 @@ import numpy as np
 from .candidate import BROKEN, Candidate
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from .judge import Judge, Outcome
     from .problem import Array
+
+
+#: candidates of a stage that are compared with the best
+RIVALS = 6
 
 
 @dataclass(eq=False)
@@ -23,8 +29,7 @@ class Trial:
     """
 
     judge: Judge
-    base: Candidate
-    richest: Candidate
+    path: Sequence[Candidate]
     stages: list[list[Candidate]]
     chosen: Candidate = field(init=False)
     foremost: Candidate = field(init=False)
@@ -32,16 +37,27 @@ class Trial:
 
     def __post_init__(self) -> None:
         self.chosen = self.foremost = self.base
+        self.stages = [list(ran) for ran in self.stages]  # other trials keep theirs
         self._seen: dict[int, tuple[Candidate, Outcome]] = {}
+        self._like = self.judge.along(self.path)
         self.filters = self.judge.weights(self.richest)
         self.floor = self.judge.floor(self.of(self.richest))
         self.quiet = self.judge.quiet(self.of(self.richest), self.filters)
 
+    @property
+    def base(self) -> Candidate:
+        """The refitted nominal model."""
+        return self.path[0]
+
+    @property
+    def richest(self) -> Candidate:
+        """The candidate with every effect that was added."""
+        return self.path[-1]
+
     def of(self, candidate: Candidate) -> Outcome:
         """Its outcome. Raises where it breaks down on the held-out records."""
         if id(candidate) not in self._seen:
-            before = self.judge.own(candidate) if candidate is self.richest else None
-            found = self.judge.outcome(candidate, self.filters, before)
+            found = self.judge.outcome(candidate, self.filters, self._like)
             self._seen[id(candidate)] = candidate, found
         return self._seen[id(candidate)][1]
 
@@ -81,13 +97,37 @@ class Trial:
         before, left = refit.excess(self.floor) ** 2, after.excess(self.floor) ** 2
         return min(self.share(refit, after), _removed_where_widest(before, left, worth))
 
+    def confirmed(self, candidate: Candidate) -> float:
+        """Return the share of the refitted model's excess error that a candidate removes on the test records.
+
+        The whitened error counts, or the plain error where the plain error falls by more. Where the refitted model errs by no more
+        than noise on the test records, the share compares with a hundredth of the noise.
+        """
+        refit, after = self.of(self.base), self.of(candidate)
+        whitened = (refit.tested - after.tested) / max(refit.tested - self.quiet, 0.01 * self.quiet)
+        noise = self.test_floor**2
+        weights = 1.0 / np.maximum(noise, 1e-24)
+        top = float(np.sum((refit.reported**2 - after.reported**2) * weights))
+        excess = float(np.sum(np.maximum(refit.reported**2 - noise, 0.0) * weights))
+        return max(whitened, top / max(excess, 0.01))
+
+    def test_rest(self, candidate: Candidate, worth: Array) -> float:
+        """Return the largest ratio, over channels, of the power left on the test records to that of unmodelled effects."""
+        left = np.maximum(self.of(candidate).reported ** 2 - self.test_floor**2, 0.0)
+        return float(np.max(left / worth**2))
+
+    @property
+    def test_floor(self) -> Array:
+        """Noise of the test records (channels,), as a share of the deviation there."""
+        return np.asarray(self.floor * self.judge.spread / self.judge.spread_reported)
+
     def fitted_explained(self, last: Outcome, now: Outcome, worth: Array) -> float:
         """The same of what `now` removes of the excess of `last` on the records that were fitted to."""
         floor = self.floor * self.judge.spread / self.judge.spread_fitted
         before, left = (np.maximum(self.judge.fitted(o.candidate) ** 2 - floor**2, 0.0) for o in (last, now))
         return _removed_where_widest(before, left, worth)
 
-    def rivals(self, count: int = 6) -> list[Candidate]:
+    def rivals(self, count: int = RIVALS) -> list[Candidate]:
         """Those that ran beside the foremost one and can be followed on the held-out records."""
         depth = len(self.foremost.hypotheses)
         ran = self.stages[depth - 1][:count] if 0 < depth <= len(self.stages) else []

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ..candidate import BROKEN, relative
+from ..comparison import Comparison
 from ..criteria import decide
 from ..evidence import EffectEvidence, Evidence, row
 from ..fit import Fit, Fitter
@@ -19,9 +20,7 @@ from ..judge import BLOCKS, share_at_place
 from ..measure import complaint, difference, spread_of
 from ..noise import lagged, plain, predicted
 from ..result import Quantity
-from ..settings import SearchSettings
 from ..structure import Hypothesis, Structure, add
-from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -36,9 +35,6 @@ ORDER = 20  # of the whitening filters, as in the diagnosis
 SMALLEST, LARGEST = 0.02, 30.0
 #: smallest excess score of a candidate, as a share of the score of noise
 LEAST_EXCESS = 0.01
-#: smallest excess score that counts in a comparison, as a share of the nominal model's excess score
-LEAST_SHARE = 0.005
-WORSE = 1.5  # power ratio from which a special case of the truth is clearly worse
 
 
 class NoiseFreeResidual:
@@ -68,6 +64,7 @@ class NoiseFreeResidual:
             blocks += [(float(square[a:b].mean()), b - a) for a, b in pairwise(edges) if b > a]
         self._scores = np.array([score for score, _ in blocks])
         self._sizes = np.array([n for _, n in blocks]) * len(bench.weighting_noise)
+        self._repeated = 1.0 + self.samples / sum(map(len, validation))
 
     def excess_deviance(self, scale: float) -> float:
         """Return the deviance of noise plus residual minus the deviance of noise, at a multiple of the size."""
@@ -82,37 +79,29 @@ class NoiseFreeResidual:
         """Return the excess of the validation score, at a multiple of the size."""
         return scale * scale * float(self._scores.mean())
 
-    def score_errors(self, scale: float, noise: float) -> float:
-        """Return the excess score in standard errors over blocks, at a multiple of the size.
+    def compare_with_truth(self, scale: float, noise: float, parameters: int) -> Comparison:
+        """Return the expected comparison of the true structure with this fit, at a multiple of the size.
+
+        The log predictive density of a block is that of `comparison.log_density`. Training blocks are taken to be like the validation
+        blocks; each parameter costs one nat.
 
         Args:
             scale: Multiple of the simulated size.
             noise: Score of noise.
+            parameters: Number of free parameters of the true structure.
+
+        Returns:
+            The difference of the log predictive density and its standard error.
         """
         excess = scale * scale * self._scores
-        return self._standard_errors(excess, np.mean(4 * excess * noise / self._sizes))
-
-    def log_ratio_errors(self, scale: float, noise: float) -> float:
-        """Return the logarithm of the score ratio in standard errors over blocks, at a multiple of the size.
-
-        Args:
-            scale: Multiple of the simulated size.
-            noise: Score of noise.
-        """
-        excess = scale * scale * self._scores
-        random = np.mean(4 * excess * noise / self._sizes / (noise + excess) ** 2)
-        return self._standard_errors(np.log1p(excess / noise), random)
-
-    def _standard_errors(self, values: Array, random: float) -> float:
-        """Return the mean of block values (blocks,) in standard errors, with the variance by noise, `random`."""
-        variance = float(values.var(ddof=1)) + float(random) if len(values) > 1 else math.inf
-        error = math.sqrt(max(variance / (len(values) * self.bench.length_factor), 1e-300))
-        return float(values.mean() / error)
-
-    def power_ratio(self, scale: float) -> float:
-        """Return the geometric mean over channels of residual plus noise power over noise power."""
-        noise = self.bench.noise**2
-        return float(np.exp(np.mean(np.log1p(scale * scale * self.training_power / noise))))
+        lead = self._sizes * np.log1p(excess / (1.0 + noise))
+        random = 4.0 * self._sizes * excess * noise / (1.0 + noise + excess) ** 2
+        repeated = self.bench.length_factor * self._repeated
+        spread = len(lead) * float(lead.var(ddof=1)) if len(lead) > 1 else math.inf
+        return Comparison(
+            repeated * float(lead.sum()) + self.parameters - parameters,
+            math.sqrt(max(repeated * (spread + float(random.sum())), 1e-300)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,27 +169,14 @@ class SimulatedEffect:
             rival: The refitted rival.
             scale: Multiple of the simulated size.
         """
-        c, samples = self.bench.criteria, self.residual.samples * self.bench.length_factor
-        deviance, excess = rival.residual.excess_deviance(scale), rival.residual.excess_score(scale)
-        own = LEAST_EXCESS * self.noise_score
-        more = rival.residual.parameters - len(self.structure.free)
-        penalised = deviance + more * math.log(samples)
-        if more > 0:
-            return penalised > c.decisive
-        is_worse = deviance > REQUIRED_DEVIANCE or (
-            rival.residual.score_errors(scale, self.noise_score) > c.replicated
-        )
-        if excess < c.ahead * own or not is_worse:
-            return False
-        if relative(self.hypothesis, rival.hypothesis):  # a special case is preferred unless clearly worse
-            change = scale * np.sqrt(rival.residual.validation_power) / self.deviation
-            is_visible = bool(np.any(change > self.bench.unmodelled_envelope))
-            return is_visible and (
-                deviance > SearchSettings().chance or rival.residual.power_ratio(scale) > WORSE
-            )
-        floor = LEAST_SHARE * self.residual.excess_score(scale)
-        explains_as_much = more < 0 and max(excess, floor) < c.ahead * max(own, floor)
-        return not (explains_as_much and penalised < 0)
+        c, more = self.bench.criteria, rival.residual.parameters - len(self.structure.free)
+        if more > 0:  # it predicts no better, at best
+            return True
+        versus = rival.residual.compare_with_truth(scale, self.noise_score, len(self.structure.free))
+        if more == 0 and not relative(self.hypothesis, rival.hypothesis):
+            return versus.is_better(c)
+        change = scale * np.sqrt(rival.residual.validation_power) / self.deviation
+        return versus.is_preferred(c) and bool(np.any(change > self.bench.unmodelled_envelope))
 
     def evidence(self, scale: float = 1.0, *, with_rivals: bool = True) -> Evidence:
         """Return the evidence that a diagnosis would have.
@@ -227,6 +203,7 @@ class SimulatedEffect:
             fault=scale * self.element.fault(bench.problem.time),
         )
         nominal = residual.excess_score(scale)
+        versus = residual.compare_with_truth(scale, noise, len(self.structure.free))
         excess = [(r.residual.excess_score(scale), r.hypothesis.place != "channel") for r in rivals]
         return Evidence(
             channels=tuple(bench.problem.channels),
@@ -237,9 +214,8 @@ class SimulatedEffect:
             floor_known=tuple(True for _ in floor),
             worth=row(bench.unmodelled_envelope),
             effects=(effect,),
-            gain=residual.excess_deviance(scale),
-            power_left=1.0 / residual.power_ratio(scale),
-            again=residual.log_ratio_errors(scale, noise),
+            elpd_diff=versus.elpd_diff,
+            elpd_dse=versus.dse,
             explained=1.0,
             lead=min([nominal, *(e for e, _ in excess)]) / own,
             abreast=tuple(r.hypothesis.label for r in rivals if not self.is_distinguishable(r, scale)),
@@ -257,9 +233,9 @@ class SimulatedEffect:
         return self.decide(scale, with_rivals=with_rivals).verdict == "missing_effect"
 
     def is_significant(self, scale: float) -> bool:
-        """Return whether a diagnosis would find a significant and replicated gain, rivals aside."""
+        """Return whether a diagnosis would find that the effect predicts better, rivals aside."""
         failed = {g.name for g in self.decide(scale, with_rivals=False).gates if not g.passed}
-        return not failed & {"significant", "replicated"}
+        return "predicts better" not in failed
 
 
 def find_smallest_scale(passes: Callable[[float], bool]) -> float:

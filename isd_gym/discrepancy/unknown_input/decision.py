@@ -164,7 +164,7 @@ def decide(
         notes: Notes so far.
     """
     gains = [refit.deviance - fit.deviance for _, fit in tried]
-    named, fit = tried[0] if tried and gains[0] > CRITERIA.significant else (None, refit)
+    named, fit = tried[0] if tried and gains[0] > CRITERIA.deviance_gain else (None, refit)
     network, model = refit.model.structure.network, fit.model
     estimates = estimate_uncertainty(network, fit)
     prediction = model.predict(fit.x)
@@ -178,11 +178,11 @@ def decide(
     failed = [g for g in gates if not g.passed and (named or g.name != "complete")]
     if tried:
         text = "gain of the best effect in 2 log L"
-        gates.append(_gate("significant", gains[0], ">", CRITERIA.significant, text))
+        gates.append(_gate("significant", gains[0], ">", CRITERIA.deviance_gain, text))
     verdict: Verdict = "missing_effect"
     reason, found_model = "", nominal
     if named is None:
-        is_refit_needed = nominal_fit.deviance - refit.deviance > CRITERIA.significant
+        is_refit_needed = nominal_fit.deviance - refit.deviance > CRITERIA.deviance_gain
         verdict = "parameters_only" if is_refit_needed else "no_discrepancy"
     else:
         lead = min([gains[0] - gain for gain in gains[1:2]], default=math.inf)
