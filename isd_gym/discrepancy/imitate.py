@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -142,13 +143,13 @@ def apart(problem: Problem, candidate: Candidate, other: Candidate, effect: int)
         effect: Index of the effect in `candidate`.
 
     Returns:
-        Root mean square of the difference, as a share of the force. 0 if the force is no curve over rate or elongation.
+        Root mean square of the difference, as a share of the force. Infinite if the force is no curve over rate or elongation.
     """
     new = next(j for j, h in enumerate(other.hypotheses) if h not in candidate.hypotheses)
     one, two = candidate.elements[effect], other.elements[new]
     motion = motions(problem, candidate.fit).get(one.between) if one.place == "between" else None
     if motion is None or one.plane not in ("rate", "elongation") or two.plane != one.plane:
-        return 0.0
+        return math.inf
     axis = motion.v if one.plane == "rate" else motion.d
     force = one.curve(axis)
     return float(el.rms(force - two.curve(axis)) / max(el.rms(force), 1e-300))
