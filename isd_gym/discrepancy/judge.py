@@ -57,10 +57,14 @@ class Outcome:
     tested: float
     held: Fit
 
+    @property
+    def blocks_lpd(self) -> Array:
+        """Log predictive density of the blocks of validation and training records (blocks,) [nats]."""
+        return np.concatenate([self.lpd, self.training_lpd])
+
     def versus(self, other: Outcome) -> Comparison:
         """Compare with another candidate behind the same filters, on the blocks of validation and training records."""
-        mine, theirs = ((o.lpd, o.training_lpd) for o in (self, other))
-        return compare(np.concatenate(mine), np.concatenate(theirs))
+        return compare(self.blocks_lpd, other.blocks_lpd)
 
     def excess(self, floor: Array) -> Array:
         """Error beyond noise (channels,), as a share of a channel's deviation."""

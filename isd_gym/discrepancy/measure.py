@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,13 @@ from .candidate import BROKEN, Candidate, reckoned
 from .evidence import EffectEvidence, Evidence, row
 from .fit import Fit, Fitter, residuals
 from .forces import element_forces, place_forces
-from .imitate import repeats, sound
+from .imitate import repeats
 from .motion import motions
 from .noise import whitener
 from .result import Quantity
 from .structure import Hypothesis, Structure, owner_pair
 from .tabulate import in_its_place
+from .weights import WeightedCandidate, weigh_candidates, weight_of_all
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -181,12 +183,26 @@ def blames_sensor(hypotheses: tuple[Hypothesis, ...]) -> bool:
     return any(h.place == "channel" for h in hypotheses)
 
 
-def measure(
-    search: Search, trial: Trial, seed: int = 0
-) -> tuple[Evidence, dict[str, Quantity], list[Candidate]]:
-    """(the evidence of the foremost candidate, its parameters with intervals, rivals that are abreast of it).
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What is measured of a trial's foremost candidate."""
 
-    seed: of the resampling.
+    evidence: Evidence
+    #: parameters with intervals, by path
+    quantities: dict[str, Quantity]
+    #: rivals of another kind that the foremost candidate is not told apart from
+    indistinguishable: list[Candidate]
+    #: candidates with weights, largest first
+    weighted: tuple[WeightedCandidate, ...]
+
+
+def measure(search: Search, trial: Trial, seed: int = 0) -> Measured:
+    """Measure the foremost candidate of a trial.
+
+    Args:
+        search: The search.
+        trial: Scores of the candidates.
+        seed: Seed of the Bayesian bootstrap.
     """
     problem, judge = search.problem, search.judge
     base, best = trial.base, trial.foremost
@@ -206,7 +222,8 @@ def measure(
         "refit_limits": beyond_limits(search, base),
     }
     if not best.hypotheses:
-        return Evidence(after=row(refit.nrmse), **common), quantities, []  # type: ignore[arg-type]
+        return Measured(Evidence(after=row(refit.nrmse), **common), quantities, [], ())  # type: ignore[arg-type]
+    weighted = weigh_candidates(search, trial, seed=seed)
     effects = tuple(
         EffectEvidence(
             label=h.label,
@@ -235,7 +252,7 @@ def measure(
         explained=trial.explained(best, worth),
         worth_after=row(worth_after),
         fitted_explained=trial.fitted_explained(refit, after, worth),
-        sure=steadfast(search, trial, seed),
+        sure=weight_of_all(weighted, best),
         shapeless=shapeless(search, trial),
         confirmed=trial.confirmed(best),
         test_rest=trial.test_rest(best, worth_after),
@@ -249,7 +266,7 @@ def measure(
         closest_share=max(judge.sizes(trial.richest), default=1.0),
         **common,  # type: ignore[arg-type]
     )
-    return evidence, quantities, abreast
+    return Measured(evidence, quantities, abreast, weighted)
 
 
 def shapeless(search: Search, trial: Trial) -> float:
@@ -322,27 +339,3 @@ def _over_one_plane(search: Search, best: Candidate) -> list[str]:
     bent = {path.rpartition(".")[0] for path in beyond_limits(search, best)}
     own = el.beside(network, tuple(*where))
     return [e.name for e in (*best.elements, *(e for e in own if e.name in bent and e.plane in planes))]
-
-
-def steadfast(search: Search, trial: Trial, seed: int) -> float:
-    """Share of block resamplings of the held-out records in which the foremost candidate stays the choice."""
-    c, rng = search.criteria, np.random.default_rng(seed)
-    best, refit = trial.of(trial.foremost), trial.of(trial.base)
-    # a candidate whose effects are ill-formed is no choice
-    rivals = [
-        trial.of(r).lpd
-        for r in trial.rivals()
-        if sound(search.problem, r)
-        and not search.same(r, trial.foremost)
-        and not search.beaten(trial, r, trial.foremost)
-    ]
-    # where the candidate removes half of the excess on the training records only, the held-out records must not get worse
-    part = c.half if trial.share(refit, best) >= c.half else 0.0
-    count, hits, rounds = len(best.lpd), 0, 500
-    for _ in range(rounds):
-        pick = rng.integers(0, count, count)
-        squares, total = best.squares[pick].sum(axis=0)
-        before = refit.squares[pick, 0].sum()
-        removed = before - squares >= part * max(before - trial.quiet * total, 0.0)
-        hits += bool(removed and all(lpd[pick].sum() < best.lpd[pick].sum() for lpd in rivals))
-    return (hits + 0.5) / (rounds + 1.0)

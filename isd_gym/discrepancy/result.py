@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..network import Network
     from .criteria import Criteria, Gate, Reason
     from .evidence import Evidence
+    from .findings import Finding
     from .problem import Array
     from .records import Lag
     from .settings import SearchSettings
@@ -334,7 +335,7 @@ class Diagnosis:
     is missing where no known law gives it. best_table: the best table that was fitted, stated or not. best_candidate: the best set of
     effects where nothing is named. reason: the condition that led to the verdict (`criteria.Reason`). remainder: what a named effect leaves.
     stretches: over which records were compared where these are not whole. constant: by channel, the share of the squared error that is
-    constant (units for co-simulation alone). whole: the owner's whole model with what was found, where a part of it was diagnosed.
+    constant (units for co-simulation alone). findings: probabilities of places, kinds and laws. whole: the owner's whole model with what was found, where a part of it was diagnosed.
     """
 
     verdict: str
@@ -369,6 +370,7 @@ class Diagnosis:
     remainder: Remainder | None = None
     stretches: Stretches | None = None
     constant: dict[str, float] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     def __repr__(self) -> str:
         found = [f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip() for e in self.effects]
@@ -399,6 +401,7 @@ class Diagnosis:
                 "verdict": self.verdict,
                 "summary": self.summary,
                 "effects": [e.to_dict() for e in self.effects],
+                "findings": [f.to_dict() for f in self.findings],
                 "small_effects": [e.to_dict() for e in self.small_effects],
                 "alternatives": [c.to_dict() for c in self.contenders],
                 "where": [p.to_dict() for p in self.where],

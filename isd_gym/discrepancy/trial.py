@@ -133,6 +133,15 @@ class Trial:
         ran = self.stages[depth - 1][:count] if 0 < depth <= len(self.stages) else []
         return [r for r in ran if r is not self.foremost and self.follows(r)]
 
+    def candidates(self) -> list[Candidate]:
+        """Return the candidates of all stages, at most `RIVALS` per stage, and the path."""
+        ran = [r for stage in self.stages for r in stage[:RIVALS]]
+        found: list[Candidate] = []
+        for r in [self.chosen, self.foremost, *self.path, *ran]:
+            if not any(r is q for q in found):
+                found.append(r)
+        return found
+
     def runners_up(self) -> list[tuple[float, Candidate]]:
         """Those that ran first beside what began the path, with their scores, best on held-out records first."""
         scored = [(self.of(r).score, r) for r in self.stages[0][1:] if self.follows(r)]

@@ -17,12 +17,13 @@ from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
 from .candidate import BROKEN, Candidate, reckoned, values_of
-from .criteria import CRITERIA, Criteria, Decision, confidence, decide
+from .criteria import CRITERIA, Criteria, Decision, confidence, decide, with_findings
 from .explain import law, places, table_law
+from .findings import find
 from .fit import Fitter, residuals
 from .hypotheses import hypotheses
 from .judge import Judge
-from .measure import intervals, measure
+from .measure import Measured, intervals, measure
 from .noise import plain, whitener
 from .planning import next_experiment, played
 from .problem import Problem, Record, Role, bare, pace
@@ -50,12 +51,14 @@ from .search import Search
 from .settings import SearchSettings
 from .structure import base_structure, owner_pair
 from .tabulate import Followed, follow
+from .weights import weigh_candidates
 from .words import summary_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from .evidence import Evidence
+    from .findings import Finding
     from .refits import Say
     from .trial import Trial
 
@@ -162,7 +165,7 @@ class Workflow:
     def __post_init__(self) -> None:
         self.network = self.problem.network
         self.search = Search(Judge(self.problem), self.settings, self.criteria, self.say)
-        self._last: tuple[Trial, tuple[Evidence, dict[str, Quantity], list[Candidate]]] | None = None
+        self._last: tuple[Trial, Measured] | None = None
 
     def run(self, notes: list[str], begun: float) -> Diagnosis:
         p = self.problem
@@ -177,18 +180,16 @@ class Workflow:
             return found
         # what came second had its turn over brief stretches
         trial = self.search.weigh(*self.search.walk([base])) if early else self.search.run(base, self.enough)
-        evidence, quantities, abreast = self.measured(trial)
-        decision = decide(evidence, self.criteria)
+        measured = self.measured(trial)
+        decision = decide(measured.evidence, self.criteria)
         if decision.verdict == "unknown_effect" and not early:
             for times in (1.0, 2.0):
                 found = self.briefly(notes, begun, error, named_only=True, times=times)
                 if found is not None:
                     return found
-        return self.report(
-            trial, evidence, decision, quantities, abreast, [*notes, *self.tried(trial)], begun
-        )
+        return self.report(trial, measured, decision, [*notes, *self.tried(trial)], begun)
 
-    def measured(self, trial: Trial) -> tuple[Evidence, dict[str, Quantity], list[Candidate]]:
+    def measured(self, trial: Trial) -> Measured:
         """The evidence of a trial, once: the search asks for it, and the report again."""
         if self._last is None or self._last[0] is not trial:
             self._last = trial, measure(self.search, trial, self.seed)
@@ -196,7 +197,7 @@ class Workflow:
 
     def enough(self, trial: Trial) -> bool:
         """Whether a trial needs no runners-up."""
-        found = decide(self.measured(trial)[0], self.criteria)
+        found = decide(self.measured(trial).evidence, self.criteria)
         # a force whose place is known and whose law nobody has written down: other names would only be other curves
         nameless = {g.name for g in found.gates if not g.passed} == {"shape"}
         return nameless or found.verdict in ("missing_effect", "no_discrepancy", "parameters_only")
@@ -281,18 +282,16 @@ class Workflow:
             trial = (
                 search.weigh(*search.walk([base], depth=1)) if named_only else search.run(base, flow.enough)
             )
-            evidence, quantities, abreast = flow.measured(trial)
+            measured = flow.measured(trial)
         except BROKEN:  # it breaks down on the held-out records
             return None
-        decision = decide(evidence, self.criteria)
+        decision = decide(measured.evidence, self.criteria)
         named = decision.verdict == "missing_effect"
         if not named and (named_only or decision.verdict == "unknown_effect"):
             return None
         if named_only and not trial.foremost.hypotheses[0].kind.periodic:
             return None
-        return flow.report(
-            trial, evidence, decision, quantities, abreast, [*notes, *flow.tried(trial)], begun, over
-        )
+        return flow.report(trial, measured, decision, [*notes, *flow.tried(trial)], begun, over)
 
     def little(self, base: Candidate) -> bool:
         """Whether the refitted model leaves less than a named effect moves."""
@@ -306,6 +305,22 @@ class Workflow:
         screened = screen(p, Fitter(p, W), base.fit, list(hypotheses(self.network)))
         foremost = list(dict.fromkeys(s.hypothesis for s in screened))[:3]
         return any(h.kind.periodic for h in foremost)
+
+    def found(
+        self, trial: Trial, measured: Measured, decision: Decision, drawn: Followed
+    ) -> tuple[Decision, tuple[Finding, ...]]:
+        """Return the decision and the findings, with the free force among the candidates where one was fitted."""
+        if decision.verdict in ("no_discrepancy", "parameters_only") or not trial.foremost.hypotheses:
+            return decision, ()
+        weighted = measured.weighted
+        if drawn.candidate is not None:
+            weighted = weigh_candidates(self.search, trial, [drawn.candidate], self.seed)
+        named = frozenset[tuple[tuple[str, ...], str]]()
+        if decision.verdict == "missing_effect":
+            own = next(w.statements for w in weighted if w.candidate is trial.foremost)
+            named = frozenset((s.place, s.law) for s in own)
+        findings = find(self.search, weighted, measured.evidence, measured.quantities, named)
+        return with_findings(decision, findings, measured.evidence, self.criteria), findings
 
     # -- what is said -------------------------------------------------------------------------------------
     def traces(self, base: Candidate, final: Candidate) -> tuple[Trace, ...]:
@@ -413,18 +428,21 @@ class Workflow:
     def report(
         self,
         trial: Trial,
-        evidence: Evidence,
+        measured: Measured,
         decision: Decision,
-        quantities: dict[str, Quantity],
-        abreast: list[Candidate],
         notes: list[str],
         begun: float,
         over: Stretches | None = None,
     ) -> Diagnosis:
-        p, verdict = self.problem, decision.verdict
+        p, base = self.problem, trial.base
+        evidence, quantities, abreast = measured.evidence, measured.quantities, measured.indistinguishable
+        drawn = self.drawn(base) if decision.verdict == "unknown_effect" else Followed()
+        decision, findings = self.found(trial, measured, decision, drawn)
+        verdict = decision.verdict
         named, ambiguous = verdict == "missing_effect", verdict == "ambiguous"
-        base, final = trial.base, trial.foremost if named else trial.base
-        drawn = self.drawn(base) if verdict == "unknown_effect" else Followed()
+        if ambiguous:  # a law is at hand
+            drawn = Followed()
+        final = trial.foremost if named or decision.reason == "kind_certain" else base
         tabulated, final = drawn.tabulated, drawn.candidate or final
         sure = confidence(evidence, self.criteria)
         found = self.effects(trial.foremost, quantities, sure) if named else []
@@ -481,6 +499,7 @@ class Workflow:
             evidence=evidence,
             criteria=self.criteria,
             settings=self.settings,
+            findings=findings,
         )
         return replace(said, summary=summary_of(said.to_dict()))
 
