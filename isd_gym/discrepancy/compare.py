@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .candidate import Candidate, relative
+from .criteria import is_material
 from .fit import gap
 from .imitate import apart, sound
 from .judge import moved
@@ -88,8 +89,35 @@ class Compared(Refits):
         if not trial.of(chosen).versus(trial.of(without)).is_preferred(self.criteria):
             return False
         c, now, then = self.criteria, trial.of(chosen), trial.of(without)
-        large = self.judge.sizes(chosen)[effect] >= c.share
+        large = self.is_material(trial, chosen, without, self.judge.sizes(chosen)[effect])
         return large and trial.share(then, now) >= c.half and moved(then, now) >= c.material
+
+    def is_material(self, trial: Trial, chosen: Candidate, without: Candidate, size: float) -> bool:
+        """Return whether an effect is large enough to be named.
+
+        Args:
+            trial: Scores of the candidates.
+            chosen: A candidate with the effect.
+            without: The candidate without the effect.
+            size: Share of the force, current or signal at the effect's place.
+        """
+        return is_material(*self.removed(trial, chosen, without), size, self.criteria)
+
+    def removed(self, trial: Trial, chosen: Candidate, without: Candidate) -> tuple[float, float, bool]:
+        """Return what an effect removes of the error without it.
+
+        Args:
+            trial: Scores of the candidates.
+            chosen: A candidate with the effect.
+            without: The candidate without the effect.
+
+        Returns:
+            Share of the excess error; excess error without the effect, mean over channels, as a share of the deviation; whether that
+            excess is larger in a channel than unmodelled effects make it.
+        """
+        now, then = trial.of(chosen), trial.of(without)
+        excess = then.excess(trial.floor)
+        return trial.share(then, now), float(excess.mean()), bool(np.any(excess > self.worth(without)))
 
     # -- rivals -------------------------------------------------------------------------------------------
     def beaten(self, trial: Trial, rival: Candidate, best: Candidate) -> bool:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from .evidence import Evidence
+    from .evidence import EffectEvidence, Evidence
     from .findings import Finding
 
 Verdict = Literal["missing_effect", "no_discrepancy", "parameters_only", "unknown_effect", "ambiguous"]
@@ -268,13 +268,23 @@ class Decision:
     reason: Reason = "gates"
 
 
-def wide_enough(width: float, beyond_small: bool, size: float, c: Criteria = CRITERIA) -> bool:
-    """Whether a gap is worth a name whatever the force of the one effect that closes it.
+def is_material(
+    removed: float, width: float, beyond_small: bool, size: float, c: Criteria = CRITERIA
+) -> bool:
+    """Return whether an effect is large enough to be named.
 
-    width: of the gap, mean over channels; beyond_small: whether it is wider, in a channel, than small effects make it. One of those
-    small effects, by its `size`, is no name, however much it moves.
+    A large force is. So is a smaller force that closes a wide gap, such as slight friction in a slightly damped rig: but not a force as
+    small as those that every rig has.
+
+    Args:
+        removed: Share of the excess error without the effect that the effect removes.
+        width: Excess error without the effect, mean over channels, as a share of the deviation.
+        beyond_small: Whether that excess is larger in a channel than unmodelled effects make it.
+        size: Share of the force, current or signal at the effect's place.
+        c: Limits of the decision.
     """
-    return width > c.wide or (beyond_small and size > c.small)
+    is_wide = width > c.wide or (beyond_small and size > c.small)
+    return size >= c.share or (removed >= c.alone and is_wide)
 
 
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
@@ -356,24 +366,7 @@ def _confirmed(e: Evidence, c: Criteria) -> Gate:
 def _material(e: Evidence, c: Criteria) -> Gate:
     size = min(x.share for x in e.effects)
     moves = f"it moves a channel by {e.moved:.1%} of the standard deviation (needed {c.material:.0%})"
-    large = gate(
-        "material", size, ">=", c.share, f"share of the force, current or signal at its place; {moves}"
-    )
-    ways = [large]
-    if len(e.effects) == 1:  # a small force that closes a wide gap is worth a name
-        instead = (
-            f"its force is only {size:.1%} of that at its place (otherwise needed {c.share:.0%}); {moves}"
-        )
-        closes = gate(
-            "material",
-            e.explained,
-            ">=",
-            c.alone,
-            f"share of the held-out excess error removed from a wide gap; {instead}",
-        )
-        wide = gate("material", e.width, ">", c.wide, "mean excess error of the refitted model over channels")
-        beyond = gate("material", size, ">", c.small, "share of the force at its place")
-        ways.append(all_of(closes, any_of(wide, *([beyond] if e.beyond_small else []))))
+    conditions = [_large_or_closing(x, c, moves) for x in e.effects]
     moved = gate(
         "material",
         e.moved,
@@ -381,7 +374,29 @@ def _material(e: Evidence, c: Criteria) -> Gate:
         c.material,
         f"largest share of a channel's standard deviation by which the error falls; its force is {size:.1%} of that at its place",
     )
-    return all_of(any_of(*ways), moved)
+    return all_of(*conditions, moved)
+
+
+def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
+    """Return the gate for the size of one effect, with the figures of the condition that decides (`is_material`)."""
+    large = gate(
+        "material",
+        x.share,
+        ">=",
+        c.share,
+        f"share of the force, current or signal at the place of {x.label}; {moves}",
+    )
+    instead = f"the force of {x.label} is only {x.share:.1%} of that at its place (otherwise needed {c.share:.0%}); {moves}"
+    closes = gate(
+        "material",
+        x.removed,
+        ">=",
+        c.alone,
+        f"share of the held-out excess error removed from a wide gap; {instead}",
+    )
+    wide = gate("material", x.width, ">", c.wide, f"mean excess error without {x.label} over channels")
+    beyond = gate("material", x.share, ">", c.small, "share of the force at its place")
+    return any_of(large, all_of(closes, any_of(wide, *([beyond] if x.beyond_small else []))))
 
 
 def _adequate(e: Evidence, c: Criteria) -> Gate:

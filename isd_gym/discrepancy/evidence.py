@@ -30,6 +30,12 @@ class EffectEvidence:
     complaint: str = ""
     sensor: bool = False
     fault: float = 0.0
+    #: share of the excess error without the effect that the effect removes
+    removed: float = 0.0
+    #: excess error without the effect, mean over channels, as a share of the deviation
+    width: float = 0.0
+    #: whether that excess is larger in a channel than unmodelled effects make it
+    beyond_small: bool = False
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import elements as el
 from ..errors import InputError
-from .candidate import BROKEN, Candidate, reckoned
+from .candidate import BROKEN, Candidate, reckoned, simpler
 from .evidence import EffectEvidence, Evidence, row
 from .fit import Fit, Fitter, residuals
 from .forces import element_forces, place_forces
@@ -234,8 +234,11 @@ def measure(search: Search, trial: Trial, seed: int = 0) -> Measured:
             complaint=complaint(problem, best.fit, e),
             sensor=h.place == "channel",
             fault=e.fault(problem.time),
+            **dict(
+                zip(("removed", "width", "beyond_small"), removed_by(search, trial, best, k), strict=True)
+            ),  # type: ignore[arg-type]
         )
-        for h, e, share in zip(best.hypotheses, best.elements, judge.sizes(best), strict=True)
+        for k, (h, e, share) in enumerate(zip(best.hypotheses, best.elements, judge.sizes(best), strict=True))
     )
     rivals = trial.rivals()
     others = [r for r in rivals if not search.same(r, best)]
@@ -267,6 +270,18 @@ def measure(search: Search, trial: Trial, seed: int = 0) -> Measured:
         **common,  # type: ignore[arg-type]
     )
     return Measured(evidence, quantities, abreast, weighted)
+
+
+def removed_by(search: Search, trial: Trial, best: Candidate, effect: int) -> tuple[float, float, bool]:
+    """Return what one effect of the foremost candidate removes of the error without it (`Compared.removed`)."""
+    others = [h for k, h in enumerate(best.hypotheses) if k != effect]
+    without = next((r for r in trial.candidates() if list(r.hypotheses) == others and trial.follows(r)), None)
+    if without is None:
+        structure = next((s for _, s in simpler(search.problem, best) if list(s.hypotheses) == others), None)
+        without = search.anew(structure, best) if structure is not None else None
+    if without is None or not trial.follows(without):
+        return 0.0, 0.0, False
+    return search.removed(trial, best, without)
 
 
 def shapeless(search: Search, trial: Trial) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .candidate import BROKEN, Candidate, level, reckoned, settled, transferred, with_fit
+from .candidate import BROKEN, Candidate, level, reckoned, settled, transferred
 from .fit import Fitter, residuals
 from .initial import carried
 from .noise import whitener
@@ -60,19 +60,6 @@ class Refits:
     def loss(self, other: Candidate, best: Candidate) -> float:
         """By how much `other` is the less likely one (2 log L), with the noise that `best` leaves."""
         return level(self.problem, other, best, self.floors) - level(self.problem, best, best, self.floors)
-
-    def settle_again(self, chosen: Candidate, richer: Candidate) -> Candidate:
-        """Fit once more from where the fit with more effects went: it may have led out of a place of its own."""
-        p, structure = self.problem, chosen.fit.structure
-        there = dict(zip((f.path for f in richer.fit.structure.free), richer.fit.x, strict=True))
-        x = np.array([there.get(f.path, v) for f, v in zip(structure.free, chosen.fit.x, strict=True)])
-        least = reckoned(p, chosen.fit, self.floors)
-        try:
-            again = settled(p, structure, x, self.floors, rounds=2, least=least)
-        except BROKEN:
-            return chosen
-        gain = -self.loss(again, chosen)
-        return with_fit(chosen, again.fit, chosen.likelihood - gain) if gain > 0 else chosen
 
     def anew(self, structure: Structure, like: Candidate, outrun: float = math.inf) -> Candidate | None:
         """A fit from the start values of `structure`, a simpler form of `like`; None where it breaks down.

@@ -12,14 +12,11 @@ from .candidate import (
     BROKEN,
     Candidate,
     akin,
-    begun_again,
     level,
-    reckoned,
     relative,
     simpler,
 )
 from .compare import Compared
-from .criteria import wide_enough
 from .fit import gap
 from .imitate import imitations, joined
 from .judge import Outcome, moved
@@ -68,19 +65,13 @@ class Search(Compared):
             best = self.stage(now, stages)
             if best is None:
                 break
-            if len(path) == 1 and self.judge.sizes(best)[-1] < c.share:
-                # a force of next to nothing may only have led the owner's model out of a place of its own
-                again = self.settle_again(now, best)
-                if now.likelihood - again.likelihood > c.deviance_gain:
-                    path, stages = [again], []
-                    continue
             try:
                 then = self.judge.outcome(best, self.judge.weights(now), (here,))
             except BROKEN:
                 break
             path.append(best)
             idle = len(path) > 2 and not then.versus(here).is_better(c)  # nothing to build on
-            if moved(here, then) < c.material or self.judge.sizes(best)[-1] < c.share or idle:
+            if moved(here, then) < c.material or idle:
                 break
         return path, stages
 
@@ -108,13 +99,6 @@ class Search(Compared):
         if not ranked:
             return None
         here = level(p, now, now, np.maximum(self.floors, 0.1 * finish.white))
-        # one that is too small to be named gives way to one that is not, where that gains half as much
-        if self.judge.sizes(ranked[0])[-1] < c.share:
-            reach = here - c.half * (here - ranked[0].likelihood)
-            able = [r for r in ranked if r.likelihood < reach and self.judge.sizes(r)[-1] >= c.share][:1]
-            # unless it closes much more of the gap: slight damping makes much of little
-            if able and gap(p, ranked[0].fit) > 0.25 * gap(p, able[0].fit):
-                ranked = able + [r for r in ranked if r not in able]
         best = ranked[0]
         gain = here - best.likelihood
         self.say(f"  best: {best.hypotheses[-1].label} (2 log L {gain:+.0f})")
@@ -125,7 +109,6 @@ class Search(Compared):
     # -- back ---------------------------------------------------------------------------------------------
     def weigh(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> Trial:
         """Of the effects added on the way, those that earn their place."""
-        richest = path[-1]
         trial = Trial(self.judge, path, stages)
         depth = len(path) - 1
         while depth > 0 and not self.earns(trial, path[depth - 1], path[depth]):
@@ -133,10 +116,7 @@ class Search(Compared):
         trial.foremost = path[max(depth, min(1, len(path) - 1))]
         if not depth:
             return trial
-        chosen = path[depth]
-        if depth < len(path) - 1:
-            chosen = self.settle_again(chosen, richest)
-        chosen = self.refined(trial, self.prune(trial, chosen))
+        chosen = self.prune(trial, path[depth])
         trial.chosen = trial.foremost = self.challenged(trial, self.merged(trial, chosen))
         return trial
 
@@ -166,25 +146,6 @@ class Search(Compared):
             runners.append(chosen)
         return best
 
-    def refined(self, trial: Trial, chosen: Candidate) -> Candidate:
-        """The fit begun again with other shapes where more is left than noise: from one start it may end in a place of its own."""
-        p, found = self.problem, chosen
-        if np.all(trial.of(chosen).nrmse < 1.5 * trial.floor):
-            return chosen
-        least = reckoned(p, chosen.fit, self.floors)
-        free = [f.path for f in chosen.fit.structure.free]
-        shapes = [f"{e.name}.{e.shaped_by}" for e in chosen.elements if e.shaped_by]
-        for k in [free.index(path) for path in shapes if path in free]:
-            for factor in self.settings.shapes:
-                again = begun_again(p, chosen, k, factor, self.floors, least)
-                try:
-                    if again is not None and again.likelihood < level(p, found, chosen, self.floors) - 2.0:
-                        trial.of(again)
-                        found = again
-                except BROKEN:
-                    continue
-        return found
-
     def earns(self, trial: Trial, last: Candidate, now: Candidate) -> bool:
         """Whether the last effect of `now` removes half of what is left without it, and is there to be seen."""
         c = self.criteria
@@ -192,9 +153,7 @@ class Search(Compared):
         share = trial.share(a, b)
         nearer = moved(a, b)
         size = self.judge.sizes(now)[-1]
-        gap_before = a.excess(trial.floor)
-        beyond = bool(np.any(gap_before > self.worth(last)))
-        alone = share >= c.alone and wide_enough(float(gap_before.mean()), beyond, size, c)
+        material = self.is_material(trial, now, last, size)
         # records that are driven harder than those fitted to may show more of what is small than of what is missing
         removes = share >= c.half or (
             self.trifling(trial, now) and trial.fitted_explained(a, b, self.worth(last)) >= c.adequate
@@ -205,7 +164,7 @@ class Search(Compared):
             f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
         better = self.predicts_better(trial, now, last)
-        return removes and better and nearer >= c.material and (size >= c.share or alone)
+        return removes and better and nearer >= c.material and material
 
     def prune(self, trial: Trial, chosen: Candidate) -> Candidate:
         """Try each effect's removal, and each one's special cases, anew: what was named first may have stood for another."""

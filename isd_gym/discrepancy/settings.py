@@ -17,7 +17,7 @@ class SearchSettings:
     that no input ties to the record has lost its phase. astray: error of the refitted model (share of the deviation,
     mean over channels) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale,
     least_brief: and in that of its slowest channel;
-    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. shapes: multiples of a law's shape from which its fit begins again. outrun: power of the error, as a multiple
+    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. outrun: power of the error, as a multiple
     of the chosen one's, from which on another law for the same force is not followed any further. max_lag [s]: how late or early the
     clocks of other loggers may be.
     """
@@ -35,7 +35,6 @@ class SearchSettings:
     sure: float = 60.0
     lost: float = 0.5
     shortest: int = 80
-    shapes: tuple[float, ...] = (0.6, 0.85, 1.2, 1.7)
     outrun: float = 1.5
     astray: float = 0.5
     brief: float = 16.0
