@@ -25,7 +25,9 @@ from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.imitate import repeats
 from isd_gym.elements import TYPES, Motion
 
-FRICTION = EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=0.05)
+FRICTION = EffectEvidence(
+    "coulomb_friction at mass-ground", share=0.4, spread=0.05, removed=0.995, width=0.3, beyond_small=True
+)
 GAIN = EffectEvidence("sensor_gain at position", share=0.2, spread=0.05, sensor=True, fault=0.1)
 
 #: friction that explains a gap of 30 % down to noise of 2 %, with no rival in sight
@@ -59,7 +61,7 @@ def test_a_name_passes_every_gate() -> None:
     [
         ("predicts better", {"elpd_diff": 3.0, "elpd_dse": 1.0}, "unknown_effect"),
         ("predicts better", {"elpd_dse": 1500.0}, "unknown_effect"),
-        ("material", {"effects": (replace(FRICTION, share=0.02),), "explained": 0.7}, "unknown_effect"),
+        ("material", {"effects": (replace(FRICTION, share=0.02, removed=0.7),)}, "unknown_effect"),
         ("adequate", {"explained": 0.6, "after": (0.2,), "closest": (0.2,)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, complaint="beyond its reach"),)}, "unknown_effect"),
@@ -113,11 +115,13 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
     small = (replace(FRICTION, share=0.02),)
     assert decide(replace(GOOD, effects=small)).verdict == "missing_effect"
     # of a gap of 8 % it is what small effects make that tells
-    more = (replace(FRICTION, share=0.03),)
+    more = (replace(FRICTION, share=0.03, width=0.08),)
+    small = (replace(FRICTION, share=0.02, width=0.08),)
     assert decide(replace(GOOD, effects=more, refit=(0.08,), closest_share=0.03)).verdict == "missing_effect"
     assert (
         decide(replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02)).verdict == "parameters_only"
     )
+    small = (replace(small[0], beyond_small=False),)
     narrow = replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02, worth=(0.085,))
     d = decide(narrow)
     assert d.verdict == "parameters_only"
@@ -201,6 +205,9 @@ EFFECTS = st.builds(
     complaint=st.sampled_from(["", "beyond its reach"]),
     sensor=st.booleans(),
     fault=st.floats(0.0, 1.0),
+    removed=SHARES,
+    width=SHARES,
+    beyond_small=st.booleans(),
 )
 PARAMETERS = st.lists(st.sampled_from(["a", "b"]), max_size=2).map(tuple)
 
@@ -231,15 +238,18 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
         assert g.passed == COMPARE[g.relation](g.value, g.limit)
         assert math.isfinite(g.value) and math.isfinite(g.limit)
     # the conditions, in one line each
-    size, sensors = min(x.share for x in e.effects), [x for x in e.effects if x.sensor]
-    wide = e.width > c.wide or (e.beyond_small and size > c.small)
-    alone = len(e.effects) == 1 and e.explained >= c.alone and wide
+    sensors = [x for x in e.effects if x.sensor]
+    large = all(
+        x.share >= c.share
+        or (x.removed >= c.alone and (x.width > c.wide or (x.beyond_small and x.share > c.small)))
+        for x in e.effects
+    )
     half = e.explained >= c.half and e.width_after < c.wide
     excused = e.rest < c.several and (half or e.fitted_explained >= c.alone)
     far = c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far
     assert {n: g.passed for n, g in gates.items()} == {
         "predicts better": e.elpd_diff > c.elpd_diff and e.elpd_diff / max(e.elpd_dse, 1e-12) > c.elpd_errors,
-        "material": e.moved >= c.material and (size >= c.share or alone),
+        "material": e.moved >= c.material and large,
         "adequate": e.fitted_ratio <= 1.0 and (e.explained >= c.adequate or excused),
         "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.complaint for x in e.effects),
         "plausible": not e.driven_out,

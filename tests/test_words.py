@@ -66,6 +66,7 @@ def document(evidence: Evidence = SEEN, after: float = 0.02, **more: Any) -> dic
         "remainder": None,
         "stretches": None,
         "constant": {},
+        "findings": [],
         "evidence": asdict(evidence),
         "criteria": asdict(CRITERIA),
     } | more  # fmt: skip

@@ -105,11 +105,6 @@ class Evidence:
         return sum(self.excess_refit) / len(self.channels)
 
     @property
-    def beyond_small(self) -> bool:
-        """Whether the gap is wider, in a channel, than small effects make it."""
-        return any(x > w for x, w in zip(self.excess_refit, self.worth, strict=True))
-
-    @property
     def moved(self) -> float:
         """Largest share of a channel's deviation that the candidate moves towards the records, held out or fitted to."""
         pairs = [

@@ -15,8 +15,24 @@ if TYPE_CHECKING:
 NOT_BORNE_OUT = "The error on the reported records is larger with it: confirm it with a new record."
 RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 OVER = {"rate": "their rate", "elongation": "their distance", "both": "their distance and rate"}
-#: parameters whose change is stated
-CHANGES = 2
+#: parameters whose change is stated; laws of a kind that are stated
+CHANGES, LAWS = 2, 2
+#: probability from which on a further kind is mentioned
+POSSIBLE = 0.2
+#: kinds of effects in words
+KINDS = {
+    "dry_friction": "Dry friction",
+    "viscous": "A viscous force",
+    "elastic": "An elastic force",
+    "play": "Play",
+    "inertial": "An inertia force",
+    "position_periodic": "A force that is periodic in position",
+    "series_compliance": "A compliance in series",
+    "drive": "A fault of the drive",
+    "sensor": "A fault of the sensor",
+    "constant": "A constant force",
+    "other": "A force of another kind",
+}
 
 
 def summary_of(document: Mapping[str, Any]) -> str:
@@ -32,9 +48,9 @@ def summary_of(document: Mapping[str, Any]) -> str:
     if verdict == "missing_effect":
         parts = [_missing(document), _remaining(document)]
     elif verdict == "ambiguous":
-        parts = [_ambiguous(document)]
+        parts = [_certain(document), _ambiguous(document)]
     elif verdict == "unknown_effect":
-        parts = [_unknown(document), _best_candidate(document), _table(document)]
+        parts = [_unknown(document), _certain(document), _best_candidate(document), _table(document)]
     else:
         parts = [_agreement(document), _reason(document), _changes(document)]
     parts += [_small(document), _noise(document), _limits(document), _stretches(document)]
@@ -177,8 +193,50 @@ def _remaining(d: Mapping[str, Any]) -> str:
     return text
 
 
+def _certain(d: Mapping[str, Any]) -> str:
+    """Return the deepest statements that are certain: kinds, or places alone, each with its probability."""
+    least, findings = d["criteria"]["certain"], d["findings"]
+    kinds = [f for f in findings if f["kind"] != "other" and f["kind_probability"] >= least]
+    sentences = []
+    for f in kinds:
+        laws = " or ".join(
+            f"{law['effect'].replace('_', ' ')} ({law['probability']:.2f}{_law_values(law)})"
+            for law in f["laws"][:LAWS]
+        )
+        sentences.append(f"{KINDS[f['kind']]} {_spot(f['place'])} ({f['kind_probability']:.2f}): {laws}.")
+    if not kinds:
+        places = {
+            tuple(f["place"]): f["place_probability"] for f in findings if f["place_probability"] >= least
+        }
+        sentences = [
+            f"Something is missing {_spot(place)} ({chance:.2f}); its kind is open."
+            for place, chance in places.items()
+        ]
+    beside = [
+        f"{KINDS[f['kind']].lower()} {_spot(f['place'])} ({f['kind_probability']:.2f})"
+        for f in findings
+        if f not in kinds and f["kind"] != "other" and f["kind_probability"] >= POSSIBLE
+    ]
+    if kinds and beside:
+        sentences.append(f"Besides, perhaps {' or '.join(beside)}.")
+    return " ".join(sentences)
+
+
+def _law_values(law: Mapping[str, Any]) -> str:
+    values = [
+        f"{k.replace('_', ' ')} {plain_number(q['value'])} {q['unit']}" for k, q in law["parameters"].items()
+    ]
+    return f", {', '.join(values)}" if values else ""
+
+
 def _ambiguous(d: Mapping[str, Any]) -> str:
     rivals = d["alternatives"]
+    if d["reason"] == "kind_certain":
+        best = d["best_candidate"]
+        return (
+            f"The law is not certain: {candidate_text(best)} removes {_percent(best['explained'], 0)} of the held-out excess error, "
+            f"but fails {failures(best['failed_gates'])}."
+        )
     if len(rivals) > 1:
         names = " or ".join(f"{candidate_text(r)} (leaves {_left(r)})" for r in rivals)
         text = f"Something is missing, and these data cannot tell which of {len(rivals)} explanations is right: {names}."

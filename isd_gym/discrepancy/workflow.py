@@ -484,7 +484,7 @@ class Workflow:
             where=where,
             parameters={path: q for path, q in quantities.items() if path in self.network.parameters},
             gap=gap,
-            closed=closed(rows) if named or tabulated else None,
+            closed=None if final is base else closed(rows),
             gates=decision.gates,
             next_experiment=test.to_dict() if test else None,
             test=played(self.network, test.record) if test else None,

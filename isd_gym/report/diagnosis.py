@@ -135,7 +135,8 @@ class View:
     def __init__(self, diagnosis: Diagnosis) -> None:
         self.d = d = diagnosis
         self.named = bool(d.effects)
-        self.changed = self.named or d.tabulated is not None  # whether the new model has anything new
+        # whether the new model has anything new
+        self.changed = self.named or d.tabulated is not None or d.reason == "kind_certain"
         self.title = TITLES.get(d.verdict, d.verdict)
         if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
             self.title = "Something is missing that no parameter of the unit explains"
@@ -144,8 +145,12 @@ class View:
         elif len(d.effects) > 1:
             count = ("Two", "Three", "Four")[min(len(d.effects), 4) - 2]
             self.title = f"{count} physical effects are missing"
+        if d.reason == "kind_certain":
+            self.title = "The kind of the missing effect is certain, its law is not"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
-        if not self.named:
+        if d.reason == "kind_certain":
+            self.labels["after"] = "with the likeliest law"
+        elif not self.named:
             self.labels["after"] = "with the force"
         elif len(d.effects) > 1:
             self.labels["after"] += "s"
@@ -174,9 +179,8 @@ class View:
         """The network as SVG with a title each: as given, and with what was found in colour."""
         if not isinstance(self.d.base, Network) or not isinstance(self.d.model, Network):
             return []
-        found = {e.element for e in self.d.effects}
-        if self.d.tabulated is not None:
-            found.add(self.d.tabulated.element)
+        known = {e.name for e in self.d.base.elements}
+        found = {e.name for e in self.d.model.elements} - known
         pairs: list[tuple[str, Network, set[str]]] = [("The model as given", self.d.base, set())]
         if self.changed:
             pairs.append(("With what was found, in colour", self.d.model, found))
@@ -203,6 +207,20 @@ class View:
         for c in self.channels:
             text = text.replace(c, channel_text(c))
         return re.sub(r"(?<=\d) %", "\u00a0%", text)
+
+    @staticmethod
+    def place_text(place: Sequence[str]) -> str:
+        """Return a place in words: two nodes, or a channel or motor."""
+        return f"{place[0]} – {place[1]}" if len(place) == 2 else channel_text(place[0])
+
+    @staticmethod
+    def bar(share: float) -> str:
+        """Return a probability as an inline bar with its figure."""
+        full, width = 60, 60 * min(max(share, 0.0), 1.0)
+        return (
+            f'<svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" fill="{PALE}"/>'
+            f'<rect width="{width:.1f}" height="10" fill="{BLUE}"/></svg> {share:.2f}'
+        )
 
     def effect_text(self, e: Any) -> str:
         """``coulomb friction between piston and joint``."""
@@ -282,7 +300,7 @@ class View:
     @property
     def refit_text(self) -> str:
         """Of which model the parameters are, where something is missing that the refitted model does not have; else empty."""
-        if self.changed and not self.named:
+        if self.d.tabulated is not None:
             return "They are those of the old model refitted, which lacks the force and makes up for a part of it with its parameters."
         return ""
 
