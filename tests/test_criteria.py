@@ -179,7 +179,7 @@ def test_a_name_that_small_effects_excuse_is_stated_with_less_confidence() -> No
 
 
 def test_criteria_are_arguments_and_say_why_they_are() -> None:
-    strict = Criteria(share=0.5)
+    strict = Criteria(share=0.5, alone=0.999)
     assert decide(replace(GOOD, explained=0.89, closest_share=0.9), strict).verdict == "unknown_effect"
     rows = table()
     assert {r["id"] for r in rows} == set(Criteria.__dataclass_fields__)
