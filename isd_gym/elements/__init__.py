@@ -14,6 +14,7 @@ Nothing else changes, neither the kernel nor the file format nor the diagnosis, 
 it may say of itself besides has defaults that serve a stranger's law: where it makes sense (`stands`), from which values
 fits begin (`starts`), what it holds as special cases (`contains`, `special`), which parameter shapes it (`shaped_by`), where
 its force shows (`plane`), when its values mean what its name says (`well_formed`), which test would tell it (`test`).
+`mechanism` is the kind of effect that a diagnosis may state where the law stays open (`MECHANISMS`; by default 'other').
 
 A package offers its elements through the entry point group ``isd_gym.elements`` (a module, or a function without
 arguments, that registers them): then every command knows them.
@@ -23,6 +24,7 @@ from __future__ import annotations
 
 from .base import (
     GROUND,
+    MECHANISMS,
     PROBE,
     TYPES,
     Element,
@@ -59,6 +61,7 @@ from .table import TabulatedForce
 __all__ = [
     "DRIVE_ORDER",
     "GROUND",
+    "MECHANISMS",
     "PROBE",
     "TYPES",
     "ActuatorDelay",

@@ -30,6 +30,21 @@ if TYPE_CHECKING:
 
 GROUND = "ground"
 
+#: Kinds of physical effect, as a diagnosis states them: the value of `Element.mechanism` is one of these.
+MECHANISMS = (
+    "dry_friction",
+    "viscous",
+    "elastic",
+    "play",
+    "inertial",
+    "position_periodic",
+    "series_compliance",
+    "drive",
+    "sensor",
+    "constant",
+    "other",
+)
+
 
 def parameter(
     unit: str,
@@ -169,6 +184,8 @@ class Element:
     where: tuple[str, ...]
 
     type: ClassVar[str] = ""
+    #: kind of physical effect, one of `MECHANISMS`
+    mechanism: ClassVar[str] = "other"
     place: ClassVar[str] = "between"  # the key that says where: "between", "element" (a motor) or "channel"
     equation: ClassVar[str] = ""
     source: ClassVar[str] = ""
@@ -413,6 +430,8 @@ def register(cls: type[Element]) -> type[Element]:
     cls = dataclass(frozen=True)(cls)
     if not cls.type:
         raise InputError(f"{cls.__name__} has no type name")
+    if cls.mechanism not in MECHANISMS:
+        raise InputError(f"element type '{cls.type}': mechanism must be one of {', '.join(MECHANISMS)}")
     TYPES[cls.type] = cls
     return cls
 

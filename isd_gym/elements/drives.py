@@ -39,6 +39,7 @@ class _Drive(Element):
 @register
 class ThrustSaturation(_Drive):
     type = "thrust_saturation"
+    mechanism = "drive"
     equation = "I_eff = I_s tanh(I / I_s)"
     source = "iron saturation of a linear motor"
     signature = "thrust falls short at high current only"
@@ -64,6 +65,7 @@ class ThrustSaturation(_Drive):
 @register
 class ActuatorLag(_Drive):
     type = "actuator_lag"
+    mechanism = "drive"
     equation = "tau dI/dt + I = I_command"
     source = "L/R of Table 1 (26 mH / 3.8 Ohm = 6.8 ms) or a drive's bandwidth"
     signature = "thrust late and rounded after a step in current"
@@ -93,6 +95,7 @@ class ActuatorLag(_Drive):
 @register
 class ActuatorDelay(_Drive):
     type = "actuator_delay"
+    mechanism = "drive"
     equation = "I(t) = I_command(t - T)"
     source = "bus and drive latency"
     signature = "thrust late but not rounded"

@@ -27,6 +27,7 @@ def _stribeck(p: Array, d: float, v: float) -> float:
 @register
 class CoulombFriction(Element):
     type = "coulomb_friction"
+    mechanism = "dry_friction"
     equation = "F in f Sgn(v)"
     source = "f = 0.5 kN, section 3.2, Figure 6"
     signature = "a step in force where the velocity changes sign; sticking"
@@ -50,6 +51,7 @@ class CoulombFriction(Element):
 @register
 class StribeckFriction(Element):
     type = "stribeck_friction"
+    mechanism = "dry_friction"
     equation = "F in [f + (f_s - f) exp(-(v/v_s)^2)] Sgn(v)"
     source = "Stribeck; Armstrong-Helouvry et al., Automatica 30 (1994)"
     signature = "Coulomb friction with a higher level near zero velocity"
@@ -105,6 +107,7 @@ class StribeckFriction(Element):
 @register
 class AsymmetricFriction(Element):
     type = "asymmetric_friction"
+    mechanism = "dry_friction"
     equation = "F in [-f_c, f_e]: f_e for v > 0 (extension), -f_c for v < 0 (compression)"
     source = (
         "seals and drives that rub differently either way; Armstrong-Helouvry et al., Automatica 30 (1994)"

@@ -121,6 +121,7 @@ def _gravity(p: Array, d: float, v: float, d_last: float, z: float, h: float) ->
 @register
 class ConstantForce(Element):
     type = "constant_force"
+    mechanism = "constant"
     equation = "F = F0"
     source = "gravity along a slope, a preload, a drive's offset"
     signature = "a drift that grows with the square of time where nothing holds the terminals"
@@ -144,6 +145,7 @@ class ConstantForce(Element):
 @register
 class GravitySine(Element):
     type = "gravity_sine"
+    mechanism = "elastic"
     equation = "F = G sin(d + d0), G = m g l: a pendulum's torque about its axis"
     source = "a pendulum; d0 = 0 hangs, pi stands"
     signature = "a stiffness that softens with amplitude, as the cosine does"
@@ -168,6 +170,7 @@ class GravitySine(Element):
 @register
 class QuadraticDamping(Element):
     type = "quadratic_damping"
+    mechanism = "viscous"
     equation = "F = c2 v |v|"
     source = "orifice flow; Wang and Su, Vehicle System Dynamics 46 (2008), hydraulic inerters"
     signature = "damping that grows with amplitude"
@@ -187,6 +190,7 @@ class QuadraticDamping(Element):
 @register
 class AsymmetricDamping(Element):
     type = "asymmetric_damping"
+    mechanism = "viscous"
     equation = "F = c_e v for v > 0 (extension), c_c v for v < 0 (compression), beside what stands there"
     source = "Dixon, The Shock Absorber Handbook: rebound and bump damping differ"
     signature = "an even part in the force-velocity plane; a mean offset under vibration"
@@ -231,6 +235,7 @@ class AsymmetricDamping(Element):
 @register
 class CubicStiffness(Element):
     type = "cubic_stiffness"
+    mechanism = "elastic"
     equation = "F = k3 d^3"
     source = "Duffing; progressive springs"
     signature = "stiffness that grows with amplitude, smoothly and without dissipation"
@@ -249,6 +254,7 @@ class CubicStiffness(Element):
 @register
 class GasSpring(Element):
     type = "gas_spring"
+    mechanism = "elastic"
     equation = "F = F0 [1 - (1 + d/L)^(-n)]"
     source = "polytropic gas column about its static state"
     signature = "stiffer in compression than in extension, smoothly"
@@ -279,6 +285,7 @@ class GasSpring(Element):
 @register
 class BumpStop(Element):
     type = "bump_stop"
+    mechanism = "elastic"
     equation = "F = k (|d| - clearance) sgn d + c v in contact, never pulling; 0 else"
     source = "deputy cylinder stroke of Table 1: +-100 mm / 4.056 = +-24.65 mm at the device"
     signature = "nothing below a travel, a stiff spring beyond it"
@@ -323,6 +330,7 @@ class BumpStop(Element):
 @register
 class Backlash(Element):
     type = "backlash"
+    mechanism = "play"
     equation = "F = k (|d| - gap/2) sgn d beyond half the gap, 0 within; in series with what stands there (by hand: a node between the two)"
     source = "play in a joint"
     signature = "lost motion: the same at every amplitude, most visible at small ones"
@@ -357,6 +365,7 @@ class Backlash(Element):
 @register
 class Hysteresis(Element):
     type = "hysteresis"
+    mechanism = "dry_friction"
     equation = "F = z, dz/dt = k [v - (s |v| z + (1-s) v |z|) |z|^(n-1) / F_y^n]"
     source = "Bouc (1967), Wen (1976), with beta = gamma (s = 1/2); s = 1, n = 1 is Dahl's law"
     signature = "loops in the force-travel plane whose corners are round, whatever the rate"
@@ -393,6 +402,7 @@ class Hysteresis(Element):
 @register
 class CoggingForce(Element):
     type = "cogging_force"
+    mechanism = "position_periodic"
     equation = "F = A sin(2 pi d / pitch + phase)"
     source = "detent force of a permanent-magnet linear motor"
     signature = "periodic in travel, whatever the time"
@@ -439,6 +449,7 @@ class CoggingForce(Element):
 @register
 class TyreLiftOff(Element):
     type = "tyre_lift_off"
+    mechanism = "elastic"
     equation = "F = -max(k d - W, 0): a tyre cannot pull on the road beyond its static load W"
     source = "unilateral contact of the tyre"
     signature = "dynamic tyre force cut off at the static load"

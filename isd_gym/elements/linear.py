@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 @register
 class LinearStiffness(Element):
     type = "linear_stiffness"
+    mechanism = "elastic"
     equation = "F = k d"
     source = "Table 6 (main spring, tyre), Table 4 (oil)"
     signature = "force in phase with travel, the same at every amplitude"
@@ -37,6 +38,7 @@ class LinearStiffness(Element):
 @register
 class SeriesCompliance(LinearStiffness):
     type = "series_compliance"
+    mechanism = "series_compliance"
     equation = "F = k d, in series with what stands at the terminal (by hand: a node between the two)"
     source = "oil elasticity of section 3, in series as the 0.1 Hz test demands"
     signature = "nothing at low frequency, growing with the force that passes through"
@@ -60,6 +62,7 @@ class SeriesCompliance(LinearStiffness):
 @register
 class LinearDamping(Element):
     type = "linear_damping"
+    mechanism = "viscous"
     equation = "F = c v"
     source = "Table 6 (damper), Table 4 (leak)"
     signature = "force in phase with velocity, the same at every amplitude"
@@ -80,6 +83,7 @@ class LinearDamping(Element):
 @register
 class Inertance(Element):
     type = "inertance"
+    mechanism = "inertial"
     equation = "F = b dv/dt"
     source = "equation (5), Table 6"
     signature = "force in phase with relative acceleration"
@@ -103,6 +107,7 @@ class Inertance(Element):
 @register
 class TerminalInertia(Element):
     type = "terminal_inertia"
+    mechanism = "inertial"
     equation = "F = m a_terminal (absolute acceleration of one terminal)"
     source = "the m n dv1/dt term that equation (3) has and equation (4) drops"
     signature = "force in phase with absolute, not relative, acceleration"
@@ -136,6 +141,7 @@ class TerminalInertia(Element):
 @register
 class Motor(Element):
     type = "motor"
+    mechanism = "drive"
     equation = "F1 = K_f r I"
     source = "F1 of equations (6) and (8); area ratio S_R/S_r = 4.056 of Table 1"
     signature = "force in proportion to current"

@@ -20,6 +20,7 @@ class _Sensor(Element):
 @register
 class SensorGain(_Sensor):
     type = "sensor_gain"
+    mechanism = "sensor"
     equation = "y = g y_true"
     source = "calibration error"
     signature = "one channel off in proportion, all others right"
@@ -48,6 +49,7 @@ class SensorGain(_Sensor):
 @register
 class SensorBias(_Sensor):
     type = "sensor_bias"
+    mechanism = "sensor"
     equation = "y = y_true + bias"
     source = "offset error"
     signature = "one channel off by a constant, all others right"
@@ -70,6 +72,7 @@ class SensorBias(_Sensor):
 @register
 class SensorDelay(_Sensor):
     type = "sensor_delay"
+    mechanism = "sensor"
     equation = "y(t) = y_true(t - T)"
     source = "filter or bus latency"
     signature = "one channel late, all others right"

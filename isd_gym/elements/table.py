@@ -75,6 +75,7 @@ def _tabulated(p: Array, d: float, v: float, d_last: float, z: float, h: float) 
 @register
 class TabulatedForce(Element):
     type = "tabulated_force"
+    mechanism = "other"
     equation = "F = scale * table(d, v)"
     source = "a measured law, or the one that a diagnosis found without a name for it"
     signature = "whatever the table says"
