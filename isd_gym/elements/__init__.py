@@ -35,11 +35,20 @@ from .base import (
     discover,
     parameter,
     parameter_fields,
+    plausible,
     register,
     register_file,
     rms,
 )
-from .drives import DRIVE_ORDER, ActuatorDelay, ActuatorLag, ThrustSaturation, delayed
+from .drives import (
+    DRIVE_ORDER,
+    ActuatorDelay,
+    ActuatorLag,
+    DriveDeadZone,
+    QuadraticThrust,
+    ThrustSaturation,
+    delayed,
+)
 from .friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 from .laws import (
     AsymmetricDamping,
@@ -55,7 +64,7 @@ from .laws import (
     TyreLiftOff,
 )
 from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
-from .sensors import SensorBias, SensorDelay, SensorGain
+from .sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
 from .table import TabulatedForce
 
 __all__ = [
@@ -74,6 +83,7 @@ __all__ = [
     "ConstantForce",
     "CoulombFriction",
     "CubicStiffness",
+    "DriveDeadZone",
     "Element",
     "GasSpring",
     "GravitySine",
@@ -84,9 +94,12 @@ __all__ = [
     "Motion",
     "Motor",
     "QuadraticDamping",
+    "QuadraticThrust",
     "SensorBias",
+    "SensorDeadZone",
     "SensorDelay",
     "SensorGain",
+    "SensorMagnitude",
     "SeriesCompliance",
     "Setting",
     "Start",
@@ -100,6 +113,7 @@ __all__ = [
     "discover",
     "parameter",
     "parameter_fields",
+    "plausible",
     "register",
     "register_file",
     "rms",

@@ -406,7 +406,7 @@ class Network:
             if e.name == owner:
                 for f in el.parameter_fields(type(e)):
                     if f.name == name:
-                        if isinstance(e, el.SensorBias):
+                        if e.place == "channel" and f.metadata["unit"] == "unit of the channel":
                             return next(c.unit for c in self.outputs if c.name == e.where[0])
                         return self._unit(e, f.metadata["unit"])
         if owner in self.masses and path == self.mass_path(owner):
@@ -415,7 +415,8 @@ class Network:
 
     def _unit(self, e: el.Element, unit: str) -> str:
         """The unit of a parameter of an element where it stands."""
-        if isinstance(e, el.Motor) and any(e.name in c.elements and c.si == "V" for c in self.inputs):
+        motor = e.name if isinstance(e, el.Motor) else e.where[0] if e.place == "element" else ""
+        if motor and any(motor in c.elements and c.si == "V" for c in self.inputs):
             unit = unit.replace("A", "V")
         turns = e.place == "between" and any(n in self.rotating for n in e.where)
         return about_axis(unit) if turns else unit
