@@ -167,13 +167,27 @@ def free_of(element: el.Element, owner: int) -> list[Free]:
             continue
         value = getattr(element, f.name)
         path, stride = f"{element.name}.{f.name}", meta["stride"] or math.inf
+        low, high = meta["plausible"] or (-math.inf, math.inf)
         if meta["minimum"] >= 0:
-            m = math.log(max(value, 1e-300))
-            out.append(Free(path, True, m, WIDE, m - FAR, m + FAR, owner, stride))
+            m, far = math.log(max(value, 1e-300)), math.log(meta["reach"]) if meta["reach"] else FAR
+            least = math.log(low) if low > 0 else -math.inf
+            out.append(
+                Free(path, True, m, WIDE, max(m - far, least), min(m + far, math.log(high)), owner, stride)
+            )
         else:
             known = f.default if isinstance(f.default, int | float) else 0.0
             spread = meta["spread"] or 30.0 * max(abs(value), 1e-9)
-            out.append(Free(path, False, known, spread, -math.inf, math.inf, owner, stride))
+            out.append(Free(path, False, known, spread, low, high, owner, stride))
+    return out
+
+
+def _plausible(cls: type[el.Element], values: Mapping[str, float]) -> dict[str, float]:
+    """Return start values moved into the plausible ranges of a missing effect."""
+    out = dict(values)
+    for f in el.parameter_fields(cls):
+        limits = f.metadata["plausible"]
+        if limits and f.name in out:
+            out[f.name] = min(max(out[f.name], limits[0]), limits[1])
     return out
 
 
@@ -191,7 +205,7 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
             free = [f for f in free if not f.path.startswith(f"{e.name}.")]
             found = [(other, its) for other, its in found if its != e.name]
     tied = cls.tied(network, where)
-    data = {**values, **{key: network.parameters[path] for key, path in tied.items()}}
+    data = {**_plausible(cls, values), **{key: network.parameters[path] for key, path in tied.items()}}
     element = cls(name=name, where=where, **data, **dict(h.options))
     network = replace(network, elements=(*network.elements, element), outputs=_cells(network, element))
     free += [f for f in free_of(element, len(found)) if f.path.rpartition(".")[2] not in tied]
