@@ -129,7 +129,7 @@ class Race:
                 out[i] = now.initial[i]
             else:
                 there = along(p, now.structure, now.x, {i: now.initial[i]}, [w.first])[i][0]
-                out[i] = guess(self.short, now.network, i, there)
+                out[i] = guess(self.short, now.network, i, there, now.structure.offsets)
         return out
 
     # -- stages -----------------------------------------------------------------------------------------
