@@ -234,3 +234,66 @@ def test_laws_of_a_sensor_need_a_zero_that_is_known():
     outputs = [{**MOTOR["outputs"][0], "offset": "free"}]
     free = Network.load({**MOTOR, "outputs": outputs})
     assert not el.SensorMagnitude.stands(free, ("speed",)) and not el.SensorDeadZone.stands(free, ("speed",))
+
+
+# ------------------------------------------------------------------------------- laws between two nodes
+
+
+def cogging(**values):
+    return el.CoggingForce("x", ("a", "b"), amplitude=2.0, **values)  # type: ignore[call-arg]
+
+
+def test_cogging_of_a_turn_has_a_whole_number_of_periods():
+    angle = np.linspace(-9.0, 9.0, 50)
+    near = 2 * np.pi / 14.2
+    whole = cogging(pitch=near, phase=0.3, turn="whole").curve(angle)
+    assert whole == pytest.approx(2.0 * np.sin(14 * angle + 0.3))
+    assert cogging(pitch=near, phase=0.3).curve(angle) == pytest.approx(2.0 * np.sin(14.2 * angle + 0.3))
+    # a pitch of more than a turn is a turn
+    assert cogging(pitch=50.0, turn="whole").curve(angle) == pytest.approx(2.0 * np.sin(angle))
+    assert el.CoggingForce.held({"turn": "whole"}) == ("pitch",) and not el.CoggingForce.held({"turn": "any"})
+    built = add(
+        base_structure(with_effects()),
+        Hypothesis("cogging_force", ("cart", "ground"), (("turn", "whole"),)),
+        {"amplitude": 1.0, "pitch": 0.5, "phase": 0.0},
+    )
+    pitch = next(f for f in built.free if f.path == "cogging_force.pitch")
+    assert pitch.low == pitch.mean == pitch.high == np.log(0.5)  # reported, not moved
+
+
+def test_pitches_that_are_tried():
+    d = 0.1 * np.sin(np.arange(20_000) * 1e-3)
+    span = float(np.ptp(d))
+    v = np.gradient(d, 1e-3)
+    at = el.Setting(
+        with_effects(), ("cart", "ground"), el.Motion(d, v, v), 1.0, options={"turn": "any"}, pitches=(1e-4,)
+    )
+    pitches = np.array([s.values["pitch"] for s in el.CoggingForce.starts(at)])
+    assert pitches.max() == pytest.approx(span) and pitches.min() == 1e-4
+    assert np.sum(pitches > 1.001 * span / el.PERIODS) == 236
+    turning = el.Setting(
+        with_effects(), ("cart", "ground"), el.Motion(30 * d, v, v), 1.0, options={"turn": "whole"}
+    )
+    periods = [2 * np.pi / s.values["pitch"] for s in el.CoggingForce.starts(turning)]
+    # at least one over the 6 rad of travel, and no more than the samples resolve
+    assert periods == pytest.approx(np.arange(2, 121))
+    fast = el.Setting(
+        with_effects(), ("cart", "ground"), el.Motion(600 * d[::20], v, v), 1.0, options={"turn": "whole"}
+    )
+    (most, *_) = sorted((2 * np.pi / s.values["pitch"] for s in el.CoggingForce.starts(fast)), reverse=True)
+    assert most * np.median(np.abs(np.diff(600 * d[::20]))) < 2 * np.pi / 2.5 + 1e-9
+
+
+def test_whole_turns_are_tried_where_the_nodes_turn():
+    arm = {
+        **MOTOR,
+        "masses": {},
+        "inertias": {"cart": 0.1},
+        "outputs": [{"name": "speed", "quantity": "angular_velocity", "at": "cart", "unit": "rad/s"}],
+        "uncertainty": {},
+    }
+    assert el.CoggingForce.variants(Network.load(arm), ("cart", "ground")) == [
+        {"turn": "any"},
+        {"turn": "whole"},
+    ]
+    assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [{"turn": "any"}]

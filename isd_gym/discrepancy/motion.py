@@ -68,7 +68,12 @@ def watching(net: Network, outputs: tuple[Channel, ...]) -> Network:
 
 
 def setting(
-    problem: Problem, network: Network, h: Hypothesis, motion: Motion | None, force: float
+    problem: Problem,
+    network: Network,
+    h: Hypothesis,
+    motion: Motion | None,
+    force: float,
+    pitches: tuple[float, ...] = (),
 ) -> Setting:
     """What the effect of a hypothesis may look at when it says from which values its fit begins."""
     signal, time, samples = 1.0, problem.time, None
@@ -83,7 +88,7 @@ def setting(
         time = pace(
             problem.records[problem.estimation[0]].measured[:, j], problem.records[problem.estimation[0]].rate
         )
-    return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples)
+    return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples, pitches)
 
 
 def together(

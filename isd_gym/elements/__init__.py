@@ -51,6 +51,7 @@ from .drives import (
 )
 from .friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 from .laws import (
+    PERIODS,
     AsymmetricDamping,
     Backlash,
     BumpStop,
@@ -71,6 +72,7 @@ __all__ = [
     "DRIVE_ORDER",
     "GROUND",
     "MECHANISMS",
+    "PERIODS",
     "PROBE",
     "TYPES",
     "ActuatorDelay",

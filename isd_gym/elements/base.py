@@ -137,7 +137,8 @@ class Setting:
     `motion` of the pair (None at a motor or a channel); `force` [N]: a typical one of the data; `signal`: deviation of
     the current [A] of the motor, or of the channel [its unit]; `time` [s]: in which the motion changes, one over its
     typical circular frequency; `options`: the choices that are not numbers; `samples` (n,): the measured channel, or the current
-    that the motor is told to give, in the channel's unit or in A (None between two nodes).
+    that the motor is told to give, in the channel's unit or in A (None between two nodes); `pitches` [m]: periods that the spectrum of
+    the missing force over travel shows, for a law that repeats over travel.
 
     network: the model; where: the place.
     """
@@ -150,6 +151,7 @@ class Setting:
     time: float = 0.05
     options: Mapping[str, str] = field(default_factory=dict)
     samples: Array | None = None
+    pitches: tuple[float, ...] = ()
 
     @property
     def beside(self) -> list[Element]:
@@ -367,6 +369,14 @@ class Element:
     def tied(cls, network: Network, where: tuple[str, ...]) -> dict[str, str]:
         """Parameters that are not free but follow another: own name -> path in the network."""
         return {}
+
+    @classmethod
+    def held(cls, options: Mapping[str, str]) -> tuple[str, ...]:
+        """Parameters that keep their start values in a fit, by the choices that are not numbers.
+
+        options: the choices.
+        """
+        return ()
 
     def well_formed(self) -> bool:
         """Whether the values mean what the name says; a law that does not may be a step on the way, but is never named."""
