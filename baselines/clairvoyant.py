@@ -81,7 +81,7 @@ class Episode:
         penalty: Penalty | None = None,
     ) -> None:
         for e in network.elements:
-            if isinstance(e, el.ActuatorLag | el.ActuatorDelay | el.ThrustSaturation):
+            if e.place == "element":
                 raise InputError(f"element '{e.name}': the clairvoyant optimum needs an ideal drive")
         if not any(isinstance(e, el.Motor) for e in network.elements):
             raise InputError(f"network '{network.name}' has no motor")

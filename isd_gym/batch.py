@@ -141,9 +141,12 @@ class Batch:
         self._cars = aligned(place.SIGNALS + len(self.channels), wide)
         self._ways = np.zeros((3, wide), np.int64)
         self._cars[place.SATURATION] = NO_SATURATION
+        known = (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
+        for e in network.elements:
+            if e.place == "element" and not isinstance(e, known):
+                raise InputError(f"element '{e.name}': the environment's drive has no {e.type}; leave it out")
         lag, delay, saturation = (
-            next((e for e in network.elements if isinstance(e, kind)), None)
-            for kind in (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
+            next((e for e in network.elements if isinstance(e, kind)), None) for kind in known
         )
         if isinstance(lag, el.ActuatorLag) and lag.time_constant > 0:
             self._cars[place.LAG_POLE] = math.exp(-physics_step / lag.time_constant)

@@ -121,6 +121,11 @@ class Task:
         )
         names = [name for name, _, _ in MEASURED]
         self._sensors = [e for e in net.elements if e.place == "channel" and e.where[0] in names]
+        for e in self._sensors:
+            if isinstance(e, el.SensorDelay) and e.delay < 0:
+                raise InputError(
+                    f"element '{e.name}': no sensor of an environment can lead; delay must be >= 0 s"
+                )
         self._histories: dict[str, np.ndarray] = {}
         self.sensors = Sensors.of(sensors)
         self._sight = (

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .elements import SensorDelay
 from .errors import InputError, how_to_install
 from .files import check_file, whole
 from .network import Network
@@ -73,6 +74,11 @@ class Running:
         self.state: np.ndarray | None = None
         self.drives = any(e.place == "element" for e in network.elements)
         self.sensors = any(e.place == "channel" for e in network.elements)
+        for e in network.elements:
+            if isinstance(e, SensorDelay) and e.delay < 0:
+                raise InputError(
+                    f"element '{e.name}': no sensor of a running model can lead; delay must be >= 0 s"
+                )
         self.moved = {c.name for c in network.moving}
         self.commands: dict[str, deque[float]] = {}
         self.readings: dict[str, deque[float]] = {}

@@ -489,15 +489,17 @@ class Plant:
 
 
 def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
-    """What the drive makes of a commanded current (n, lanes) held over each step: delay, lag, saturation.
+    """What the drive makes of a commanded current (n, lanes) held over each step, in the order of `DRIVE_ORDER`; others last.
 
     network: the model; motor: the name of its motor; command: the current asked for [A].
     """
     out = np.asarray(command, float)
-    for kind in el.DRIVE_ORDER:
-        for e in network.elements:
-            if isinstance(e, kind) and e.where[0] == motor:
-                out = e.apply(out, step)
+    drive = [e for e in network.elements if e.place == "element" and e.where[0] == motor]
+    kinds = el.DRIVE_ORDER
+    for e in sorted(
+        drive, key=lambda e: next((k for k, t in enumerate(kinds) if isinstance(e, t)), len(kinds))
+    ):
+        out = e.apply(out, step)
     return out
 
 

@@ -1,9 +1,15 @@
 """The laws of the elements against formulas of their own, and what each class says of itself."""
 
+import numpy as np
 import pytest
 
 from isd_gym import elements as el
+from isd_gym.discrepancy.structure import Hypothesis, add, base_structure, free_of
+from isd_gym.env import ISDSuspensionEnv
 from isd_gym.errors import InputError
+from isd_gym.fmu import Running
+from isd_gym.network import Network
+from isd_gym.simulate import effective_current, simulate
 
 
 def library():
@@ -33,3 +39,261 @@ def test_a_kind_that_is_none_of_the_list_is_refused():
 
 def test_a_class_of_a_users_own_is_of_another_kind_unless_it_says_so():
     assert el.Element.mechanism == "other"
+
+
+# ------------------------------------------------------------------------------------- drives and sensors
+
+MOTOR = {
+    "schema": "isd-model/1",
+    "masses": {"cart": 2.0},
+    "elements": [
+        {"name": "drive", "type": "motor", "between": ["cart", "ground"], "thrust_constant": 5.0},
+        {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 3.0},
+    ],
+    "inputs": [{"name": "current", "quantity": "current", "element": "drive", "unit": "A"}],
+    "outputs": [
+        {"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"},
+        {"name": "thrust", "quantity": "force", "element": "drive", "unit": "N"},
+    ],
+    "uncertainty": {"cart.mass": 0.05, "guide.damping": 0.3},
+}
+
+
+def with_effects(*effects):
+    model = {**MOTOR, "elements": [*MOTOR["elements"]]}
+    model["elements"] += [{"name": f"x{k}", **e} for k, e in enumerate(effects)]
+    return Network.load(model)
+
+
+COMMAND = np.array([0.0, 0.3, -0.3, 1.0, -1.0, 2.5, -2.5, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        ({"type": "drive_dead_zone", "threshold": 0.5}, [0, 0, 0, 0.5, -0.5, 2.0, -2.0, 0]),
+        ({"type": "quadratic_thrust", "reference": 2.0}, [0, 0.045, -0.045, 0.5, -0.5, 3.125, -3.125, 0]),
+        (
+            {"type": "quadratic_thrust", "reference": 2.0, "form": "square"},
+            [0, 0.045, 0.045, 0.5, 0.5, 3.125, 3.125, 0],
+        ),
+    ],
+)
+def test_laws_of_a_drive(effect, expected):
+    net = with_effects({"element": "drive", **effect})
+    time = np.arange(8) * 0.01
+    thrust = simulate(net, time, {"current": COMMAND})["thrust"]
+    assert thrust[:-1] == pytest.approx(5.0 * np.array(expected)[:-1])  # a command acts from its sample on
+
+
+def test_a_drives_effects_act_in_the_order_of_the_signal_whatever_the_order_in_the_file():
+    zone = {"type": "drive_dead_zone", "element": "drive", "threshold": 0.5}
+    square = {"type": "quadratic_thrust", "element": "drive", "reference": 2.0}
+    iron = {"type": "thrust_saturation", "element": "drive", "current": 1.5}
+    column = COMMAND[:, None]
+    one = effective_current(with_effects(zone, square, iron), "drive", column, 0.01)
+    two = effective_current(with_effects(iron, square, zone), "drive", column, 0.01)
+    left = np.sign(column) * np.maximum(np.abs(column) - 0.5, 0.0)
+    assert one == pytest.approx(1.5 * np.tanh(left * np.abs(left) / 2.0 / 1.5))
+    assert np.array_equal(one, two)
+
+
+def test_a_drive_effect_of_a_users_own_acts_too():
+    class Halved(el.Element):
+        type = "test_halved"
+        place = "element"
+
+        def apply(self, signal, step):
+            return 0.5 * signal
+
+    el.register(Halved)
+    try:
+        net = with_effects({"type": "test_halved", "element": "drive"})
+        assert np.array_equal(effective_current(net, "drive", COMMAND, 0.01), 0.5 * COMMAND)
+    finally:
+        el.TYPES.pop("test_halved")
+
+
+def test_an_environment_refuses_what_its_drive_does_not_have():
+    zone = {"name": "zone", "type": "drive_dead_zone", "element": "motor", "threshold": 0.5}
+    net = Network.load("quarter-car-isd").with_element(zone)
+    with pytest.raises(InputError, match="'zone': the environment's drive has no drive_dead_zone"):
+        ISDSuspensionEnv(network=net)
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        ({"type": "sensor_magnitude"}, np.abs),
+        ({"type": "sensor_dead_zone", "width": 0.02}, lambda y: np.sign(y) * np.maximum(np.abs(y) - 0.02, 0)),
+    ],
+)
+def test_laws_of_a_sensor(effect, expected):
+    time = np.arange(400) * 0.01
+    current = np.sin(3 * time)
+    truth = simulate(with_effects(), time, {"current": current})["speed"]
+    seen = simulate(with_effects({"channel": "speed", **effect}), time, {"current": current})["speed"]
+    assert truth.min() < -0.05 < 0.05 < truth.max()
+    assert np.allclose(seen, expected(truth), rtol=0, atol=1e-15)
+
+
+def test_a_sensor_may_be_late_or_lead():
+    time = np.arange(2000) * 1e-3
+    signal = np.sin(7 * time)
+    for delay in (0.0123, -0.0123, 0.02, -0.02):
+        seen = el.SensorDelay("x", ("y",), delay=delay).apply(signal, 1e-3)  # type: ignore[call-arg]
+        inside = (time > 0.03) & (time < time[-1] - 0.03)
+        # straight lines between samples: their error is below step^2 w^2 / 8
+        assert np.abs(seen - np.sin(7 * (time - delay)))[inside].max() < 7e-6
+        assert seen.shape == signal.shape
+    # past the last sample the signal goes on with its slope: its error is of second order in the lead
+    seen = el.SensorDelay("x", ("y",), delay=-0.02).apply(signal, 1e-3)  # type: ignore[call-arg]
+    assert np.abs(seen - np.sin(7 * (time + 0.02))).max() < 49 * 0.02**2
+    short = el.SensorDelay("x", ("y",), delay=-0.3).apply(signal[:5], 0.1)  # type: ignore[call-arg]
+    assert short.shape == (5,) and np.isfinite(short).all()
+    assert np.isfinite(el.SensorDelay("x", ("y",), delay=-9.0).apply(signal[:5], 0.1)).all()  # type: ignore[call-arg]
+
+
+def test_what_runs_step_by_step_cannot_lead():
+    lead = {"name": "early", "type": "sensor_delay", "channel": "speed", "delay": -0.01}
+    net = with_effects().with_element(lead)
+    with pytest.raises(InputError, match="'early': no sensor of a running model can lead"):
+        Running(net)
+    car = Network.load("quarter-car-isd")
+    channel = car.outputs[0].name
+    with pytest.raises(InputError, match="'early': no sensor of an environment can lead"):
+        ISDSuspensionEnv(network=car.with_element({**lead, "channel": channel}))
+
+
+@pytest.mark.parametrize(
+    ("effect", "where", "values", "limits"),
+    [
+        ("sensor_delay", "speed", {"delay": 26.0}, (-0.3, 0.3)),
+        ("sensor_gain", "speed", {"gain": 40.0}, (0.2, 5.0)),
+        ("actuator_delay", "drive", {"delay": 26.0}, (0.0, 0.3)),
+        ("actuator_lag", "drive", {"time_constant": 26.0}, (0.0, 0.5)),
+        ("thrust_saturation", "drive", {"current": 2.0}, (0.1, 40.0)),
+    ],
+)
+def test_faults_stay_within_what_is_plausible(effect, where, values, limits):
+    built = add(base_structure(with_effects()), Hypothesis(effect, (where,)), values)
+    (free,) = [f for f in built.free if f.owner >= 0]
+    low, high = (free.back(x) for x in (free.low, free.high))
+    assert (low, high) == pytest.approx(limits, rel=1e-9, abs=1e-4)
+    # a start beyond the range is moved into it
+    assert free.low <= built.start[-1] <= free.high
+    # a model file may hold any value
+    assert with_effects(
+        {"type": effect, "channel" if effect.startswith("sensor") else "element": where, **values}
+    )
+
+
+def test_a_parameter_without_a_plausible_range_keeps_its_wide_prior():
+    (free,) = free_of(el.CoulombFriction("x", ("a", "b"), level=3.0), 0)  # type: ignore[call-arg]
+    assert free.back(free.low) == pytest.approx(3e-4) and free.back(free.high) == pytest.approx(3e4)
+
+
+def setting(where, samples, **options):
+    return el.Setting(with_effects(), where, None, 1.0, float(np.std(samples)), 0.05, options, samples)
+
+
+def test_drive_laws_are_not_tried_where_every_command_has_one_size():
+    bang = np.sign(np.sin(np.arange(500) * 0.1)) * 1.5
+    rich = 1.5 * np.sin(np.arange(500) * 0.1)
+    for kind, options in ((el.DriveDeadZone, {}), (el.QuadraticThrust, {"form": "signed"})):
+        assert not kind.starts(setting(("drive",), bang, **options))
+        assert kind.starts(setting(("drive",), rich, **options))
+    # for a command of one sign both forms are one law
+    assert not el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="square"))
+    assert el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="signed"))
+    # the start is the square that comes nearest to proportion
+    (_, start, _) = el.QuadraticThrust.starts(setting(("drive",), rich, form="signed"))
+    nearest = np.sum(rich**4) / np.sum(np.abs(rich) ** 3)
+    grid = np.linspace(0.5, 3, 400)
+    errors = [np.sum((rich * np.abs(rich) / r - rich) ** 2) for r in grid]
+    assert start.values["reference"] == pytest.approx(nearest)
+    assert nearest == pytest.approx(grid[int(np.argmin(errors))], abs=0.01)
+
+
+def test_sensor_laws_are_tried_where_the_samples_show_their_trace():
+    rng = np.random.default_rng(3)
+    wave = np.sin(np.arange(4000) * 0.02)
+    noise = 0.003 * rng.normal(size=4000)
+    assert not el.SensorMagnitude.starts(setting(("speed",), wave + noise))
+    assert el.SensorMagnitude.starts(setting(("speed",), np.abs(wave) + noise))
+    random = np.convolve(rng.normal(size=4000), np.ones(30) / 30, "same")
+    for whole in (wave + noise, random, np.abs(wave) + noise):
+        assert not el.SensorDeadZone.starts(setting(("speed",), whole))
+    resting = np.sign(wave) * np.maximum(np.abs(wave) - 0.1, 0.0)
+    assert el.SensorDeadZone.starts(setting(("speed",), resting + noise))
+
+
+def test_laws_of_a_sensor_need_a_zero_that_is_known():
+    net = with_effects()
+    assert el.SensorMagnitude.stands(net, ("speed",)) and el.SensorDeadZone.stands(net, ("speed",))
+    outputs = [{**MOTOR["outputs"][0], "offset": "free"}]
+    free = Network.load({**MOTOR, "outputs": outputs})
+    assert not el.SensorMagnitude.stands(free, ("speed",)) and not el.SensorDeadZone.stands(free, ("speed",))
+
+
+# ------------------------------------------------------------------------------- laws between two nodes
+
+
+def cogging(**values):
+    return el.CoggingForce("x", ("a", "b"), amplitude=2.0, **values)  # type: ignore[call-arg]
+
+
+def test_cogging_of_a_turn_has_a_whole_number_of_periods():
+    angle = np.linspace(-9.0, 9.0, 50)
+    near = 2 * np.pi / 14.2
+    whole = cogging(pitch=near, phase=0.3, turn="whole").curve(angle)
+    assert whole == pytest.approx(2.0 * np.sin(14 * angle + 0.3))
+    assert cogging(pitch=near, phase=0.3).curve(angle) == pytest.approx(2.0 * np.sin(14.2 * angle + 0.3))
+    # a pitch of more than a turn is a turn
+    assert cogging(pitch=50.0, turn="whole").curve(angle) == pytest.approx(2.0 * np.sin(angle))
+    assert el.CoggingForce.held({"turn": "whole"}) == ("pitch",) and not el.CoggingForce.held({"turn": "any"})
+    built = add(
+        base_structure(with_effects()),
+        Hypothesis("cogging_force", ("cart", "ground"), (("turn", "whole"),)),
+        {"amplitude": 1.0, "pitch": 0.5, "phase": 0.0},
+    )
+    pitch = next(f for f in built.free if f.path == "cogging_force.pitch")
+    assert pitch.low == pitch.mean == pitch.high == np.log(0.5)  # reported, not moved
+
+
+def test_pitches_that_are_tried():
+    d = 0.1 * np.sin(np.arange(20_000) * 1e-3)
+    span = float(np.ptp(d))
+    v = np.gradient(d, 1e-3)
+    at = el.Setting(
+        with_effects(), ("cart", "ground"), el.Motion(d, v, v), 1.0, options={"turn": "any"}, pitches=(1e-4,)
+    )
+    pitches = np.array([s.values["pitch"] for s in el.CoggingForce.starts(at)])
+    assert pitches.max() == pytest.approx(span) and pitches.min() == 1e-4
+    assert np.sum(pitches > 1.001 * span / el.PERIODS) == 236
+    turning = el.Setting(
+        with_effects(), ("cart", "ground"), el.Motion(30 * d, v, v), 1.0, options={"turn": "whole"}
+    )
+    periods = [2 * np.pi / s.values["pitch"] for s in el.CoggingForce.starts(turning)]
+    # at least one over the 6 rad of travel, and no more than the samples resolve
+    assert periods == pytest.approx(np.arange(2, 121))
+    fast = el.Setting(
+        with_effects(), ("cart", "ground"), el.Motion(600 * d[::20], v, v), 1.0, options={"turn": "whole"}
+    )
+    (most, *_) = sorted((2 * np.pi / s.values["pitch"] for s in el.CoggingForce.starts(fast)), reverse=True)
+    assert most * np.median(np.abs(np.diff(600 * d[::20]))) < 2 * np.pi / 2.5 + 1e-9
+
+
+def test_whole_turns_are_tried_where_the_nodes_turn():
+    arm = {
+        **MOTOR,
+        "masses": {},
+        "inertias": {"cart": 0.1},
+        "outputs": [{"name": "speed", "quantity": "angular_velocity", "at": "cart", "unit": "rad/s"}],
+        "uncertainty": {},
+    }
+    assert el.CoggingForce.variants(Network.load(arm), ("cart", "ground")) == [
+        {"turn": "any"},
+        {"turn": "whole"},
+    ]
+    assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [{"turn": "any"}]

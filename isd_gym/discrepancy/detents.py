@@ -26,6 +26,10 @@ def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
     paths = {f.path: k for k, f in enumerate(fit.structure.free)}
     assert element.periodic is not None
     kp, kf = (paths[f"{name}.{key}"] for key in element.periodic)
+    if (
+        fit.structure.free[kp].low == fit.structure.free[kp].high
+    ):  # a whole fraction of a turn has no neighbours
+        return fit
     centre = float(np.exp(fit.x[kp]))
     middle = float(np.median(d))
     step = 0.12 * centre / span  # relative: an eighth of a period over the span

@@ -117,16 +117,12 @@ def places(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
         motion = motions(problem, fit)
     except (InputError, np.linalg.LinAlgError):
         motion = {}
-    excess = []
+    excess, spread = [], problem.deviation()
     for j in range(len(problem.channels)):
         every = np.concatenate(
             [problem.records[i].measured[:, j] - fit.outputs[i][:, j] for i in problem.estimation]
         )
-        spread = max(
-            float(np.std(np.concatenate([problem.records[i].measured[:, j] for i in problem.estimation]))),
-            1e-300,
-        )
-        excess.append(max(float(np.mean(every**2)) - floor[j] ** 2, 0.0) / spread**2)
+        excess.append(max(float(np.mean(every**2)) - floor[j] ** 2, 0.0) / float(spread[j]) ** 2)
     total = sum(excess) or 1.0
     out = []
     for j, name in enumerate(problem.channels):

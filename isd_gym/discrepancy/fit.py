@@ -1,13 +1,14 @@
 """Simulation-error fit: Gauss-Newton with the stated uncertainty of the base parameters as prior (MAP).
 
-Initial states and free offsets of every record are fitted along, and eliminated from the normal equations. A slope that
-was had is used again while it still leads down: it costs many simulations, and a step of it one.
+Initial states of every record and offsets of the sensors are fitted along, and eliminated from the normal equations. A
+sensor's offset is one number for all records, unless the model gives each record its own: it is estimated on the records
+to fit by and is known on others (`Structure.offsets`). A slope that was had is used again while it still leads down: it costs many simulations, and a step of it one.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,8 @@ from .tangent import tangents
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from .structure import Structure
 
 #: steps that a slope is used for again
@@ -36,7 +39,10 @@ ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
 
 @dataclass
 class Fit:
-    """What a structure says when fitted: `x` (free parameters, transformed), per-record initial states and outputs."""
+    """What a structure says when fitted: `x` (free parameters, transformed), initial states, offsets and outputs of each record.
+
+    `structure` holds the estimate of the offsets that all records share.
+    """
 
     structure: Structure
     x: Array
@@ -65,15 +71,52 @@ class Fitter(Objective):
     ) -> Point:
         net = structure.at(x)
         n0 = assemble(bare(net)).size[0]
-        given, known = initial or {}, offset or {}
-        return Point(
-            x.copy(),
-            {
-                i: given[i].copy() if i in given and len(given[i]) == n0 else guess(self.problem, net, i)
-                for i in records
-            },
-            {i: known[i].copy() if i in known else self.problem.nothing(i) for i in records},
-        )
+        given, known, problem = initial or {}, offset or {}, self.problem
+        shared = structure.offsets
+        if known and problem.shared_offset.any():
+            shared = tuple(np.mean([o[: len(problem.channels)] for o in known.values()], axis=0).tolist())
+        out = Point(x.copy(), {}, {})
+        for i in records:
+            there = i in given and len(given[i]) == n0
+            out.initial[i] = given[i].copy() if there else guess(problem, net, i, offsets=shared)
+            out.offset[i] = problem.nothing(i, shared)
+            if i in known:
+                out.offset[i][problem.moves(i)] = known[i][problem.moves(i)]
+        return out
+
+    def with_offsets(
+        self,
+        structure: Structure,
+        x: Array,
+        records: Sequence[int] | None = None,
+        initial: Mapping[int, Array] | None = None,
+    ) -> Structure:
+        """Estimate the offsets of the sensors that all records share, the parameters as they are.
+
+        Each record gives an estimate with its initial state; the mean weighs each by its information.
+
+        Args:
+            structure: The structure.
+            x: Its transformed parameters (parameters,).
+            records: Indices of the records. Default: those to fit by.
+            initial: Initial states to begin with, by record.
+
+        Returns:
+            The structure with its offsets; the same structure where no sensor has an offset for all records.
+        """
+        problem = self.problem
+        own = np.flatnonzero(problem.shared_offset)
+        if not len(own):
+            return structure
+        records = problem.estimation if records is None else records
+        alone = Fitter(problem.loose, self.weights)
+        f = alone.follow(structure, x, records, dict(initial or {}))
+        slopes = alone.slopes(structure, Point(x, f.initial, f.offset), records, False)
+        if slopes is None:
+            raise InputError("the simulation breaks down at the start values")
+        offsets = np.zeros(len(problem.channels))
+        offsets[own] = _weighted_mean(problem.loose, own, f.offset, slopes)
+        return replace(structure, offsets=tuple(offsets.tolist()))
 
     def fit(
         self,
@@ -89,10 +132,14 @@ class Fitter(Objective):
     ) -> Fit:
         """Fit the structure to the given records (the estimation records by default).
 
-        `frozen`: only initial states and offsets move.
+        `frozen`: only initial states and the offsets of each record move; offsets that all records share are those of the
+        structure, or are estimated on the given records.
         """
         records = self.problem.estimation if records is None else records
-        at = self.begin(structure, structure.start if x is None else x, initial, offset, records)
+        x = structure.start if x is None else x
+        if frozen and structure.offsets is None and not offset:
+            structure = self.with_offsets(structure, x, records, initial)
+        at = self.begin(structure, x, initial, offset, records)
         if frozen:
             return self._result(structure, self._states(structure, at, records, iterations, tolerance))
         mean = np.array([f.mean for f in structure.free])
@@ -122,7 +169,7 @@ class Fitter(Objective):
         return self._result(structure, at, hessian)
 
     def _hessian(self, slopes: Mapping[int, Slope]) -> Array:
-        """Of half the cost by the parameters, the records' nuisances eliminated; no prior."""
+        """Of half the cost by the parameters and shared offsets, the records' nuisances eliminated; no prior."""
         total: Array | float = 0.0
         for s in slopes.values():
             p = len(s.gram) - len(s.own)
@@ -147,25 +194,30 @@ class Fitter(Objective):
         chord: the slopes are those of an earlier point, and one try is enough.
         """
         free = structure.free
-        p = len(free)
+        p, q = len(free), int(self.problem.shared_offset.sum())
         mean, sigma = (np.array([getattr(f, key) for f in free]) for key in ("mean", "sigma"))
-        low, high = (np.array([getattr(f, key) for f in free]) for key in ("low", "high"))
+        none = np.full(q, math.inf)
+        low, high = (
+            np.array([getattr(f, key) for f in free] + (sign * none).tolist())
+            for key, sign in (("low", -1.0), ("high", 1.0))
+        )
         stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
         wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma))
+        wide, here = np.append(wide, none), np.append(at.x, np.zeros(q))
         down = {i: self._downhill(at, i, s) for i, s in slopes.items()}
-        g = (mean - at.x) / sigma**2
+        g = np.append((mean - at.x) / sigma**2, np.zeros(q))
         for i, s in slopes.items():
-            g = g + down[i][:p]
+            g = g + down[i][: p + q]
             if len(s.own):
-                g = g - s.gram[:p, p:] @ np.linalg.solve(s.own, down[i][p:])
-        H = hessian + np.diag(1.0 / sigma**2)
+                g = g - s.gram[: p + q, p + q :] @ np.linalg.solve(s.own, down[i][p + q :])
+        H = hessian + np.diag(np.append(1.0 / sigma**2, np.zeros(q)))
 
         def take(damping: float) -> tuple[Point, float]:
-            step = bounded_step(H, g, at.x, low, high, wide, damping) if p else np.zeros(0)
+            step = bounded_step(H, g, here, low, high, wide, damping) if p + q else np.zeros(0)
             moves = {}
             for i, s in slopes.items():
-                moves[i] = np.linalg.solve(s.own, down[i][p:] - s.gram[p:, :p] @ step)
-            then = self._moved(at, at.x + step, moves)
+                moves[i] = np.linalg.solve(s.own, down[i][p + q :] - s.gram[p + q :, : p + q] @ step)
+            then = self._moved(at, at.x + step[:p], moves, step[p:])
             then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
             return then, self.seen(structure, then, records).total
 
@@ -175,7 +227,7 @@ class Fitter(Objective):
     def _states(
         self, structure: Structure, at: Point, records: Sequence[int], iterations: int, tolerance: float
     ) -> Point:
-        """Initial states and offsets of each record for itself, the parameters as they are."""
+        """Initial states and offsets of each record for itself, the parameters and shared offsets as they are."""
         left = list(records)
         for turn in range(max(iterations, 1)):
             slopes = self.slopes(structure, at, left, False)
@@ -212,6 +264,14 @@ class Fitter(Objective):
         known = sum(
             float(x0 @ self._information(structure, i) @ x0) for i, x0 in at.initial.items() if len(x0)
         )
+        own = np.flatnonzero(self.problem.shared_offset)
+        if len(own):
+            offsets = np.zeros(len(self.problem.channels))
+            offsets[own] = next(iter(at.offset.values()))[own]
+            structure = replace(structure, offsets=tuple(offsets.tolist()))
+        p = len(at.x)
+        if hessian is not None and len(own):
+            hessian = hessian[:p, :p] - hessian[:p, p:] @ np.linalg.solve(hessian[p:, p:], hessian[p:, :p])
         return Fit(
             structure,
             at.x,
@@ -220,7 +280,7 @@ class Fitter(Objective):
             at.outputs,
             sum(at.costs.values()) - known,
             at.prior,
-            hessian if len(at.x) else None,
+            hessian if p else None,
         )
 
     def follow(
@@ -235,13 +295,17 @@ class Fitter(Objective):
     ) -> Fit:
         """Initial states and offsets of `records` with the parameters as they are.
 
+        Offsets that all records share are those of the structure, or are estimated on the records to fit by.
         `initial`: where to begin, else a guess; or the cheapest of that and of those `about`. Without `initial`, a record that goes on
         where the one before it ended may also begin where the simulation of that one ended.
         """
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
+        if structure.offsets is None and problem.shared_offset.any():
+            structure = self.with_offsets(structure, x, problem.estimation or records)
+        shared = structure.offsets
         given = {i: v for i, v in (initial or {}).items() if len(v) == n0}
-        begun = {i: [given[i] if i in given else guess(problem, net, i)] for i in records}
+        begun = {i: [given[i] if i in given else guess(problem, net, i, offsets=shared)] for i in records}
         for known in about:
             for i, v in known.items():
                 if i in begun and len(v) == n0:
@@ -256,7 +320,10 @@ class Fitter(Objective):
             ends = next_states(problem, structure, x, {i: at.initial[i] for i in before.values()})
             ahead = {j: ends[i] for j, i in before.items()}
             better = self._again(
-                structure, at, {j: [guess(problem, net, j, s), s] for j, s in ahead.items()}, iterations
+                structure,
+                at,
+                {j: [guess(problem, net, j, s, shared), s] for j, s in ahead.items()},
+                iterations,
             )
             before = {j: i for j, i in before.items() if i in better}
             if not before:
@@ -294,16 +361,15 @@ class Fitter(Objective):
         return better
 
     def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
-        """Of several initial states a record, the one that errs least as it stands, whatever the free offsets."""
+        """Of several initial states a record, the one that errs least as it stands, whatever the offsets of each record."""
         best = Point(x.copy(), {}, {})
         for k in range(max(map(len, begun.values()), default=0)):
             those = {i: s[k] for i, s in begun.items() if k < len(s)}
-            at = self.seen(
-                structure, Point(x, those, {i: self.problem.nothing(i) for i in those}), list(those)
-            )
+            offset = {i: self.problem.nothing(i, structure.offsets) for i in those}
+            at = self.seen(structure, Point(x, those, offset), list(those))
             for i in those:
                 if i not in best.costs or at.costs[i] < best.costs[i]:
-                    best.initial[i], best.offset[i] = those[i].copy(), self.problem.nothing(i)
+                    best.initial[i], best.offset[i] = those[i].copy(), offset[i]
                     best.costs[i] = at.costs[i]
         return best
 
@@ -313,18 +379,19 @@ class Fitter(Objective):
         By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
         """
         problem, structure = self.problem, fit.structure
-        p = len(fit.x)
+        p, q = len(fit.x), int(problem.shared_offset.sum())
         sigma = np.array([f.sigma for f in structure.free])
-        H = np.diag(1 / sigma**2)
+        H = np.diag(np.append(1 / sigma**2, np.zeros(q)))
         m = next(iter(responses.values())).shape[2]
-        g = np.zeros((p, m))
+        g = np.zeros((p + q, m))
         parts = {}
         for i, t in tangents(problem, structure, fit.x, {i: fit.initial[i] for i in responses}).items():
             s = responses[i]
             free = problem.nuisances(i, t.outputs)
-            stack = np.concatenate([t.by_parameter, t.by_state, free, s], axis=2)
+            stack = np.concatenate([t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2)
             W = self.weights(stack).reshape(-1, stack.shape[2])
-            a, b, c = W[:, :p], W[:, p : W.shape[1] - m], W[:, W.shape[1] - m :]
+            a, b, c = W[:, : p + q], W[:, p + q : W.shape[1] - m], W[:, W.shape[1] - m :]
+            H[np.arange(p, p + q), np.arange(p, p + q)] += 1e-9 * np.sum(a[:, p:] ** 2, axis=0)
             if b.shape[1]:
                 Q, _ = np.linalg.qr(b)
                 a, c = a - Q @ (Q.T @ a), c - Q @ (Q.T @ c)
@@ -332,9 +399,37 @@ class Fitter(Objective):
             g += a.T @ c
             parts[i] = a, c
         shift = np.linalg.solve(H, g)
-        return np.asarray(shift, dtype=np.float64), {
+        return np.asarray(shift[:p], dtype=np.float64), {
             i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
         }
+
+
+def _weighted_mean(
+    problem: Problem, channels: NDArray[np.intp], offset: Mapping[int, Array], slopes: Mapping[int, Slope]
+) -> Array:
+    """Compute the mean over records of offsets that each record has for itself, weighed by their information.
+
+    Args:
+        problem: Records with an offset of their own each.
+        channels: Indices of the channels (offsets,).
+        offset: Nuisances by record, at their estimate.
+        slopes: Derivatives at the estimate by record.
+
+    Returns:
+        The mean offsets (offsets,).
+    """
+    total, weighted = np.zeros((len(channels), len(channels))), np.zeros(len(channels))
+    free = np.flatnonzero(problem.record_offset)
+    for i, s in slopes.items():
+        place = len(s.known) + np.searchsorted(free, channels)
+        rest = np.setdiff1d(np.arange(len(s.own)), place)
+        information = s.own[np.ix_(place, place)]
+        if len(rest):
+            cross = s.own[np.ix_(rest, place)]
+            information = information - cross.T @ np.linalg.solve(s.own[np.ix_(rest, rest)], cross)
+        total += information
+        weighted += information @ offset[i][channels]
+    return np.asarray(np.linalg.solve(total, weighted), dtype=np.float64)
 
 
 def _goes_on(problem: Problem, first: int, second: int) -> bool:
@@ -352,6 +447,5 @@ def gap(problem: Problem, fit: Fit) -> float:
     One channel that drifts does not drown the others.
     """
     r = np.concatenate(residuals(problem, fit))
-    y = problem.measured(list(fit.outputs))
-    share = np.mean(r**2, axis=0) / np.maximum(np.var(y, axis=0), 1e-300)
+    share = np.mean(r**2, axis=0) / problem.deviation(list(fit.outputs)) ** 2
     return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

@@ -12,6 +12,7 @@ from ..arrays import rms
 from ..errors import InputError
 from ..network import GROUND
 from .motion import watching
+from .problem import deviation_within
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -123,11 +124,11 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
 
 def _measured_force(problem: Problem) -> float:
     """Largest deviation of a force that the records hold [N]; 0 where they hold none."""
-    net, y = problem.network, problem.measured() / problem.factors
+    net, spread = problem.network, problem.deviation() / problem.factors
     mass = max(net.masses.values(), default=0.0)
     found = 0.0
     for j, c in enumerate(net.outputs):
-        deviation = float(np.std(y[:, j]))
+        deviation = float(spread[j])
         if c.quantity == "force":
             found = max(found, deviation if c.at is not None else 0.5 * deviation)
         elif c.quantity == "acceleration":
@@ -160,9 +161,9 @@ def _simulated(problem: Problem, fit: Fit, watched: Network) -> list[Array]:
 
 def _lost_motion(problem: Problem, fit: Fit) -> float:
     """Ratio of measured to simulated output deviation, pooled over the channels, and no less than 1."""
-    spread = problem.measured().std(axis=0)
-    simulated = np.concatenate([fit.outputs[i] for i in problem.estimation]).std(axis=0)
-    known = (spread > 0) & np.isfinite(simulated)
+    spread, names = problem.deviation(), [problem.records[i].name for i in problem.estimation]
+    simulated = deviation_within([fit.outputs[i] for i in problem.estimation], names)
+    known = (spread > 1e-300) & np.isfinite(simulated)
     pooled = rms(simulated[known] / spread[known]) if known.any() else 0.0
     return max(1.0, 1.0 / pooled) if pooled > 0 else 1.0
 
@@ -173,6 +174,6 @@ def _inertia_of_data(problem: Problem) -> dict[str, float]:
     rate = {"acceleration": 1.0, "velocity": 1.0 / time, "displacement": 1.0 / time**2}
     for j, c in enumerate(problem.network.outputs):
         if c.quantity in rate:
-            deviation = float(np.std(problem.measured()[:, j])) / problem.factors[j]
+            deviation = float(problem.deviation()[j]) / problem.factors[j]
             acceleration = max(acceleration, deviation * rate[c.quantity])
     return {m: mass * acceleration for m, mass in problem.network.masses.items()}

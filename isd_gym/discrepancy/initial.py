@@ -35,11 +35,18 @@ def led(network: Network, record: Record) -> tuple[Array, Array]:
     return np.stack(r, axis=1) if r else np.zeros(shape), np.stack(v, axis=1) if v else np.zeros(shape)
 
 
-def guess(problem: Problem, network: Network, index: int, about: Array | None = None) -> Array:
+def guess(
+    problem: Problem,
+    network: Network,
+    index: int,
+    about: Array | None = None,
+    offsets: Sequence[float] | None = None,
+) -> Array:
     """An initial state from the first samples: displacements and their slopes as measured, the rest small.
 
     Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
     `about` (states,): where a simulation of what came before ended; it is believed to a tenth of the motion.
+    `offsets` (channels,): known offsets of the sensors, in the channels' units.
     """
     record = problem.records[index]
     pure = bare(network)
@@ -61,7 +68,7 @@ def guess(problem: Problem, network: Network, index: int, about: Array | None = 
     for j, c in enumerate(pure.outputs):
         if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
             continue
-        y = record.measured[:count, j] / problem.factors[j]
+        y = (record.measured[:count, j] - (offsets[j] if offsets is not None else 0.0)) / problem.factors[j]
         slope, value = np.polyfit(t, y, 1)
         sigma = float(np.std(record.measured[:, j])) / problem.factors[j] * 0.02 + 1e-12
         A.append(asm.outputs[j : j + 1, x] / sigma)

@@ -77,11 +77,11 @@ class Judge:
     def __init__(self, problem: Problem):
         self.problem = problem
         self.known: list[Floor] = floors_of(problem)
-        deviation = problem.measured().std(axis=0)
+        deviation = problem.deviation()
         self.floors = np.maximum([f.deviation for f in self.known], LEAST_NOISE * deviation)
-        self.spread = np.maximum(problem.measured(problem.choosing).std(axis=0), 1e-300)
-        self.spread_reported = np.maximum(problem.measured(problem.reporting).std(axis=0), 1e-300)
-        self.spread_fitted = np.maximum(deviation, 1e-300)
+        self.spread = problem.deviation(problem.choosing)
+        self.spread_reported = problem.deviation(problem.reporting)
+        self.spread_fitted = deviation
         self._worth: dict[int, tuple[Candidate, Array]] = {}
         self._fitted: dict[int, tuple[Candidate, Array]] = {}
         self._along: dict[
@@ -272,9 +272,7 @@ class Judge:
             if next(iter(change.values())).shape[2]:
                 _, left = self.plain.refit(candidate.fit, change)
                 r = np.concatenate([*left.values()]) * self.floors[:, None]
-                shares = (
-                    np.sqrt(np.mean(r**2, axis=0)) / np.maximum(p.measured().std(axis=0), 1e-300)[:, None]
-                )
+                shares = np.sqrt(np.mean(r**2, axis=0)) / p.deviation()[:, None]
                 worth = np.maximum(least, np.quantile(shares, 0.95, axis=1))
             self._worth[id(candidate)] = candidate, worth
         return self._worth[id(candidate)][1]

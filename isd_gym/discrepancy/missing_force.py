@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -29,6 +29,16 @@ if TYPE_CHECKING:
 HIGHEST = 8.0  # times the frequency of the motion
 
 
+class Signals(Protocol):
+    """Time stamps [s] and measured outputs of a record."""
+
+    @property
+    def time(self) -> Array: ...
+
+    @property
+    def measured(self) -> Mapping[str, Array]: ...
+
+
 @dataclass(frozen=True)
 class Deconvolution:
     """How the outputs of a model answer to a force between two of its nodes, and back."""
@@ -42,9 +52,16 @@ class Deconvolution:
     samples: int
 
     @classmethod
-    def of(cls, network: Network, pair: tuple[str, str], trace: Trace, names: list[str]) -> Deconvolution:
-        """The linear response about rest, up to some eight times the frequency of the motion: above it the sensors resolve
-        no force. Raises `InputError` where there is none."""
+    def of(
+        cls,
+        network: Network,
+        pair: tuple[str, str],
+        trace: Signals,
+        names: list[str],
+        highest: float = HIGHEST,
+    ) -> Deconvolution:
+        """The linear response about rest, up to some eight times the frequency of the motion (`highest` times): above it the sensors
+        resolve no force. Raises `InputError` where there is none."""
         step, samples = float(trace.time[1] - trace.time[0]), len(trace.time)
         name = network.free_name("missing_force")
         outputs = []
@@ -74,7 +91,7 @@ class Deconvolution:
         space = linearise(probe)
         time = float(np.median([pace(trace.measured[n], step) for n in names]))
         frequency = np.asarray(np.fft.rfftfreq(samples, step), np.float64)
-        low, high = 0.5 / (samples * step), min(HIGHEST / (2 * math.pi * time), 0.4 / step)
+        low, high = 0.5 / (samples * step), min(highest / (2 * math.pi * time), 0.4 / step)
         band = np.flatnonzero((frequency >= low) & (frequency <= high))
         if len(band) < 10:
             raise InputError("the record is too short to look for a force in it")

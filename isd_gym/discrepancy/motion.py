@@ -68,22 +68,27 @@ def watching(net: Network, outputs: tuple[Channel, ...]) -> Network:
 
 
 def setting(
-    problem: Problem, network: Network, h: Hypothesis, motion: Motion | None, force: float
+    problem: Problem,
+    network: Network,
+    h: Hypothesis,
+    motion: Motion | None,
+    force: float,
+    pitches: tuple[float, ...] = (),
 ) -> Setting:
     """What the effect of a hypothesis may look at when it says from which values its fit begins."""
-    signal, time = 1.0, problem.time
+    signal, time, samples = 1.0, problem.time, None
     if h.place == "element":
         name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
         current = np.concatenate([problem.records[i].inputs[name] for i in problem.estimation])
-        signal = max(float(np.std(current)), 1e-9)
+        signal, samples = max(float(np.std(current)), 1e-9), current
     elif h.place == "channel":
         j = problem.channels.index(h.where[0])
         y = problem.measured()[:, j]
-        signal = max(float(np.std(y)), 1e-12)
+        signal, samples = max(float(np.std(y)), 1e-12), y
         time = pace(
             problem.records[problem.estimation[0]].measured[:, j], problem.records[problem.estimation[0]].rate
         )
-    return Setting(network, h.where, motion, force, signal, time, dict(h.options))
+    return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples, pitches)
 
 
 def together(

@@ -42,11 +42,11 @@ class Point:
 
 @dataclass
 class Slope:
-    """A record's whitened derivatives (rows, parameters + nuisances), and what of the normal equations they give."""
+    """A record's whitened derivatives (rows, parameters + shared offsets + nuisances), and what of the normal equations they give."""
 
     by: Array
     gram: Array
-    own: Array  # of the nuisances (initial state, offsets), prior included
+    own: Array  # of the nuisances (initial state, offsets of the record, lags), prior included
     known: Array  # the prior of the initial state (states, states)
 
 
@@ -65,10 +65,11 @@ class Objective:
     # -- costs ------------------------------------------------------------------------------------------
     def _information(self, structure: Structure, index: int) -> Array:
         """Of the initial state beforehand (states, states); that of the start values will do."""
-        if id(structure) not in self._rows:
+        key = id(structure.network)
+        if key not in self._rows:
             rows = motion_rows(self.problem, structure.network)
-            self._rows[id(structure)] = structure, rows.T @ rows
-        return self._rows[id(structure)][1] / self.problem.span(index) ** 2
+            self._rows[key] = structure, rows.T @ rows
+        return self._rows[key][1] / self.problem.span(index) ** 2
 
     def price(self, structure: Structure, at: Point, outputs: Mapping[int, Array]) -> Point:
         """The same point with what it says of each record, and its costs; infinite where it breaks down."""
@@ -108,7 +109,10 @@ class Objective:
     def slopes(
         self, structure: Structure, at: Point, records: Sequence[int], moves: bool
     ) -> dict[int, Slope] | None:
-        """Derivatives at a point, whose outputs and costs are filled in; None where the simulation breaks down."""
+        """Derivatives at a point, whose outputs and costs are filled in; None where the simulation breaks down.
+
+        moves: by the parameters and the shared offsets, too.
+        """
         try:
             found = tangents(self.problem, structure, at.x, {i: at.initial[i] for i in records}, moves=moves)
         except (InputError, np.linalg.LinAlgError):
@@ -117,7 +121,8 @@ class Objective:
         out = {}
         for i, t in found.items():
             free = self.problem.nuisances(i, t.outputs)
-            stack = np.concatenate([t.by_parameter, t.by_state, free], axis=2)
+            common = self.problem.common(t.outputs)[:, :, : None if moves else 0]
+            stack = np.concatenate([t.by_parameter, common, t.by_state, free], axis=2)
             if not (math.isfinite(at.costs[i]) and np.isfinite(stack).all()):
                 return None
             rows, columns = stack.shape[0] * stack.shape[1], stack.shape[2]
@@ -125,7 +130,7 @@ class Objective:
             if not (np.abs(by) < 1e100).all():  # their squares would overflow
                 return None
             gram = by.T @ by
-            p, n0 = t.by_parameter.shape[2], t.by_state.shape[2]
+            p, n0 = t.by_parameter.shape[2] + common.shape[2], t.by_state.shape[2]
             own = gram[p:, p:].copy()
             known = self._information(structure, i) if n0 else np.zeros((0, 0))
             own[:n0, :n0] += known
@@ -134,18 +139,22 @@ class Objective:
         return out
 
     def _downhill(self, at: Point, i: int, slope: Slope) -> Array:
-        """Half the cost's descent by all numbers of a record (parameters, nuisances)."""
+        """Half the cost's descent by all numbers of a record (parameters, shared offsets, nuisances)."""
         left = self.weights(self.problem.records[i].measured - at.outputs[i]).ravel()
         down = slope.by.T @ left
         p, n0 = len(down) - len(slope.own), len(slope.known)
         down[p : p + n0] -= slope.known @ at.initial[i]
         return np.asarray(down, dtype=np.float64)
 
-    def _moved(self, at: Point, x: Array, moves: Mapping[int, NDArray[np.floating]]) -> Point:
-        """Another point: parameters `x`, and each record's nuisances moved."""
+    def _moved(
+        self, at: Point, x: Array, moves: Mapping[int, NDArray[np.floating]], common: Array | None = None
+    ) -> Point:
+        """Another point: parameters `x`, each record's nuisances moved, and the shared offsets by `common`."""
         initial, offset = dict(at.initial), {i: o.copy() for i, o in at.offset.items()}
         for i, move in moves.items():
             n0 = len(at.initial[i])
             initial[i] = at.initial[i] + move[:n0]
             offset[i][self.problem.moves(i)] += move[n0:]
+            if common is not None:
+                offset[i][np.flatnonzero(self.problem.shared_offset)] += common
         return Point(x, initial, offset)

@@ -176,6 +176,24 @@ def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
     ]
 
 
+def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array:
+    """Compute the root of the mean variance within groups of series.
+
+    Args:
+        series: Signals (samples, channels).
+        groups: Name of the group of each series.
+
+    Returns:
+        Deviation (channels,) about the means of the groups, at least 1e-300.
+    """
+    parts: dict[object, list[Array]] = {}
+    for y, group in zip(series, groups, strict=True):
+        parts.setdefault(group, []).append(y)
+    joined = [np.concatenate(own) for own in parts.values()]
+    square = sum(len(y) * np.var(y, axis=0) for y in joined) / sum(map(len, joined))
+    return np.maximum(np.sqrt(np.asarray(square, dtype=np.float64)), 1e-300)
+
+
 def bare(network: Network) -> Network:
     """The network without its motor and sensor effects, which act outside the kernel."""
     kept = tuple(e for e in network.elements if e.place == "between")
@@ -212,7 +230,10 @@ class Problem:
         self.step = step
         self.channels = [c.name for c in network.outputs]
         self.factors = np.array([convert(1.0, c.si, c.unit) for c in network.outputs])
-        self.free_offset = np.array([c.offset for c in network.outputs])
+        #: whether all records of a channel share an unknown offset (channels,)
+        self.shared_offset = np.array([c.offset == "free" for c in network.outputs], bool)
+        #: whether each record of a channel has an unknown offset of its own (channels,)
+        self.record_offset = np.array([c.offset == "record" for c in network.outputs], bool)
         self._time = time
         self._spans: dict[int, float] = {}
         self.memory = Memory()
@@ -303,17 +324,64 @@ class Problem:
         raw = [r.unread() for r in self.records]
         return Problem(network, raw, self.roles, self.step, self.time)
 
-    def nothing(self, index: int) -> Array:
-        """No offset (channels,) and no further lag (clocks,) of record `index`."""
-        return np.zeros(len(self.channels) + len(self.records[index].clocks))
+    @property
+    def free_offset(self) -> NDArray[np.bool_]:
+        """Whether a channel has an unknown offset (channels,)."""
+        return self.shared_offset | self.record_offset
+
+    @cached_property
+    def loose(self) -> Problem:
+        """The same with an offset for each record in place of an offset for all records."""
+        outputs = tuple(replace(c, offset="record" if c.offset else None) for c in self.network.outputs)
+        network = replace(self.network, outputs=outputs)
+        return Problem(network, self.records, self.roles, self.step, self.time)
+
+    def deviation(self, records: Sequence[int] | None = None) -> Array:
+        """Compute the root of the mean variance within measured records.
+
+        The distance between the means of two measured records is no motion and does not count. Segments of one measured
+        record, which bear its name, count as one.
+
+        Args:
+            records: Indices of the records. Default: those to fit by.
+
+        Returns:
+            Deviation (channels,) in the channels' units, at least 1e-300.
+        """
+        pick = self.estimation if records is None else records
+        return deviation_within(
+            [self.records[i].measured for i in pick], [self.records[i].name for i in pick]
+        )
+
+    def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
+        """Return the nuisances of a record at the start of a fit.
+
+        Args:
+            index: Index of the record.
+            shared: Known offsets (channels,) of the sensors that all records share.
+
+        Returns:
+            Offsets (channels,) and further lags (clocks,): zero but for `shared`.
+        """
+        out = np.zeros(len(self.channels) + len(self.records[index].clocks))
+        if shared is not None:
+            out[np.flatnonzero(self.shared_offset)] = np.asarray(shared)[self.shared_offset]
+        return out
+
+    def common(self, outputs: Array) -> Array:
+        """Return the derivatives of `outputs` (samples, channels) by the shared offsets (samples, channels, offsets)."""
+        own = np.flatnonzero(self.shared_offset)
+        out = np.zeros((*outputs.shape, len(own)))
+        out[:, own, np.arange(len(own))] = 1.0
+        return out
 
     def moves(self, index: int) -> NDArray[np.bool_]:
-        """Which of these may move: free offsets, and every lag."""
-        return np.concatenate([self.free_offset, np.ones(len(self.records[index].clocks), bool)])
+        """Which of these may move in a single record: offsets of each record, and every lag."""
+        return np.concatenate([self.record_offset, np.ones(len(self.records[index].clocks), bool)])
 
     def nuisances(self, index: int, outputs: Array) -> Array:
         """What each of those does to the `outputs` (samples, channels) of record `index`: (samples, channels, those)."""
-        record, free = self.records[index], np.flatnonzero(self.free_offset)
+        record, free = self.records[index], np.flatnonzero(self.record_offset)
         out = np.zeros((*outputs.shape, len(free) + len(record.clocks)))
         out[:, free, np.arange(len(free))] = 1.0
         if record.clocks:

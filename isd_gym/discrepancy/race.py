@@ -30,6 +30,7 @@ from .fit import Fit, Fitter, gap, residuals
 from .hypotheses import Hypothesis, hypotheses
 from .initial import along, carried, guess
 from .noise import finer, plain, whitener
+from .position_spectrum import thinning_loses
 from .screen import Screened, advanced, screen
 from .shooting import begun, remembers
 from .structure import Structure, add
@@ -129,7 +130,7 @@ class Race:
                 out[i] = now.initial[i]
             else:
                 there = along(p, now.structure, now.x, {i: now.initial[i]}, [w.first])[i][0]
-                out[i] = guess(self.short, now.network, i, there)
+                out[i] = guess(self.short, now.network, i, there, now.structure.offsets)
         return out
 
     # -- stages -----------------------------------------------------------------------------------------
@@ -249,7 +250,7 @@ class Race:
     def rough(self) -> Race:
         """The same race with no more samples than the motion needs."""
         p, few = self.problem, self.problem.rough
-        if few is p:
+        if few is p or thinning_loses(p, self.current, self.floors):
             return self
         share = sum(len(few.records[i]) for i in few.estimation) / sum(
             len(p.records[i]) for i in p.estimation

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..elements import PERIODS
 from ..errors import InputError
 from ..network import assemble
 from .forces import place_forces
 from .motion import motions, setting, together
+from .position_spectrum import spectral_pitches
 from .problem import Array, Problem, bare
 from .structure import Hypothesis, Structure, add
 from .tangent import tangents
@@ -57,17 +59,19 @@ class Residual:
 
 
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
-    structure, p = fit.structure, len(fit.x)
+    structure, own = fit.structure, len(fit.x)
+    p = own + int(problem.shared_offset.sum())  # parameters, and offsets that all records share
     parts, columns = [], p
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
         r = (problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i]))[:, :, None]
         free = problem.nuisances(i, t.outputs)
-        W = fitter.weights(np.concatenate([r, t.by_parameter, t.by_state, free], axis=2))
+        common = problem.common(t.outputs)
+        W = fitter.weights(np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2))
         parts.append((i, t.outputs, W.reshape(-1, W.shape[2])))
         columns += W.shape[2] - 1 - p
     rows = sum(len(w) for _, _, w in parts)
-    J, r = np.zeros((rows + p, columns)), np.zeros(rows + p)
+    J, r = np.zeros((rows + own, columns)), np.zeros(rows + own)
     at, col, spans = 0, p, {}
     for i, y, W in parts:
         n, extra = len(W), W.shape[1] - 1 - p
@@ -78,7 +82,7 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
         at, col = at + n, col + extra
     sigma = np.array([f.sigma for f in structure.free])
     mean = np.array([f.mean for f in structure.free])
-    J[rows + np.arange(p), np.arange(p)] = 1 / sigma  # the stated uncertainty
+    J[rows + np.arange(own), np.arange(own)] = 1 / sigma  # the stated uncertainty
     r[rows:] = (mean - fit.x) / sigma
     norm = np.linalg.norm(J, axis=0)
     Q, R = np.linalg.qr(J / np.where(norm > 0, norm, 1))
@@ -112,9 +116,13 @@ def trials(
     motion, forces = motions(problem, fit), place_forces(problem, fit)
     fitted = replace(fit.structure, network=fit.network)
     out = []
+    lines: dict[tuple[str, ...], tuple[float, ...]] = {}
     for h in candidates:
         pair = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
-        for start in h.kind.starts(setting(problem, fit.network, h, pair, forces.at(h.where))):
+        if pair is not None and h.kind.periodic and h.where not in lines:
+            lines[h.where] = spectral_pitches(problem, fit, (h.where[0], h.where[1]), pair, PERIODS)
+        at = setting(problem, fit.network, h, pair, forces.at(h.where), lines.get(h.where, ()))
+        for start in h.kind.starts(at):
             try:
                 built = [add(fitted, h, way) for way in start.ways]
                 for b in built:

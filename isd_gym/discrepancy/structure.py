@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 REACH = 3.0
 #: one sigma, and the limits, of the logarithm of a new parameter about the size that the data suggest
 WIDE, FAR = 5.0, math.log(1e4)
+#: one sigma of the logarithm of a parameter that keeps its start value
+SURE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,8 @@ class Structure:
     hypotheses: tuple[Hypothesis, ...] = ()
     names: tuple[str, ...] = ()  # of the elements that the hypotheses brought
     ties: tuple[tuple[str, str], ...] = ()  # (path, path it follows)
+    #: offset of each output's sensor that all records share [unit of the channel]; None before an estimate
+    offsets: tuple[float, ...] | None = None
 
     def at(self, x: np.ndarray) -> Network:
         values = {f.path: f.back(float(v)) for f, v in zip(self.free, x, strict=True)}
@@ -167,13 +171,32 @@ def free_of(element: el.Element, owner: int) -> list[Free]:
             continue
         value = getattr(element, f.name)
         path, stride = f"{element.name}.{f.name}", meta["stride"] or math.inf
+        low, high = meta["plausible"] or (-math.inf, math.inf)
         if meta["minimum"] >= 0:
-            m = math.log(max(value, 1e-300))
-            out.append(Free(path, True, m, WIDE, m - FAR, m + FAR, owner, stride))
+            m, far = math.log(max(value, 1e-300)), math.log(meta["reach"]) if meta["reach"] else FAR
+            least = math.log(low) if low > 0 else -math.inf
+            out.append(
+                Free(path, True, m, WIDE, max(m - far, least), min(m + far, math.log(high)), owner, stride)
+            )
         else:
             known = f.default if isinstance(f.default, int | float) else 0.0
             spread = meta["spread"] or 30.0 * max(abs(value), 1e-9)
-            out.append(Free(path, False, known, spread, -math.inf, math.inf, owner, stride))
+            out.append(Free(path, False, known, spread, low, high, owner, stride))
+    return out
+
+
+def _held(free: Free) -> Free:
+    """Return a number that a fit reports but does not move: its start value, known to `SURE`."""
+    return replace(free, sigma=SURE, low=free.mean, high=free.mean)
+
+
+def _plausible(cls: type[el.Element], values: Mapping[str, float]) -> dict[str, float]:
+    """Return start values moved into the plausible ranges of a missing effect."""
+    out = dict(values)
+    for f in el.parameter_fields(cls):
+        limits = f.metadata["plausible"]
+        if limits and f.name in out:
+            out[f.name] = min(max(out[f.name], limits[0]), limits[1])
     return out
 
 
@@ -191,14 +214,16 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
             free = [f for f in free if not f.path.startswith(f"{e.name}.")]
             found = [(other, its) for other, its in found if its != e.name]
     tied = cls.tied(network, where)
-    data = {**values, **{key: network.parameters[path] for key, path in tied.items()}}
+    data = {**_plausible(cls, values), **{key: network.parameters[path] for key, path in tied.items()}}
     element = cls(name=name, where=where, **data, **dict(h.options))
     network = replace(network, elements=(*network.elements, element), outputs=_cells(network, element))
+    held = cls.held(dict(h.options))
     free += [f for f in free_of(element, len(found)) if f.path.rpartition(".")[2] not in tied]
+    free = [_held(f) if f.path in {f"{name}.{key}" for key in held} else f for f in free]
     ties += [(f"{name}.{key}", path) for key, path in tied.items()]
     found.append((h, name))
     hypotheses, names = zip(*found, strict=True)
-    return Structure(network, tuple(free), hypotheses, names, tuple(ties))
+    return Structure(network, tuple(free), hypotheses, names, tuple(ties), structure.offsets)
 
 
 def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, float]]]) -> Structure:

@@ -136,7 +136,8 @@ def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: flo
     new = [Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0) for k in range(basis.shape[1])]
     built = replace(network, elements=(*network.elements, element), outputs=tuple(outputs))
     assemble(bare(built))
-    return Table(built, (*base.free, *new), element=name, over=over, shape=shape, basis=basis)
+    free, offsets = (*base.free, *new), base.offsets
+    return Table(built, free, offsets=offsets, element=name, over=over, shape=shape, basis=basis)
 
 
 # ------------------------------------------------------------------------------------------------------ the fit
@@ -149,22 +150,27 @@ def _started(base: Candidate, structure: Table) -> Array:
 def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) -> float:
     """What the fit is expected to gain by a table, to first order."""
     x = _started(base, structure)
-    p, q = len(base.fit.x), len(x)
-    total, slope = np.diag([*(1 / f.sigma**2 for f in structure.free)]), np.zeros(q)
+    p, q, shared = len(base.fit.x), len(x), int(problem.shared_offset.sum())
+    total = np.diag([*(1 / f.sigma**2 for f in structure.free), *np.zeros(shared)])
+    slope = np.zeros(q + shared)
     begun = {i: base.fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, x, begun).items():
         left = problem.records[i].measured - base.fit.outputs[i]
         free = problem.nuisances(i, t.outputs)
-        stack = np.concatenate([left[:, :, None], t.by_parameter, t.by_state, free], axis=2)
+        common = problem.common(t.outputs)
+        stack = np.concatenate([left[:, :, None], t.by_parameter, common, t.by_state, free], axis=2)
         W = fitter.weights(stack).reshape(-1, stack.shape[2])
-        r, J, nuisance = W[:, 0], W[:, 1 : 1 + q], W[:, 1 + q :]
+        r, J, nuisance = W[:, 0], W[:, 1 : 1 + q + shared], W[:, 1 + q + shared :]
+        total[np.arange(q, q + shared), np.arange(q, q + shared)] += 1e-9 * np.sum(J[:, q:] ** 2, axis=0)
         if nuisance.shape[1]:
             Q, _ = np.linalg.qr(nuisance)
             r, J = r - Q @ (Q.T @ r), J - Q @ (Q.T @ J)
         total, slope = total + J.T @ J, slope + J.T @ r
-    own = slice(0, p)
+    own = np.append(np.arange(p), np.arange(q, q + shared))
     whole = float(slope @ np.linalg.solve(total, slope))
-    return whole - float(slope[own] @ np.linalg.solve(total[own, own], slope[own])) if p else whole
+    if not len(own):
+        return whole
+    return whole - float(slope[own] @ np.linalg.solve(total[np.ix_(own, own)], slope[own]))
 
 
 def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:

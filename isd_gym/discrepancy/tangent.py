@@ -36,7 +36,7 @@ def tangents(
     p = len(x) if moves else 0
 
     def name(i: int, full: bool) -> tuple[object, ...]:
-        return id(structure), x.tobytes(), i, initial[i].tobytes(), full
+        return id(structure.network), id(structure.free), x.tobytes(), i, initial[i].tobytes(), full
 
     known = {i: problem.memory.get(name(i, moves)) or problem.memory.get(name(i, True)) for i in initial}
     todo = [i for i, kept in known.items() if kept is None]

@@ -328,6 +328,7 @@ class Workflow:
         out = []
         fitter = Fitter(self.whole, plain(self.search.floors))
         owner = base_structure(self.network)
+        owner = fitter.with_offsets(owner, owner.start)
         says = [(owner, owner.start), (base.fit.structure, base.fit.x), (final.fit.structure, final.fit.x)]
         for i, record in enumerate(self.whole.records):
             fits = [fitter.fit(s, x, records=[i], frozen=True, iterations=3) for s, x in says]

@@ -35,13 +35,23 @@ from .base import (
     discover,
     parameter,
     parameter_fields,
+    plausible,
     register,
     register_file,
     rms,
 )
-from .drives import DRIVE_ORDER, ActuatorDelay, ActuatorLag, ThrustSaturation, delayed
+from .drives import (
+    DRIVE_ORDER,
+    ActuatorDelay,
+    ActuatorLag,
+    DriveDeadZone,
+    QuadraticThrust,
+    ThrustSaturation,
+    delayed,
+)
 from .friction import AsymmetricFriction, CoulombFriction, StribeckFriction
 from .laws import (
+    PERIODS,
     AsymmetricDamping,
     Backlash,
     BumpStop,
@@ -55,13 +65,17 @@ from .laws import (
     TyreLiftOff,
 )
 from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
-from .sensors import SensorBias, SensorDelay, SensorGain
+from .sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
 from .table import TabulatedForce
 
 __all__ = [
     "DRIVE_ORDER",
     "GROUND",
     "MECHANISMS",
+<<<<<<< HEAD
+=======
+    "PERIODS",
+>>>>>>> 168cdef41b34b94e9c96e4ba1dcdb76d97d50f26
     "PROBE",
     "TYPES",
     "ActuatorDelay",
@@ -74,6 +88,7 @@ __all__ = [
     "ConstantForce",
     "CoulombFriction",
     "CubicStiffness",
+    "DriveDeadZone",
     "Element",
     "GasSpring",
     "GravitySine",
@@ -84,9 +99,12 @@ __all__ = [
     "Motion",
     "Motor",
     "QuadraticDamping",
+    "QuadraticThrust",
     "SensorBias",
+    "SensorDeadZone",
     "SensorDelay",
     "SensorGain",
+    "SensorMagnitude",
     "SeriesCompliance",
     "Setting",
     "Start",
@@ -100,6 +118,7 @@ __all__ = [
     "discover",
     "parameter",
     "parameter_fields",
+    "plausible",
     "register",
     "register_file",
     "rms",

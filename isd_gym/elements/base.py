@@ -11,7 +11,7 @@ import math
 import os
 import re
 import runpy
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -83,8 +83,25 @@ def parameter(
         "fixed": fixed,
         "spread": spread,
         "stride": stride,
+        "plausible": None,
+        "reach": None,
     }
     return field(metadata=meta) if default is None else field(default=default, metadata=meta)
+
+
+def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach: float | None = None) -> Any:
+    """Return a parameter with the range that is plausible for a missing effect.
+
+    The diagnosis looks for the value within this range. A model file may go beyond it.
+
+    Args:
+        of: The parameter, as `parameter` returns it.
+        low: Least plausible value [unit of the parameter].
+        high: Largest plausible value [unit of the parameter].
+        reach: Largest factor by which a fit may leave the start value.
+    """
+    meta = {**of.metadata, "plausible": (low, high), "reach": reach}
+    return field(metadata=meta) if of.default is MISSING else field(default=of.default, metadata=meta)
 
 
 # --------------------------------------------------------------------------- what an element may look at
@@ -119,7 +136,9 @@ class Setting:
 
     `motion` of the pair (None at a motor or a channel); `force` [N]: a typical one of the data; `signal`: deviation of
     the current [A] of the motor, or of the channel [its unit]; `time` [s]: in which the motion changes, one over its
-    typical circular frequency; `options`: the choices that are not numbers.
+    typical circular frequency; `options`: the choices that are not numbers; `samples` (n,): the measured channel, or the current
+    that the motor is told to give, in the channel's unit or in A (None between two nodes); `pitches` [m]: periods that the spectrum of
+    the missing force over travel shows, for a law that repeats over travel.
 
     network: the model; where: the place.
     """
@@ -131,6 +150,8 @@ class Setting:
     signal: float = 1.0
     time: float = 0.05
     options: Mapping[str, str] = field(default_factory=dict)
+    samples: Array | None = None
+    pitches: tuple[float, ...] = ()
 
     @property
     def beside(self) -> list[Element]:
@@ -348,6 +369,14 @@ class Element:
     def tied(cls, network: Network, where: tuple[str, ...]) -> dict[str, str]:
         """Parameters that are not free but follow another: own name -> path in the network."""
         return {}
+
+    @classmethod
+    def held(cls, options: Mapping[str, str]) -> tuple[str, ...]:
+        """Parameters that keep their start values in a fit, by the choices that are not numbers.
+
+        options: the choices.
+        """
+        return ()
 
     def well_formed(self) -> bool:
         """Whether the values mean what the name says; a law that does not may be a step on the way, but is never named."""

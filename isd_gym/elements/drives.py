@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from .base import Array, Element, Setting, Start, driven_motor, parameter, register
+from .base import Array, Element, Setting, Start, driven_motor, parameter, plausible, register
 
 if TYPE_CHECKING:
     from ..network import Network
@@ -16,8 +16,14 @@ if TYPE_CHECKING:
 def delayed(values: Array, steps: float, before: float | None = None) -> Array:
     """`values` (n, ...) later by a number of samples, linear in between; `before` them, or the first one.
 
-    steps: need not be whole.
+    steps: need not be whole. Negative steps give earlier values, continued point-symmetrically past the last one.
     """
+    if steps < 0:
+        ahead = min(math.ceil(-steps), len(values) - 1)
+        longer = np.concatenate([values, 2.0 * values[-1:] - values[-2 : -ahead - 2 : -1]])
+        part = ahead + steps if ahead == math.ceil(-steps) else 0.0
+        whole = longer[ahead:]
+        return whole if part == 0.0 else (1.0 - part) * whole + part * longer[ahead - 1 : -1]
     low = math.floor(steps)
     part = steps - low
     first = np.repeat(values[:1] if before is None else np.full_like(values[:1], before), low + 1, axis=0)
@@ -48,7 +54,8 @@ class ThrustSaturation(_Drive):
         "{current} is approached, and be in proportion below a fifth of it."
     )
     shaped_by = "current"
-    current: float = parameter("A", 1.0, 50.0, open_end=True)
+    # below a twentieth of the start, which is about the deviation of the command, the drive would hardly follow it
+    current: float = plausible(parameter("A", 1.0, 50.0, open_end=True), reach=20.0)
 
     def apply(self, signal: Array, step: float) -> Array:
         return np.asarray(self.current * np.tanh(signal / self.current), dtype=np.float64)
@@ -67,13 +74,15 @@ class ActuatorLag(_Drive):
     type = "actuator_lag"
     mechanism = "drive"
     equation = "tau dI/dt + I = I_command"
-    source = "L/R of Table 1 (26 mH / 3.8 Ohm = 6.8 ms) or a drive's bandwidth"
+    source = (
+        "L/R of Table 1 (26 mH / 3.8 Ohm = 6.8 ms) or a drive's bandwidth; slow hydraulic drives reach 0.5 s"
+    )
     signature = "thrust late and rounded after a step in current"
     test = (
         "Command a step of current on the held device: the thrust must reach 63 % after {time_constant}, "
         "without a dead time."
     )
-    time_constant: float = parameter("s", 1e-3, 0.1)
+    time_constant: float = plausible(parameter("s", 1e-3, 0.1), 0.0, 0.5)
 
     def apply(self, signal: Array, step: float) -> Array:
         from scipy.signal import lfilter
@@ -97,13 +106,13 @@ class ActuatorDelay(_Drive):
     type = "actuator_delay"
     mechanism = "drive"
     equation = "I(t) = I_command(t - T)"
-    source = "bus and drive latency"
+    source = "bus and drive latency: 1 to 20 ms on a field bus, up to 0.3 s over radio or a network"
     signature = "thrust late but not rounded"
     test = (
         "Command a step of current on the held device: the thrust must be nothing for {delay}, and then "
         "all there."
     )
-    delay: float = parameter("s", 1e-3, 0.1)
+    delay: float = plausible(parameter("s", 1e-3, 0.1), 0.0, 0.3)
 
     def apply(self, signal: Array, step: float) -> Array:
         return delayed(signal, self.delay / step, before=0.0)
@@ -113,5 +122,73 @@ class ActuatorDelay(_Drive):
         return [Start({"delay": t}, grows=("delay",)) for t in (0.05 * at.time, 0.25 * at.time)]
 
 
-#: order in which a drive's effects act, whatever the order in the model: bus, electric circuit, iron
-DRIVE_ORDER = (ActuatorDelay, ActuatorLag, ThrustSaturation)
+@register
+class DriveDeadZone(_Drive):
+    type = "drive_dead_zone"
+    mechanism = "drive"
+    equation = "I_eff = sgn(I) max(|I| - I_d, 0)"
+    source = "overlap of a valve's spool (Merritt, Hydraulic Control Systems, 1967), dead time of an inverter"
+    signature = (
+        "no thrust at small commands, whatever the motion; the thrust of large ones falls short by a constant"
+    )
+    test = "Hold the device and raise the command slowly: there must be no thrust below {threshold}, in either direction."
+    shaped_by = "threshold"
+    threshold: float = plausible(parameter("A", 0.01, 5.0, open_end=True), reach=20.0)
+
+    def apply(self, signal: Array, step: float) -> Array:
+        return np.asarray(signal - np.clip(signal, -self.threshold, self.threshold), dtype=np.float64)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        if at.samples is None or not has_levels(at.samples):
+            return []
+        return [Start({"threshold": share * at.signal}, grows=("threshold",)) for share in (0.1, 0.4)]
+
+
+@register
+class QuadraticThrust(_Drive):
+    type = "quadratic_thrust"
+    mechanism = "drive"
+    equation = "I_eff = I |I| / I_r (form 'signed'), I^2 / I_r (form 'square')"
+    source = (
+        "propellers and fans (thrust in proportion to the square of the speed), solenoids (of the current)"
+    )
+    signature = "thrust grows with the square of the command: short of proportion below I_r, beyond it above"
+    test = "Hold the device and double the command: the thrust must grow fourfold, and be that of the model at {reference}."
+    shaped_by = "reference"
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"form": ("signed", "square")}
+    reference: float = plausible(parameter("A", 0.1, 50.0, open_end=True), reach=20.0)
+    form: str = "signed"
+
+    def apply(self, signal: Array, step: float) -> Array:
+        other = np.abs(signal) if self.form == "signed" else signal
+        return np.asarray(signal * other / self.reference, dtype=np.float64)
+
+    @classmethod
+    def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
+        return [{"form": form} for form in cls.choices["form"]]
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        if at.samples is None or not has_levels(at.samples):
+            return []
+        size = np.abs(at.samples)
+        if (
+            at.options["form"] == "square"
+            and min(np.max(at.samples), -np.min(at.samples)) < 0.05 * size.max()
+        ):
+            return []  # a command of one sign: the other form gives the same
+        # the square that comes nearest to proportion over these commands
+        nearest = float(np.sum(size**4) / np.sum(size**3))
+        return [Start({"reference": share * nearest}) for share in (0.6, 1.0, 1.7)]
+
+
+def has_levels(samples: Array) -> bool:
+    """Return whether a command (n,) has sizes that differ: of a single one, every static law is another constant."""
+    size = np.abs(samples)
+    sizes = size[size > 0.05 * size.max(initial=0.0)]
+    return bool(len(sizes) and sizes.std() > 0.1 * sizes.mean())
+
+
+#: order in which a drive's effects act, whatever the order in the model: bus, valve or amplifier, electric circuit, iron
+DRIVE_ORDER = (ActuatorDelay, DriveDeadZone, ActuatorLag, QuadraticThrust, ThrustSaturation)

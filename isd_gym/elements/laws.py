@@ -33,6 +33,13 @@ if TYPE_CHECKING:
     from ..network import Network
 
 
+TURN = 2.0 * math.pi  # [rad]
+#: periods over the travel up to which every pitch is tried; of finer ones, those that the spectrum over position shows
+PERIODS = 60
+#: periods a turn up to which every whole number is tried
+WHOLE_PERIODS = 120
+
+
 def _quadratic(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
     return p[0] * v * abs(v), z
 
@@ -403,7 +410,9 @@ class Hysteresis(Element):
 class CoggingForce(Element):
     type = "cogging_force"
     mechanism = "position_periodic"
-    equation = "F = A sin(2 pi d / pitch + phase)"
+    equation = (
+        "F = A sin(2 pi d / pitch + phase); turn 'whole': the pitch is the nearest whole fraction of a turn"
+    )
     source = "detent force of a permanent-magnet linear motor"
     signature = "periodic in travel, whatever the time"
     test = (
@@ -412,12 +421,30 @@ class CoggingForce(Element):
     )
     contains = ("linear_stiffness",)  # of a pitch longer than the travel
     periodic = ("pitch", "phase")
+    choices: ClassVar[dict[str, tuple[str, ...]]] = {"turn": ("any", "whole")}
     law = staticmethod(_cogging)
     amplitude: float = parameter("N", 5.0, 1000.0)
     pitch: float = parameter("m", 1e-3, 0.05, open_end=True)
     phase: float = parameter(
         "rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, spread=100.0, stride=1.0
     )
+    turn: str = "any"
+
+    def law_parameters(self) -> list[float]:
+        pitch = self.pitch
+        if self.turn == "whole":
+            pitch = TURN / max(round(TURN / pitch), 1)
+        return [self.amplitude, pitch, self.phase]
+
+    @classmethod
+    def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
+        # a force that repeats with the angle has a whole number of periods a turn, unless a gear lies between
+        turns = any(n in network.rotating for n in where)
+        return [{"turn": "any"}, *([{"turn": "whole"}] if turns else [])]
+
+    @classmethod
+    def held(cls, options: Mapping[str, str]) -> tuple[str, ...]:
+        return ("pitch",) if options.get("turn") == "whole" else ()
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
@@ -425,12 +452,22 @@ class CoggingForce(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        span = float(np.ptp(at.moves.d))
-        longest, shortest = span, span / 60  # with less than a period in sight nothing repeats
+        d = at.moves.d
+        span = float(np.ptp(d))
+        if span <= 0:
+            return []
+        if at.options.get("turn") == "whole":
+            # as many periods a turn as are at least one over the travel, and long enough for the samples
+            most = min(WHOLE_PERIODS, TURN / max(2.5 * float(np.median(np.abs(np.diff(d)))), 1e-9))
+            pitches = [TURN / k for k in range(max(1, math.ceil(TURN / span)), int(most) + 1)]
+            pitches += [TURN / k for k in (round(TURN / p) for p in at.pitches) if k > most]
+        else:
+            # neighbouring pitches shift by a quarter period over the span; less than a period in sight does not repeat
+            pitches = [float(1 / cycles) for cycles in np.arange(1 / span, PERIODS / span, 0.25 / span)]
+            pitches += at.pitches
         out = []
-        # neighbouring pitches shift by a quarter period over the span
-        for cycles in np.arange(1 / longest, 1 / shortest, 0.25 / span):
-            sine = {"amplitude": at.small, "pitch": float(1 / cycles), "phase": 0.0}
+        for pitch in pitches:
+            sine = {"amplitude": at.small, "pitch": pitch, "phase": 0.0}
             out.append(Start(sine, (sine, sine | {"phase": math.pi / 2}), ("amplitude",), signed=True))
         return out
 

@@ -5,11 +5,19 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from .base import Array, Element, Setting, Start, parameter, register
+import numpy as np
+
+from .base import Array, Element, Setting, Start, parameter, plausible, register
 from .drives import delayed
 
 if TYPE_CHECKING:
     from ..network import Network
+
+
+#: latest (and earliest) that a channel is plausible to be [s]
+LATEST = 0.3
+#: share of a magnitude's largest value that noise may take it below zero
+NEGATIVE = 0.1
 
 
 class _Sensor(Element):
@@ -22,10 +30,10 @@ class SensorGain(_Sensor):
     type = "sensor_gain"
     mechanism = "sensor"
     equation = "y = g y_true"
-    source = "calibration error"
+    source = "calibration error; Isermann, Fault-Diagnosis Systems (2006): beyond a factor of five a sensor is broken or in another unit"
     signature = "one channel off in proportion, all others right"
     test = "Put the sensor on a known input (a shaker, a gauge block): it must read {gain} times the truth."
-    gain: float = parameter("-", 0.3, 3.0, default=1.0, minimum=-math.inf, spread=0.1)
+    gain: float = plausible(parameter("-", 0.3, 3.0, default=1.0, minimum=-math.inf, spread=0.1), 0.2, 5.0)
 
     def apply(self, signal: Array, step: float) -> Array:
         return self.gain * signal
@@ -73,18 +81,87 @@ class SensorBias(_Sensor):
 class SensorDelay(_Sensor):
     type = "sensor_delay"
     mechanism = "sensor"
-    equation = "y(t) = y_true(t - T)"
-    source = "filter or bus latency"
-    signature = "one channel late, all others right"
-    test = "Tap the rig with two sensors at one place: this one must answer {delay} later."
-    delay: float = parameter("s", 1e-3, 0.1)
+    equation = "y(t) = y_true(t - T); T < 0: the channel leads"
+    source = (
+        "filter or bus latency, 1 to 100 ms, up to 0.3 s over radio or video; a lead comes of time stamps that were corrected too far, "
+        "or of inputs that are late themselves"
+    )
+    signature = "one channel late or early, all others right"
+    test = "Tap the rig with two sensors at one place: this one must answer {delay} later (earlier, if negative)."
+    delay: float = plausible(parameter("s", -0.1, 0.1, minimum=-math.inf, spread=0.03), -LATEST, LATEST)
 
     def apply(self, signal: Array, step: float) -> Array:
         return delayed(signal, self.delay / step)
 
     def fault(self, time: float) -> float:
-        return self.delay / time
+        return abs(self.delay) / time
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        return [Start({"delay": t}, grows=("delay",)) for t in (0.05 * at.time, 0.25 * at.time)]
+        return [Start({"delay": 0.1 * at.time}, grows=("delay",), signed=True)]
+
+
+@register
+class SensorMagnitude(_Sensor):
+    type = "sensor_magnitude"
+    mechanism = "sensor"
+    equation = "y = |y_true|"
+    source = "tachometers and flow meters that count pulses; Doebelin, Measurement Systems (2003)"
+    signature = "one channel never below zero, with a kink wherever its quantity changes sign"
+    test = "Move the rig slowly one way and the other: the sensor must show the same sign both ways."
+
+    def apply(self, signal: Array, step: float) -> Array:
+        return np.abs(signal)
+
+    def fault(self, time: float) -> float:
+        return 1.0
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        free = any(
+            c.name == where[0] and c.offset for c in network.outputs
+        )  # a magnitude has a zero of its own
+        return not free and super().stands(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        low, high = np.quantile(at.samples, [0.001, 0.999]) if at.samples is not None else (-1.0, 1.0)
+        # no more below zero than noise
+        return [Start({}, signed=True)] if low > -NEGATIVE * high else []
+
+
+@register
+class SensorDeadZone(_Sensor):
+    type = "sensor_dead_zone"
+    mechanism = "sensor"
+    equation = "y = sgn(y_true) max(|y_true| - w, 0)"
+    source = "Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996)"
+    signature = "one channel rests at zero while the others move"
+    test = "Move the sensor slowly through its zero: it must show nothing until {width} on either side."
+    shaped_by = "width"
+    width: float = plausible(parameter("unit of the channel", 1e-6, 1e6, open_end=True), reach=20.0)
+
+    def apply(self, signal: Array, step: float) -> Array:
+        return np.asarray(signal - np.clip(signal, -self.width, self.width), dtype=np.float64)
+
+    def fault(self, time: float) -> float:
+        return 1.0
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        free = any(c.name == where[0] and c.offset for c in network.outputs)
+        return not free and super().stands(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        if at.samples is None or not rests_at_zero(at.samples):
+            return []
+        return [Start({"width": share * at.signal}, grows=("width",)) for share in (0.1, 0.4)]
+
+
+def rests_at_zero(samples: Array) -> bool:
+    """Return whether a signal (n,) is near zero much more often than near the values beside zero."""
+    size = np.abs(samples)
+    near = 0.02 * float(np.quantile(size, 0.999))
+    at_zero, beside = np.mean(size < near), np.mean((size >= near) & (size < 4.0 * near)) / 3.0
+    return bool(at_zero > 2.0 * beside)

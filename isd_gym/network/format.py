@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from difflib import get_close_matches
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from .. import elements as el
 from ..errors import InputError, shown
@@ -19,6 +19,8 @@ from .model import ELEMENTS, Channel, Network, check_name
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from .model import Offset
 
 SCHEMA = "isd-model/1"
 TEXT_LENGTH = 4000  # of a model's own name and description
@@ -209,8 +211,12 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         raise InputError(
             f'{where}: "noise" must be a positive RMS in the channel\'s unit, not {shown(noise)}'
         )
-    if data.get("offset", "none") not in ("free", "none"):
-        raise InputError(f'{where}: "offset" must be "free" or "none", not {shown(data["offset"])}')
+    offset = data.get("offset", "none")
+    if not isinstance(offset, str) or offset not in ("free", "record", "none"):
+        raise InputError(
+            f'{where}: "offset" must be "free" (one for all records), "record" (one for each) or "none", '
+            f"not {shown(offset)}"
+        )
     if not isinstance(data.get("measured", True), bool):
         raise InputError(f'{where}: "measured" must be true or false, not {shown(data["measured"])}')
     if "at" in data and not isinstance(data["at"], str):
@@ -234,7 +240,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         at=data.get("at"),
         element=element,
         between=_nodes_of(data["between"], where) if "between" in data else None,
-        offset=data.get("offset") == "free",
+        offset=None if offset == "none" else cast("Offset", offset),
         noise=None if noise is None else float(noise),
         measured=data.get("measured", True),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from .. import elements as el
 from ..errors import InputError, harmless, hint, shown
@@ -24,6 +24,8 @@ MOTIONS = ("displacement", "velocity", "acceleration")
 #: what a model may ask for: longer names, more parts or larger numbers are refused, not tried
 NAME_LENGTH, NODES, ELEMENTS, CHANNELS = 200, 250, 1000, 1000
 MASSES = (1e-9, 1e9)  # [kg]
+#: an unknown constant of an output's sensor: one for all records, or one for each record
+Offset = Literal["free", "record"]
 
 
 def check_name(name: Any, what: str) -> str:
@@ -41,7 +43,8 @@ class Channel:
 
     `quantity`: what it is to the equations (a key of `UNITS`); `unit` says whether it turns (an angle in deg is a
     displacement, a torque in N m a force) and whether a drive is commanded by a current or a voltage.
-    `factor` turns the channel's own unit into SI; `offset` is true where an unknown constant rides on it;
+    `factor` turns the channel's own unit into SI; `offset`: the unknown constant of an output's sensor, "free" (one for all
+    records), "record" (one for each record) or None;
     `noise`: its RMS in the channel's unit, where the owner of the sensor knows it; `measured`: false for a road that nobody measures.
 
     `name`: of the column in a table.
@@ -53,7 +56,7 @@ class Channel:
     at: str | None = None
     between: tuple[str, str] | None = None
     element: str | tuple[str, ...] | None = None  # several: the sum of their forces
-    offset: bool = False
+    offset: Offset | None = None
     noise: float | None = None  # RMS in the channel's unit, from the sensor's sheet
     measured: bool = True
 
@@ -84,7 +87,7 @@ class Channel:
             out["element"] = self.element if isinstance(self.element, str) else list(self.element)
         out["unit"] = self.unit
         if self.offset:
-            out["offset"] = "free"
+            out["offset"] = self.offset
         if self.noise is not None:
             out["noise"] = self.noise
         if not self.measured:
@@ -244,6 +247,10 @@ class Network:
     def _check_output(self, c: Channel, by_name: Mapping[str, el.Element]) -> None:
         if not c.measured:
             raise InputError(f"output '{c.name}': only an input may go unmeasured: leave the output away")
+        if c.offset not in (None, "free", "record"):
+            raise InputError(
+                f"output '{c.name}': offset must be 'free', 'record' or None, not {shown(c.offset)}"
+            )
         if c.quantity == "force":
             if (c.element is None) == (c.at is None):
                 raise InputError(f'output \'{c.name}\': a force is that of an "element" or "at" a moved node')
@@ -406,7 +413,7 @@ class Network:
             if e.name == owner:
                 for f in el.parameter_fields(type(e)):
                     if f.name == name:
-                        if isinstance(e, el.SensorBias):
+                        if e.place == "channel" and f.metadata["unit"] == "unit of the channel":
                             return next(c.unit for c in self.outputs if c.name == e.where[0])
                         return self._unit(e, f.metadata["unit"])
         if owner in self.masses and path == self.mass_path(owner):
@@ -415,7 +422,8 @@ class Network:
 
     def _unit(self, e: el.Element, unit: str) -> str:
         """The unit of a parameter of an element where it stands."""
-        if isinstance(e, el.Motor) and any(e.name in c.elements and c.si == "V" for c in self.inputs):
+        motor = e.name if isinstance(e, el.Motor) else e.where[0] if e.place == "element" else ""
+        if motor and any(motor in c.elements and c.si == "V" for c in self.inputs):
             unit = unit.replace("A", "V")
         turns = e.place == "between" and any(n in self.rotating for n in e.where)
         return about_axis(unit) if turns else unit

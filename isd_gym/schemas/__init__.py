@@ -197,7 +197,10 @@ def _output() -> dict[str, Any]:
     name = {"$ref": "#/$defs/name"}
     several = {"oneOf": [name, {"type": "array", "items": name, "minItems": 1}]}
     offset = {
-        "offset": {"enum": ["free", "none"], "description": "free: an unknown constant, fitted"},
+        "offset": {
+            "enum": ["free", "record", "none"],
+            "description": "unknown constant of the sensor, fitted: free: one for all records; record: one for each record",
+        },
         "noise": {
             "type": "number",
             "exclusiveMinimum": 0,

@@ -19,7 +19,7 @@ from ..evidence import Evidence, row
 from ..explain import bands, find_condition, near_reversals
 from ..judge import LEAST_NOISE
 from ..noise import Floor, floor_of, noise_of, quantum
-from ..problem import Array, Record
+from ..problem import Array, Record, deviation_within
 from ..result import Diagnosis, Place, Trace
 from ..words import unit_summary_of
 from .comparison import FmuComparison, Progress, Segment
@@ -233,19 +233,22 @@ class _Errors:
     constant: dict[str, float]  # constant part of the squared error, by channel
 
 
+def _deviation(refit: FmuRefit, held_out: bool) -> np.ndarray:
+    """Return the deviation (channels,) of the measured outputs within the records that are fitted or held out."""
+    pick = [s for s in refit.segments if s.held_out == held_out]
+    parts = [refit.comparison.records[s.record].measured[s.first : s.stop] for s in pick]
+    return deviation_within(parts, [s.record for s in pick])
+
+
 def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
     """Refit the parameters and return the errors before and after."""
     c = refit.comparison
     step = c.records[0].step
     measured = [c.records[s.record].measured[s.first : s.stop] for s in refit.segments]
     known = [_noise_floor([m[:, j] for m in measured], step) for j in range(len(c.channels))]
-    fitted, held_out = (
-        np.concatenate([m for m, s in zip(measured, refit.segments, strict=True) if s.held_out == held])
-        for held in (False, True)
-    )
-    floors = np.maximum([k.deviation for k in known], LEAST_NOISE * fitted.std(axis=0))
+    floors = np.maximum([k.deviation for k in known], LEAST_NOISE * _deviation(refit, held_out=False))
     found = refit.fit(floors, progress)
-    deviation = np.maximum(held_out.std(axis=0), 1e-300)
+    deviation = _deviation(refit, held_out=True)
     before, after = (np.concatenate(refit.residuals(m, held_out=True)) for m in (c.model, found.model))
     errors = [np.sqrt(np.mean(r**2, axis=0)) / deviation for r in (before, after)]
     residuals = refit.residuals(found.model, held_out=True)
@@ -317,9 +320,8 @@ def _remaining_errors(refit: FmuRefit, errors: _Errors) -> tuple[Place, ...]:
     """Return each channel's share of the error after the refit, with bands and condition; largest share first."""
     c, fitted = refit.comparison, [s for s in refit.segments if not s.held_out]
     residuals = refit.residuals(errors.found.model, held_out=False)
-    measured = np.concatenate([c.records[s.record].measured[s.first : s.stop] for s in fitted])
     square = np.mean(np.concatenate(residuals) ** 2, axis=0) - errors.floors**2
-    excess = np.maximum(square, 0.0) / np.maximum(measured.std(axis=0), 1e-300) ** 2
+    excess = np.maximum(square, 0.0) / _deviation(refit, held_out=False) ** 2
     total, step = float(excess.sum()) or 1.0, c.records[fitted[0].record].step
     places = []
     for j, name in enumerate(c.channels):

@@ -20,7 +20,7 @@ from ..candidate import BROKEN, relative
 from ..hypotheses import hypotheses
 from ..judge import LEAST_NOISE
 from ..motion import setting, together
-from ..problem import Array, Problem, bare
+from ..problem import Array, Problem, bare, deviation_within
 from ..structure import Hypothesis, Structure, add, in_line, twin
 from ..tangent import tangents
 from .virtual_bench import REQUIRED_DEVIANCE
@@ -211,12 +211,14 @@ class Sensitivities:
             y[:, :, sorted(self.broken)] = 0.0
             by_state = slopes[k].by_state
             free = problem.nuisances(k, nominal[k][:, :, 0])
-            X = np.concatenate([slopes[k].by_parameter, by_state, free, y], axis=2)
+            common = problem.common(nominal[k][:, :, 0])
+            X = np.concatenate([slopes[k].by_parameter, common, by_state, free, y], axis=2)
             self._nuisances.append(by_state.shape[2] + free.shape[2])
             self._products.append(np.stack([X[:, j].T @ X[:, j] for j in range(channels)]))
             self._power += np.sum(y**2, axis=0)
-        outputs = np.concatenate([y[:, :, 0] for y in nominal.values()])
-        deviation = outputs.std(axis=0)
+        self._shared = int(problem.shared_offset.sum())  # offsets that all records share
+        names = [problem.records[k].name for k in nominal]
+        deviation = deviation_within([y[:, :, 0] for y in nominal.values()], names)
         own = len(bench.noise)
         more = [self._assumed_noise(c, d) for c, d in zip(self.more, deviation[own:], strict=True)]
         #: RMS noise (channels,) [unit of the channel], of existing and additional channels
@@ -251,16 +253,16 @@ class Sensitivities:
         """Return products (responses, responses) after a refit of the nominal model, in units of the noise."""
         bench = self.bench
         weight = 1.0 / self._weighting_noise[channels] ** 2
-        p = len(bench.structure.free)
         sigma = np.array([f.sigma for f in bench.structure.free])
+        p = len(sigma) + self._shared
         total: Array | float = 0.0
         for products, n in zip(self._products, self._nuisances, strict=True):
             gram = np.tensordot(weight, products[channels], axes=1) * bench.length_factor
             kept = [*range(p), *range(p + n, len(gram))]
             total = _eliminate(gram, range(p, p + n), kept) + total
         total = np.asarray(total)
-        if p:
-            total[np.arange(p), np.arange(p)] += 1.0 / sigma**2
+        own = np.arange(len(sigma))
+        total[own, own] += 1.0 / sigma**2
         return _eliminate(total, range(p), range(p, len(total)))
 
     def distances(self, additional: int | None = None) -> Distances:

@@ -97,7 +97,7 @@ class VirtualBench:
         self.problem = Problem(self.network, self._cut(pieces, self.network), roles)
         self.structure = base_structure(self.network)
         #: noise that a diagnosis expects (channels,) [unit of the channel]
-        self.floors = np.maximum(self.noise, LEAST_NOISE * self.problem.measured().std(axis=0))
+        self.floors = np.maximum(self.noise, LEAST_NOISE * self.problem.deviation())
         #: white noise of the residual weights (channels,) [unit of the channel]
         self.weighting_noise = np.hypot(self.noise, self.floors)
         self.nominal = self._fit_initial_states()

@@ -25,6 +25,8 @@ from .multirate import build_record
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from ...network import Network
 
 LIMIT = 0.5  # largest lag in the search [s]
@@ -94,7 +96,7 @@ def align_clocks(
     x, fit = structure.start, None
     for _ in range(ROUNDS):
         problem = _problem_of(network, out)
-        deviation = np.maximum(problem.measured().std(axis=0), 1e-300)
+        deviation = problem.deviation()
         try:
             fit = Fitter(problem, plain(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
         except InputError:  # the simulation diverges: the lags of the wide search stay
@@ -172,7 +174,7 @@ class _LagCost:
     #: Simulated outputs and their derivatives by parameters and initial state (grid, channels, 1 + unknowns).
     columns: Array
     prior: Array  # one over the prior standard deviation by unknown
-    free_offset: Array  # whether the offset of a channel is free (channels,)
+    free_offset: NDArray[np.bool_]  # whether the offset of a channel is free (channels,)
 
     def __call__(self, lag: float) -> float:
         """Return the least sum of squares at a lag [s]."""

@@ -113,7 +113,7 @@ def prepare_model(
         if abs(r.step - step) > 1e-3 * step:
             raise InputError("the records are sampled at different rates: resample them to one")
     problem = Problem(channels, records, ["fit"] * len(records))
-    spread = problem.measured().std(axis=0) / problem.factors
+    spread = problem.deviation() / problem.factors
     noise = np.array([f.deviation for f in floors_of(problem)]) / problem.factors
     rows = []
     for r in records:

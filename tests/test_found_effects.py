@@ -1,0 +1,126 @@
+"""The diagnosis finds effects of drives, sensors and positions on small rigs with noise, made here by other means."""
+
+import math
+
+import numpy as np
+import pytest
+
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.fit import Fitter
+from isd_gym.discrepancy.motion import motions
+from isd_gym.discrepancy.noise import plain
+from isd_gym.discrepancy.position_spectrum import spectral_pitches, thinning_loses
+from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.structure import base_structure
+from isd_gym.network import Network
+
+
+def named(found):
+    return {(e.effect, e.channel or tuple(sorted(e.between or ()))) for e in found.effects}
+
+
+def values(found):
+    return {k: q.value for e in found.effects for k, q in e.parameters.items()}
+
+
+# --------------------------------------------------------------------------------------------- cogging
+
+PULLED = {
+    "schema": "isd-model/1",
+    "name": "pulled",
+    "elements": [{"name": "guide", "type": "linear_damping", "between": ["rod", "ground"], "damping": 200.0}],
+    "inputs": [{"name": "travel", "quantity": "displacement", "at": "rod", "unit": "m"}],
+    "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
+    "uncertainty": {"guide.damping": 0.2},
+}
+STEP = 5e-3
+
+
+def pulled(seed, amplitude=3.0, pitch=3.1e-3, seconds=20.0):
+    """A rod pulled to and fro by 0.3 m, with a detent force of nearly a hundred periods."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, seconds, STEP)
+    w, phase = 2 * np.pi * 0.1, rng.uniform(0, 6)
+    d = 0.15 * np.sin(w * t + phase)
+    v = 0.15 * w * np.cos(w * t + phase)
+    force = 205.0 * v + amplitude * np.sin(2 * np.pi * d / pitch + 0.7)
+    return Table(t, {"travel": d, "force": force + 0.2 * rng.normal(size=len(t))}, f"pulled{seed}")
+
+
+def as_problem(model, tables):
+    net = Network.load(model)
+    records = [
+        Record(
+            t.source,
+            t.step,
+            {c.name: np.asarray(t[c.name]) for c in net.inputs},
+            np.stack([np.asarray(t[c.name]) for c in net.outputs], axis=1),
+        )
+        for t in tables
+    ]
+    return net, Problem(net, records, ["fit"] * len(records))
+
+
+def test_the_spectrum_over_position_shows_the_pitch_of_more_than_sixty_periods():
+    net, problem = as_problem(PULLED, [pulled(1), pulled(2)])
+    fit = Fitter(problem, plain(np.array([0.2]))).fit(base_structure(net))
+    motion = motions(problem, fit)[("rod", "ground")]
+    span = float(np.ptp(motion.d))
+    assert span / 3.1e-3 > 90
+    first, *_ = spectral_pitches(problem, fit, ("rod", "ground"), motion, 60)
+    # the line is at most an eighth of a period over the span away from the truth
+    assert abs(span / first - span / 3.1e-3) <= 0.26
+    # of fewer periods than are asked for nothing is said
+    assert all(p < span / 60 for p in spectral_pitches(problem, fit, ("rod", "ground"), motion, 60))
+
+
+def test_records_are_not_thinned_where_that_would_lose_the_residual():
+    def lost(table):
+        net, problem = as_problem(PULLED, [table])
+        floors = np.array([0.2])
+        assert problem.rough.records[0].rate > problem.records[0].rate
+        return thinning_loses(problem, Fitter(problem, plain(floors)).fit(base_structure(net)), floors)
+
+    assert lost(pulled(1))
+    # as large a force of thirty times the pitch is as slow as the motion, and without any there is noise alone
+    assert not lost(pulled(1, pitch=93e-3))
+    assert not lost(pulled(1, amplitude=0.0))
+
+
+def test_a_force_of_a_hundred_periods_over_the_travel_is_named_with_its_pitch():
+    found = diagnose([pulled(1)], PULLED, validate=[pulled(2)])
+    assert named(found) == {("cogging_force", ("ground", "rod"))}
+    assert values(found)["pitch"] == pytest.approx(3.1e-3, rel=1e-4)
+    assert values(found)["amplitude"] == pytest.approx(3.0, rel=0.05)
+
+
+def turned(seed, teeth=14, seconds=30.0, turns=9.0):
+    """A shaft turned by several turns one way, slowly and unevenly, with `teeth` periods of cogging a turn."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, seconds, STEP)
+    angle = 2 * np.pi * turns * t / seconds + 0.4 * np.sin(2.1 * t + rng.uniform(0, 6)) + rng.uniform(0, 6)
+    rate = np.gradient(angle, t)
+    torque = 0.021 * rate + 0.01 * np.sin(teeth * angle + 1.1)
+    return Table(t, {"angle": angle, "torque": torque + 1e-3 * rng.normal(size=len(t))}, f"turned{seed}")
+
+
+TURNED = {
+    "schema": "isd-model/1",
+    "name": "turned",
+    "elements": [
+        {"name": "bearing", "type": "linear_damping", "between": ["shaft", "ground"], "damping": 0.02}
+    ],
+    "inputs": [{"name": "angle", "quantity": "angle", "at": "shaft", "unit": "rad"}],
+    "outputs": [{"name": "torque", "quantity": "torque", "at": "shaft", "unit": "N m"}],
+    "uncertainty": {"bearing.damping": 0.2},
+}
+
+
+def test_cogging_of_a_shaft_has_a_whole_number_of_periods_a_turn():
+    # 126 periods in the record that is fitted and 700 in the other: a pitch that is off by 0.1 % would be lost there
+    long = turned(4, seconds=60.0, turns=50.0)
+    found = diagnose([turned(3)], TURNED, validate=[long])
+    assert named(found) == {("cogging_force", ("ground", "shaft"))}
+    assert 2 * math.pi / values(found)["pitch"] == pytest.approx(14, rel=1e-4)
+    assert values(found)["amplitude"] == pytest.approx(0.01, rel=0.05)

@@ -1,0 +1,225 @@
+"""The unknown constant of a sensor: one for all records, or one for each record where the model says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from isd_gym.discrepancy.fit import Fitter
+from isd_gym.discrepancy.initial import motion_rows
+from isd_gym.discrepancy.judge import Judge
+from isd_gym.discrepancy.noise import plain
+from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.screen import residual_of
+from isd_gym.discrepancy.structure import base_structure
+from isd_gym.errors import InputError
+from isd_gym.network import Channel, Network
+from isd_gym.schemas import load
+
+STEP, SAMPLES = 2e-3, 1500
+OFFSET, NOISE = 0.013, 2e-5  # [m]
+
+
+def stand(offset: str = "free") -> Network:
+    """A mass on a spring to the ground, pushed by a known force."""
+    return Network.load(
+        {
+            "schema": "isd-model/1",
+            "name": "stand",
+            "masses": {"mass": 2.0},
+            "elements": [
+                {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 900.0},
+                {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 9.0},
+            ],
+            "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
+            "outputs": [
+                {"name": "position", "quantity": "displacement", "at": "mass", "unit": "m", "offset": offset}
+            ],
+            "uncertainty": {"spring.stiffness": 0.2, "damper.damping": 0.5},
+        }
+    )  # fmt: skip
+
+
+def record(name: str, mean: float, seed: int, offset: float = OFFSET, size: float = 2.0) -> Record:
+    """A push of some size [N] about a mean force [N] from rest at its deflection, seen by a sensor with an offset [m]."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(SAMPLES) * STEP
+    push = mean + sum(size * np.sin(2 * np.pi * f * t + p) for f, p in zip((1.1, 2.7, 4.9), rng.uniform(0, 6, 3), strict=True))  # fmt: skip
+    blank = Record(name, STEP, {"push": push}, np.zeros((SAMPLES, 1)))
+    network = stand()
+    problem = Problem(network, [blank], ["fit"])
+    rest = np.array([mean / 900.0, 0.0])
+    x0 = np.linalg.lstsq(motion_rows(problem, network), rest, rcond=None)[0]
+    seen = problem.simulate([network], 0, x0[:, None], like=network)[:, :, 0]
+    noisy = seen + offset + NOISE * rng.standard_normal(seen.shape)
+    return Record(name, STEP, {"push": push}, noisy)
+
+
+def problem_of(network: Network, *offsets: float, held: float | None = None, size: float = 2.0) -> Problem:
+    records = [record(f"run {k}", 6.0 * k - 6.0, k, o, size) for k, o in enumerate(offsets)]
+    roles = ["fit"] * len(records)
+    if held is not None:
+        records.append(record("test", 3.0, 9, held))
+        roles.append("choose")
+    return Problem(network, records, roles)  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------------------------------------- the format
+
+
+@pytest.mark.parametrize(("text", "value"), [("free", "free"), ("record", "record"), ("none", None)])
+def test_an_offset_is_read_and_written(text: str, value: str | None) -> None:
+    network = stand(text)
+    assert network.outputs[0].offset == value
+    assert Network.load(network.to_dict()) == network
+    assert network.outputs[0].to_dict().get("offset", "none") == text
+
+
+@pytest.mark.parametrize("wrong", ["free for all", True, ["free"], 1.0])
+def test_another_offset_is_refused(wrong: object) -> None:
+    with pytest.raises(InputError, match='"offset" must be "free"'):
+        stand(wrong)  # type: ignore[arg-type]
+
+
+def test_a_channel_made_in_code_is_checked() -> None:
+    network = stand()
+    with pytest.raises(InputError, match="offset must be 'free'"):
+        network.__class__(
+            network.name, network.masses, network.elements, network.inputs,
+            (Channel("position", "displacement", "m", at="mass", offset=True),),  # type: ignore[arg-type]
+        )  # fmt: skip
+
+
+def test_the_schema_knows_the_offset_of_a_record() -> None:
+    assert '"record"' in str(load("isd-model/1")).replace("'", '"')
+
+
+# ---------------------------------------------------------------------------------------------------- the fit
+
+
+def test_one_sensor_has_one_offset_over_all_records() -> None:
+    problem = problem_of(stand(), OFFSET, OFFSET, OFFSET)
+    fit = Fitter(problem, plain(np.array([NOISE]))).fit(base_structure(problem.network))
+    found = {float(o[0]) for o in fit.offset.values()}
+    assert len(found) == 1
+    assert fit.structure.offsets == (found.pop(),)
+    assert fit.structure.offsets[0] == pytest.approx(OFFSET, abs=4 * NOISE)
+
+
+def test_mean_forces_show_a_stiffness_through_one_offset_only() -> None:
+    """Three mean forces deflect a spring by 6 N / k each: with an offset for each record these deflections say nothing."""
+    spread = {}
+    for offset in ("free", "record"):
+        problem = problem_of(stand(offset), OFFSET, OFFSET, OFFSET, size=0.2)
+        fit = Fitter(problem, plain(np.array([NOISE]))).fit(base_structure(problem.network))
+        assert fit.network.parameters["spring.stiffness"] == pytest.approx(900.0, rel=0.02)
+        assert fit.hessian is not None
+        spread[offset] = float(np.linalg.inv(fit.hessian)[0, 0])
+    # the mean deflections have a hundred times the power of the motion about them
+    assert spread["free"] < 0.05 * spread["record"]
+
+
+def test_each_record_has_its_own_offset_where_the_model_says_so() -> None:
+    true = (0.001, -0.004, 0.02)
+    problem = problem_of(stand("record"), *true)
+    fit = Fitter(problem, plain(np.array([NOISE]))).fit(base_structure(problem.network))
+    assert [float(fit.offset[i][0]) for i in range(3)] == pytest.approx(true, abs=10 * NOISE)
+    assert fit.structure.offsets is None
+
+
+def test_the_joint_fit_is_that_of_all_numbers_at_once() -> None:
+    """Independent check: scipy's least squares over parameters, initial states and one offset, without elimination."""
+    problem = problem_of(stand(), OFFSET, OFFSET)
+    structure = base_structure(problem.network)
+    fitter = Fitter(problem, plain(np.array([NOISE])))
+    fit = fitter.fit(structure, iterations=30, tolerance=1e-12)
+    scale = [np.linalg.cholesky(fitter._information(structure, i)).T for i in range(2)]
+    mean = np.array([f.mean for f in structure.free])
+    sigma = np.array([f.sigma for f in structure.free])
+
+    def left(z: np.ndarray) -> np.ndarray:
+        network = structure.at(z[:2])
+        out = [(z[:2] - mean) / sigma]
+        for i in range(2):
+            x0 = z[3 + 2 * i : 5 + 2 * i]
+            y = problem.simulate([network], i, x0[:, None], like=network)[:, 0, 0] + z[2]
+            out += [(problem.records[i].measured[:, 0] - y) / NOISE, scale[i] @ x0]
+        return np.concatenate(out)
+
+    start = np.concatenate([structure.start, [0.0], fit.initial[0], fit.initial[1]])
+    dense = least_squares(left, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    cost = fit.cost + fit.prior + sum(float(np.sum((scale[i] @ fit.initial[i]) ** 2)) for i in range(2))
+    assert cost == pytest.approx(2 * dense.cost, rel=1e-7)
+    assert fit.structure.offsets is not None
+    assert fit.structure.offsets[0] == pytest.approx(dense.x[2], abs=1e-7)
+    # curvature by the parameters, the other numbers eliminated: the inverse of that block of the covariance
+    information = dense.jac.T @ dense.jac
+    expected = np.linalg.inv(np.linalg.inv(information)[:2, :2]) - np.diag(1 / sigma**2)
+    size = np.sqrt(np.diag(expected))  # slopes by parameters are one-sided differences
+    np.testing.assert_allclose(fit.hessian / np.outer(size, size), expected / np.outer(size, size), atol=0.01)
+
+
+def test_the_residual_of_the_score_test_has_no_offset_left() -> None:
+    problem = problem_of(stand(), OFFSET, OFFSET)
+    fitter = Fitter(problem, plain(np.array([NOISE])))
+    fit = fitter.fit(base_structure(problem.network))
+    residual = residual_of(problem, fitter, fit)
+    constant = np.zeros(len(residual.left))
+    constant[: 2 * SAMPLES] = 1.0 / NOISE
+    assert np.linalg.norm(residual.without(constant)) < 1e-6 * np.linalg.norm(constant)
+    one = constant.copy()
+    one[SAMPLES:] = 0.0  # an offset of one record alone is no offset of the sensor
+    assert np.linalg.norm(residual.without(one)) > 0.1 * np.linalg.norm(one)
+
+
+# ------------------------------------------------------------------------------------------- held-out records
+
+
+def test_a_held_out_record_has_the_offset_of_the_training_records() -> None:
+    """A sensor that moved by 3 mm before the held-out record is an error of 3 mm there."""
+    problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
+    judge = Judge(problem)
+    structure = base_structure(problem.network)
+    fit = judge.plain.fit(structure)
+    held = judge.plain.follow(fit.structure, fit.x, problem.held)
+    left = problem.records[2].measured[300:, 0] - held.outputs[2][300:, 0]  # the free motion has died by then
+    assert left.mean() == pytest.approx(0.003, abs=2e-4)
+    assert held.offset[2][0] == fit.offset[0][0]
+
+
+def test_the_nominal_model_takes_its_offset_from_the_training_records() -> None:
+    problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
+    fitter = Judge(problem).plain
+    structure = base_structure(problem.network)
+    held = fitter.follow(structure, structure.start, problem.held)
+    assert held.offset[2][0] == pytest.approx(OFFSET, abs=1e-4)
+
+
+def test_a_held_out_record_may_have_its_own_offset() -> None:
+    problem = problem_of(stand("record"), OFFSET, OFFSET, held=OFFSET + 0.003)
+    judge = Judge(problem)
+    fit = judge.plain.fit(base_structure(problem.network))
+    held = judge.plain.follow(fit.structure, fit.x, problem.held)
+    assert held.offset[2][0] == pytest.approx(OFFSET + 0.003, abs=10 * NOISE)
+
+
+# ------------------------------------------------------------------------------------- errors and deviations
+
+
+def test_the_deviation_is_that_within_records() -> None:
+    """Two places, ten times the motion apart: the distance is no motion."""
+    t = np.arange(1000) * 1e-2
+    motion = 0.01 * np.sin(2 * np.pi * t)
+    records = [
+        Record(f"run {k}", 1e-2, {"push": 0 * t}, (place + motion)[:, None]) for k, place in enumerate((0.3, 0.4))
+    ]  # fmt: skip
+    problem = Problem(stand(), records, ["fit", "fit"])
+    assert problem.measured().std() > 0.05
+    assert problem.deviation()[0] == pytest.approx(0.01 / np.sqrt(2), rel=1e-6)
+    # segments of one record are one record
+    halves = [records[0].part(0, 500, "run 0"), records[0].part(500, 1000, "run 0")]
+    ramp = [Record("run 0", 1e-2, {"push": h.inputs["push"]}, h.measured + k) for k, h in enumerate(halves)]
+    assert Problem(stand(), ramp, ["fit", "fit"]).deviation()[0] == pytest.approx(
+        np.hypot(0.01 / np.sqrt(2), 0.5)
+    )
