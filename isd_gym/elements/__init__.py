@@ -72,10 +72,7 @@ __all__ = [
     "DRIVE_ORDER",
     "GROUND",
     "MECHANISMS",
-<<<<<<< HEAD
-=======
     "PERIODS",
->>>>>>> 168cdef41b34b94e9c96e4ba1dcdb76d97d50f26
     "PROBE",
     "TYPES",
     "ActuatorDelay",
