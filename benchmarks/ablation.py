@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import grading
 from grading import Row
 
-from isd_gym.discrepancy import criteria as rules
-from isd_gym.discrepancy.criteria import Criteria
-from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
+from isd_gym.discrepancy.verdict import criteria as rules
+from isd_gym.discrepancy.verdict.criteria import Criteria
+from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -27,6 +27,7 @@ import numpy as np
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
 from isd_gym.discrepancy.planning import (
     EffectForecast,
     Plan,
@@ -36,7 +37,6 @@ from isd_gym.discrepancy.planning import (
     make_record,
     plan,
 )
-from isd_gym.discrepancy.structure import Hypothesis, add, base_structure
 from isd_gym.elements import TYPES
 from isd_gym.network import Network
 from isd_gym.simulate import simulate

@@ -514,7 +514,7 @@ def simulate(
         raise InputError(f"{data}: there are gaps in time ({pieces[0].notes[0]}): simulate a piece at a time")  # type: ignore[union-attr]
     table, start = pieces[0], None
     if fitted:
-        from .discrepancy.begin import initial_state
+        from .discrepancy.estimation.initial_state_fit import initial_state
 
         begun = initial_state(table, network, outputs=measured)
         table, start = Table(begun.time, dict(begun.inputs), str(data)), begun.state

@@ -227,12 +227,7 @@ def _designed(
     notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
-    from .discrepancy.planning import (
-        design_general_test,
-        design_test,
-        estimate_output_noise,
-        read_rivals,
-    )
+    from .discrepancy.planning import design_general_test, design_test, estimate_output_noise, read_rivals
     from .discrepancy.planning import plan as run
 
     update = options["progress"]

@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
-from isd_gym.discrepancy.problem import Problem, Record
 from isd_gym.discrepancy.records import choose_decimation, count_derivatives, differentiate_inputs
+from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.network import Network, linearise, natural_frequencies, transfer
 
 SAMPLES = 12_000

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from isd_gym import cli
 from isd_gym.data import Table, read_table, write_table
-from isd_gym.discrepancy.begin import initial_state
+from isd_gym.discrepancy.estimation.initial_state_fit import initial_state
 from isd_gym.errors import InputError
 from isd_gym.loggers import Recording, Signal
 from isd_gym.loggers.start import motions_at, state_of

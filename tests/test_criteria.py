@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from isd_gym.discrepancy.criteria import (
+from isd_gym.discrepancy.selection.equivalent_laws import repeats
+from isd_gym.discrepancy.verdict.criteria import (
     COMPARE,
     CRITERIA,
     Criteria,
@@ -21,8 +22,7 @@ from isd_gym.discrepancy.criteria import (
     table,
     table_gates,
 )
-from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.imitate import repeats
+from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.elements import TYPES, Motion
 
 FRICTION = EffectEvidence(

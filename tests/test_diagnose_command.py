@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from isd_gym import cli, schemas, simulate
 from isd_gym.data import Table, read_table, write_table
-from isd_gym.discrepancy.structure import Hypothesis
-from isd_gym.discrepancy.words import summary_of, unit_summary_of
+from isd_gym.discrepancy.estimation.structure import Hypothesis
+from isd_gym.discrepancy.verdict.wording import summary_of, unit_summary_of
 from isd_gym.network import Network
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import Diagnosis, SearchSettings, diagnose
-from isd_gym.discrepancy.noise import Noise, autoregression, noise_of, passed, whitener
+from isd_gym.discrepancy.estimation.noise import Noise, autoregression, noise_of, passed, whitener
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
@@ -90,11 +90,11 @@ def test_a_force_that_is_large_only_while_a_decay_begins_keeps_its_name() -> Non
 
 
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins() -> None:
-    from isd_gym.discrepancy.fit import Fitter
-    from isd_gym.discrepancy.noise import plain
-    from isd_gym.discrepancy.problem import Problem, Record
-    from isd_gym.discrepancy.shooting import begun, remembers
-    from isd_gym.discrepancy.structure import base_structure
+    from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+    from isd_gym.discrepancy.estimation.multiple_shooting import begun, remembers
+    from isd_gym.discrepancy.estimation.noise import plain
+    from isd_gym.discrepancy.estimation.structure import base_structure
+    from isd_gym.discrepancy.simulation.problem import Problem, Record
 
     def resonator(stiffness: float) -> Network:
         k = {"name": "k", "type": "linear_stiffness", "between": ["m", "ground"], "stiffness": stiffness}
@@ -232,11 +232,11 @@ def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
 
 
 def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
-    from isd_gym.discrepancy.fit import Fitter
-    from isd_gym.discrepancy.initial import along
-    from isd_gym.discrepancy.noise import Whitener
-    from isd_gym.discrepancy.problem import Problem, Record
-    from isd_gym.discrepancy.structure import base_structure
+    from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+    from isd_gym.discrepancy.estimation.initial_states import along
+    from isd_gym.discrepancy.estimation.noise import Whitener
+    from isd_gym.discrepancy.estimation.structure import base_structure
+    from isd_gym.discrepancy.simulation.problem import Problem, Record
 
     net = Network.load("quarter-car-isd")
     rng = np.random.default_rng(5)
@@ -260,7 +260,7 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
 
 
 def test_what_a_filter_had_to_guess_is_not_compared() -> None:
-    from isd_gym.discrepancy.problem import Problem, Record, low_pass
+    from isd_gym.discrepancy.simulation.problem import Problem, Record, low_pass
 
     net = Network.load("force-rig-eq6").without_element("seal")
     step = 2e-3
@@ -283,7 +283,7 @@ def test_what_a_filter_had_to_guess_is_not_compared() -> None:
 
 
 def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
-    from isd_gym.discrepancy.structure import Hypothesis, rebuilt
+    from isd_gym.discrepancy.estimation.structure import Hypothesis, rebuilt
 
     rig = Network.load("force-rig-eq6").without_element("seal")
     top = rig.moved_nodes[0]
@@ -304,7 +304,7 @@ def test_a_special_case_takes_the_place_of_what_is_not_needed() -> None:
 
 def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before() -> None:
     """It holds the constant level already; what is gone is not asked for its values."""
-    from isd_gym.discrepancy.structure import Hypothesis, add, base_structure
+    from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
 
     rig = Network.load("force-rig-eq6").without_element("seal")
     where = (rig.moved_nodes[0], "ground")
@@ -326,14 +326,14 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
 
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends() -> None:
     # friction gives the piston many rests: from a guess the first stretch held out ended in another (0.063 of the deviation)
-    from isd_gym.discrepancy.candidate import Candidate
-    from isd_gym.discrepancy.fit import Fitter
-    from isd_gym.discrepancy.judge import Judge
-    from isd_gym.discrepancy.noise import plain
+    from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+    from isd_gym.discrepancy.estimation.noise import plain
+    from isd_gym.discrepancy.estimation.structure import base_structure
     from isd_gym.discrepancy.planning import infer_rig, make_excitation, make_record
-    from isd_gym.discrepancy.problem import Problem
     from isd_gym.discrepancy.records import split_records
-    from isd_gym.discrepancy.structure import base_structure
+    from isd_gym.discrepancy.selection.candidate import Candidate
+    from isd_gym.discrepancy.selection.held_out import Judge
+    from isd_gym.discrepancy.simulation.problem import Problem
 
     net = Network.load("force-rig").with_element(
         {"name": "drag", "type": "quadratic_damping", "between": ["piston", "ground"], "damping": 1381.0}
@@ -353,10 +353,10 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
 
 def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_begins() -> None:
     from isd_gym.discrepancy import CRITERIA
-    from isd_gym.discrepancy.judge import Judge
-    from isd_gym.discrepancy.problem import Problem
     from isd_gym.discrepancy.records import read_record, split_records
-    from isd_gym.discrepancy.search import Search
+    from isd_gym.discrepancy.selection.forward_backward import Search
+    from isd_gym.discrepancy.selection.held_out import Judge
+    from isd_gym.discrepancy.simulation.problem import Problem
 
     case = families.make_case("shaken.cubic", 306)
     net = Network.load(case.model)
@@ -385,8 +385,9 @@ def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_b
 
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side() -> None:
     # a spring that has play, beside a damper that has none: everything between the two nodes used to be put behind the play
-    from isd_gym.discrepancy.hypotheses import hypotheses
-    from isd_gym.discrepancy.structure import add, base_structure
+    from isd_gym.discrepancy.hypotheses.library.library import hypotheses
+
+    from isd_gym.discrepancy.estimation.structure import add, base_structure
 
     net = Network.load(families.make_case("shaken.play", 305).model)
     k, c, m = (net.parameters[p] for p in ("spring.stiffness", "damper.damping", "mass.mass"))
@@ -453,7 +454,7 @@ def test_one_law_for_several_at_one_place_begins_where_it_gives_their_sum() -> N
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() -> None:
     # along lines every sample of the base was a knock: an inertance came out with twice the acceleration, and a compliance beside it
-    from isd_gym.discrepancy.problem import Problem, Record
+    from isd_gym.discrepancy.simulation.problem import Problem, Record
 
     net = Network.from_dict(
         {
@@ -484,7 +485,7 @@ def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() 
 
 def test_noise_of_a_moved_node_does_not_rule_its_acceleration() -> None:
     # of a spline's second derivative it did: a dyno's inertance, 10.7 to 1.4 % of the force, was refused
-    from isd_gym.discrepancy.between import bent
+    from isd_gym.discrepancy.simulation.interpolation import bent
 
     rng = np.random.default_rng(0)
     for step, samples, noise, most in (
@@ -590,7 +591,7 @@ def test_a_wave_that_is_not_seen_to_repeat_gives_way_to_a_spring() -> None:
 
 
 def test_in_series_is_one_place_along_a_chain_without_masses() -> None:
-    from isd_gym.discrepancy.structure import in_line
+    from isd_gym.discrepancy.estimation.structure import in_line
 
     car = Network.load("quarter-car-isd")
     assert in_line(car, ("body", "piston"), ("joint", "wheel"))
@@ -664,7 +665,7 @@ def test_detents_at_the_cars_device_are_named_with_their_pitch() -> None:
 
 
 def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit() -> None:
-    from isd_gym.discrepancy.noise import floor_of
+    from isd_gym.discrepancy.estimation.noise import floor_of
 
     rng = np.random.default_rng(4)
     step, n = 4e-3, 8000
@@ -677,8 +678,8 @@ def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit() -> None:
 
 
 def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
-    from isd_gym.discrepancy.judge import Judge
-    from isd_gym.discrepancy.problem import Problem, Record
+    from isd_gym.discrepancy.selection.held_out import Judge
+    from isd_gym.discrepancy.simulation.problem import Problem, Record
 
     model = Network.load("force-rig").to_dict()
     model["outputs"][0]["noise"] = 12.5
@@ -695,7 +696,7 @@ def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
 
 
 def test_every_mass_and_the_ground_is_a_place_whatever_is_moved() -> None:
-    from isd_gym.discrepancy.hypotheses import hypotheses, pairs
+    from isd_gym.discrepancy.hypotheses.library.library import hypotheses, pairs
 
     car = Network.load("quarter-car-isd")
     assert {("body", "ground"), ("wheel", "ground")} <= set(pairs(car))
@@ -705,8 +706,8 @@ def test_every_mass_and_the_ground_is_a_place_whatever_is_moved() -> None:
 
 
 def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
-    from isd_gym.discrepancy.problem import Record
     from isd_gym.discrepancy.records import split_records
+    from isd_gym.discrepancy.simulation.problem import Record
 
     t = 1e-2 * np.arange(3000)
     drive = Record("drive", 1e-2, {"u": t}, np.sin(6.0 * t)[:, None])
@@ -735,8 +736,8 @@ def test_three_sets_of_records_and_one_record_cut_where_its_motion_is() -> None:
 
 
 def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> None:
-    from isd_gym.discrepancy.problem import Problem, Record
     from isd_gym.discrepancy.records import split_records
+    from isd_gym.discrepancy.simulation.problem import Problem, Record
     from isd_gym.discrepancy.workflow import held_from
 
     net = Network.load("quarter-car-passive")
@@ -759,8 +760,8 @@ def test_what_each_whole_record_was_for_is_what_was_fitted_and_held_out() -> Non
 
 
 def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by() -> None:
-    from isd_gym.discrepancy.problem import Record
     from isd_gym.discrepancy.records import split_records
+    from isd_gym.discrepancy.simulation.problem import Record
 
     counts = np.zeros(3000)  # an encoder's, which does not flicker
     counts[:4] = [9, -9, 9, -9]
@@ -771,8 +772,8 @@ def test_a_knock_and_then_rest_leaves_enough_to_fit_and_to_judge_by() -> None:
 
 @pytest.mark.parametrize("thin", [1, 2])
 def test_a_stretch_of_a_prescribed_motion_remembers_what_came_before_it(thin: int) -> None:
-    from isd_gym.discrepancy.problem import Problem, Record, thinned
     from isd_gym.discrepancy.records import LEAD_IN, split_records
+    from isd_gym.discrepancy.simulation.problem import Problem, Record, thinned
 
     model = Network.load("force-rig")
     moved, first = model.inputs[0].name, model.outputs[0].between or (model.outputs[0].at, "ground")

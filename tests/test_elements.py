@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from isd_gym import elements as el
-from isd_gym.discrepancy.structure import Hypothesis, add, base_structure, free_of
+from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure, free_of
 from isd_gym.env import ISDSuspensionEnv
 from isd_gym.errors import InputError
 from isd_gym.fmu import Running

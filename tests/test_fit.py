@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from isd_gym.discrepancy.hypotheses.library.library import hypotheses
+from isd_gym.discrepancy.hypotheses.library.motion import together
+from isd_gym.discrepancy.hypotheses.library.score_test import trials
 
-from isd_gym.discrepancy.fit import Fitter
-from isd_gym.discrepancy.hypotheses import hypotheses
-from isd_gym.discrepancy.motion import together
-from isd_gym.discrepancy.noise import plain
-from isd_gym.discrepancy.problem import Problem, Record
-from isd_gym.discrepancy.screen import trials
-from isd_gym.discrepancy.structure import base_structure
-from isd_gym.discrepancy.tangent import tangents
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.sensitivities import tangents
+from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.simulate import simulate

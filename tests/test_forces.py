@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from isd_gym.discrepancy.hypotheses.library.forces import PlaceForces, place_forces
 
 from isd_gym.arrays import rms
-from isd_gym.discrepancy.fit import Fitter
-from isd_gym.discrepancy.forces import PlaceForces, place_forces
-from isd_gym.discrepancy.noise import plain
-from isd_gym.discrepancy.problem import Problem, Record
-from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.network import Network
 
 STEP, BODY = 5e-3, 400.0

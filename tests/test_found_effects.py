@@ -4,15 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from isd_gym.discrepancy.hypotheses.library.motion import motions
+from isd_gym.discrepancy.hypotheses.library.position_spectrum import spectral_pitches, thinning_loses
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.fit import Fitter
-from isd_gym.discrepancy.motion import motions
-from isd_gym.discrepancy.noise import plain
-from isd_gym.discrepancy.position_spectrum import spectral_pitches, thinning_loses
-from isd_gym.discrepancy.problem import Problem, Record
-from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.network import Network
 
 

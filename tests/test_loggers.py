@@ -9,8 +9,8 @@ from test_inspection import CAR, drive
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.problem import Problem
 from isd_gym.discrepancy.records import align_clocks, build_record, read_record
+from isd_gym.discrepancy.simulation.problem import Problem
 from isd_gym.errors import InputError
 from isd_gym.inspection import inspect, lines
 from isd_gym.loggers import ChannelMap, Recording, Signal

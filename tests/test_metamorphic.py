@@ -10,8 +10,9 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.data import Table
-from isd_gym.discrepancy import SearchSettings, diagnose, race
-from isd_gym.discrepancy import hypotheses as library
+from isd_gym.discrepancy import SearchSettings, diagnose
+from isd_gym.discrepancy.hypotheses.library import library as library
+from isd_gym.discrepancy.selection import screening as race
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
 

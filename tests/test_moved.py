@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from isd_gym.discrepancy.hypotheses.library.library import hypotheses, pairs
+from isd_gym.discrepancy.hypotheses.library.missing_force import Deconvolution
+from isd_gym.discrepancy.hypotheses.library.motion import motions
 from typer.testing import CliRunner
 
 from isd_gym import simulate
 from isd_gym.cli import app
-from isd_gym.discrepancy.fit import Fitter
-from isd_gym.discrepancy.hypotheses import hypotheses, pairs
-from isd_gym.discrepancy.initial import along
-from isd_gym.discrepancy.missing_force import Deconvolution
-from isd_gym.discrepancy.motion import motions
-from isd_gym.discrepancy.noise import plain
-from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.initial_states import along
+from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.result import Trace
-from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble, linearise
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from isd_gym.discrepancy.hypotheses.library.score_test import residual_of
 from scipy.optimize import least_squares
 
-from isd_gym.discrepancy.fit import Fitter
-from isd_gym.discrepancy.initial import motion_rows
-from isd_gym.discrepancy.judge import Judge
-from isd_gym.discrepancy.noise import plain
-from isd_gym.discrepancy.problem import Problem, Record
-from isd_gym.discrepancy.screen import residual_of
-from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.initial_states import motion_rows
+from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.selection.held_out import Judge
+from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
 from isd_gym.network import Channel, Network
 from isd_gym.schemas import load

@@ -6,10 +6,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-from isd_gym.discrepancy.hypotheses import hypotheses
-from isd_gym.discrepancy.race import Race, amplified, starts
-from isd_gym.discrepancy.screen import Screened
-from isd_gym.discrepancy.structure import Hypothesis, add, base_structure
+from isd_gym.discrepancy.hypotheses.library.library import hypotheses
+from isd_gym.discrepancy.hypotheses.library.score_test import Screened
+
+from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
+from isd_gym.discrepancy.selection.screening import Race, amplified, starts
 from isd_gym.elements import Start
 from isd_gym.network import Network
 

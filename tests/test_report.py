@@ -14,6 +14,7 @@ import matplotlib
 import matplotlib.figure
 import numpy as np
 import pytest
+from isd_gym.discrepancy.hypotheses.library.missing_force import Deconvolution
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -21,15 +22,14 @@ from isd_gym import cli, schemas, show
 from isd_gym.comparability import Comparable
 from isd_gym.data import Table, read_table
 from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
-from isd_gym.discrepancy.criteria import gates_of
-from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.explain import law as series_law
-from isd_gym.discrepancy.fit import Fitter
-from isd_gym.discrepancy.missing_force import Deconvolution
-from isd_gym.discrepancy.noise import plain
-from isd_gym.discrepancy.problem import Problem, Record
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.result import BestCandidate, Tabulated
-from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.simulation.problem import Problem, Record
+from isd_gym.discrepancy.verdict.criteria import gates_of
+from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
+from isd_gym.discrepancy.verdict.explanation import law as series_law
 from isd_gym.elements import CoulombFriction
 from isd_gym.errors import InputError, ReportError
 from isd_gym.network import Network

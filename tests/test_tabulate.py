@@ -8,7 +8,7 @@ import pytest
 from isd_gym import schemas, simulate
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.tabulate import _axis, _directions, force_over, in_its_place
+from isd_gym.discrepancy.selection.free_force import _axis, _directions, force_over, in_its_place
 from isd_gym.elements import Motion, SensorGain, SeriesCompliance
 from isd_gym.network import Network
 

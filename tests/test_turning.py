@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from isd_gym import simulate
-from isd_gym.discrepancy.structure import base_structure
+from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.units import about_axis, convert

@@ -7,9 +7,15 @@ from typing import Any
 
 import pytest
 
-from isd_gym.discrepancy.criteria import CRITERIA, decide, gate, table_gates
-from isd_gym.discrepancy.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.words import NOT_BORNE_OUT, failures, plain_number, summary_of, unit_summary_of
+from isd_gym.discrepancy.verdict.criteria import CRITERIA, decide, gate, table_gates
+from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
+from isd_gym.discrepancy.verdict.wording import (
+    NOT_BORNE_OUT,
+    failures,
+    plain_number,
+    summary_of,
+    unit_summary_of,
+)
 
 FRICTION = {
     "effect": "coulomb_friction",

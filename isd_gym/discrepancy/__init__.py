@@ -13,11 +13,11 @@ co-simulation FMU), `unknown_input` (identification without a measured road).
 
 from typing import TYPE_CHECKING, Any
 
-from .criteria import CRITERIA, Criteria, Gate
-from .evidence import EffectEvidence, Evidence
 from .fmu import diagnose_unit
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
-from .settings import SearchSettings
+from .selection.settings import SearchSettings
+from .verdict.criteria import CRITERIA, Criteria, Gate
+from .verdict.evidence import EffectEvidence, Evidence
 from .workflow import diagnose
 
 if TYPE_CHECKING:

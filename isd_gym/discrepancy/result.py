@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..network import Network
-    from .criteria import Criteria, Gate, Reason
-    from .evidence import Evidence
-    from .findings import Finding
-    from .problem import Array
     from .records import Lag
-    from .settings import SearchSettings
+    from .selection.settings import SearchSettings
+    from .simulation.problem import Array
+    from .verdict.criteria import Criteria, Gate, Reason
+    from .verdict.evidence import Evidence
+    from .verdict.findings import Finding
 
 SCHEMA = "isd-diagnosis/1"
 #: what a force without a name is a function of

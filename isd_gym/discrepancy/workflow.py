@@ -16,17 +16,12 @@ from ..errors import InputError
 from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
-from .candidate import BROKEN, Candidate, reckoned, values_of
-from .criteria import CRITERIA, Criteria, Decision, confidence, decide, with_findings
-from .explain import law, places, table_law
-from .findings import find
-from .fit import Fitter, residuals
-from .hypotheses import hypotheses
-from .judge import Judge
-from .measure import Measured, intervals, measure
-from .noise import plain, whitener
+from .estimation.gauss_newton import Fitter, residuals
+from .estimation.noise import plain, whitener
+from .estimation.structure import base_structure, owner_pair
+from .hypotheses.library import hypotheses
+from .hypotheses.score_test import screen
 from .planning import next_experiment, played
-from .problem import Problem, Record, Role, bare, pace
 from .records import (
     LEAD_IN,
     align_clocks,
@@ -36,31 +31,27 @@ from .records import (
     read_record,
     split_records,
 )
-from .result import (
-    BestCandidate,
-    Contender,
-    Diagnosis,
-    Effect,
-    Quantity,
-    Remainder,
-    Stretches,
-    Trace,
-)
-from .screen import screen
-from .search import Search
-from .settings import SearchSettings
-from .structure import base_structure, owner_pair
-from .tabulate import Followed, follow
-from .weights import weigh_candidates
-from .words import summary_of
+from .result import BestCandidate, Contender, Diagnosis, Effect, Quantity, Remainder, Stretches, Trace
+from .selection.candidate import BROKEN, Candidate, reckoned, values_of
+from .selection.forward_backward import Search
+from .selection.free_force import Followed, follow
+from .selection.held_out import Judge
+from .selection.settings import SearchSettings
+from .selection.weights import weigh_candidates
+from .simulation.problem import Problem, Record, Role, bare, pace
+from .verdict.criteria import CRITERIA, Criteria, Decision, confidence, decide, with_findings
+from .verdict.explanation import law, places, table_law
+from .verdict.findings import find
+from .verdict.measurement import Measured, intervals, measure
+from .verdict.wording import summary_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from .evidence import Evidence
-    from .findings import Finding
-    from .refits import Say
-    from .trial import Trial
+    from .selection.candidate_comparison import Trial
+    from .selection.refits import Say
+    from .verdict.evidence import Evidence
+    from .verdict.findings import Finding
 
 
 def diagnose(

@@ -423,7 +423,7 @@ def _cloud(
         return None
     names = [c.name for c in d.refitted.outputs if c.name in trace.refit]
     noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
-    from ..discrepancy.missing_force import Deconvolution, motion
+    from ..discrepancy.hypotheses.missing_force import Deconvolution, motion
 
     response = Deconvolution.of(d.refitted, pair, trace, names)
     before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)

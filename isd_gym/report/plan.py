@@ -81,7 +81,7 @@ def matrix_figure(plan: Plan) -> Figure:
 
 def size_of(e: EffectForecast, amounts: dict[str, Any]) -> str:
     """``level 12.3 N (shape 2 m)``: what scales, and the shape of which it is told."""
-    from ..discrepancy.words import plain_number
+    from ..discrepancy.verdict.wording import plain_number
 
     def one(key: str) -> str:
         text = f"{channel_text(key)} {plain_number(amounts[key].value)} {unit_text(amounts[key].unit)}"

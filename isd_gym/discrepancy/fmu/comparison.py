@@ -12,7 +12,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from ...cosimulation import Port, Unit, UnitModel
-    from ..problem import Array, Record
+    from ..simulation.problem import Array, Record
 
 Progress = Callable[[str], None]
 

@@ -14,14 +14,14 @@ from ...data import Table, check, read_table
 from ...data.quality import admit, known_check
 from ...errors import InputError, shown
 from ...units import convert
-from ..criteria import CRITERIA, Criteria, decide
-from ..evidence import Evidence, row
-from ..explain import bands, find_condition, near_reversals
-from ..judge import LEAST_NOISE
-from ..noise import Floor, floor_of, noise_of, quantum
-from ..problem import Array, Record, deviation_within
+from ..estimation.noise import Floor, floor_of, noise_of, quantum
 from ..result import Diagnosis, Place, Trace
-from ..words import unit_summary_of
+from ..selection.held_out import LEAST_NOISE
+from ..simulation.problem import Array, Record, deviation_within
+from ..verdict.criteria import CRITERIA, Criteria, decide
+from ..verdict.evidence import Evidence, row
+from ..verdict.explanation import bands, find_condition, near_reversals
+from ..verdict.wording import unit_summary_of
 from .comparison import FmuComparison, Progress, Segment
 from .refit import FittedFmu, FmuRefit
 

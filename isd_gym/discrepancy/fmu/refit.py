@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import InputError
-from ..least_squares import bounded_step, damped_step
-from ..noise import Whitener, finer, innovations, plain, trust, whitener
+from ..estimation.least_squares import bounded_step, damped_step
+from ..estimation.noise import Whitener, finer, innovations, plain, trust, whitener
+from ..estimation.structure import Free, base_structure
 from ..result import Quantity
-from ..structure import Free, base_structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ...cosimulation import UnitModel
-    from ..problem import Array
+    from ..simulation.problem import Array
     from .comparison import FmuComparison, Progress, Segment
 
 

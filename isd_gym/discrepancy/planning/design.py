@@ -15,13 +15,13 @@ from ...errors import InputError, shown
 from ...errors import plain as one_line
 from ...inputs import read_json
 from ...network import assemble
-from ..candidate import BROKEN, Candidate
-from ..fit import Fitter, residuals
-from ..hypotheses import hypotheses
-from ..judge import LEAST_NOISE
-from ..noise import innovations, plain
-from ..problem import Array, Problem, Record, bare
-from ..structure import Hypothesis, Structure, rebuilt
+from ..estimation.gauss_newton import Fitter, residuals
+from ..estimation.noise import innovations, plain
+from ..estimation.structure import Hypothesis, Structure, rebuilt
+from ..hypotheses.library import hypotheses
+from ..selection.candidate import BROKEN, Candidate
+from ..selection.held_out import LEAST_NOISE
+from ..simulation.problem import Array, Problem, Record, bare
 from .excitation import Excitation, Rig, infer_rig, list_excitations, make_excitation, make_record, make_table
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise

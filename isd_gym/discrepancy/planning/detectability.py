@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import InputError
-from ..candidate import BROKEN, relative
-from ..comparison import Comparison
-from ..criteria import decide
-from ..evidence import EffectEvidence, Evidence, row
-from ..fit import Fit, Fitter
-from ..initial import carried
-from ..judge import BLOCKS, share_at_place
-from ..measure import complaint, difference, spread_of
-from ..noise import lagged, plain, predicted
+from ..estimation.gauss_newton import Fit, Fitter
+from ..estimation.initial_states import carried
+from ..estimation.noise import lagged, plain, predicted
+from ..estimation.structure import Hypothesis, Structure, add
 from ..result import Quantity
-from ..structure import Hypothesis, Structure, add
+from ..selection.candidate import BROKEN, relative
+from ..selection.comparison import Comparison
+from ..selection.held_out import BLOCKS, share_at_place
+from ..verdict.criteria import decide
+from ..verdict.evidence import EffectEvidence, Evidence, row
+from ..verdict.measurement import complaint, difference, spread_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ... import elements as el
-    from ..criteria import Decision
-    from ..problem import Array, Problem
+    from ..simulation.problem import Array, Problem
+    from ..verdict.criteria import Decision
     from .virtual_bench import BenchFit, VirtualBench
 
 ORDER = 20  # of the whitening filters, as in the diagnosis

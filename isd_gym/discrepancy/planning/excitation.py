@@ -12,7 +12,7 @@ from ...data import Table
 from ...errors import InputError, shown
 from ...network import Channel, Network, assemble
 from ...units import convert
-from ..problem import Array, Record, bare
+from ..simulation.problem import Array, Record, bare
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...elements import parameter_fields
-from ..candidate import BROKEN
-from ..criteria import decide
-from ..structure import owner_pair
+from ..estimation.structure import owner_pair
+from ..selection.candidate import BROKEN
+from ..verdict.criteria import decide
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
 from .plan_result import Amount, EffectForecast
 from .sensitivity import FARTHEST, NEGLIGIBLE, is_rival
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ...elements import Start
-    from ..problem import Array
-    from ..structure import Hypothesis
+    from ..estimation.structure import Hypothesis
+    from ..simulation.problem import Array
     from .detectability import SimulatedEffect
     from .plan_result import Progress
     from .sensitivity import Distances, LawShape, Sensitivities

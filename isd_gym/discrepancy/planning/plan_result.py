@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from ...arrays import Array
     from ...network import Network
-    from ..problem import Record
+    from ..simulation.problem import Record
 
 #: function that receives the stage and the finished share
 Progress = Callable[[str, float], None]

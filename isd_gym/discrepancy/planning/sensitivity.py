@@ -16,19 +16,19 @@ import numpy as np
 from ...elements import Start, parameter_fields
 from ...errors import InputError, shown
 from ...network import Channel, Network, assemble
-from ..candidate import BROKEN, relative
-from ..hypotheses import hypotheses
-from ..judge import LEAST_NOISE
-from ..motion import setting, together
-from ..problem import Array, Problem, bare, deviation_within
-from ..structure import Hypothesis, Structure, add, in_line, twin
-from ..tangent import tangents
+from ..estimation.sensitivities import tangents
+from ..estimation.structure import Hypothesis, Structure, add, in_line, twin
+from ..hypotheses.library import hypotheses
+from ..hypotheses.motion import setting, together
+from ..selection.candidate import BROKEN, relative
+from ..selection.held_out import LEAST_NOISE
+from ..simulation.problem import Array, Problem, bare, deviation_within
 from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence
 
-    from ..fit import Fit
+    from ..estimation.gauss_newton import Fit
     from .virtual_bench import VirtualBench
 
 STARTS = 5  # of a hypothesis at most; refits find the shapes between

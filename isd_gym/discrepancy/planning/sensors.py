@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...network import Channel, Network, assemble
-from ..candidate import BROKEN
-from ..problem import bare
+from ..selection.candidate import BROKEN
+from ..simulation.problem import bare
 from .plan_result import SensorGain
 from .sensitivity import FARTHEST
 

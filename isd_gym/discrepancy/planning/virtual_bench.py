@@ -14,18 +14,18 @@ import numpy as np
 
 from ...errors import InputError, shown
 from ...network import Network, assemble
-from ..candidate import BROKEN, Candidate
-from ..criteria import CRITERIA, Criteria
-from ..fit import Fit, Fitter, residuals
-from ..forces import PlaceForces, place_forces
-from ..initial import along, carried
-from ..judge import LEAST_NOISE, SMALL, Judge
-from ..motion import motions
-from ..noise import floor_of, innovations, plain, whitener
-from ..problem import Array, Problem, Record, bare
+from ..estimation.gauss_newton import Fit, Fitter, residuals
+from ..estimation.initial_states import along, carried
+from ..estimation.noise import floor_of, innovations, plain, whitener
+from ..estimation.structure import Structure, base_structure
+from ..hypotheses.forces import PlaceForces, place_forces
+from ..hypotheses.motion import motions
+from ..hypotheses.unmodelled_effects import unmodelled
 from ..records import differentiate_inputs, split_records
-from ..structure import Structure, base_structure
-from ..unmodelled import unmodelled
+from ..selection.candidate import BROKEN, Candidate
+from ..selection.held_out import LEAST_NOISE, SMALL, Judge
+from ..simulation.problem import Array, Problem, Record, bare
+from ..verdict.criteria import CRITERIA, Criteria
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import InputError
-from ..fit import Fit, Fitter
-from ..initial import guess
-from ..noise import plain
-from ..problem import Array, Problem, Record
-from ..structure import Structure, base_structure
-from ..tangent import tangents
+from ..estimation.gauss_newton import Fit, Fitter
+from ..estimation.initial_states import guess
+from ..estimation.noise import plain
+from ..estimation.sensitivities import tangents
+from ..estimation.structure import Structure, base_structure
+from ..simulation.problem import Array, Problem, Record
 from .multirate import build_record
 
 if TYPE_CHECKING:

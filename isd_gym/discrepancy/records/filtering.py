@@ -16,8 +16,8 @@ from scipy.signal import firwin, welch
 
 from ...errors import InputError
 from ...network import MOTIONS, natural_frequencies, transfer
-from ..between import differences
-from ..problem import low_pass
+from ..simulation.interpolation import differences
+from ..simulation.problem import low_pass
 from .multirate import build_record
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from ...arrays import Array
     from ...network import Channel, Network
-    from ..problem import Record
+    from ..simulation.problem import Record
 
 QUIET = 0.02  # relative noise (RMS) of a derivative below which no low-pass is needed
 WIDE = 0.7  # share of the Nyquist frequency above which a low-pass removes too little to be worth its margins

@@ -22,8 +22,8 @@ from ...errors import InputError
 from ...loggers.grid import sampled
 from ...loggers.recording import Recording, Signal
 from ...units import convert
-from ..between import through
-from ..problem import Array, Problem, Record, pace
+from ..simulation.interpolation import through
+from ..simulation.problem import Array, Problem, Record, pace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

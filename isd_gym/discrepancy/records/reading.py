@@ -15,7 +15,7 @@ from ...errors import InputError, MissingColumn
 from ...loggers.recording import Recording
 from ...network import Channel, Network, own_time, without
 from ...units import convert
-from ..problem import Array, Problem, Record
+from ..simulation.problem import Array, Problem, Record
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..problem import Array, Record, Role
+    from ..simulation.problem import Array, Record, Role
 
 #: Length of validation and test segments as a multiple of the rig's time scale, about 30 periods.
 SEGMENT = 200.0

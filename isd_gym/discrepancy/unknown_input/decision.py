@@ -10,9 +10,9 @@ import numpy as np
 
 from ... import elements as el
 from ...network.cut import cut_nodes
-from ..criteria import COMPARE, CRITERIA, Gate
-from ..noise import lagged, predicted
-from ..structure import REACH as FAR
+from ..estimation.noise import lagged, predicted
+from ..estimation.structure import REACH as FAR
+from ..verdict.criteria import COMPARE, CRITERIA, Gate
 from .estimation import estimate_uncertainty
 from .result import UnknownInputResult
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from ...arrays import Array
     from ...network import Network
-    from ..criteria import Relation, Verdict
-    from ..structure import Hypothesis
+    from ..estimation.structure import Hypothesis
+    from ..verdict.criteria import Relation, Verdict
     from .estimation import Estimates, ModelFit, TimeLimit
     from .kalman import Prediction
 

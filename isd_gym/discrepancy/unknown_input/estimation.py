@@ -11,8 +11,8 @@ import numpy as np
 
 from ... import elements as el
 from ...errors import InputError
+from ..estimation.structure import add
 from ..result import Quantity
-from ..structure import add
 from .kalman import IMPOSSIBLE, KalmanModel, Prior
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ...arrays import Array
     from ...network import Network
-    from ..structure import Hypothesis, Structure
+    from ..estimation.structure import Hypothesis, Structure
     from .kalman import Prediction
 
 #: Linear effects and the index of the coefficient in `Element.linear`.

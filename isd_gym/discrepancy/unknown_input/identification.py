@@ -13,11 +13,11 @@ from ...errors import InputError, shown
 from ...loggers.recording import Recording
 from ...network import Network
 from ...network.frames import order_told
-from ..hypotheses import hypotheses
-from ..noise import floors_of
-from ..problem import Problem
+from ..estimation.noise import floors_of
+from ..estimation.structure import base_structure
+from ..hypotheses.library import hypotheses
 from ..records import read_record
-from ..structure import base_structure
+from ..simulation.problem import Problem
 from .decision import decide
 from .estimation import LINEAR, TimeLimit, build_model, fit_effect, fit_model
 

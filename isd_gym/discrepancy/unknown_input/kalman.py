@@ -23,7 +23,7 @@ from ...network import Network, linearise
 if TYPE_CHECKING:
     from ...arrays import Array
     from ...network import StateSpace
-    from ..structure import Structure
+    from ..estimation.structure import Structure
 
 #: Settling time of the filter at the beginning of a record, without prediction errors [s].
 SETTLE = 1.0

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ...network import Network
-    from ..criteria import Gate, Verdict
     from ..result import Quantity
+    from ..verdict.criteria import Gate, Verdict
 
 SCHEMA = "isd-unmeasured/1"
 #: Kind, mark and files of a result folder.

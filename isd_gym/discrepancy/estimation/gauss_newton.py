@@ -1,0 +1,451 @@
+"""Simulation-error fit: Gauss-Newton with the stated uncertainty of the base parameters as prior (MAP).
+
+Initial states of every record and offsets of the sensors are fitted along, and eliminated from the normal equations. A
+sensor's offset is one number for all records, unless the model gives each record its own: it is estimated on the records
+to fit by and is known on others (`Structure.offsets`). A slope that was had is used again while it still leads down: it costs many simulations, and a step of it one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...errors import InputError
+from ...network import Network, assemble
+from ..simulation.problem import Array, Problem, bare
+from .initial_states import guess, next_states
+from .least_squares import bounded_step, damped_step
+from .objective import Objective, Point, Slope
+from .sensitivities import tangents
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from .structure import Structure
+
+#: steps that a slope is used for again
+CHORDS = 2
+#: how much dearer a sample than usual a record must be for what its forerunner says of its beginning to be tried, in how
+#: many rounds; and by which factor that may be dearer, as it stands, than what was fitted
+UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
+#: the same for a record to begin anew about where it does, of how many records at least; at which multiples of their spread
+ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
+
+
+@dataclass
+class Fit:
+    """What a structure says when fitted: `x` (free parameters, transformed), initial states, offsets and outputs of each record.
+
+    `structure` holds the estimate of the offsets that all records share.
+    """
+
+    structure: Structure
+    x: Array
+    initial: dict[int, Array]
+    offset: dict[int, Array]
+    outputs: dict[int, Array]  # record -> (n, channels), offsets included
+    cost: float  # sum of squares of whitened residuals over its records
+    prior: float
+    hessian: Array | None = None  # of the structure's parameters, initial states and offsets eliminated
+
+    @property
+    def network(self) -> Network:
+        return self.structure.at(self.x)
+
+
+class Fitter(Objective):
+    """The way down to the least cost: parameters and initial states, or initial states alone."""
+
+    def begin(
+        self,
+        structure: Structure,
+        x: Array,
+        initial: Mapping[int, Array] | None,
+        offset: Mapping[int, Array] | None,
+        records: Sequence[int],
+    ) -> Point:
+        net = structure.at(x)
+        n0 = assemble(bare(net)).size[0]
+        given, known, problem = initial or {}, offset or {}, self.problem
+        shared = structure.offsets
+        if known and problem.shared_offset.any():
+            shared = tuple(np.mean([o[: len(problem.channels)] for o in known.values()], axis=0).tolist())
+        out = Point(x.copy(), {}, {})
+        for i in records:
+            there = i in given and len(given[i]) == n0
+            out.initial[i] = given[i].copy() if there else guess(problem, net, i, offsets=shared)
+            out.offset[i] = problem.nothing(i, shared)
+            if i in known:
+                out.offset[i][problem.moves(i)] = known[i][problem.moves(i)]
+        return out
+
+    def with_offsets(
+        self,
+        structure: Structure,
+        x: Array,
+        records: Sequence[int] | None = None,
+        initial: Mapping[int, Array] | None = None,
+    ) -> Structure:
+        """Estimate the offsets of the sensors that all records share, the parameters as they are.
+
+        Each record gives an estimate with its initial state; the mean weighs each by its information.
+
+        Args:
+            structure: The structure.
+            x: Its transformed parameters (parameters,).
+            records: Indices of the records. Default: those to fit by.
+            initial: Initial states to begin with, by record.
+
+        Returns:
+            The structure with its offsets; the same structure where no sensor has an offset for all records.
+        """
+        problem = self.problem
+        own = np.flatnonzero(problem.shared_offset)
+        if not len(own):
+            return structure
+        records = problem.estimation if records is None else records
+        alone = Fitter(problem.loose, self.weights)
+        f = alone.follow(structure, x, records, dict(initial or {}))
+        slopes = alone.slopes(structure, Point(x, f.initial, f.offset), records, False)
+        if slopes is None:
+            raise InputError("the simulation breaks down at the start values")
+        offsets = np.zeros(len(problem.channels))
+        offsets[own] = _weighted_mean(problem.loose, own, f.offset, slopes)
+        return replace(structure, offsets=tuple(offsets.tolist()))
+
+    def fit(
+        self,
+        structure: Structure,
+        x: Array | None = None,
+        initial: Mapping[int, Array] | None = None,
+        offset: Mapping[int, Array] | None = None,
+        *,
+        iterations: int = 8,
+        records: list[int] | None = None,
+        tolerance: float = 1e-4,
+        frozen: bool = False,
+    ) -> Fit:
+        """Fit the structure to the given records (the estimation records by default).
+
+        `frozen`: only initial states and the offsets of each record move; offsets that all records share are those of the
+        structure, or are estimated on the given records.
+        """
+        records = self.problem.estimation if records is None else records
+        x = structure.start if x is None else x
+        if frozen and structure.offsets is None and not offset:
+            structure = self.with_offsets(structure, x, records, initial)
+        at = self.begin(structure, x, initial, offset, records)
+        if frozen:
+            return self._result(structure, self._states(structure, at, records, iterations, tolerance))
+        mean = np.array([f.mean for f in structure.free])
+        sigma = np.array([f.sigma for f in structure.free])
+        slopes = self.slopes(structure, at, records, True)
+        if slopes is None:
+            raise InputError("the simulation breaks down at the start values")
+        at.prior = float(np.sum(((at.x - mean) / sigma) ** 2))
+        hessian, damping = self._hessian(slopes), 1e-4
+        for turn in range(iterations):
+            fresh = slopes if turn == 0 else self.slopes(structure, at, records, True)
+            if fresh is None:
+                break
+            slopes, hessian = fresh, self._hessian(fresh)
+            before, there = at.total, False
+            for again in range(1 + CHORDS):
+                then, damping = self._step(structure, at, slopes, hessian, records, damping, again > 0)
+                if then is None:
+                    break
+                gain, at = 1.0 - then.total / at.total, then
+                # after a long way the slope is another one
+                there = gain < 0.1 * tolerance and at.total > 0.8 * before
+                if gain < tolerance:
+                    break
+            if there or at.total > (1.0 - tolerance) * before:
+                break
+        return self._result(structure, at, hessian)
+
+    def _hessian(self, slopes: Mapping[int, Slope]) -> Array:
+        """Of half the cost by the parameters and shared offsets, the records' nuisances eliminated; no prior."""
+        total: Array | float = 0.0
+        for s in slopes.values():
+            p = len(s.gram) - len(s.own)
+            H = s.gram[:p, :p]
+            if len(s.own):
+                H = H - s.gram[:p, p:] @ np.linalg.solve(s.own, s.gram[p:, :p])
+            total = total + H
+        return np.asarray(total, dtype=np.float64)
+
+    def _step(
+        self,
+        structure: Structure,
+        at: Point,
+        slopes: Mapping[int, Slope],
+        hessian: Array,
+        records: Sequence[int],
+        damping: float,
+        chord: bool,
+    ) -> tuple[Point | None, float]:
+        """(a cheaper point or None, the damping from there on).
+
+        chord: the slopes are those of an earlier point, and one try is enough.
+        """
+        free = structure.free
+        p, q = len(free), int(self.problem.shared_offset.sum())
+        mean, sigma = (np.array([getattr(f, key) for f in free]) for key in ("mean", "sigma"))
+        none = np.full(q, math.inf)
+        low, high = (
+            np.array([getattr(f, key) for f in free] + (sign * none).tolist())
+            for key, sign in (("low", -1.0), ("high", 1.0))
+        )
+        stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
+        wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma))
+        wide, here = np.append(wide, none), np.append(at.x, np.zeros(q))
+        down = {i: self._downhill(at, i, s) for i, s in slopes.items()}
+        g = np.append((mean - at.x) / sigma**2, np.zeros(q))
+        for i, s in slopes.items():
+            g = g + down[i][: p + q]
+            if len(s.own):
+                g = g - s.gram[: p + q, p + q :] @ np.linalg.solve(s.own, down[i][p + q :])
+        H = hessian + np.diag(np.append(1.0 / sigma**2, np.zeros(q)))
+
+        def take(damping: float) -> tuple[Point, float]:
+            step = bounded_step(H, g, here, low, high, wide, damping) if p + q else np.zeros(0)
+            moves = {}
+            for i, s in slopes.items():
+                moves[i] = np.linalg.solve(s.own, down[i][p + q :] - s.gram[p + q :, : p + q] @ step)
+            then = self._moved(at, at.x + step[:p], moves, step[p:])
+            then.prior = float(np.sum(((then.x - mean) / sigma) ** 2))
+            return then, self.seen(structure, then, records).total
+
+        then, _, damping = damped_step(take, at.total, damping, tries=1 if chord else 6)
+        return then, damping
+
+    def _states(
+        self, structure: Structure, at: Point, records: Sequence[int], iterations: int, tolerance: float
+    ) -> Point:
+        """Initial states and offsets of each record for itself, the parameters and shared offsets as they are."""
+        left = list(records)
+        for turn in range(max(iterations, 1)):
+            slopes = self.slopes(structure, at, left, False)
+            if slopes is None and turn == 0:
+                raise InputError("the simulation breaks down at the start values")
+            if slopes is None or not iterations or not any(len(s.own) for s in slopes.values()):
+                break
+            before, there = dict(at.costs), dict.fromkeys(left, False)
+            going, share = left, 1.0
+            for _ in range(1 + CHORDS):
+                moves = {
+                    i: share * np.linalg.solve(slopes[i].own, self._downhill(at, i, slopes[i])) for i in going
+                }
+                then = self.seen(structure, self._moved(at, at.x, moves), going)
+                gains = {i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going}
+                better = [i for i in going if gains[i] > 0]
+                for i in better:
+                    at.initial[i], at.offset[i] = then.initial[i], then.offset[i]
+                    at.outputs[i], at.costs[i] = then.outputs[i], then.costs[i]
+                    there[i] = gains[i] < 0.1 * tolerance
+                onward = [i for i in better if gains[i] > tolerance]
+                if not onward:  # those that the whole step led uphill take a part of it
+                    onward = [i for i in going if i not in better and at.costs[i] == before[i]]
+                    share *= 0.3
+                going = onward
+                if not going:
+                    break
+            left = [i for i in left if not there[i] and at.costs[i] < (1.0 - tolerance) * before[i]]
+            if not left:
+                break
+        return at
+
+    def _result(self, structure: Structure, at: Point, hessian: Array | None = None) -> Fit:
+        known = sum(
+            float(x0 @ self._information(structure, i) @ x0) for i, x0 in at.initial.items() if len(x0)
+        )
+        own = np.flatnonzero(self.problem.shared_offset)
+        if len(own):
+            offsets = np.zeros(len(self.problem.channels))
+            offsets[own] = next(iter(at.offset.values()))[own]
+            structure = replace(structure, offsets=tuple(offsets.tolist()))
+        p = len(at.x)
+        if hessian is not None and len(own):
+            hessian = hessian[:p, :p] - hessian[:p, p:] @ np.linalg.solve(hessian[p:, p:], hessian[p:, :p])
+        return Fit(
+            structure,
+            at.x,
+            at.initial,
+            at.offset,
+            at.outputs,
+            sum(at.costs.values()) - known,
+            at.prior,
+            hessian if p else None,
+        )
+
+    def follow(
+        self,
+        structure: Structure,
+        x: Array,
+        records: Sequence[int],
+        initial: dict[int, Array] | None = None,
+        about: Sequence[Mapping[int, Array]] = (),
+        *,
+        iterations: int = 4,
+    ) -> Fit:
+        """Initial states and offsets of `records` with the parameters as they are.
+
+        Offsets that all records share are those of the structure, or are estimated on the records to fit by.
+        `initial`: where to begin, else a guess; or the cheapest of that and of those `about`. Without `initial`, a record that goes on
+        where the one before it ended may also begin where the simulation of that one ended.
+        """
+        problem, net = self.problem, structure.at(x)
+        n0 = assemble(bare(net)).size[0]
+        if structure.offsets is None and problem.shared_offset.any():
+            structure = self.with_offsets(structure, x, problem.estimation or records)
+        shared = structure.offsets
+        given = {i: v for i, v in (initial or {}).items() if len(v) == n0}
+        begun = {i: [given[i] if i in given else guess(problem, net, i, offsets=shared)] for i in records}
+        for known in about:
+            for i, v in known.items():
+                if i in begun and len(v) == n0:
+                    begun[i].append(v)
+        at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
+        before = {j: i for i in records for j in records if j not in given and _goes_on(problem, i, j)}
+        # one that fits like the others is where it belongs
+        each = [at.costs[i] / len(problem.records[i]) for i in records]
+        usual = min(UNUSUAL * float(np.median(each)), NEAR * min(each))  # most of them may be astray
+        before = {j: i for j, i in before.items() if at.costs[j] > usual * len(problem.records[j])}
+        for _ in range(ROUNDS if n0 and before else 0):
+            ends = next_states(problem, structure, x, {i: at.initial[i] for i in before.values()})
+            ahead = {j: ends[i] for j, i in before.items()}
+            better = self._again(
+                structure,
+                at,
+                {j: [guess(problem, net, j, s, shared), s] for j, s in ahead.items()},
+                iterations,
+            )
+            before = {j: i for j, i in before.items() if i in better}
+            if not before:
+                break
+        self._recover(structure, at, iterations)
+        return self._result(structure, at)
+
+    def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
+        """Records that err far more than most begin anew about where they do, by as much as records differ in it: where there is
+        play, or friction holds, one start in many ends in a place of its own."""
+        each = {i: cost / len(self.problem.records[i]) for i, cost in at.costs.items()}
+        if len(each) < FEW:
+            return
+        usual = float(np.median(list(each.values())))
+        astray = [i for i, cost in each.items() if not cost < ASTRAY * usual]
+        about = np.std([at.initial[i] for i in each], axis=0)
+        if not astray or len(astray) > len(each) / 2 or not about.any():
+            return
+        steps = [s * a * e for e, a in zip(np.eye(len(about)), about, strict=True) for s in ABOUT]
+        self._again(structure, at, {i: [at.initial[i] + step for step in steps] for i in astray}, iterations)
+
+    def _again(
+        self, structure: Structure, at: Point, begun: Mapping[int, Sequence[Array]], iterations: int
+    ) -> list[int]:
+        """Records begun anew from the cheapest of several initial states each; those that end cheaper stay there and are returned."""
+        there = self._cheapest(structure, at.x, begun)
+        near = [j for j in begun if there.costs[j] < NEAR * at.costs[j]]
+        if not near:
+            return []
+        other = self._states(structure, there, near, iterations, tolerance=1e-4)
+        better = [j for j in near if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
+        for j in better:
+            at.initial[j], at.offset[j] = other.initial[j], other.offset[j]
+            at.outputs[j], at.costs[j] = other.outputs[j], other.costs[j]
+        return better
+
+    def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
+        """Of several initial states a record, the one that errs least as it stands, whatever the offsets of each record."""
+        best = Point(x.copy(), {}, {})
+        for k in range(max(map(len, begun.values()), default=0)):
+            those = {i: s[k] for i, s in begun.items() if k < len(s)}
+            offset = {i: self.problem.nothing(i, structure.offsets) for i in those}
+            at = self.seen(structure, Point(x, those, offset), list(those))
+            for i in those:
+                if i not in best.costs or at.costs[i] < best.costs[i]:
+                    best.initial[i], best.offset[i] = those[i].copy(), offset[i]
+                    best.costs[i] = at.costs[i]
+        return best
+
+    def refit(self, fit: Fit, responses: dict[int, Array]) -> tuple[Array, dict[int, Array]]:
+        """What a fit would make of `responses` (n, channels, m) in the records, to first order.
+
+        By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
+        """
+        problem, structure = self.problem, fit.structure
+        p, q = len(fit.x), int(problem.shared_offset.sum())
+        sigma = np.array([f.sigma for f in structure.free])
+        H = np.diag(np.append(1 / sigma**2, np.zeros(q)))
+        m = next(iter(responses.values())).shape[2]
+        g = np.zeros((p + q, m))
+        parts = {}
+        for i, t in tangents(problem, structure, fit.x, {i: fit.initial[i] for i in responses}).items():
+            s = responses[i]
+            free = problem.nuisances(i, t.outputs)
+            stack = np.concatenate([t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2)
+            W = self.weights(stack).reshape(-1, stack.shape[2])
+            a, b, c = W[:, : p + q], W[:, p + q : W.shape[1] - m], W[:, W.shape[1] - m :]
+            H[np.arange(p, p + q), np.arange(p, p + q)] += 1e-9 * np.sum(a[:, p:] ** 2, axis=0)
+            if b.shape[1]:
+                Q, _ = np.linalg.qr(b)
+                a, c = a - Q @ (Q.T @ a), c - Q @ (Q.T @ c)
+            H += a.T @ a
+            g += a.T @ c
+            parts[i] = a, c
+        shift = np.linalg.solve(H, g)
+        return np.asarray(shift[:p], dtype=np.float64), {
+            i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
+        }
+
+
+def _weighted_mean(
+    problem: Problem, channels: NDArray[np.intp], offset: Mapping[int, Array], slopes: Mapping[int, Slope]
+) -> Array:
+    """Compute the mean over records of offsets that each record has for itself, weighed by their information.
+
+    Args:
+        problem: Records with an offset of their own each.
+        channels: Indices of the channels (offsets,).
+        offset: Nuisances by record, at their estimate.
+        slopes: Derivatives at the estimate by record.
+
+    Returns:
+        The mean offsets (offsets,).
+    """
+    total, weighted = np.zeros((len(channels), len(channels))), np.zeros(len(channels))
+    free = np.flatnonzero(problem.record_offset)
+    for i, s in slopes.items():
+        place = len(s.known) + np.searchsorted(free, channels)
+        rest = np.setdiff1d(np.arange(len(s.own)), place)
+        information = s.own[np.ix_(place, place)]
+        if len(rest):
+            cross = s.own[np.ix_(rest, place)]
+            information = information - cross.T @ np.linalg.solve(s.own[np.ix_(rest, rest)], cross)
+        total += information
+        weighted += information @ offset[i][channels]
+    return np.asarray(np.linalg.solve(total, weighted), dtype=np.float64)
+
+
+def _goes_on(problem: Problem, first: int, second: int) -> bool:
+    return problem.records[second].follows(problem.records[first])
+
+
+def residuals(problem: Problem, fit: Fit) -> list[Array]:
+    """What the fit leaves of each of its records (n, channels)."""
+    return [problem.records[i].measured - y for i, y in fit.outputs.items()]
+
+
+def gap(problem: Problem, fit: Fit) -> float:
+    """Geometric mean over channels of the residual's power over the signal's: how wide the gap is, whatever its spectrum.
+
+    One channel that drifts does not drown the others.
+    """
+    r = np.concatenate(residuals(problem, fit))
+    share = np.mean(r**2, axis=0) / problem.deviation(list(fit.outputs)) ** 2
+    return float(np.exp(np.mean(np.log(np.maximum(share, 1e-300)))))

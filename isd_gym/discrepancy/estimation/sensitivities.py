@@ -1,0 +1,72 @@
+"""A simulation and how it changes with what is fitted: the base point and one variant a number run as lanes of one call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .initial_states import motion_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..simulation.problem import Array, Problem
+    from .structure import Structure
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Outputs (n, channels) of a record, and their derivatives (n, channels, parameters) and (n, channels, states)."""
+
+    outputs: Array
+    by_parameter: Array
+    by_state: Array
+
+
+def tangents(
+    problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], *, moves: bool = True
+) -> dict[int, Tangent]:
+    """The simulation of each record from its `initial` state, and its derivatives by what is free.
+
+    `moves`: by the parameters, too. What was asked for last is not simulated again: fits go on where others ended,
+    with other weights.
+    """
+    p = len(x) if moves else 0
+
+    def name(i: int, full: bool) -> tuple[object, ...]:
+        return id(structure.network), id(structure.free), x.tobytes(), i, initial[i].tobytes(), full
+
+    known = {i: problem.memory.get(name(i, moves)) or problem.memory.get(name(i, True)) for i in initial}
+    todo = [i for i, kept in known.items() if kept is None]
+    out = {i: Tangent(k[0], k[1][:, :, :p], k[2]) for i, k in known.items() if k is not None}
+    if not todo:
+        return {i: out[i] for i in initial}
+    nets, steps = [structure.at(x)], np.empty(p)
+    for k in range(p):
+        f = structure.free[k]
+        h = 2e-3 if f.log else 1e-3 * max(abs(x[k]), 0.03 * f.sigma, 1e-12)
+        if x[k] + h > f.high:
+            h = -h
+        steps[k] = h
+        shifted = x.copy()
+        shifted[k] += h
+        nets.append(structure.at(shifted))
+    n0 = len(initial[todo[0]])
+    reach = np.maximum(np.abs(motion_rows(problem, nets[0])).max(axis=0), 1e-9) if n0 else np.zeros(0)
+    begun, state_steps = {}, {}
+    for i in todo:
+        state_steps[i] = 1e-3 * problem.span(i) / reach
+        begun[i] = np.repeat(initial[i][:, None], 1 + p + n0, axis=1)
+        begun[i][:, 1 + p :] += np.diag(state_steps[i])
+    every = [*nets, *[nets[0]] * n0]
+    for i, y in problem.simulate_all(every, todo, begun, like=nets[0]).items():
+        point = y[:, :, 0]
+        with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is seen by who asked
+            dp = (y[:, :, 1 : 1 + p] - point[:, :, None]) / steps
+            ds = (y[:, :, 1 + p :] - point[:, :, None]) / state_steps[i]
+        kept = point.copy(), dp, ds
+        problem.memory.put(name(i, moves), structure, kept)
+        out[i] = Tangent(*kept)
+    return {i: out[i] for i in initial}

@@ -1,0 +1,179 @@
+"""Typical forces of a rig, measured or computed by a fitted model: the scale for starting values and for small effects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...arrays import rms
+from ...errors import InputError
+from ...network import GROUND
+from ..simulation.problem import deviation_within
+from .motion import watching
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ...network import Network
+    from ..estimation.gauss_newton import Fit
+    from ..simulation.problem import Array, Problem
+
+
+@dataclass(frozen=True)
+class PlaceForces:
+    """Typical forces of a rig, in N, or N m where nodes turn.
+
+    A force that the records hold is the scale of the whole rig. Without one, the forces that the model computes at a node are
+    the scale there: those of its elements and the inertia force of its mass.
+    """
+
+    #: Largest root mean square of a force at each node, as the model computes it.
+    by_node: Mapping[str, float]
+    #: Ground and nodes whose motion is an input.
+    prescribed: frozenset[str]
+    #: Force that the records hold: a load cell, a known input, an acceleration times the largest mass; 0 where they hold none.
+    measured: float = 0.0
+
+    def at(self, where: Sequence[str]) -> float:
+        """Return the typical force of a place.
+
+        A force between two nodes acts on both, so the smaller of the two nodes' forces is the scale. A node with prescribed
+        motion has no force balance and counts only where both nodes are prescribed.
+
+        Args:
+            where: the two nodes of the place, or the name of a motor or of a channel.
+
+        Returns:
+            Force [N], or torque [N m] where the nodes turn; the largest of all nodes where the place has none.
+        """
+        if self.measured > 0:
+            return self.measured
+        free = [n for n in where if n in self.by_node and n not in self.prescribed]
+        known = free or [n for n in where if n in self.by_node and n != GROUND]
+        forces = [self.by_node[n] for n in known if self.by_node[n] > 0]
+        return min(forces, default=self.largest)
+
+    @property
+    def largest(self) -> float:
+        """Largest typical force of all nodes [N]; 1 N where nothing moves."""
+        return max((f for f in self.by_node.values() if math.isfinite(f)), default=0.0) or 1.0
+
+
+def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> PlaceForces:
+    """Return the typical forces of a rig.
+
+    A simulation that has lost the measured motion is too small or too large; its forces are scaled up by the ratio of the
+    measured to the simulated output deviations.
+
+    Args:
+        problem: records and channels; the records to fit by are simulated.
+        fit: fitted structure with its initial states.
+        without: element whose own force does not count.
+
+    Returns:
+        Typical forces.
+    """
+    net = fit.network
+    driven = {str(c.at) for c in net.moving}
+    prescribed = frozenset({GROUND, *driven})
+    if measured := _measured_force(problem):
+        return PlaceForces({}, prescribed, measured)
+    elements = [e for e in net.elements if e.place == "between" and e.name != without]
+    masses = [m for m in net.masses if m not in driven]
+    probes = [net.probe(f"_{e.name}", "force", element=e.name) for e in elements]
+    probes += [net.probe(f"_{m}_a", "acceleration", at=m) for m in masses]
+    by_node: dict[str, float] = dict.fromkeys((*net.masses, *driven), 0.0)
+    scale = _lost_motion(problem, fit)
+    for (nodes, factor), values in zip(
+        [*((e.where, 1.0) for e in elements), *(((m,), net.masses[m]) for m in masses)],
+        _simulated(problem, fit, watching(net, tuple(probes))),
+        strict=True,
+    ):
+        for node in nodes:
+            by_node[node] = max(by_node.get(node, 0.0), scale * factor * rms(values))
+    by_node.pop(GROUND, None)
+    if not any(by_node.values()):
+        by_node = _inertia_of_data(problem)
+    return PlaceForces(by_node, prescribed)
+
+
+def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str, Array]:
+    """Compute the forces of the elements between two nodes over all records to fit by.
+
+    Args:
+        problem: records and channels.
+        fit: fitted structure with its initial states.
+        where: the two nodes; the sign of each force is that of an element from the first to the second.
+
+    Returns:
+        Force [N] (samples,), or torque [N m], by element.
+
+    Raises:
+        InputError: the simulation breaks down.
+    """
+    net, pair = fit.network, set(where)
+    here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
+    together = _simulate(
+        problem, fit, watching(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
+    )
+    return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
+
+
+def _measured_force(problem: Problem) -> float:
+    """Largest deviation of a force that the records hold [N]; 0 where they hold none."""
+    net, spread = problem.network, problem.deviation() / problem.factors
+    mass = max(net.masses.values(), default=0.0)
+    found = 0.0
+    for j, c in enumerate(net.outputs):
+        deviation = float(spread[j])
+        if c.quantity == "force":
+            found = max(found, deviation if c.at is not None else 0.5 * deviation)
+        elif c.quantity == "acceleration":
+            found = max(found, deviation * mass)
+    for c in net.inputs:
+        if c.quantity in ("force", "current"):
+            pushed = np.concatenate([problem.records[i].inputs[c.name] for i in problem.estimation])
+            motor = net.element(c.elements[0]).law_parameters() if c.quantity == "current" else (1.0,)
+            found = max(found, float(np.prod(motor)) * float(np.std(pushed)))
+    return found
+
+
+def _simulate(problem: Problem, fit: Fit, watched: Network) -> Array:
+    """Simulate a fit with other outputs over all records to fit by: (samples, outputs)."""
+    initial = {i: fit.initial[i][:, None] for i in problem.estimation}
+    seen = problem.watching(watched).simulate_all([watched], problem.estimation, initial, like=fit.network)
+    return np.concatenate([seen[i][:, :, 0] for i in problem.estimation])
+
+
+def _simulated(problem: Problem, fit: Fit, watched: Network) -> list[Array]:
+    """Outputs of `watched`, one array over all records to fit by per output; zero where the simulation breaks down."""
+    if not watched.outputs:
+        return []
+    try:
+        together = _simulate(problem, fit, watched)
+    except (InputError, np.linalg.LinAlgError):
+        return [np.zeros(1) for _ in watched.outputs]
+    return list(np.where(np.isfinite(together), together, 0.0).T)
+
+
+def _lost_motion(problem: Problem, fit: Fit) -> float:
+    """Ratio of measured to simulated output deviation, pooled over the channels, and no less than 1."""
+    spread, names = problem.deviation(), [problem.records[i].name for i in problem.estimation]
+    simulated = deviation_within([fit.outputs[i] for i in problem.estimation], names)
+    known = (spread > 1e-300) & np.isfinite(simulated)
+    pooled = rms(simulated[known] / spread[known]) if known.any() else 0.0
+    return max(1.0, 1.0 / pooled) if pooled > 0 else 1.0
+
+
+def _inertia_of_data(problem: Problem) -> dict[str, float]:
+    """Inertia force by mass that the measured motion suggests, for a model that stands still."""
+    acceleration, time = 0.0, problem.time
+    rate = {"acceleration": 1.0, "velocity": 1.0 / time, "displacement": 1.0 / time**2}
+    for j, c in enumerate(problem.network.outputs):
+        if c.quantity in rate:
+            deviation = float(problem.deviation()[j]) / problem.factors[j]
+            acceleration = max(acceleration, deviation * rate[c.quantity])
+    return {m: mass * acceleration for m, mass in problem.network.masses.items()}

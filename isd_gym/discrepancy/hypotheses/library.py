@@ -1,0 +1,70 @@
+"""What could be missing, and where: every effect of the registry at every place where it makes physical sense."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from ... import elements as el
+from ...network import GROUND, Network
+from ...network.frames import frames, order_told
+from ..estimation.structure import Hypothesis
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["Hypothesis", "hypotheses", "pairs"]
+
+
+def pairs(network: Network) -> list[tuple[str, str]]:
+    """Pairs of nodes that can carry a force: those joined already, and every mass with every other and with the ground.
+
+    A pair of which the inputs tell neither distance nor rate (`frames.order_told`) is none of them.
+    """
+    riding = frames(network)
+    out: dict[frozenset[str], tuple[str, str]] = {}
+    for e in network.elements:
+        if e.place == "between" and not e.series and order_told(network, e.between) < 2:
+            out.setdefault(frozenset(e.where), e.between)
+    seen = {
+        m: network.tied[m] if m in riding else -1
+        for m in network.masses
+        if m not in network.moved_nodes or not riding
+    }
+    for pair in combinations(seen, 2):
+        if seen[pair[0]] == seen[pair[1]] and (pair[0] in network.rotating) == (pair[1] in network.rotating):
+            out.setdefault(frozenset(pair), pair)
+    for m in network.masses:
+        if order_told(network, (m, GROUND)) < 2 and (m not in network.moved_nodes or not riding):
+            out.setdefault(frozenset((m, GROUND)), (m, GROUND))
+    return list(out.values())
+
+
+def places(network: Network, kind: type[el.Element]) -> list[tuple[str, ...]]:
+    """Where an element of that kind could be: pairs of nodes, motors, or channels."""
+    if kind.place == "element":
+        return [(e.name,) for e in network.elements if isinstance(e, el.Motor)]
+    if kind.place == "channel":
+        return [(c.name,) for c in network.outputs]
+    # a law of travel needs the distance; what is put in series with others has a travel of its own
+    travel = kind.plane == "elongation" and not kind.series
+    return [p for p in pairs(network) if not (travel and order_told(network, p))]
+
+
+def hypotheses(network: Network) -> Iterator[Hypothesis]:
+    """Every registered effect at every place where it is not a mere change of a parameter that is there already."""
+    el.discover()
+    for kind in el.TYPES.values():
+        for where in places(network, kind):
+            for behind in carried(network, kind, where):
+                bare = Hypothesis(kind.type, where, (), behind)
+                if bare.stands(network):
+                    for options in kind.variants(network, where):
+                        yield replace(bare, options=tuple(options.items()))
+
+
+def carried(network: Network, kind: type[el.Element], where: tuple[str, ...]) -> list[str]:
+    """What an element could be put in series with: all that stands there (""), and each of several side by side alone."""
+    here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
+    return ["", *here] if len(here) > 1 else [""]

@@ -1,0 +1,168 @@
+"""The score test: which effects would take something off the residual that the model's own parameters cannot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...elements import PERIODS
+from ...errors import InputError
+from ...network import assemble
+from ..estimation.sensitivities import tangents
+from ..estimation.structure import Hypothesis, Structure, add
+from ..simulation.problem import Array, Problem, bare
+from .forces import place_forces
+from .motion import motions, setting, together
+from .position_spectrum import spectral_pitches
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ...elements import Start
+    from ..estimation.gauss_newton import Fit, Fitter
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A start of a hypothesis: values at the amplitude that the score test gives, and the sum of squares it expects off."""
+
+    hypothesis: Hypothesis
+    start: Start
+    values: dict[str, float]
+    gain: float
+
+
+def advanced(fit: Fit) -> Structure:
+    """The structure with the effects found so far at their fitted values, the base at its prior."""
+    free = fit.structure.free
+    found = {f.path: f.back(float(v)) for f, v in zip(free, fit.x, strict=True) if f.owner >= 0}
+    if not found:
+        return fit.structure
+    return replace(fit.structure, network=fit.structure.network.with_parameters(found))
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What a fit leaves, whitened, with what its parameters, initial states and offsets can make of it taken out.
+
+    `left` (rows,); `basis` (rows, directions); `spans`: record -> (first row, last row, outputs of the fit).
+    """
+
+    left: Array
+    basis: Array
+    spans: dict[int, tuple[int, int, Array]]
+
+    def without(self, columns: Array) -> Array:
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns), dtype=np.float64)
+
+
+def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
+    structure, own = fit.structure, len(fit.x)
+    p = own + int(problem.shared_offset.sum())  # parameters, and offsets that all records share
+    parts, columns = [], p
+    begun = {i: fit.initial[i] for i in problem.estimation}
+    for i, t in tangents(problem, structure, fit.x, begun).items():
+        r = (problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i]))[:, :, None]
+        free = problem.nuisances(i, t.outputs)
+        common = problem.common(t.outputs)
+        W = fitter.weights(np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2))
+        parts.append((i, t.outputs, W.reshape(-1, W.shape[2])))
+        columns += W.shape[2] - 1 - p
+    rows = sum(len(w) for _, _, w in parts)
+    J, r = np.zeros((rows + own, columns)), np.zeros(rows + own)
+    at, col, spans = 0, p, {}
+    for i, y, W in parts:
+        n, extra = len(W), W.shape[1] - 1 - p
+        r[at : at + n] = W[:, 0]
+        J[at : at + n, :p] = W[:, 1 : 1 + p]
+        J[at : at + n, col : col + extra] = W[:, 1 + p :]
+        spans[i] = (at, at + n, y)
+        at, col = at + n, col + extra
+    sigma = np.array([f.sigma for f in structure.free])
+    mean = np.array([f.mean for f in structure.free])
+    J[rows + np.arange(own), np.arange(own)] = 1 / sigma  # the stated uncertainty
+    r[rows:] = (mean - fit.x) / sigma
+    norm = np.linalg.norm(J, axis=0)
+    Q, R = np.linalg.qr(J / np.where(norm > 0, norm, 1))
+    Q = Q[:, np.abs(np.diag(R)) > 1e-7]
+    return Residual(r - Q @ (Q.T @ r), Q, spans)
+
+
+def screen(
+    problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypothesis], lost: bool = False
+) -> list[Screened]:
+    """Every candidate at every start with the gain that the score test expects of it, best first.
+
+    `lost`: the simulation has lost its phase, so that small effects say nothing about large ones, and nobody is left out.
+    """
+    residual = residual_of(problem, fitter, fit)
+    jobs = trials(problem, fit, candidates)
+    responses = _responses(problem, fitter, fit, residual, [built for _, _, built in jobs])
+    found = []
+    for (h, start, _), s in zip(jobs, responses, strict=True):
+        seen = _scored(h, start, s, residual, lost)
+        if seen is not None:
+            found.append(seen)
+    found.sort(key=lambda c: -c.gain)
+    return found
+
+
+def trials(
+    problem: Problem, fit: Fit, candidates: Sequence[Hypothesis]
+) -> list[tuple[Hypothesis, Start, list[Structure]]]:
+    """Every start of every candidate, built into the fitted model in each of its ways."""
+    motion, forces = motions(problem, fit), place_forces(problem, fit)
+    fitted = replace(fit.structure, network=fit.network)
+    out = []
+    lines: dict[tuple[str, ...], tuple[float, ...]] = {}
+    for h in candidates:
+        pair = motion.get((h.where[0], h.where[1])) if len(h.where) == 2 else None
+        if pair is not None and h.kind.periodic and h.where not in lines:
+            lines[h.where] = spectral_pitches(problem, fit, (h.where[0], h.where[1]), pair, PERIODS)
+        at = setting(problem, fit.network, h, pair, forces.at(h.where), lines.get(h.where, ()))
+        for start in h.kind.starts(at):
+            try:
+                built = [add(fitted, h, way) for way in start.ways]
+                for b in built:
+                    assemble(bare(b.network))
+            except (InputError, np.linalg.LinAlgError):
+                continue
+            out.append((h, start, built))
+    return out
+
+
+def _responses(
+    problem: Problem, fitter: Fitter, fit: Fit, residual: Residual, built: Sequence[Sequence[Structure]]
+) -> list[Array]:
+    """What each trial changes in the whitened outputs (rows, ways)."""
+    out = [np.zeros((len(residual.left), len(ways))) for ways in built]
+    members = [(k, way) for k, ways in enumerate(built) for way in range(len(ways))]
+    networks = [built[k][way].network for k, way in members]
+    for chunk, i, y in together(problem, fit, networks):
+        first, last, point = residual.spans[i]
+        with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is left out
+            w = fitter.weights(y - point[:, :, None]).reshape(last - first, -1)
+        for lane, member in enumerate(chunk):
+            k, way = members[member]
+            out[k][first:last, way] = w[:, lane]
+    return out
+
+
+def _scored(h: Hypothesis, start: Start, s: Array, residual: Residual, lost: bool) -> Screened | None:
+    if not (np.abs(s) < 1e100).all():  # it breaks down, or its squares would overflow
+        return None
+    size = np.linalg.norm(s, axis=0)
+    if not np.all(size > 0):
+        return None
+    s = residual.without(s)
+    if np.any(np.linalg.norm(s, axis=0) < 1e-3 * size):
+        return None
+    amplitude = np.asarray(np.linalg.lstsq(s, residual.left, rcond=None)[0], dtype=np.float64)
+    wrong = not start.signed and bool(np.any(amplitude <= 0))
+    if wrong and not h.kind.series and not lost:
+        return None
+    # what is put in series changes the order of the equations: a small one says little about a large one
+    gain = 0.0 if wrong else float(residual.left @ (s @ amplitude))
+    return Screened(h, start, h.kind.sized(start, np.ones_like(amplitude) if wrong else amplitude), gain)

@@ -1,0 +1,471 @@
+"""The law that no list has: the missing force as a smooth function of elongation, of rate or of both, fitted with its band.
+
+The force at the knots of a table is a Gaussian process (Rasmussen and Williams, 2006, chapter 2) that vanishes at rest, written in
+the few directions that carry nearly all of its variance: numbers of unit variance which the simulation-error fit moves like any
+parameter, beside the owner's own. So what the sensors do not resolve stays at zero and is not made up, and the curvature of
+the fit gives the band.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ... import elements as el
+from ...elements.starts import generic_starts
+from ...errors import InputError
+from ...network import Network, assemble
+from ...network.frames import order_told
+from ..estimation.gauss_newton import Fit, Fitter, residuals
+from ..estimation.noise import Whitener, whitener
+from ..estimation.sensitivities import tangents
+from ..estimation.structure import Free, Structure
+from ..hypotheses.curve_matching import match_law
+from ..hypotheses.forces import PlaceForces, place_forces
+from ..hypotheses.library import hypotheses, pairs
+from ..hypotheses.motion import motions, setting
+from ..result import BestTable, Over, Tabulated
+from ..simulation.problem import Array, Problem, bare
+from ..verdict.criteria import table_gates
+from .candidate import BROKEN, Candidate, reckoned, settled, transferred, with_fit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from ..verdict.criteria import Criteria
+    from .held_out import Judge
+
+KNOTS = {"rate": 33, "elongation": 33, "both": 13}
+#: correlation lengths, as shares of half the motion's range, that are tried in turn
+LENGTHS = {"rate": (0.7, 0.35), "elongation": (0.7, 0.35), "both": (0.7,)}
+KEPT = 1e-4  # of the variance of the strongest direction
+MOST = {"rate": 12, "elongation": 12, "both": 24}  # directions
+FINALS = 3  # tables that are fitted to the end
+STRONG = 3.0  # times the typical force: one sigma of the force beforehand
+INSIDE = 0.995  # share of the motion that the knots span
+PLANES: tuple[Over, ...] = ("rate", "elongation")
+ENOUGH = 0.9  # share explained by one of them that makes a table over both needless
+BOTH = 2  # pairs at which one over both is fitted
+RICHER = 1.15  # by how much less a table over both, or a rougher one, must leave
+POINTS = 300  # of the motion at which laws are compared
+MARGINAL = 4000  # of the motion at which the arguments of a table are told apart
+
+
+@dataclass(frozen=True)
+class Table(Structure):
+    """A network with a `tabulated_force`; the last free numbers are the directions of its prior. `basis` (knots, directions) [N]."""
+
+    element: str = ""
+    over: Over = "rate"
+    shape: tuple[int, ...] = ()
+    basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def _own(self) -> int:
+        return len(self.free) - self.basis.shape[1]
+
+    def at(self, x: Array) -> Network:
+        own = self._own()
+        values = {f.path: f.back(float(v)) for f, v in zip(self.free[:own], x[:own], strict=True)}
+        network = self.network.with_parameters(values) if values else self.network
+        return network.with_table(self.element, self.forces(self.basis @ x[own:]))
+
+    def forces(self, values: Array) -> Any:
+        """Numbers at the knots as the element has them."""
+        return values.reshape(self.shape).tolist()
+
+    @property
+    def start(self) -> Array:
+        known = self.network.parameters
+        own = [f.forward(known[f.path]) for f in self.free[: self._own()]]
+        return np.array([*own, *np.zeros(self.basis.shape[1])])
+
+
+# ---------------------------------------------------------------------------------------------------- the prior
+
+
+def _axis(values: Array, count: int) -> Array:
+    """Knots over a motion, zero among them."""
+    low, high = (float(np.quantile(values, q)) for q in (1 - INSIDE, INSIDE))
+    reach = max(high, -low, 1e-12)
+    low, high = min(low, -0.05 * reach), max(high, 0.05 * reach)
+    below = max(1, round((count - 1) * -low / (high - low)))
+    return np.concatenate([np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, count - below)[1:]])
+
+
+def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -> Array:
+    """Principal directions (knots, directions) [N] of a smooth random force that is zero at rest."""
+    covariance: Any = np.ones((1, 1))
+    for x in axes:
+        scale = length * 0.5 * float(np.ptp(x))
+        covariance = np.kron(covariance, np.exp(-0.5 * ((x[:, None] - x[None, :]) / scale) ** 2))
+    at = int(np.ravel_multi_index([int(np.argmin(np.abs(x))) for x in axes], [len(x) for x in axes]))
+    covariance = covariance - np.outer(covariance[:, at], covariance[at]) / covariance[at, at]
+    values, vectors = np.linalg.eigh(covariance)
+    keep = np.argsort(values)[::-1][:most]
+    keep = keep[values[keep] > KEPT * values[keep[0]]]
+    return np.asarray(sigma * vectors[:, keep] * np.sqrt(values[keep]), dtype=np.float64)
+
+
+def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: float, sigma: float) -> Table:
+    """The owner's model as refitted (`fit`) with a table between two nodes, and the numbers that may move.
+
+    over: what the force is a function of. m: the motion of the pair. length: over
+    which the force changes, as a share of half the range. sigma [N]: how large it may be.
+    """
+    network, base = fit.network, fit.structure
+    knots = {"elongation": m.d, "rate": m.v}
+    axes = [_axis(knots[k], KNOTS[over]) for k in ("elongation", "rate") if over in (k, "both")]
+    basis = _directions(axes, length, sigma, MOST[over])
+    name = network.free_name("missing_force")
+    shape = tuple(len(x) for x in axes)
+    given = dict(
+        zip(
+            [k for k in ("elongation", "rate") if over in (k, "both")],
+            (tuple(x.tolist()) for x in axes),
+            strict=True,
+        )
+    )
+    element = el.TabulatedForce(name, pair, force=np.zeros(shape).tolist(), **given)  # type: ignore[call-arg]
+    outputs = []
+    for c in network.outputs:  # a force cell reads what was put beside its element, too
+        cell = c.elements and all(network.element(n).where == pair for n in c.elements)
+        outputs.append(replace(c, element=(*c.elements, name)) if cell else c)
+    new = [Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0) for k in range(basis.shape[1])]
+    built = replace(network, elements=(*network.elements, element), outputs=tuple(outputs))
+    assemble(bare(built))
+    free, offsets = (*base.free, *new), base.offsets
+    return Table(built, free, offsets=offsets, element=name, over=over, shape=shape, basis=basis)
+
+
+# ------------------------------------------------------------------------------------------------------ the fit
+
+
+def _started(base: Candidate, structure: Table) -> Array:
+    return np.concatenate([base.fit.x, np.zeros(structure.basis.shape[1])])
+
+
+def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) -> float:
+    """What the fit is expected to gain by a table, to first order."""
+    x = _started(base, structure)
+    p, q, shared = len(base.fit.x), len(x), int(problem.shared_offset.sum())
+    total = np.diag([*(1 / f.sigma**2 for f in structure.free), *np.zeros(shared)])
+    slope = np.zeros(q + shared)
+    begun = {i: base.fit.initial[i] for i in problem.estimation}
+    for i, t in tangents(problem, structure, x, begun).items():
+        left = problem.records[i].measured - base.fit.outputs[i]
+        free = problem.nuisances(i, t.outputs)
+        common = problem.common(t.outputs)
+        stack = np.concatenate([left[:, :, None], t.by_parameter, common, t.by_state, free], axis=2)
+        W = fitter.weights(stack).reshape(-1, stack.shape[2])
+        r, J, nuisance = W[:, 0], W[:, 1 : 1 + q + shared], W[:, 1 + q + shared :]
+        total[np.arange(q, q + shared), np.arange(q, q + shared)] += 1e-9 * np.sum(J[:, q:] ** 2, axis=0)
+        if nuisance.shape[1]:
+            Q, _ = np.linalg.qr(nuisance)
+            r, J = r - Q @ (Q.T @ r), J - Q @ (Q.T @ J)
+        total, slope = total + J.T @ J, slope + J.T @ r
+    own = np.append(np.arange(p), np.arange(q, q + shared))
+    whole = float(slope @ np.linalg.solve(total, slope))
+    if not len(own):
+        return whole
+    return whole - float(slope[own] @ np.linalg.solve(total[np.ix_(own, own)], slope[own]))
+
+
+def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:
+    """Tables over rate and over elongation at every pair, the most promising first, on no more samples than the motion needs."""
+    motion = motions(problem, base.fit)
+    problem, base = problem.rough, _roughly(problem, base, floors)
+    fitter = Fitter(problem, whitener(residuals(problem, base.fit), reckoned(problem, base.fit, floors)))
+    ranked: list[tuple[float, Table]] = []
+    for pair in pairs(base.fit.network):
+        m = motion.get(pair)
+        if m is None or el.rms(m.d) <= 1e-9 or el.rms(m.v) <= 1e-9:
+            continue
+        for over in PLANES:
+            try:
+                built = table(base.fit, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
+                ranked.append((gain(problem, fitter, base, built), built))
+            except BROKEN:
+                continue
+    return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """The best table that was fitted. candidate, tabulated: the model with the table and its description, where it passes."""
+
+    best: BestTable | None = None
+    candidate: Candidate | None = None
+    tabulated: Tabulated | None = None
+
+
+def follow(judge: Judge, base: Candidate, criteria: Criteria) -> Followed:
+    """Fit tables of a force between two nodes and return the one that explains the held-out records best.
+
+    Args:
+        judge: of the records.
+        base: the owner's model refitted.
+        criteria: the limits that a table has to pass.
+    """
+    problem, floors = judge.problem, judge.floors
+    forces = place_forces(problem, base.fit)
+    ranked = _ranked(problem, base, floors, forces)
+    first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
+    finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
+    tried = [c for s in finals if (c := _settled(problem, base, s, floors)) is not None]
+    weighed = _weighed(judge, base, tried)
+    if (
+        weighed is not None and weighed.share(judge, base)[0] < ENOUGH
+    ):  # a force of both, where one alone is not enough
+        motion = motions(problem, base.fit)
+        for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
+            if order_told(base.fit.network, pair):  # of travel, too, which the inputs do not tell
+                continue
+            built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
+            c = _settled(problem, base, built, floors)
+            tried += [c] if c is not None else []
+        weighed = _weighed(judge, base, tried)
+    if weighed is None:
+        return Followed()
+    weighed = _rougher(judge, base, weighed, forces)
+    explained, moved, again = weighed.share(judge, base)
+    structure = weighed.best.fit.structure
+    assert isinstance(structure, Table)
+    pair = structure.network.element(structure.element).between
+    best = BestTable(pair, structure.over, explained, table_gates(explained, moved, again, criteria))
+    if not best.accepted:
+        return Followed(best)
+    try:
+        return Followed(best, weighed.best, _told(problem, floors, weighed.best, explained))
+    except BROKEN:
+        return Followed(best)
+
+
+def in_its_place(
+    judge: Judge, base: Candidate, named: el.Element, over: Over | None = None
+) -> Candidate | None:
+    """The owner's model with a table where a named effect stands, over the same plane; None where there is none to fit.
+
+    judge: of the records. base: the owner's model refitted. named: the effect, between two nodes. over: another plane.
+    """
+    if named.place != "between" or named.series or named.plane not in PLANES:
+        return None
+    problem, pair = judge.problem, named.between
+    motion = motions(problem, base.fit).get(pair)
+    if motion is None:
+        return None
+    over, sigma = over or named.plane, STRONG * place_forces(problem, base.fit).at(pair)
+    try:
+        return _settled(
+            problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), judge.floors
+        )
+    except BROKEN:
+        return None
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """The best table so far, and the filters behind which all are compared."""
+
+    best: Candidate
+    filters: Whitener
+
+    def share(self, judge: Judge, base: Candidate) -> tuple[float, float, float]:
+        """(share of the held-out excess that it removes, the most that it moves a channel, standard errors of the gain)."""
+        after = judge.outcome(self.best, self.filters, (judge.own(base),))
+        refit = judge.outcome(base, self.filters, (after,))
+        quiet, floor = judge.quiet(after, self.filters), judge.floor(after)
+        weights = 1.0 / np.maximum(floor, 1e-3) ** 2
+        plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
+        plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - floor**2, 0.0) * weights)), 1e-12)
+        whitened = (refit.score - after.score) / max(refit.score - quiet, 1e-12)
+        moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
+        return min(max(whitened, plain), 1.0), moved, after.versus(refit).errors
+
+
+def _roughly(problem: Problem, base: Candidate, floors: Array) -> Candidate:
+    if problem.rough is problem:
+        return base
+    return with_fit(base, transferred(problem.rough, base.fit, floors), base.likelihood)
+
+
+def _settled(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:
+    """The owner's model with a table, fitted: there by few samples, and to its end by all."""
+    try:
+        rough, x = _roughly(problem, base, floors), _started(base, structure)
+        found = settled(problem.rough, structure, x, floors, rough.fit, rounds=2, iterations=6)
+        if problem.rough is problem:
+            return found
+        f, least = transferred(problem, found.fit, floors), reckoned(problem, base.fit, floors)
+        return settled(problem, structure, f.x, floors, f, rounds=2, iterations=2, least=least)
+    except BROKEN:
+        return None
+
+
+def _weighed(judge: Judge, base: Candidate, tried: Sequence[Candidate]) -> Weighed | None:
+    """The one that leaves least of the held-out records, one over both only where it leaves clearly less."""
+    if not tried:
+        return None
+    filters = judge.weights(min(tried, key=lambda c: c.likelihood))
+    scored = []
+    for c in tried:
+        try:
+            score = judge.outcome(c, filters, (judge.own(base),)).score
+        except BROKEN:
+            continue
+        richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
+        scored.append((score * richer, c))
+    return Weighed(min(scored, key=lambda t: t[0])[1], filters) if scored else None
+
+
+def _rougher(judge: Judge, base: Candidate, weighed: Weighed, forces: PlaceForces) -> Weighed:
+    """The same table with a shorter length, where that leaves clearly less."""
+    old = weighed.best.fit.structure
+    assert isinstance(old, Table)
+    pair = old.network.element(old.element).between
+    m = motions(judge.problem, weighed.best.fit, (pair,))[pair]
+    for length in LENGTHS[old.over][1:]:
+        try:
+            c = _settled(
+                judge.problem,
+                base,
+                table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair)),
+                judge.floors,
+            )
+            if c is None:
+                continue
+            then = judge.outcome(c, weighed.filters, (judge.own(base),)).score
+        except BROKEN:
+            continue
+        if RICHER * then < judge.outcome(weighed.best, weighed.filters, (judge.own(base),)).score:
+            weighed = Weighed(c, weighed.filters)
+    return weighed
+
+
+# ------------------------------------------------------------------------------------------------- what is told
+
+
+def _told(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
+    structure = best.fit.structure
+    assert isinstance(structure, Table)
+    W = whitener(residuals(problem, best.fit), reckoned(problem, best.fit, floors))
+    f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
+    sigma = np.array([q.sigma for q in structure.free])
+    assert f.hessian is not None
+    own = len(sigma) - structure.basis.shape[1]
+    covariance = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))[own:, own:]
+    force = structure.basis @ best.fit.x[own:]
+    spread = 1.96 * np.sqrt(
+        np.maximum(np.einsum("ij,jk,ik->i", structure.basis, covariance, structure.basis), 0.0)
+    )
+    e = best.fit.network.element(structure.element)
+    assert isinstance(e, el.TabulatedForce)
+    shape = structure.shape
+    return Tabulated(
+        e.between,
+        structure.over,
+        e.name,
+        explained,
+        e.elongation,
+        e.rate,
+        force.reshape(shape),
+        (force - spread).reshape(shape),
+        (force + spread).reshape(shape),
+        tuple(nearest(problem, best, e)),
+        _shares(problem, best, e) if structure.over == "both" else (),
+    )
+
+
+def _shares(problem: Problem, best: Candidate, e: el.TabulatedForce) -> tuple[tuple[str, float], ...]:
+    """Shares of the square of a table's force, over the measured motion, that functions of one argument alone give."""
+    m = motions(problem, best.fit, (e.between,))[e.between]
+    thin = slice(None, None, max(1, len(m.d) // MARGINAL))
+    d, v = m.d[thin], m.v[thin]
+    force = e.at(d, v)
+    size = max(float(np.mean(force**2)), 1e-300)
+    out = []
+    for name, x, knots in (("elongation", d, e.elongation), ("rate", v, e.rate)):
+        cell = np.digitize(x, knots)
+        count = np.maximum(np.bincount(cell), 1)
+        mean = (np.bincount(cell, force) / count)[cell]
+        out.append((name, max(0.0, 1.0 - float(np.mean((force - mean) ** 2)) / size)))
+    return tuple(out)
+
+
+def nearest(problem: Problem, best: Candidate, e: el.TabulatedForce) -> list[tuple[str, float]]:
+    """Known laws at the same place, each fitted to the table over the measured motion, with the share of it that they give."""
+    m = motions(problem, best.fit, (e.between,))[e.between]
+    pick = np.linspace(0, len(m.d) - 1, POINTS).astype(int)
+    seen = el.Motion(m.d[pick], m.v[pick], m.a[pick])
+    target = e.at(seen.d, seen.v)
+    size = el.rms(target)
+    out: dict[str, float] = {}
+    base = problem.network
+    for h in hypotheses(base):
+        if (
+            h.place != "between"
+            or h.kind.series
+            or set(h.where) != set(e.between)
+            or h.kind.plane == "time"
+            or h.kind.periodic
+        ):
+            continue
+        at = setting(problem, base, h, seen, size)
+        try:
+            begun = h.kind.starts(at)[:4]
+        except (InputError, StopIteration):
+            begun = generic_starts(h.kind, at)[:4]
+        match = match_law(h.kind, (s.values for s in begun), _misfit(h.kind, at, target, size), mirrored=True)
+        if match is not None:
+            share = 1.0 - float(np.mean(match.residual**2))
+            out[h.effect] = max(out.get(h.effect, 0.0), share)
+    ranked = sorted(out.items(), key=lambda t: -t[1])
+    return [(name, share) for name, share in ranked if share > 0.05][:3]
+
+
+def _misfit(
+    kind: type[el.Element], at: el.Setting, target: Array, size: float
+) -> Callable[[dict[str, float]], Array]:
+    """Return the function from a law's values to its difference from a force.
+
+    Args:
+        kind: Class of the law.
+        at: Place, options and motion of the law.
+        target: The force [N] (samples,).
+        size: Root mean square of the force [N].
+
+    Returns:
+        Function to the relative difference (samples,), which is large for values that contradict the law's name.
+    """
+
+    def misfit(values: dict[str, float]) -> Array:
+        try:
+            e = kind(name="trial", where=at.where, **values, **at.options)
+        except InputError:
+            return np.full(len(target), 1e3)
+        if not e.well_formed():
+            return np.full(len(target), 1e3)
+        return np.asarray((force_over(e, at.moves) - target) / size, dtype=np.float64)
+
+    return misfit
+
+
+def force_over(e: el.Element, m: el.Motion) -> Array:
+    """Force [N] of an element over a motion, (n,)."""
+    out = np.zeros(len(m.d))
+    for part in e.parts() or (e,):
+        p = np.array(part.law_parameters())
+        if type(part).bound is not None:
+            out += np.array([part.bound(p, d, v) * np.sign(v) for d, v in zip(m.d, m.v, strict=True)])  # type: ignore[misc]
+        elif type(part).law is not None:
+            z, last = 0.0, m.d[0]
+            for k, (d, v) in enumerate(zip(m.d, m.v, strict=True)):
+                f, z = part.law(p, d, v, last, z, 1e-3)  # type: ignore[misc]
+                out[k] += f
+                last = d
+        else:
+            k_, c, b = part.linear()
+            out += k_ * m.d + c * m.v + b * m.a
+    return out

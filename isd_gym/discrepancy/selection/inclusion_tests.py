@@ -1,0 +1,219 @@
+"""Decisions about two candidates: which predicts better, whether an effect is needed, which candidates are rivals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..estimation.gauss_newton import gap
+from ..estimation.structure import in_line, twin
+from .candidate import Candidate, relative
+from .criteria import Criteria, is_material
+from .equivalent_laws import force_difference, is_sound
+from .held_out import HeldOutEvaluator, error_reduction
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..simulation.problem import Array
+    from .candidate_comparison import CandidateComparison
+
+
+@dataclass(frozen=True, eq=False)
+class InclusionTests:
+    """Tests of candidates on held-out records."""
+
+    evaluator: HeldOutEvaluator
+    criteria: Criteria
+
+    def unmodelled_envelope(self, candidate: Candidate) -> Array:
+        """Return the excess error of unmodelled effects (channels,), as a share of the deviation."""
+        c = self.criteria
+        return self.evaluator.unmodelled_envelope(candidate, c.small, c.material)
+
+    # -- two candidates -----------------------------------------------------------------------------------
+    def predicts_better(self, scores: CandidateComparison, first: Candidate, second: Candidate) -> bool:
+        """Return whether the first candidate predicts better than the second, beyond chance."""
+        return scores.score(first).compare_with(scores.score(second)).is_better(self.criteria)
+
+    def is_worth_more_parameters(
+        self, scores: CandidateComparison, first: Candidate, second: Candidate
+    ) -> bool:
+        """Return whether the first candidate is preferred to the second although it has more parameters.
+
+        Its prediction is better by one standard error, and by more than unmodelled effects make.
+        """
+        comparison = scores.score(first).compare_with(scores.score(second))
+        return comparison.is_preferred(self.criteria) and self.differs_materially(scores, first, second)
+
+    def differs_materially(self, scores: CandidateComparison, chosen: Candidate, other: Candidate) -> bool:
+        """Return whether two candidates differ by more than unmodelled effects make.
+
+        The forces of their laws differ by more than an unmodelled effect has. The error of a channel falls by more than the envelope of
+        unmodelled effects, or by half of its excess, on held-out or on training records.
+        """
+        c, now, then = self.criteria, scores.score(chosen), scores.score(other)
+        if self.law_difference(chosen, other) < c.small:
+            return False
+        change = np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0))
+        problem = self.evaluator.problem
+        on_training = 1.0 - gap(problem, chosen.fit) / gap(problem, other.fit)
+        removed = max(scores.explained_fraction(then, now), on_training)
+        return bool(np.any(change > self.unmodelled_envelope(other))) or removed >= c.half
+
+    def law_difference(self, chosen: Candidate, other: Candidate) -> float:
+        """Return the RMS difference of the forces of the law that differs, as a share of the force at the place.
+
+        Infinite where the candidates differ by more than one law, or a force is no curve over elongation or rate.
+        """
+        k = next((i for i, h in enumerate(chosen.hypotheses) if h not in other.hypotheses), None)
+        if k is None or len(chosen.hypotheses) != len(other.hypotheses):
+            return math.inf
+        size = self.evaluator.effect_sizes(chosen)[k]
+        return float(size * force_difference(self.evaluator.problem, chosen, other, k))
+
+    def simplest(self, scores: CandidateComparison, candidates: Sequence[Candidate]) -> Candidate:
+        """Return the candidate with fewest parameters that no candidate with more parameters is preferred to.
+
+        Args:
+            scores: Scores of the candidates.
+            candidates: Candidates with the same number of effects; the first is returned where no candidate is sound.
+        """
+        sound = [r for r in candidates if scores.can_score(r) and is_sound(self.evaluator.problem, r)]
+        if not sound:
+            return candidates[0]
+
+        def lead(r: Candidate, other: Candidate) -> float:
+            return scores.score(r).compare_with(scores.score(other)).elpd_diff
+
+        best = sound[0]
+        for r in sound[1:]:
+            best = r if lead(r, best) > 0 else best
+        plain = [
+            r
+            for r in sound
+            if len(r.fit.x) < len(best.fit.x) and not self.is_worth_more_parameters(scores, best, r)
+        ]
+        return min([best, *plain], key=lambda r: (len(r.fit.x), -lead(r, best)))
+
+    # -- one effect ---------------------------------------------------------------------------------------
+    def leaves_unmodelled_only(self, scores: CandidateComparison, candidate: Candidate) -> bool:
+        """Return whether the error that a candidate leaves is no more than several unmodelled effects make."""
+        left = scores.score(candidate).excess(scores.noise) ** 2
+        return bool(np.all(left < self.criteria.several * self.unmodelled_envelope(candidate) ** 2))
+
+    def removed(
+        self, scores: CandidateComparison, chosen: Candidate, without: Candidate
+    ) -> tuple[float, float, bool]:
+        """Return what an effect removes of the error without it.
+
+        Args:
+            scores: Scores of the candidates.
+            chosen: A candidate with the effect.
+            without: The candidate without the effect.
+
+        Returns:
+            Share of the excess error; excess error without the effect, mean over channels, as a share of the deviation; whether that
+            excess is larger in a channel than unmodelled effects make it.
+        """
+        now, then = scores.score(chosen), scores.score(without)
+        excess = then.excess(scores.noise)
+        is_beyond = bool(np.any(excess > self.unmodelled_envelope(without)))
+        return scores.explained_fraction(then, now), float(excess.mean()), is_beyond
+
+    def is_material(
+        self, scores: CandidateComparison, chosen: Candidate, without: Candidate, size: float
+    ) -> bool:
+        """Return whether an effect is large enough to be named.
+
+        Args:
+            scores: Scores of the candidates.
+            chosen: A candidate with the effect.
+            without: The candidate without the effect.
+            size: Share of the force, current or signal at the effect's place.
+        """
+        return is_material(*self.removed(scores, chosen, without), size, self.criteria)
+
+    def passes_inclusion(self, scores: CandidateComparison, before: Candidate, after: Candidate) -> bool:
+        """Return whether the last effect of a candidate is kept: it predicts better, is material, and removes half of the excess error.
+
+        Args:
+            scores: Scores of the candidates; a note about the test is appended.
+            before: The candidate without the last effect.
+            after: The candidate with it.
+        """
+        c = self.criteria
+        a, b = scores.score(before), scores.score(after)
+        share, moved = scores.explained_fraction(a, b), error_reduction(a, b)
+        size = self.evaluator.effect_sizes(after)[-1]
+        # held-out records that are driven harder than training records may show more of the unmodelled effects
+        removes = share >= c.half or (
+            self.leaves_unmodelled_only(scores, after)
+            and scores.explained_on_training(a, b, self.unmodelled_envelope(before)) >= c.adequate
+        )
+        scores.notes.append(
+            f"{after.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "
+            f"error (needed {c.half:.0%}), moves a channel by {moved:.1%} of its deviation (needed {c.material:.0%}), "
+            f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
+        )
+        return (
+            removes
+            and self.predicts_better(scores, after, before)
+            and moved >= c.material
+            and self.is_material(scores, after, before, size)
+        )
+
+    def passes_deletion(
+        self, scores: CandidateComparison, chosen: Candidate, without: Candidate, effect: int | None
+    ) -> bool:
+        """Return whether an effect of a candidate, or a parameter of a law, is needed.
+
+        Args:
+            scores: Scores of the candidates.
+            chosen: The candidate.
+            without: The candidate without the effect, or with a special case of its law.
+            effect: Index of the effect; None for a special case.
+        """
+        if effect is None:
+            return self.is_worth_more_parameters(scores, chosen, without)
+        c, now, then = self.criteria, scores.score(chosen), scores.score(without)
+        if not now.compare_with(then).is_preferred(c):
+            return False
+        large = self.is_material(scores, chosen, without, self.evaluator.effect_sizes(chosen)[effect])
+        return (
+            large and scores.explained_fraction(then, now) >= c.half and error_reduction(then, now) >= c.material
+        )
+
+    # -- rivals -------------------------------------------------------------------------------------------
+    def is_dominated(self, scores: CandidateComparison, rival: Candidate, best: Candidate) -> bool:
+        """Return whether a rival predicts worse, or has more parameters and predicts no better."""
+        if self.predicts_better(scores, best, rival):
+            return True
+        return len(rival.fit.x) > len(best.fit.x) and not self.is_worth_more_parameters(scores, rival, best)
+
+    def states_the_same(self, rival: Candidate, best: Candidate) -> bool:
+        """Return whether a rival states the same as the best candidate.
+
+        The last effects are the same law at the same place, or in series along the same force, or the rival contains the best law as a
+        special case.
+        """
+        a, b = rival.hypotheses[-1], best.hypotheses[-1]
+        if a.effect == b.effect:
+            network = self.evaluator.problem.network
+            links = (tuple(twin(n, network.nodes) for n in h.where) for h in (a, b))
+            return a.where == b.where or (a.kind.series and in_line(network, *links))
+        return relative(a, b)
+
+    def indistinguishable(self, scores: CandidateComparison) -> list[Candidate]:
+        """Return the sound rivals of another kind that the foremost candidate is not distinguished from."""
+        best = scores.foremost
+        return [
+            r
+            for r in scores.rivals()
+            if is_sound(self.evaluator.problem, r)
+            and not self.is_dominated(scores, r, best)
+            and not self.states_the_same(r, best)
+        ]

@@ -1,0 +1,59 @@
+"""Inputs between their samples, at every step of the physics."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ...arrays import Array, rms
+from ...simulate import upsample
+
+#: white noise of one unit in the first and second derivative of a spline through it, by the sample (RMS over frequencies)
+GAINS = 1.18, 6.0
+QUIET = 0.02  # share of a derivative that noise may have
+#: eighth differences of white noise of one unit, in which a motion hardly shows
+EIGHTH = math.sqrt(math.comb(16, 8))
+
+
+def through(values: Array, every: int, *, by: int = 0) -> Array:
+    """A record at `every` times its rate, by a cubic spline through its samples, or its `by`-th derivative by the sample."""
+    n = len(values)
+    return np.asarray(
+        CubicSpline(np.arange(n), values)(np.arange(every * (n - 1) + 1) / every, by), dtype=np.float64
+    )
+
+
+def finer(values: Array, every: int, *, held: bool, sparse: bool) -> Array:
+    """A record (n,) at `every` times its rate: held, or along lines; through a spline where samples are `sparse`."""
+    return through(values, every) if sparse and not held else upsample(values, every, hold=held)
+
+
+def differences(values: Array, step: float) -> tuple[Array, Array]:
+    """Both derivatives by time at the samples of a record, from neighbours: noise as quick as they come hardly shows. step [s]: between them."""
+    v = np.gradient(values, step, edge_order=2)
+    return v, np.gradient(v, step, edge_order=2)
+
+
+def bent(
+    values: Array, slopes: tuple[Array, Array] | None, step: float, every: int, *, sparse: bool
+) -> tuple[Array, ...]:
+    """An input at `every` times its rate, and its two derivatives by time, where something acts through them.
+
+    Along lines every sample would be a knock: derivatives are those of the spline through the samples; where noise would rule
+    those, differences at the samples, which hardly see what is as quick as they are. slopes: the derivatives at the
+    samples, where they are known; step [s]: of those.
+    """
+    if slopes is None:
+        slopes = differences(values, step)
+        noise = rms(np.diff(values, 8)) / EIGHTH if len(values) > 8 else 0.0
+        splined = [GAINS[k] * noise / step ** (k + 1) < QUIET * rms(slopes[k]) for k in (0, 1)]
+    else:
+        splined = [False, False]
+    x = finer(values, every, held=False, sparse=sparse or splined[0])
+    derived = [
+        through(values, every, by=k + 1) / step ** (k + 1) if splined[k] else upsample(slopes[k], every)
+        for k in (0, 1)
+    ]
+    return x, *derived

@@ -1,0 +1,143 @@
+"""Findings: what is certain about a missing effect, by level: the place, the kind, the law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..result import Quantity
+from ..selection.candidate import values_of
+from ..selection.weights import probability
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..selection.forward_backward import Search
+    from ..selection.weights import Statement, WeightedCandidate
+    from .criteria import Criteria
+    from .evidence import Evidence
+
+#: smallest probability of a kind at a place that is reported
+LEAST = 0.05
+
+
+@dataclass(frozen=True)
+class LawProbability:
+    """A law of a finding with its probability and the values of the likeliest candidate that contains the law."""
+
+    effect: str
+    probability: float
+    parameters: Mapping[str, Quantity]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON file."""
+        return {
+            "effect": self.effect,
+            "probability": self.probability,
+            "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
+        }
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A place, the kind of effect there, and the laws of that kind, each with its probability."""
+
+    #: terminals, or the channel
+    place: tuple[str, ...]
+    place_probability: float
+    kind: str
+    kind_probability: float
+    #: largest probability first
+    laws: tuple[LawProbability, ...]
+    #: whether a law of the finding is among the named effects
+    named: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON file."""
+        return {
+            "place": list(self.place),
+            "place_probability": self.place_probability,
+            "kind": self.kind,
+            "kind_probability": self.kind_probability,
+            "laws": [law.to_dict() for law in self.laws],
+            "named": self.named,
+        }
+
+
+def find(
+    search: Search,
+    candidates: Sequence[WeightedCandidate],
+    evidence: Evidence,
+    quantities: Mapping[str, Quantity],
+    named: frozenset[tuple[tuple[str, ...], str]],
+) -> tuple[Finding, ...]:
+    """Sum the weights of candidates to probabilities of places, kinds and laws.
+
+    Args:
+        search: The search.
+        candidates: Candidates with weights.
+        evidence: Evidence of the foremost candidate, which tells how reliable statements are.
+        quantities: Parameters of the foremost candidate with intervals, by path.
+        named: Place and effect of the named effects.
+
+    Returns:
+        Findings, largest probability of the kind first.
+    """
+    c = search.criteria
+    every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
+    for w in candidates:
+        for s in sorted(w.statements, key=lambda s: (s.place, s.kind, s.law)):
+            every.setdefault((s.place, s.kind), {})[s.law] = s
+    found = []
+    for (place, kind), laws in every.items():
+        at_place = probability(candidates, place=place)
+        of_kind = probability(candidates, place=place, kind=kind)
+        if of_kind < LEAST:
+            continue
+        entries = [
+            LawProbability(
+                law,
+                _reliable(probability(candidates, place=place, law=law), "law", evidence, c),
+                _values(candidates, statement, quantities),
+            )
+            for law, statement in laws.items()
+        ]
+        found.append(
+            Finding(
+                place,
+                _reliable(at_place, "place", evidence, c),
+                kind,
+                _reliable(of_kind, "kind", evidence, c),
+                tuple(sorted(entries, key=lambda e: (-e.probability, e.effect))),
+                any((place, law) in named for law in laws),
+            )
+        )
+    return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))
+
+
+def _reliable(weight: float, level: str, e: Evidence, c: Criteria) -> float:
+    """Return the stated probability of a statement: its weight times the share of such statements that are right."""
+    return weight * (1.0 - c.share_mistaken(level, e.explained))
+
+
+def _values(
+    candidates: Sequence[WeightedCandidate], statement: Statement, quantities: Mapping[str, Quantity]
+) -> dict[str, Quantity]:
+    """Return the values of a law in the likeliest candidate with the statement; without an interval if it is not the foremost."""
+    for w in candidates:
+        if statement not in w.statements:
+            continue
+        structure = w.candidate.fit.structure
+        for h, name, element in zip(structure.hypotheses, structure.names, w.candidate.elements, strict=True):
+            if h.effect != statement.law:
+                continue
+            network, out = w.candidate.fit.network, {}
+            for key, value in values_of(element).items():
+                path = f"{name}.{key}"
+                known = quantities.get(path)
+                if known is not None and known.value == value:
+                    out[key] = known
+                else:
+                    out[key] = Quantity(value, float("nan"), float("nan"), network.unit_of(path))
+            return out
+    return {}
