@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import grading
 from grading import Row
 
+from isd_gym.discrepancy.selection.criteria import Criteria
 from isd_gym.discrepancy.verdict import criteria as rules
-from isd_gym.discrepancy.verdict.criteria import Criteria
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 
 if TYPE_CHECKING:

@@ -10,19 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from isd_gym.discrepancy.selection.criteria import CRITERIA, Criteria, table
 from isd_gym.discrepancy.selection.equivalent_laws import repeats
-from isd_gym.discrepancy.verdict.criteria import (
-    COMPARE,
-    CRITERIA,
-    Criteria,
-    Gate,
-    confidence,
-    decide,
-    gates_of,
-    table,
-    table_gates,
-)
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
+from isd_gym.discrepancy.verdict.gates import COMPARE, Gate, confidence, decide, gates_of, table_gates
 from isd_gym.elements import TYPES, Motion
 
 FRICTION = EffectEvidence(

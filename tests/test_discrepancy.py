@@ -17,7 +17,13 @@ from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import Diagnosis, SearchSettings, diagnose
-from isd_gym.discrepancy.estimation.noise import Noise, autoregression, noise_of, passed, whitener
+from isd_gym.discrepancy.estimation.noise import (
+    Noise,
+    autoregression,
+    noise_after_filters,
+    noise_of,
+    whitener,
+)
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
@@ -91,8 +97,8 @@ def test_a_force_that_is_large_only_while_a_decay_begins_keeps_its_name() -> Non
 
 def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins() -> None:
     from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-    from isd_gym.discrepancy.estimation.multiple_shooting import begun, remembers
-    from isd_gym.discrepancy.estimation.noise import plain
+    from isd_gym.discrepancy.estimation.multiple_shooting import fit_segments, is_lightly_damped
+    from isd_gym.discrepancy.estimation.noise import white_filters
     from isd_gym.discrepancy.estimation.structure import base_structure
     from isd_gym.discrepancy.simulation.problem import Problem, Record
 
@@ -116,15 +122,15 @@ def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins() -
     )
     owner = resonator(1.12)
     problem = Problem(owner, [record], ["fit"])
-    structure, fitter = base_structure(owner), Fitter(problem, plain(0.01 * record.measured.std(axis=0)))
+    structure, fitter = base_structure(owner), Fitter(problem, white_filters(0.01 * record.measured.std(axis=0)))
     lost = fitter.fit(structure, iterations=20)
-    there = begun(problem, structure, structure.start, fitter)
-    assert there is not None and remembers(owner)
+    there = fit_segments(problem, structure, structure.start, fitter)
+    assert there is not None and is_lightly_damped(owner)
     found = fitter.fit(structure, there, iterations=20)
     assert found.cost < 1e-3 * lost.cost
     assert found.network.parameters["k.stiffness"] == pytest.approx(1.0, rel=1e-4)
     assert abs(lost.network.parameters["k.stiffness"] - 1.0) > 0.01
-    assert not remembers(Network.load("quarter-car-isd"))
+    assert not is_lightly_damped(Network.load("quarter-car-isd"))
 
 
 def test_records_driven_harder_than_those_fitted_to_do_not_hide_what_was_found() -> None:
@@ -228,12 +234,12 @@ def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
     rng = np.random.default_rng(2)
     x = rng.standard_normal((50000, 1))
     W = whitener([x], np.array([1e-3]))
-    assert passed(W, [Noise(1.0, 0.0, 0.0)])[0] == pytest.approx(float(np.mean(W(x) ** 2)), rel=0.03)
+    assert noise_after_filters(W, [Noise(1.0, 0.0, 0.0)])[0] == pytest.approx(float(np.mean(W(x) ** 2)), rel=0.03)
 
 
 def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
     from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-    from isd_gym.discrepancy.estimation.initial_states import along
+    from isd_gym.discrepancy.estimation.initial_states import states_along
     from isd_gym.discrepancy.estimation.noise import Whitener
     from isd_gym.discrepancy.estimation.structure import base_structure
     from isd_gym.discrepancy.simulation.problem import Problem, Record
@@ -253,7 +259,7 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
     fitter = Fitter(problem, Whitener(tuple(np.ones(1) for _ in net.outputs)))
     rest = np.zeros(7)
     whole = fitter.simulate_point(structure, structure.start, 0, rest)
-    (state,) = along(problem, structure, structure.start, {0: rest}, [1000])[0]
+    (state,) = states_along(problem, structure, structure.start, {0: rest}, [1000])[0]
     piece = fitter.simulate_point(structure, structure.start, 1, state)
     error = np.sqrt(np.mean((piece - whole[1000:2000]) ** 2, axis=0)) / whole.std(axis=0)
     assert error.max() < 0.01
@@ -308,9 +314,9 @@ def test_a_stribeck_curve_takes_the_place_of_the_friction_found_before() -> None
 
     rig = Network.load("force-rig-eq6").without_element("seal")
     where = (rig.moved_nodes[0], "ground")
-    plain = add(base_structure(rig), Hypothesis("coulomb_friction", where), {"level": 300.0})
+    white_filters = add(base_structure(rig), Hypothesis("coulomb_friction", where), {"level": 300.0})
     curve = {"level": 300.0, "static_level": 500.0, "stribeck_velocity": 0.1}
-    both = add(plain, Hypothesis("stribeck_friction", where), curve)
+    both = add(white_filters, Hypothesis("stribeck_friction", where), curve)
     assert [h.effect for h in both.hypotheses] == ["stribeck_friction"]
     assert [both.network.element(name).type for name in both.names] == ["stribeck_friction"]
 
@@ -327,12 +333,12 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends() -> None:
     # friction gives the piston many rests: from a guess the first stretch held out ended in another (0.063 of the deviation)
     from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-    from isd_gym.discrepancy.estimation.noise import plain
+    from isd_gym.discrepancy.estimation.noise import white_filters
     from isd_gym.discrepancy.estimation.structure import base_structure
     from isd_gym.discrepancy.planning import infer_rig, make_excitation, make_record
     from isd_gym.discrepancy.records import split_records
     from isd_gym.discrepancy.selection.candidate import Candidate
-    from isd_gym.discrepancy.selection.held_out import Judge
+    from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
     from isd_gym.discrepancy.simulation.problem import Problem
 
     net = Network.load("force-rig").with_element(
@@ -344,8 +350,8 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     noisy = clean + 16.0 * np.random.default_rng(1).standard_normal(len(clean))
     whole = Problem(net, [replace(record, measured=noisy[:, None])], ["fit"])
     problem = Problem(net, *split_records(whole.records, [], [], whole.time))
-    judge, structure = Judge(problem), base_structure(net)
-    fit = Fitter(problem, plain(judge.floors)).fit(structure, structure.start, iterations=0)
+    judge, structure = HeldOutEvaluator(problem), base_structure(net)
+    fit = Fitter(problem, white_filters(judge.floors)).fit(structure, structure.start, iterations=0)
     candidate = Candidate(fit, 0.0)
     seen = judge.outcome(candidate, judge.weights(candidate))
     assert seen.nrmse < 0.02  # 0.011 of it noise
@@ -355,7 +361,7 @@ def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_b
     from isd_gym.discrepancy import CRITERIA
     from isd_gym.discrepancy.records import read_record, split_records
     from isd_gym.discrepancy.selection.forward_backward import Search
-    from isd_gym.discrepancy.selection.held_out import Judge
+    from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
     from isd_gym.discrepancy.simulation.problem import Problem
 
     case = families.make_case("shaken.cubic", 306)
@@ -364,15 +370,15 @@ def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_b
         read_record(table(c, n), net, [], ()) for c, n in ((case.estimation, "e"), (case.validation, "v"))
     )
     problem = Problem(net, *split_records([fit], [held], [], fit.pace))
-    search = Search(Judge(problem), SearchSettings(), CRITERIA, lambda line: None)
+    search = Search(HeldOutEvaluator(problem), SearchSettings(), CRITERIA, lambda line: None)
     judge, base = search.judge, search.refitted()
     best = search.stage(base, [])
     assert best is not None and not judge.begun(best.fit.structure)
     judge.own(base)
     held_out = judge.own(best).held
-    begun = judge.begun(base.fit.structure)  # each in the coordinates of its own states
-    assert set(begun) == set(problem.held)
-    assert {len(x) for x in begun.values()} == {len(next(iter(base.fit.initial.values())))}
+    fit_segments = judge.begun(base.fit.structure)  # each in the coordinates of its own states
+    assert set(fit_segments) == set(problem.held)
+    assert {len(x) for x in fit_segments.values()} == {len(next(iter(base.fit.initial.values())))}
     for i, x in judge.begun(best.fit.structure).items():  # the base errs by far more
         assert x == pytest.approx(held_out.initial[i], abs=1e-9)
     # the nearest of those that are worth trying is gone on with, whatever was given
@@ -485,7 +491,7 @@ def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() 
 
 def test_noise_of_a_moved_node_does_not_rule_its_acceleration() -> None:
     # of a spline's second derivative it did: a dyno's inertance, 10.7 to 1.4 % of the force, was refused
-    from isd_gym.discrepancy.simulation.interpolation import bent
+    from isd_gym.discrepancy.simulation.interpolation import splined_input
 
     rng = np.random.default_rng(0)
     for step, samples, noise, most in (
@@ -496,7 +502,7 @@ def test_noise_of_a_moved_node_does_not_rule_its_acceleration() -> None:
         time = step * np.arange(samples)
         x = 0.01 * np.sin(2.0 * math.pi * time)
         for every in (1, 4):
-            seen = bent(x + noise * rng.standard_normal(samples), None, step, every, sparse=False)[2][::every]
+            seen = splined_input(x + noise * rng.standard_normal(samples), None, step, every, sparse=False)[2][::every]
             wrong = (seen + (2.0 * math.pi) ** 2 * x)[5:-5]  # a spline's ends are free
             allowed = most * noise / step**2 + 0.01 * 0.01 * (2.0 * math.pi) ** 2
             assert np.sqrt(np.mean(wrong**2)) < allowed, (step, noise, every)
@@ -678,7 +684,7 @@ def test_noise_comes_from_the_measured_signal_and_not_from_the_misfit() -> None:
 
 
 def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
-    from isd_gym.discrepancy.selection.held_out import Judge
+    from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
     from isd_gym.discrepancy.simulation.problem import Problem, Record
 
     model = Network.load("force-rig").to_dict()
@@ -688,7 +694,7 @@ def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
     t = 2e-3 * np.arange(2000)
     x = 0.01 * np.sin(12.0 * t)
     record = Record("rig", 2e-3, {net.inputs[0].name: x}, 500.0 * np.sign(np.cos(12.0 * t))[:, None])
-    judge = Judge(Problem(net, [record, record], ["fit", "choose"]))
+    judge = HeldOutEvaluator(Problem(net, [record, record], ["fit", "choose"]))
     assert judge.known[0].source == "owner" and judge.known[0].deviation == 12.5
     model["outputs"][0]["noise"] = -1.0
     with pytest.raises(InputError, match="noise"):

@@ -9,7 +9,7 @@ from isd_gym.discrepancy.hypotheses.library.motion import together
 from isd_gym.discrepancy.hypotheses.library.score_test import trials
 
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.sensitivities import tangents
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.simulation.problem import Problem, Record
@@ -67,7 +67,7 @@ def test_records_side_by_side_say_what_each_says_alone() -> None:
 
 def test_a_fit_finds_the_values_that_made_the_record() -> None:
     problem = Problem(shaken(), [record(shaken(4400.0))], ["fit"])
-    fitter = Fitter(problem, plain(np.array([1e-5])))
+    fitter = Fitter(problem, white_filters(np.array([1e-5])))
     structure = base_structure(problem.network)
     fit = fitter.fit(structure)
     assert fit.network.parameters["spring.stiffness"] == pytest.approx(4400.0, rel=1e-3)
@@ -94,7 +94,7 @@ def test_of_many_records_each_finds_its_own_beginning() -> None:
     parts = [whole.part(k * 600, (k + 1) * 600, "run") for k in range(5)]
     problem = Problem(net, parts, ["fit"] * 5)
     structure = base_structure(net)
-    fit = Fitter(problem, plain(np.array([1e-5]))).follow(structure, structure.start, range(5))
+    fit = Fitter(problem, white_filters(np.array([1e-5]))).follow(structure, structure.start, range(5))
     for i, part in enumerate(parts):
         assert np.sqrt(np.mean((part.measured - fit.outputs[i]) ** 2)) < 0.02 * part.measured.std()
 
@@ -115,7 +115,7 @@ def test_nothing_to_fit_is_a_fit_too() -> None:
     t = np.arange(800) * STEP
     base = 0.01 * np.sin(9 * t)
     problem = Problem(net, [Record("dyno", STEP, {"base": base}, 3e3 * base[:, None])], ["fit"])
-    fit = Fitter(problem, plain(np.ones(1))).fit(base_structure(net))
+    fit = Fitter(problem, white_filters(np.ones(1))).fit(base_structure(net))
     assert fit.cost == pytest.approx(0.0, abs=1e-9)
 
 
@@ -126,7 +126,7 @@ def test_every_place_of_a_law_is_simulated_beside_the_others() -> None:
     inputs = {"road": 0.01 * np.sin(20 * time), "current": np.sign(np.sin(9 * time))}
     y = np.stack([simulate(net, time, inputs)[c.name] for c in net.outputs], axis=1)
     problem = Problem(net, [Record("run", 2.5e-3, inputs, y, {})], ["fit"])
-    fit = Fitter(problem, plain(y.std(axis=0))).fit(
+    fit = Fitter(problem, white_filters(y.std(axis=0))).fit(
         base_structure(net), base_structure(net).start, iterations=0
     )
     tried = [h for h in hypotheses(net) if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")]
@@ -146,7 +146,7 @@ def test_every_place_of_a_law_is_simulated_beside_the_others() -> None:
 def test_one_that_breaks_down_takes_no_other_along(monkeypatch: pytest.MonkeyPatch) -> None:
     net = shaken()
     problem = Problem(net, [record(net)], ["fit"])
-    fit = Fitter(problem, plain(np.ones(len(net.outputs)))).fit(
+    fit = Fitter(problem, white_filters(np.ones(len(net.outputs)))).fit(
         base_structure(net), base_structure(net).start, iterations=0
     )
     whole, bad = Problem.simulate_all, shaken(5000.0)

@@ -8,7 +8,7 @@ from isd_gym.discrepancy.hypotheses.library.forces import PlaceForces, place_for
 
 from isd_gym.arrays import rms
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.network import Network
@@ -45,7 +45,7 @@ def forces_of(network: Network, state: list[float], samples: int = 600) -> tuple
     ]
     problem = Problem(network, [Record("free", STEP, {}, seen)], ["fit"])
     structure = base_structure(network)
-    fit = Fitter(problem, plain(np.full(len(network.outputs), 1e-6))).fit(
+    fit = Fitter(problem, white_filters(np.full(len(network.outputs), 1e-6))).fit(
         structure, structure.start, {0: np.array(state)}, frozen=True, iterations=3
     )
     return place_forces(problem, fit), seen
@@ -88,7 +88,7 @@ def test_an_input_force_counts_at_its_node() -> None:
     seen = Problem(network, [blank], ["fit"]).simulate([network], 0)[:, :, 0]
     problem = Problem(network, [Record("run", STEP, {"push": push}, seen)], ["fit"])
     structure = base_structure(network)
-    fit = Fitter(problem, plain(np.array([1e-6]))).fit(structure, frozen=True, iterations=3)
+    fit = Fitter(problem, white_filters(np.array([1e-6]))).fit(structure, frozen=True, iterations=3)
     assert place_forces(problem, fit).at(("cart", "ground")) == pytest.approx(rms(push), rel=0.05)
 
 
@@ -97,7 +97,7 @@ def test_a_model_that_stands_still_takes_its_scale_from_the_measured_motion() ->
     swing = 0.01 * np.sin(2 * np.pi * 1.6 * STEP * np.arange(600))
     problem = Problem(network, [Record("free", STEP, {}, np.stack([swing, 0.1 * swing], 1))], ["fit"])
     structure = base_structure(network)
-    fit = Fitter(problem, plain(np.full(2, 1e-5))).fit(
+    fit = Fitter(problem, white_filters(np.full(2, 1e-5))).fit(
         structure, structure.start, {0: np.zeros(4)}, frozen=True, iterations=0
     )
     inertia = BODY * rms(swing) * (2 * np.pi * 1.6) ** 2

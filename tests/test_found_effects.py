@@ -10,7 +10,7 @@ from isd_gym.discrepancy.hypotheses.library.position_spectrum import spectral_pi
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.network import Network
@@ -64,7 +64,7 @@ def as_problem(model, tables):
 
 def test_the_spectrum_over_position_shows_the_pitch_of_more_than_sixty_periods():
     net, problem = as_problem(PULLED, [pulled(1), pulled(2)])
-    fit = Fitter(problem, plain(np.array([0.2]))).fit(base_structure(net))
+    fit = Fitter(problem, white_filters(np.array([0.2]))).fit(base_structure(net))
     motion = motions(problem, fit)[("rod", "ground")]
     span = float(np.ptp(motion.d))
     assert span / 3.1e-3 > 90
@@ -80,7 +80,7 @@ def test_records_are_not_thinned_where_that_would_lose_the_residual():
         net, problem = as_problem(PULLED, [table])
         floors = np.array([0.2])
         assert problem.rough.records[0].rate > problem.records[0].rate
-        return thinning_loses(problem, Fitter(problem, plain(floors)).fit(base_structure(net)), floors)
+        return thinning_loses(problem, Fitter(problem, white_filters(floors)).fit(base_structure(net)), floors)
 
     assert lost(pulled(1))
     # as large a force of thirty times the pitch is as slow as the motion, and without any there is noise alone

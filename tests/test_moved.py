@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from isd_gym import simulate
 from isd_gym.cli import app
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.initial_states import along
-from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.initial_states import states_along
+from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.result import Trace
 from isd_gym.discrepancy.simulation.problem import Problem, Record
@@ -165,7 +165,7 @@ def fitted(network, inputs, step=1e-3):
     rest = np.zeros(assemble(network).size[0])
     record = Record("run", step, inputs, np.zeros((size, len(network.outputs))))
     problem = Problem(network, [record], ["fit"])
-    fitter = Fitter(problem, plain(np.ones(len(network.outputs))))
+    fitter = Fitter(problem, white_filters(np.ones(len(network.outputs))))
     return problem, fitter.fit(
         base_structure(replace(network, uncertainty={})), initial={0: rest}, iterations=0
     )
@@ -190,7 +190,7 @@ def test_a_record_driven_by_a_speed_can_be_cut_anywhere():
     speed = MOVES["velocity"][1](t)
     problem, _ = fitted(network, {"u": speed})
     structure = base_structure(network)
-    (state,) = along(problem, structure, structure.start, {0: np.zeros(2)}, [1000])[0]
+    (state,) = states_along(problem, structure, structure.start, {0: np.zeros(2)}, [1000])[0]
     whole = simulate(network, t, {"u": speed})
     later = simulate(network, t[1000:], {"u": speed[1000:]}, initial=state)
     for name in ("d", "a"):

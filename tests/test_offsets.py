@@ -9,9 +9,9 @@ from scipy.optimize import least_squares
 
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.initial_states import motion_rows
-from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
-from isd_gym.discrepancy.selection.held_out import Judge
+from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
 from isd_gym.network import Channel, Network
@@ -100,7 +100,7 @@ def test_the_schema_knows_the_offset_of_a_record() -> None:
 
 def test_one_sensor_has_one_offset_over_all_records() -> None:
     problem = problem_of(stand(), OFFSET, OFFSET, OFFSET)
-    fit = Fitter(problem, plain(np.array([NOISE]))).fit(base_structure(problem.network))
+    fit = Fitter(problem, white_filters(np.array([NOISE]))).fit(base_structure(problem.network))
     found = {float(o[0]) for o in fit.offset.values()}
     assert len(found) == 1
     assert fit.structure.offsets == (found.pop(),)
@@ -112,7 +112,7 @@ def test_mean_forces_show_a_stiffness_through_one_offset_only() -> None:
     spread = {}
     for offset in ("free", "record"):
         problem = problem_of(stand(offset), OFFSET, OFFSET, OFFSET, size=0.2)
-        fit = Fitter(problem, plain(np.array([NOISE]))).fit(base_structure(problem.network))
+        fit = Fitter(problem, white_filters(np.array([NOISE]))).fit(base_structure(problem.network))
         assert fit.network.parameters["spring.stiffness"] == pytest.approx(900.0, rel=0.02)
         assert fit.hessian is not None
         spread[offset] = float(np.linalg.inv(fit.hessian)[0, 0])
@@ -123,7 +123,7 @@ def test_mean_forces_show_a_stiffness_through_one_offset_only() -> None:
 def test_each_record_has_its_own_offset_where_the_model_says_so() -> None:
     true = (0.001, -0.004, 0.02)
     problem = problem_of(stand("record"), *true)
-    fit = Fitter(problem, plain(np.array([NOISE]))).fit(base_structure(problem.network))
+    fit = Fitter(problem, white_filters(np.array([NOISE]))).fit(base_structure(problem.network))
     assert [float(fit.offset[i][0]) for i in range(3)] == pytest.approx(true, abs=10 * NOISE)
     assert fit.structure.offsets is None
 
@@ -132,7 +132,7 @@ def test_the_joint_fit_is_that_of_all_numbers_at_once() -> None:
     """Independent check: scipy's least squares over parameters, initial states and one offset, without elimination."""
     problem = problem_of(stand(), OFFSET, OFFSET)
     structure = base_structure(problem.network)
-    fitter = Fitter(problem, plain(np.array([NOISE])))
+    fitter = Fitter(problem, white_filters(np.array([NOISE])))
     fit = fitter.fit(structure, iterations=30, tolerance=1e-12)
     scale = [np.linalg.cholesky(fitter._information(structure, i)).T for i in range(2)]
     mean = np.array([f.mean for f in structure.free])
@@ -162,7 +162,7 @@ def test_the_joint_fit_is_that_of_all_numbers_at_once() -> None:
 
 def test_the_residual_of_the_score_test_has_no_offset_left() -> None:
     problem = problem_of(stand(), OFFSET, OFFSET)
-    fitter = Fitter(problem, plain(np.array([NOISE])))
+    fitter = Fitter(problem, white_filters(np.array([NOISE])))
     fit = fitter.fit(base_structure(problem.network))
     residual = residual_of(problem, fitter, fit)
     constant = np.zeros(len(residual.left))
@@ -179,7 +179,7 @@ def test_the_residual_of_the_score_test_has_no_offset_left() -> None:
 def test_a_held_out_record_has_the_offset_of_the_training_records() -> None:
     """A sensor that moved by 3 mm before the held-out record is an error of 3 mm there."""
     problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
-    judge = Judge(problem)
+    judge = HeldOutEvaluator(problem)
     structure = base_structure(problem.network)
     fit = judge.plain.fit(structure)
     held = judge.plain.follow(fit.structure, fit.x, problem.held)
@@ -190,7 +190,7 @@ def test_a_held_out_record_has_the_offset_of_the_training_records() -> None:
 
 def test_the_nominal_model_takes_its_offset_from_the_training_records() -> None:
     problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
-    fitter = Judge(problem).plain
+    fitter = HeldOutEvaluator(problem).plain
     structure = base_structure(problem.network)
     held = fitter.follow(structure, structure.start, problem.held)
     assert held.offset[2][0] == pytest.approx(OFFSET, abs=1e-4)
@@ -198,7 +198,7 @@ def test_the_nominal_model_takes_its_offset_from_the_training_records() -> None:
 
 def test_a_held_out_record_may_have_its_own_offset() -> None:
     problem = problem_of(stand("record"), OFFSET, OFFSET, held=OFFSET + 0.003)
-    judge = Judge(problem)
+    judge = HeldOutEvaluator(problem)
     fit = judge.plain.fit(base_structure(problem.network))
     held = judge.plain.follow(fit.structure, fit.x, problem.held)
     assert held.offset[2][0] == pytest.approx(OFFSET + 0.003, abs=10 * NOISE)

@@ -23,13 +23,13 @@ from isd_gym.comparability import Comparable
 from isd_gym.data import Table, read_table
 from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import plain
+from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.result import BestCandidate, Tabulated
 from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.discrepancy.verdict.criteria import gates_of
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.verdict.explanation import law as series_law
+from isd_gym.discrepancy.verdict.explanation import draw_law as series_law
+from isd_gym.discrepancy.verdict.gates import gates_of
 from isd_gym.elements import CoulombFriction
 from isd_gym.errors import InputError, ReportError
 from isd_gym.network import Network
@@ -483,7 +483,7 @@ def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, 
     measured = np.stack([trace.measured[c.name] for c in model.outputs], axis=1)
     record = Record("one", float(trace.time[1] - trace.time[0]), trace.inputs, measured)
     problem = Problem(model, [record], ["fit"])
-    fit = Fitter(problem, plain(measured.std(axis=0))).fit(base_structure(model), frozen=True, iterations=0)
+    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(base_structure(model), frozen=True, iterations=0)
     law = series_law(problem, fit, "own", {shown: q})
     assert law is not None
     view = report.View(replace(diagnosis, model=model, effects=(effect,), laws=(law,)))

@@ -8,7 +8,7 @@ import pytest
 from isd_gym import schemas, simulate
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.selection.free_force import _axis, _directions, force_over, in_its_place
+from isd_gym.discrepancy.selection.free_force import _axis, _directions, fit_in_place_of, force_over
 from isd_gym.elements import Motion, SensorGain, SeriesCompliance
 from isd_gym.network import Network
 
@@ -32,8 +32,8 @@ MODEL = {
 def test_no_table_stands_in_for_a_sensor_s_fault_or_a_spring_in_series():
     gain = SensorGain("gain", ("travel",), gain=1.1)
     soft = SeriesCompliance("soft", ("a", "b"), stiffness=1e5)
-    assert in_its_place(None, None, gain) is None
-    assert in_its_place(None, None, soft) is None
+    assert fit_in_place_of(None, None, gain) is None
+    assert fit_in_place_of(None, None, soft) is None
 
 
 def test_the_prior_of_a_table_is_zero_at_rest_smooth_and_as_large_as_it_was_said():

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from isd_gym.discrepancy.verdict.criteria import CRITERIA, decide, gate, table_gates
+from isd_gym.discrepancy.selection.criteria import CRITERIA
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
+from isd_gym.discrepancy.verdict.gates import decide, gate, table_gates
 from isd_gym.discrepancy.verdict.wording import (
     NOT_BORNE_OUT,
     failures,

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 from .fmu import diagnose_unit
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
+from .selection.criteria import CRITERIA, Criteria
 from .selection.settings import SearchSettings
-from .verdict.criteria import CRITERIA, Criteria, Gate
 from .verdict.evidence import EffectEvidence, Evidence
+from .verdict.gates import Gate
 from .workflow import diagnose
 
 if TYPE_CHECKING:

@@ -20,11 +20,12 @@ if TYPE_CHECKING:
 
     from ..network import Network
     from .records import Lag
+    from .selection.criteria import Criteria
     from .selection.settings import SearchSettings
     from .simulation.problem import Array
-    from .verdict.criteria import Criteria, Gate, Reason
     from .verdict.evidence import Evidence
     from .verdict.findings import Finding
+    from .verdict.gates import Gate, Reason
 
 SCHEMA = "isd-diagnosis/1"
 #: what a force without a name is a function of

@@ -382,6 +382,17 @@ class Element:
         """Whether the values mean what the name says; a law that does not may be a step on the way, but is never named."""
         return True
 
+    def support(self, motion: Motion) -> float:
+        """Return the share of the samples on the rarer side of the law's characteristic point, such as a clearance or a slip.
+
+        Args:
+            motion: Motion of the terminals.
+
+        Returns:
+            Share from 0 to 1; 1 for a law without such a point.
+        """
+        return 1.0
+
     def fault(self, time: float) -> float:
         """How large a sensor's fault is: of a gain, or of the `time` [s] in which the motion changes; 0 for a force."""
         return 0.0

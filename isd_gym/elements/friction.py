@@ -68,6 +68,11 @@ class StribeckFriction(Element):
     static_level: float = parameter("N", 5.0, 4000.0)
     stribeck_velocity: float = parameter("m/s", 1e-3, 0.2, open_end=True)
 
+    def support(self, motion: Motion) -> float:
+        """Return the share of the samples below or above the Stribeck velocity, whichever is smaller."""
+        below = float(np.mean(np.abs(motion.v) < self.stribeck_velocity))
+        return min(below, 1.0 - below)
+
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         level = next((e.level for e in at.beside if isinstance(e, CoulombFriction)), 0.0)

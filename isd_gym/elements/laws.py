@@ -313,6 +313,11 @@ class BumpStop(Element):
     def quiet(self) -> float:
         return self.clearance
 
+    def support(self, motion: Motion) -> float:
+        """Return the share of the samples in contact."""
+        upper, lower, *_ = self.contact()
+        return float(np.mean((motion.d > upper) | (motion.d < lower)))
+
     def contact(self) -> tuple[float, float, float, float]:
         upper = self.clearance if self.side != "compression" else math.inf
         lower = -self.clearance if self.side != "extension" else -math.inf
@@ -395,6 +400,11 @@ class Hysteresis(Element):
             Start({"level": e, "stiffness": e / (s * d)}, grows=("level", "stiffness"))
             for s in (0.03, 0.15, 0.6)
         ]
+
+    def support(self, motion: Motion) -> float:
+        """Return the share of the samples beyond the slip displacement: below it the law is a spring."""
+        slip = self.level / max(self.stiffness, 1e-300)
+        return float(np.mean(np.abs(motion.d - np.median(motion.d)) > slip))
 
     def curve(self, axis: Array) -> Array:
         p, z, last = np.array(self.law_parameters()), 0.0, float(axis[0])

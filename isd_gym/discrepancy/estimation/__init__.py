@@ -1,0 +1,1 @@
+"""Estimation: structures and free parameters, initial states, sensitivities, Gauss-Newton fits, noise."""

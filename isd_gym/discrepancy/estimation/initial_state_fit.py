@@ -13,10 +13,10 @@ from ...errors import InputError
 from ...network import Network, assemble
 from ...units import convert
 from ..records import Lag, align_clocks, read_record
-from ..simulation.node_motion import carrier
+from ..simulation.node_motion import transfer_matrix
 from ..simulation.problem import Array, Problem, bare
 from .gauss_newton import Fitter
-from .noise import floors_of, plain
+from .noise import floors_of, white_filters
 from .structure import base_structure
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Begun:
+class FittedInitialState:
     """A fitted initial state, and the simulation that it belongs to.
 
     state (states,): in the assembly's coordinates, as `isd_gym.simulate` takes it. time (n,) [s], inputs (n,) by channel in the
@@ -46,7 +46,7 @@ def initial_state(
     model: Network | str | Path | Mapping[str, Any],
     *,
     outputs: Sequence[str] | None = None,
-) -> Begun:
+) -> FittedInitialState:
     """The state in which a model, its parameters as they are, comes closest to the outputs that were measured.
 
     data: a table or a file with the model's inputs and some of its outputs, or a recording. model: a network, a built-in one's name, a
@@ -70,10 +70,10 @@ def initial_state(
     problem = Problem(network, [record], ["fit"])
     structure = base_structure(network)
     noise = np.array([f.deviation for f in floors_of(problem)])
-    fit = Fitter(problem, plain(noise)).follow(structure, structure.start, [0], iterations=12)
+    fit = Fitter(problem, white_filters(noise)).follow(structure, structure.start, [0], iterations=12)
     if not np.isfinite(fit.outputs[0]).all():
         raise InputError(f"initial state: model '{network.name}' breaks down over {record.name}")
-    over = carrier(assemble(bare(network)), assemble(Network.load(model)), problem.time)
+    over = transfer_matrix(assemble(bare(network)), assemble(Network.load(model)), problem.time)
     time = np.asarray(record.start + record.step * np.arange(record.samples), dtype=np.float64)
     inputs = {c.name: convert(record.inputs[c.name], c.si, c.unit) for c in network.inputs}
-    return Begun(over @ fit.initial[0], time, inputs, tuple(lags), tuple(notes))
+    return FittedInitialState(over @ fit.initial[0], time, inputs, tuple(lags), tuple(notes))

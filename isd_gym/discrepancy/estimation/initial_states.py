@@ -83,7 +83,7 @@ def guess(
     return x0 if np.isfinite(x0).all() else np.zeros(n0)
 
 
-def along(
+def states_along(
     problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], at: Sequence[int]
 ) -> dict[int, list[Array]]:
     """States (states,) that the simulation of each record from its `initial` has at the compared samples `at`.
@@ -135,11 +135,11 @@ def next_states(
     problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array]
 ) -> dict[int, Array]:
     """The state (states,) one sample after the end of each record's simulation from its `initial`."""
-    ends = along(problem, structure, x, initial, (-2, -1))
+    ends = states_along(problem, structure, x, initial, (-2, -1))
     return {i: 2 * last - before for i, (before, last) in ends.items()}
 
 
-def carried(
+def transfer_states(
     problem: Problem, network: Network, initial: dict[int, Array], structure: Structure
 ) -> dict[int, Array]:
     """Initial states of `network` in the coordinates of another structure: nodes move as they did.

@@ -27,7 +27,7 @@ STRETCH = 40.0  # length of the stretches, in the rig's own time: some six perio
 LEAST = 60  # samples of one
 
 
-def remembers(network: Network) -> bool:
+def is_lightly_damped(network: Network) -> bool:
     """Whether a mode of the network goes on for many periods by itself."""
     asm = assemble(bare(network))
     if not asm.size[0]:
@@ -37,7 +37,7 @@ def remembers(network: Network) -> bool:
     return bool(np.any(np.abs(swings) > LONG * np.abs(swings.real)))
 
 
-def begun(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
+def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
     """Parameters fitted from `x` over brief stretches of the records to fit by; None where that breaks down.
 
     weights: a fitter of the same channels, whose weights are used.

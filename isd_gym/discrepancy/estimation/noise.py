@@ -165,7 +165,7 @@ class Noise:
         return self.white + self.drive / (1 + self.phi**2 - 2 * self.phi * np.cos(w))
 
 
-def passed(W: Whitener, noise: Sequence[Noise]) -> Array:
+def noise_after_filters(W: Whitener, noise: Sequence[Noise]) -> Array:
     """Mean square per channel that pure noise leaves behind the filters."""
     w = np.linspace(0, math.pi, 2048)
     out = []
@@ -212,7 +212,7 @@ def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Fl
     return Floor(found.deviation, False, "bound")
 
 
-def quantum(series: Sequence[Array]) -> float:
+def resolution(series: Sequence[Array]) -> float:
     """Deviation that the resolution of a sensor makes by itself: its step over the root of twelve."""
     levels = np.unique(np.concatenate(series))
     steps = np.diff(levels)
@@ -237,17 +237,17 @@ def floors_of(problem: Problem) -> list[Floor]:
         series = [r.measured[:, j] for r in records]
         first = records[0]
         seen = floor_of(series, first.rate, white=first.filtered)
-        grain = quantum(series) if not first.filtered else 0.0
+        grain = resolution(series) if not first.filtered else 0.0
         out.append(Floor(max(seen.deviation, grain), seen.known, seen.source))
     return out
 
 
-def plain(floors: Array) -> Whitener:
+def white_filters(floors: Array) -> Whitener:
     """Weights that take the noise as white."""
     return Whitener(tuple(np.array([1 / max(h, 1e-300)]) for h in floors))
 
 
-def trust(residuals: Sequence[Array], floors: Array) -> Array:
+def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
     """White noise to reckon with when a residual is to be whitened (channels,): the measurement's, or what is unexplained.
 
     Only noise may be weighed by its spectrum. Missing physics counts as white noise of ten times its power, so that even
@@ -257,6 +257,6 @@ def trust(residuals: Sequence[Array], floors: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(floors**2, 10.0 * (square - floors**2))), dtype=np.float64)
 
 
-def finer(least: Array, floors: Array) -> Array:
+def refined_noise(least: Array, floors: Array) -> Array:
     """White noise to reckon with when fits are compared (channels,), a tenth of what their weights reckon with."""
     return np.asarray(np.maximum(floors, 0.1 * least), dtype=np.float64)

@@ -14,13 +14,14 @@ from ...data import Table, check, read_table
 from ...data.quality import admit, known_check
 from ...errors import InputError, shown
 from ...units import convert
-from ..estimation.noise import Floor, floor_of, noise_of, quantum
+from ..estimation.noise import Floor, floor_of, noise_of, resolution
 from ..result import Diagnosis, Place, Trace
+from ..selection.criteria import CRITERIA, Criteria
 from ..selection.held_out import LEAST_NOISE
 from ..simulation.problem import Array, Record, deviation_within
-from ..verdict.criteria import CRITERIA, Criteria, decide
-from ..verdict.evidence import Evidence, row
+from ..verdict.evidence import Evidence, as_numbers
 from ..verdict.explanation import bands, find_condition, near_reversals
+from ..verdict.gates import decide
 from ..verdict.wording import unit_summary_of
 from .comparison import FmuComparison, Progress, Segment
 from .refit import FittedFmu, FmuRefit
@@ -267,14 +268,14 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
         name: float((m / max(e, 1e-300)) ** 2) for name, m, e in zip(c.channels, mean, errors[1], strict=True)
     }
     return _Errors(
-        found, floors, tuple(k.known for k in known), {k: row(v) for k, v in rows.items()}, constant
+        found, floors, tuple(k.known for k in known), {k: as_numbers(v) for k, v in rows.items()}, constant
     )
 
 
 def _noise_floor(series: Sequence[Array], step: float) -> Floor:
     """Return the noise floor of a channel, at least the sensor's resolution."""
     floor = floor_of(series, step)
-    return replace(floor, deviation=max(floor.deviation, quantum(series)))
+    return replace(floor, deviation=max(floor.deviation, resolution(series)))
 
 
 def _diagnosis(refit: FmuRefit, errors: _Errors, criteria: Criteria, notes: list[str]) -> Diagnosis:
@@ -285,9 +286,9 @@ def _diagnosis(refit: FmuRefit, errors: _Errors, criteria: Criteria, notes: list
         before=rows["before"],
         refit=rows["refit"],
         after=rows["after"],
-        floor=rows["noise_floor"],
-        floor_known=errors.floor_known,
-        worth=(criteria.material,) * len(c.channels),
+        noise=rows["noise_floor"],
+        noise_known=errors.floor_known,
+        envelope=(criteria.material,) * len(c.channels),
         limits=refit.parameters_at_limits(found.x),
     )
     decision = decide(evidence, criteria)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import InputError
 from ..estimation.least_squares import bounded_step, damped_step
-from ..estimation.noise import Whitener, finer, innovations, plain, trust, whitener
+from ..estimation.noise import Whitener, innovations, refined_noise, trusted_noise, white_filters, whitener
 from ..estimation.structure import Free, base_structure
 from ..result import Quantity
 
@@ -123,15 +123,15 @@ class FmuRefit:
         Returns:
             The fit with the lowest deviance.
         """
-        x, weights, best = self.mean.copy(), plain(floors), None
+        x, weights, best = self.mean.copy(), white_filters(floors), None
         least: Array | None = None
         for number in range(rounds):
             runs = self.comparison.unit.runs
             progress(f"refitting {len(x)} parameters (round {number + 1}, {runs} runs of the unit so far)")
             x = self._minimise(x, weights, iterations)
             left = self.residuals(self.model_at(x), held_out=False)
-            least = trust(left, floors) if least is None else least
-            deviance = innovations(left, finer(least, floors)) + self._prior(x)
+            least = trusted_noise(left, floors) if least is None else least
+            deviance = innovations(left, refined_noise(least, floors)) + self._prior(x)
             is_converged = best is not None and deviance > best.deviance - 2.0
             if best is None or deviance < best.deviance:
                 best = FittedFmu(x, self.model_at(x), deviance)
@@ -181,7 +181,7 @@ class FmuRefit:
             Values with intervals by parameter path.
         """
         left = self.residuals(found.model, held_out=False)
-        hessian, _ = self.linearise(found.x, whitener(left, trust(left, floors)))
+        hessian, _ = self.linearise(found.x, whitener(left, trusted_noise(left, floors)))
         prior = np.diag(1 / self.sigma**2)
         variance = np.diag(np.linalg.inv(hessian + prior)) if len(found.x) else np.zeros(0)
         out, model = {}, self.comparison.model

@@ -12,7 +12,7 @@ from ...arrays import rms
 from ...errors import InputError
 from ...network import GROUND
 from ..simulation.problem import deviation_within
-from .motion import watching
+from .motion import with_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -89,7 +89,7 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
     scale = _lost_motion(problem, fit)
     for (nodes, factor), values in zip(
         [*((e.where, 1.0) for e in elements), *(((m,), net.masses[m]) for m in masses)],
-        _simulated(problem, fit, watching(net, tuple(probes))),
+        _simulated(problem, fit, with_outputs(net, tuple(probes))),
         strict=True,
     ):
         for node in nodes:
@@ -117,7 +117,7 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
     net, pair = fit.network, set(where)
     here = [e for e in net.elements if e.place == "between" and set(e.where) == pair]
     together = _simulate(
-        problem, fit, watching(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
+        problem, fit, with_outputs(net, tuple(net.probe(f"_{e.name}", "force", element=e.name) for e in here))
     )
     return {e.name: together[:, k] * (1.0 if e.where == tuple(where) else -1.0) for k, e in enumerate(here)}
 

@@ -57,14 +57,14 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
     el.discover()
     for kind in el.TYPES.values():
         for where in places(network, kind):
-            for behind in carried(network, kind, where):
+            for behind in series_partners(network, kind, where):
                 bare = Hypothesis(kind.type, where, (), behind)
                 if bare.stands(network):
                     for options in kind.variants(network, where):
                         yield replace(bare, options=tuple(options.items()))
 
 
-def carried(network: Network, kind: type[el.Element], where: tuple[str, ...]) -> list[str]:
+def series_partners(network: Network, kind: type[el.Element], where: tuple[str, ...]) -> list[str]:
     """What an element could be put in series with: all that stands there (""), and each of several side by side alone."""
     here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
     return ["", *here] if len(here) > 1 else [""]

@@ -14,7 +14,7 @@ from ...network import GROUND, Channel, Network, linearise
 from ...network.frames import frames, order_told
 from ...units import convert
 from ..estimation.gauss_newton import Fitter
-from ..estimation.noise import plain
+from ..estimation.noise import white_filters
 from ..estimation.structure import base_structure
 from ..simulation.problem import Array, Problem, Record, pace
 from .motion import motions
@@ -154,7 +154,9 @@ def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
     problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)], ["fit"])
-    fit = Fitter(problem, plain(measured.std(axis=0))).fit(base_structure(network), frozen=True, iterations=3)
+    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
+        base_structure(network), frozen=True, iterations=3
+    )
     found = motions(problem, fit)
     if pair in found:
         m, sign = found[pair], 1.0

@@ -42,7 +42,7 @@ def motions(
     known = {p: order_told(net, p) for p in (*pairs(net), *also)}
     where = [p for p, order in known.items() if order < 2]
     extra = tuple(net.probe(f"_{k}", MOTIONS[known[p]], between=p) for k, p in enumerate(where))
-    probe = problem.watching(watching(net, extra))
+    probe = problem.watching(with_outputs(net, extra))
     begun = {i: fit.initial[i][:, None] for i in problem.estimation}
     seen = probe.simulate_all([probe.network], problem.estimation, begun, like=net)
     for i in problem.estimation:
@@ -61,7 +61,7 @@ def motions(
     return motion
 
 
-def watching(net: Network, outputs: tuple[Channel, ...]) -> Network:
+def with_outputs(net: Network, outputs: tuple[Channel, ...]) -> Network:
     """The network with other outputs, and so without what its sensors do."""
     kept = tuple(e for e in net.elements if e.place != "channel")
     return replace(net, outputs=outputs, elements=kept)
@@ -91,7 +91,7 @@ def setting(
     return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples, pitches)
 
 
-def together(
+def simulate_variants(
     problem: Problem, fit: Fit, networks: Sequence[Network]
 ) -> Iterator[tuple[list[int], int, Array]]:
     """Outputs of many networks over every record to fit by: (which networks, record, outputs (n, channels, lanes)).

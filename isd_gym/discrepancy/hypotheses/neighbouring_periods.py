@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ..simulation.problem import Problem
 
 
-def comb(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
+def try_neighbouring_periods(problem: Problem, fitter: Fitter, fit: Fit, name: str) -> Fit:
     """A periodic law has one optimum per period: scan pitch and phase around the fit, and fit again from the best.
 
     The span of travel holds n periods; a pitch that is off by one part in 2n fits the middle but not the ends.

@@ -14,7 +14,7 @@ from ..estimation.sensitivities import tangents
 from ..estimation.structure import Hypothesis, Structure, add
 from ..simulation.problem import Array, Problem, bare
 from .forces import place_forces
-from .motion import motions, setting, together
+from .motion import motions, setting, simulate_variants
 from .position_spectrum import spectral_pitches
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Screened:
+class ScoredStart:
     """A start of a hypothesis: values at the amplitude that the score test gives, and the sum of squares it expects off."""
 
     hypothesis: Hypothesis
@@ -34,7 +34,7 @@ class Screened:
     gain: float
 
 
-def advanced(fit: Fit) -> Structure:
+def with_fitted_effects(fit: Fit) -> Structure:
     """The structure with the effects found so far at their fitted values, the base at its prior."""
     free = fit.structure.free
     found = {f.path: f.back(float(v)) for f, v in zip(free, fit.x, strict=True) if f.owner >= 0}
@@ -90,15 +90,15 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     return Residual(r - Q @ (Q.T @ r), Q, spans)
 
 
-def screen(
+def score_hypotheses(
     problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypothesis], lost: bool = False
-) -> list[Screened]:
+) -> list[ScoredStart]:
     """Every candidate at every start with the gain that the score test expects of it, best first.
 
     `lost`: the simulation has lost its phase, so that small effects say nothing about large ones, and nobody is left out.
     """
     residual = residual_of(problem, fitter, fit)
-    jobs = trials(problem, fit, candidates)
+    jobs = build_starts(problem, fit, candidates)
     responses = _responses(problem, fitter, fit, residual, [built for _, _, built in jobs])
     found = []
     for (h, start, _), s in zip(jobs, responses, strict=True):
@@ -109,7 +109,7 @@ def screen(
     return found
 
 
-def trials(
+def build_starts(
     problem: Problem, fit: Fit, candidates: Sequence[Hypothesis]
 ) -> list[tuple[Hypothesis, Start, list[Structure]]]:
     """Every start of every candidate, built into the fitted model in each of its ways."""
@@ -140,7 +140,7 @@ def _responses(
     out = [np.zeros((len(residual.left), len(ways))) for ways in built]
     members = [(k, way) for k, ways in enumerate(built) for way in range(len(ways))]
     networks = [built[k][way].network for k, way in members]
-    for chunk, i, y in together(problem, fit, networks):
+    for chunk, i, y in simulate_variants(problem, fit, networks):
         first, last, point = residual.spans[i]
         with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is left out
             w = fitter.weights(y - point[:, :, None]).reshape(last - first, -1)
@@ -150,7 +150,7 @@ def _responses(
     return out
 
 
-def _scored(h: Hypothesis, start: Start, s: Array, residual: Residual, lost: bool) -> Screened | None:
+def _scored(h: Hypothesis, start: Start, s: Array, residual: Residual, lost: bool) -> ScoredStart | None:
     if not (np.abs(s) < 1e100).all():  # it breaks down, or its squares would overflow
         return None
     size = np.linalg.norm(s, axis=0)
@@ -165,4 +165,4 @@ def _scored(h: Hypothesis, start: Start, s: Array, residual: Residual, lost: boo
         return None
     # what is put in series changes the order of the equations: a small one says little about a large one
     gain = 0.0 if wrong else float(residual.left @ (s @ amplitude))
-    return Screened(h, start, h.kind.sized(start, np.ones_like(amplitude) if wrong else amplitude), gain)
+    return ScoredStart(h, start, h.kind.sized(start, np.ones_like(amplitude) if wrong else amplitude), gain)

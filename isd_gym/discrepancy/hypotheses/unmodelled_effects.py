@@ -14,14 +14,14 @@ from ..estimation.structure import add
 from ..simulation.problem import bare
 from .forces import place_forces
 from .library import hypotheses
-from .motion import motions, setting, together
+from .motion import motions, setting, simulate_variants
 
 if TYPE_CHECKING:
     from ..estimation.gauss_newton import Fit
     from ..simulation.problem import Array, Problem
 
 
-def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
+def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
     """Compute what each force law of the library, too small to be named, does to the outputs.
 
     Args:
@@ -50,8 +50,8 @@ def unmodelled(problem: Problem, fit: Fit, share: float) -> dict[int, Array]:
                 continue
             networks.append(built)
     out = {i: np.zeros((*y.shape, len(networks))) for i, y in fit.outputs.items()}
-    point = {i: y for _, i, y in together(problem, fit, [fit.network])}
-    for chunk, i, y in together(problem, fit, networks):
+    point = {i: y for _, i, y in simulate_variants(problem, fit, [fit.network])}
+    for chunk, i, y in simulate_variants(problem, fit, networks):
         with np.errstate(over="ignore", invalid="ignore"):
             change = (y - point[i]) * (share / PROBE)
             most = np.abs(change).max(axis=(0, 1))

@@ -16,7 +16,7 @@ from ...errors import plain as one_line
 from ...inputs import read_json
 from ...network import assemble
 from ..estimation.gauss_newton import Fitter, residuals
-from ..estimation.noise import innovations, plain
+from ..estimation.noise import innovations, white_filters
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.library import hypotheses
 from ..selection.candidate import BROKEN, Candidate
@@ -146,7 +146,7 @@ class RivalComparison:
 
     def linear_distance(self) -> float:
         """Return the smallest linearised distance of two rivals [standard deviations of the noise]."""
-        least, fitter = math.inf, Fitter(self.problem, plain(self.noise))
+        least, fitter = math.inf, Fitter(self.problem, white_filters(self.noise))
         for b, r in enumerate(self.rivals):
             fit = fitter.fit(r.structure, r.x, {0: _rest_state(r.structure)}, iterations=0)
             others = [y for k, y in enumerate(self.outputs) if k != b]
@@ -166,7 +166,7 @@ class RivalComparison:
         for a, truth in enumerate(self.rivals):
             record = replace(self.problem.records[0], measured=self.outputs[a])
             p = Problem(self.problem.network, [record], ["fit"], time=self.problem.time)
-            fitter = Fitter(p, plain(self.noise))
+            fitter = Fitter(p, white_filters(self.noise))
             for b, r in enumerate(self.rivals):
                 if a == b:
                     continue

@@ -11,23 +11,24 @@ import numpy as np
 
 from ...errors import InputError
 from ..estimation.gauss_newton import Fit, Fitter
-from ..estimation.initial_states import carried
-from ..estimation.noise import lagged, plain, predicted
+from ..estimation.initial_states import transfer_states
+from ..estimation.noise import lagged, predicted, white_filters
 from ..estimation.structure import Hypothesis, Structure, add
 from ..result import Quantity
-from ..selection.candidate import BROKEN, relative
+from ..selection.candidate import BROKEN, is_special_case
 from ..selection.comparison import Comparison
-from ..selection.held_out import BLOCKS, share_at_place
-from ..verdict.criteria import decide
-from ..verdict.evidence import EffectEvidence, Evidence, row
-from ..verdict.measurement import complaint, difference, spread_of
+from ..selection.held_out import BLOCKS, effect_size
+from ..selection.uncertainty import differing_part, relative_uncertainty
+from ..verdict.evidence import EffectEvidence, Evidence, as_numbers
+from ..verdict.gates import decide
+from ..verdict.measurement import find_contradiction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ... import elements as el
     from ..simulation.problem import Array, Problem
-    from ..verdict.criteria import Decision
+    from ..verdict.gates import Decision
     from .virtual_bench import BenchFit, VirtualBench
 
 ORDER = 20  # of the whitening filters, as in the diagnosis
@@ -127,7 +128,7 @@ class SimulatedEffect:
     residual: NoiseFreeResidual  # of the refitted nominal model
     share: float  # of force, current or signal at the place
     covariance: Array  # of the transformed free parameters (parameters, parameters)
-    complaint: str  # contradiction between values and name of the effect
+    contradiction: str  # how the values contradict the name of the effect
     rivals: list[RefittedRival]
 
     @property
@@ -159,8 +160,8 @@ class SimulatedEffect:
             unit = self.structure.network.unit_of(free.path)
             quantities[free.path] = Quantity(free.back(x), low, high, unit)
         covariance = self.covariance / scale**2
-        apart = difference(self.bench.network, self.structure, self.structure.start, element, covariance)
-        return spread_of(element, quantities, apart)
+        apart = differing_part(self.bench.network, self.structure, self.structure.start, element, covariance)
+        return relative_uncertainty(element, quantities, apart)
 
     def is_distinguishable(self, rival: RefittedRival, scale: float) -> bool:
         """Return whether a diagnosis would distinguish the effect from a rival.
@@ -173,7 +174,7 @@ class SimulatedEffect:
         if more > 0:  # it predicts no better, at best
             return True
         versus = rival.residual.compare_with_truth(scale, self.noise_score, len(self.structure.free))
-        if more == 0 and not relative(self.hypothesis, rival.hypothesis):
+        if more == 0 and not is_special_case(self.hypothesis, rival.hypothesis):
             return versus.is_better(c)
         change = scale * np.sqrt(rival.residual.validation_power) / self.deviation
         return versus.is_preferred(c) and bool(np.any(change > self.bench.unmodelled_envelope))
@@ -198,7 +199,7 @@ class SimulatedEffect:
             label=self.hypothesis.label,
             share=share,
             spread=self.uncertainty(scale),
-            complaint=self.complaint,
+            contradiction=self.contradiction,
             sensor=self.hypothesis.place == "channel",
             fault=scale * self.element.fault(bench.problem.time),
         )
@@ -207,21 +208,23 @@ class SimulatedEffect:
         excess = [(r.residual.excess_score(scale), r.hypothesis.place != "channel") for r in rivals]
         return Evidence(
             channels=tuple(bench.problem.channels),
-            before=row(refit),
-            refit=row(refit),
-            after=row(floor),
-            floor=row(floor),
-            floor_known=tuple(True for _ in floor),
-            worth=row(bench.unmodelled_envelope),
+            before=as_numbers(refit),
+            refit=as_numbers(refit),
+            after=as_numbers(floor),
+            noise=as_numbers(floor),
+            noise_known=tuple(True for _ in floor),
+            envelope=as_numbers(bench.unmodelled_envelope),
             effects=(effect,),
             elpd_diff=versus.elpd_diff,
             elpd_dse=versus.dse,
             explained=1.0,
-            lead=min([nominal, *(e for e, _ in excess)]) / own,
-            abreast=tuple(r.hypothesis.label for r in rivals if not self.is_distinguishable(r, scale)),
-            force_lead=min([nominal, *(e for e, is_force in excess if is_force)]) / own,
-            closest=row(floor),
-            closest_share=share,
+            rival_loss=min([nominal, *(e for e, _ in excess)]) / own,
+            indistinguishable=tuple(
+                r.hypothesis.label for r in rivals if not self.is_distinguishable(r, scale)
+            ),
+            force_loss=min([nominal, *(e for e, is_force in excess if is_force)]) / own,
+            richest=as_numbers(floor),
+            richest_share=share,
         )
 
     def decide(self, scale: float = 1.0, *, with_rivals: bool = True) -> Decision:
@@ -277,8 +280,8 @@ def simulate_effect(bench: VirtualBench, hypothesis: Hypothesis, values: dict[st
     residual = NoiseFreeResidual(bench, bench.fit(truth, bench.structure, bench.structure.start))
     fit, covariance = _fit_truth(bench, truth, structure)
     name = structure.names[-1]
-    why = complaint(truth, fit, structure.network.element(name))
-    share = share_at_place(truth, fit, name)
+    why = find_contradiction(truth, fit, structure.network.element(name))
+    share = effect_size(truth, fit, name)
     return SimulatedEffect(bench, hypothesis, truth, structure, fit, residual, share, covariance, why, [])
 
 
@@ -309,8 +312,8 @@ def refit_rival(
 
 def _fit_truth(bench: VirtualBench, truth: Problem, structure: Structure) -> tuple[Fit, Array]:
     """Return the fit of the true structure, and the covariance by noise and by small unmodelled effects."""
-    weights = plain(bench.weighting_noise)
-    known = carried(truth, bench.network, bench.nominal.initial, structure)
+    weights = white_filters(bench.weighting_noise)
+    known = transfer_states(truth, bench.network, bench.nominal.initial, structure)
     fit = Fitter(truth, weights).fit(structure, structure.start, known, iterations=0)
     sigma = np.array([q.sigma for q in structure.free])
     if fit.hessian is None or not np.isfinite(fit.hessian).all():

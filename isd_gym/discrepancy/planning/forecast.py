@@ -12,7 +12,7 @@ import numpy as np
 from ...elements import parameter_fields
 from ..estimation.structure import owner_pair
 from ..selection.candidate import BROKEN
-from ..verdict.criteria import decide
+from ..verdict.gates import decide
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
 from .plan_result import Amount, EffectForecast
 from .sensitivity import FARTHEST, NEGLIGIBLE, is_rival
@@ -199,7 +199,7 @@ def _limits(effect: SimulatedEffect, scale: float, *, with_rivals: bool) -> tupl
     """Return the gates that an effect fails at a multiple of the simulated size, and rivals that are too close."""
     evidence = effect.evidence(scale, with_rivals=with_rivals)
     failed = [g.name for g in decide(evidence, effect.bench.criteria).gates if not g.passed]
-    rivals = f"ahead: {', '.join(evidence.abreast)}" if evidence.abreast else "ahead"
+    rivals = f"ahead: {', '.join(evidence.indistinguishable)}" if evidence.indistinguishable else "ahead"
     return tuple(rivals if name == "ahead" else name for name in failed) or (
         "agrees within what is material",
     )

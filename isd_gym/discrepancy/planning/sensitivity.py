@@ -19,8 +19,8 @@ from ...network import Channel, Network, assemble
 from ..estimation.sensitivities import tangents
 from ..estimation.structure import Hypothesis, Structure, add, in_line, twin
 from ..hypotheses.library import hypotheses
-from ..hypotheses.motion import setting, together
-from ..selection.candidate import BROKEN, relative
+from ..hypotheses.motion import setting, simulate_variants
+from ..selection.candidate import BROKEN, is_special_case
 from ..selection.held_out import LEAST_NOISE
 from ..simulation.problem import Array, Problem, bare, deviation_within
 from .virtual_bench import REQUIRED_DEVIANCE
@@ -121,7 +121,7 @@ def is_rival(network: Network, rival: Hypothesis, truth: Hypothesis) -> bool:
         links = (tuple(twin(n, network.nodes) for n in h.where) for h in (rival, truth))
         if rival.where == truth.where or (rival.kind.series and in_line(network, *links)):
             return False
-    elif relative(rival, truth):
+    elif is_special_case(rival, truth):
         return False
     return _count_parameters(network, rival) <= _count_parameters(network, truth)
 
@@ -355,7 +355,7 @@ def _simulate_responses(
     """
     out = {k: np.full((*y.shape[:2], len(networks)), np.nan) for k, y in nominal.items()}
     done = 0
-    for chunk, k, y in together(problem, fit, networks):
+    for chunk, k, y in simulate_variants(problem, fit, networks):
         with np.errstate(over="ignore", invalid="ignore"):
             out[k][:, :, chunk] = y - nominal[k]
         done += len(chunk)
@@ -364,7 +364,7 @@ def _simulate_responses(
         single = Problem(problem.network, [problem.records[k]], ["fit"], problem.step, problem.time)
         own = replace(fit, initial={0: fit.initial[k]})
         for c in np.flatnonzero(np.isnan(y).all(axis=(0, 1))).tolist():
-            for _, _, alone in together(single, own, [networks[c]]):
+            for _, _, alone in simulate_variants(single, own, [networks[c]]):
                 y[:, :, c] = alone[:, :, 0] - nominal[k][:, :, 0]
     return out
 

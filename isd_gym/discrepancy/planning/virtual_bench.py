@@ -15,17 +15,17 @@ import numpy as np
 from ...errors import InputError, shown
 from ...network import Network, assemble
 from ..estimation.gauss_newton import Fit, Fitter, residuals
-from ..estimation.initial_states import along, carried
-from ..estimation.noise import floor_of, innovations, plain, whitener
+from ..estimation.initial_states import states_along, transfer_states
+from ..estimation.noise import floor_of, innovations, white_filters, whitener
 from ..estimation.structure import Structure, base_structure
 from ..hypotheses.forces import PlaceForces, place_forces
 from ..hypotheses.motion import motions
-from ..hypotheses.unmodelled_effects import unmodelled
+from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from ..records import differentiate_inputs, split_records
 from ..selection.candidate import BROKEN, Candidate
-from ..selection.held_out import LEAST_NOISE, SMALL, Judge
+from ..selection.criteria import CRITERIA, Criteria
+from ..selection.held_out import LEAST_NOISE, SMALL, HeldOutEvaluator
 from ..simulation.problem import Array, Problem, Record, bare
-from ..verdict.criteria import CRITERIA, Criteria
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -153,8 +153,13 @@ class VirtualBench:
         rest = np.zeros(assemble(bare(self.network)).size[0])
         initial = {}
         for i, (k, first, _) in enumerate(self._cuts):
-            initial[i] = along(self._whole, s, x, {k: rest}, [first])[k][0] if first and len(rest) else rest
-        fitter, pieces = Fitter(self.problem, plain(self.weighting_noise)), list(range(len(self._cuts)))
+            initial[i] = (
+                states_along(self._whole, s, x, {k: rest}, [first])[k][0] if first and len(rest) else rest
+            )
+        fitter, pieces = (
+            Fitter(self.problem, white_filters(self.weighting_noise)),
+            list(range(len(self._cuts))),
+        )
         return fitter.fit(s, x, initial, records=pieces, frozen=True, iterations=3)
 
     # -- the nominal model on the training records ----------------------------------------------------------
@@ -177,13 +182,15 @@ class VirtualBench:
     @cached_property
     def unmodelled_responses(self) -> dict[int, Array]:
         """Responses (samples, channels, laws) to small unmodelled effects by training record."""
-        return unmodelled(self.problem, self.training_fit, SMALL)
+        return simulate_unmodelled_effects(self.problem, self.training_fit, SMALL)
 
     @cached_property
     def unmodelled_envelope(self) -> Array:
         """Largest error (channels,) by small unmodelled effects, as a share of each channel's deviation."""
         base = Candidate(self.training_fit, 0.0)
-        return Judge(self.problem).worth(base, self.criteria.small, self.criteria.material)
+        return HeldOutEvaluator(self.problem).unmodelled_envelope(
+            base, self.criteria.small, self.criteria.material
+        )
 
     # -- fitting --------------------------------------------------------------------------------------------
     def deviance(self, residual: Sequence[Array]) -> float:
@@ -205,8 +212,8 @@ class VirtualBench:
         Raises:
             InputError: The simulation fails at the start values.
         """
-        known = carried(truth, self.structure.network, self.nominal.initial, structure)
-        weights = plain(self.weighting_noise)
+        known = transfer_states(truth, self.structure.network, self.nominal.initial, structure)
+        weights = white_filters(self.weighting_noise)
         f = Fitter(truth, weights).fit(structure, x, known, iterations=iterations, tolerance=1e-3)
         left = residuals(truth, f)
         power = np.mean(np.concatenate(left) ** 2, axis=0)

@@ -12,8 +12,8 @@ from ...data import Table, read_table
 from ...errors import InputError
 from ...network import Network
 from ...units import convert
+from ..selection.criteria import CRITERIA, Criteria
 from ..simulation.problem import Array, Record
-from ..verdict.criteria import CRITERIA, Criteria
 from .excitation import Excitation, Rig, infer_rig, make_excitation, make_record
 from .forecast import forecast_effects
 from .plan_result import Plan

@@ -16,7 +16,7 @@ import numpy as np
 from ...errors import InputError
 from ..estimation.gauss_newton import Fit, Fitter
 from ..estimation.initial_states import guess
-from ..estimation.noise import plain
+from ..estimation.noise import white_filters
 from ..estimation.sensitivities import tangents
 from ..estimation.structure import Structure, base_structure
 from ..simulation.problem import Array, Problem, Record
@@ -98,7 +98,7 @@ def align_clocks(
         problem = _problem_of(network, out)
         deviation = problem.deviation()
         try:
-            fit = Fitter(problem, plain(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
+            fit = Fitter(problem, white_filters(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
         except InputError:  # the simulation diverges: the lags of the wide search stay
             break
         x, moved = fit.x, 0.0
@@ -321,7 +321,7 @@ def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tu
     (clock,) = record.clocks
     structure, tried = base_structure(network), []
     for r in [record, *(_apply_lags(record, {clock: lag}, network) for lag in rivals)]:
-        weights = plain(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
+        weights = white_filters(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
         try:
             fit = Fitter(_problem_of(network, [r]), weights).fit(structure, iterations=5)
         except InputError:

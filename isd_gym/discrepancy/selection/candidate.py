@@ -1,4 +1,4 @@
-"""A fitted set of effects, and its fit to self-consistency under its own coloured noise."""
+"""A fitted set of effects, and fits that are weighted with the noise of their own residuals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from ... import elements as el
 from ...errors import InputError
 from ..estimation.gauss_newton import Fit, Fitter, residuals
-from ..estimation.noise import finer, innovations, plain, trust, whitener
+from ..estimation.noise import innovations, refined_noise, trusted_noise, white_filters, whitener
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.motion import motions
 
@@ -20,133 +20,198 @@ if TYPE_CHECKING:
 
     from ..simulation.problem import Array, Problem
 
-#: what a fit or a simulation that breaks down raises
+#: exceptions of a fit or a simulation that breaks down
 BROKEN = (InputError, np.linalg.LinAlgError)
+#: decrease of the deviance (2 log L) below which a fit with its own noise has converged
+CONVERGED = 2.0
+#: a fit from another shape that ends within this share of the step has returned
+RETURNED = 0.3
+#: cost of a fit from another shape on few samples, over the first fit's, above which the fit is given up
+HOPELESS = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A set of effects as it was fitted. `likelihood`: -2 log L on the records to fit by, under its own coloured noise."""
+    """A fitted set of effects."""
 
     fit: Fit
-    likelihood: float
+    #: -2 log L on the training records, under the coloured noise of the residuals
+    deviance: float
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """Effects and places."""
         return self.fit.structure.hypotheses
 
     @property
     def label(self) -> str:
+        """Effects and places in words."""
         return " and ".join(h.label for h in self.hypotheses) or "the model refitted"
 
     @property
     def elements(self) -> list[el.Element]:
-        """The elements that it adds, at their fitted values."""
+        """The elements of the effects, with fitted values."""
         network = self.fit.network
         return [network.element(name) for name in self.fit.structure.names]
 
     def well_formed(self, last: bool = False) -> bool:
-        """Whether its effects (or the last one) are what their names say."""
+        """Return whether the values of the effects agree with the effects' names.
+
+        Args:
+            last: Check the last effect only.
+        """
         return all(e.well_formed() for e in (self.elements[-1:] if last else self.elements))
 
 
-def likelihood(problem: Problem, fit: Fit, white: Array) -> float:
-    """-2 log L (but for a constant) of a fit on its records, the parameters' prior included."""
-    return innovations(residuals(problem, fit), white) + fit.prior
+def deviance(problem: Problem, fit: Fit, noise: Array) -> float:
+    """Return -2 log L of a fit on its records, without constants, the prior of the parameters included.
+
+    Args:
+        problem: Model and records.
+        fit: The fit.
+        noise: White noise (channels,) that is added to the residuals' coloured noise.
+    """
+    return innovations(residuals(problem, fit), noise) + fit.prior
 
 
-def reckoned(problem: Problem, fit: Fit, floors: Array) -> Array:
-    """White noise to reckon with (channels,) when weights are taken from what this fit leaves."""
-    return trust(residuals(problem, fit), floors)
+def white_noise(problem: Problem, fit: Fit, least: Array) -> Array:
+    """Return the white noise (channels,) of weights that are taken from the residuals of a fit.
+
+    Args:
+        problem: Model and records.
+        fit: The fit.
+        least: Smallest noise (channels,).
+    """
+    return trusted_noise(residuals(problem, fit), least)
 
 
-def settled(
+def settle(
     problem: Problem,
     structure: Structure,
     x: Array,
-    floors: Array,
+    least: Array,
     fit: Fit | None = None,
     *,
     rounds: int = 3,
     iterations: int = 6,
-    least: Array | None = None,
+    noise: Array | None = None,
 ) -> Candidate:
-    """Fit with weights from the fit's own residual, until the likelihood under own coloured noise stops falling.
+    """Fit a structure repeatedly, with weights from the residuals, until the deviance stops falling.
 
-    `least`: white noise to reckon with; that of the first round where it is not given.
+    Args:
+        problem: Model and records.
+        structure: The structure.
+        x: Start values (parameters,), transformed.
+        least: Smallest noise (channels,).
+        fit: A fit whose initial states, offsets and residuals are the start.
+        rounds: Largest number of fits.
+        iterations: Largest number of Gauss-Newton steps of a fit.
+        noise: White noise of the weights (channels,); that of the first fit by default.
     """
     initial = offset = None
     if fit is not None:
         initial, offset = fit.initial, fit.offset
-        least = reckoned(problem, fit, floors) if least is None else least
-    W = plain(floors) if fit is None or least is None else whitener(residuals(problem, fit), least)
+        noise = white_noise(problem, fit, least) if noise is None else noise
+    filters = (
+        white_filters(least) if fit is None or noise is None else whitener(residuals(problem, fit), noise)
+    )
     best: Candidate | None = None
     for _ in range(rounds):
-        f = Fitter(problem, W).fit(structure, x, initial, offset, iterations=iterations)
-        least = reckoned(problem, f, floors) if least is None else least
-        value = likelihood(problem, f, finer(least, floors))
-        enough = best is not None and value > best.likelihood - 2.0
-        if best is None or value < best.likelihood:
+        f = Fitter(problem, filters).fit(structure, x, initial, offset, iterations=iterations)
+        noise = white_noise(problem, f, least) if noise is None else noise
+        value = deviance(problem, f, refined_noise(noise, least))
+        has_converged = best is not None and value > best.deviance - CONVERGED
+        if best is None or value < best.deviance:
             best = Candidate(f, value)
-        if enough:
+        if has_converged:
             break
         x, initial, offset = f.x, f.initial, f.offset
-        W = whitener(residuals(problem, f), least)
+        filters = whitener(residuals(problem, f), noise)
     assert best is not None
     return best
 
 
-def transferred(problem: Problem, fit: Fit, floors: Array) -> Fit:
-    """A fit as it stands, on other samples of the same records."""
-    return Fitter(problem, plain(floors)).fit(
+def transfer(problem: Problem, fit: Fit, least: Array) -> Fit:
+    """Return a fit, unchanged, on other samples of the same records.
+
+    Args:
+        problem: Model and records with the other samples.
+        fit: The fit.
+        least: Smallest noise (channels,).
+    """
+    return Fitter(problem, white_filters(least)).fit(
         fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
     )
 
 
-def begun_again(
-    problem: Problem, r: Candidate, shape: int | None, factor: float, floors: Array, least: Array
+def refit_with_other_shape(
+    problem: Problem, candidate: Candidate, index: int | None, factor: float, least: Array, noise: Array
 ) -> Candidate | None:
-    """A candidate fitted once more with free number `shape` begun at `factor` times its value; None where that leads
-    back to where it was, or nowhere. Where it leads is seen on as few samples as the motion needs."""
-    rough, x = Fitter(problem.rough, plain(least)), r.fit.x.copy()
-    if shape is None:
+    """Fit a candidate again from another value of the parameter that shapes a law.
+
+    Args:
+        problem: Model and records.
+        candidate: The candidate.
+        index: Index of the free parameter, a logarithm; None where no parameter shapes the law.
+        factor: Factor on the value.
+        least: Smallest noise (channels,).
+        noise: White noise of the weights (channels,).
+
+    Returns:
+        The new candidate; None where the fit returns to the old value, or ends with a larger error on few samples.
+    """
+    if index is None:
         return None
-    x[shape] += math.log(factor)
+    fitter, fit, x = Fitter(problem.rough, white_filters(noise)), candidate.fit, candidate.fit.x.copy()
+    x[index] += math.log(factor)
     try:
-        there = rough.cost(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset, problem.estimation)
-        begun = rough.fit(r.fit.structure, x, r.fit.initial, r.fit.offset, iterations=6)
-        back = abs(begun.x[shape] - r.fit.x[shape]) < 0.3 * abs(math.log(factor))
-        if back or begun.cost + begun.prior > 1.5 * there + r.fit.prior:
+        cost = fitter.cost(fit.structure, fit.x, fit.initial, fit.offset, problem.estimation)
+        again = fitter.fit(fit.structure, x, fit.initial, fit.offset, iterations=6)
+        has_returned = abs(again.x[index] - fit.x[index]) < RETURNED * abs(math.log(factor))
+        if has_returned or again.cost + again.prior > HOPELESS * cost + fit.prior:
             return None
-        f = begun if problem.rough is problem else transferred(problem, begun, floors)
-        return settled(problem, f.structure, f.x, floors, f, iterations=4, least=least)
+        f = again if problem.rough is problem else transfer(problem, again, least)
+        return settle(problem, f.structure, f.x, least, f, iterations=4, noise=noise)
     except BROKEN:
         return None
 
 
-def level(problem: Problem, candidate: Candidate, best: Candidate, floors: Array) -> float:
-    """-2 log L of a candidate, with the noise that `best` leaves to be reckoned with."""
-    return likelihood(problem, candidate.fit, finer(reckoned(problem, best.fit, floors), floors))
+def deviance_with_noise_of(problem: Problem, candidate: Candidate, best: Candidate, least: Array) -> float:
+    """Return -2 log L of a candidate, with the white noise that another candidate leaves.
+
+    Args:
+        problem: Model and records.
+        candidate: The candidate.
+        best: The candidate whose residuals give the white noise.
+        least: Smallest noise (channels,).
+    """
+    return deviance(problem, candidate.fit, refined_noise(white_noise(problem, best.fit, least), least))
 
 
-def values_of(element: el.Element) -> dict[str, float]:
+def parameter_values(element: el.Element) -> dict[str, float]:
+    """Return the parameters of an element by name."""
     return {f.name: getattr(element, f.name) for f in el.parameter_fields(type(element))}
 
 
-def simpler(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, Structure]]:
-    """What a set of effects becomes with one of them left out, or replaced by a special case of it.
+def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, Structure]]:
+    """Return the structures with one effect left out, or replaced by a special case of its law.
 
-    Each with the hypothesis that went, starting from the values found.
+    Args:
+        problem: Model and records.
+        candidate: The candidate, whose values are the start values.
+
+    Returns:
+        The effect that is left out or replaced, and the structure.
     """
     network = candidate.fit.network
-    found = [(h, values_of(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
+    found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion = motions(problem, candidate.fit)
     out = []
     for k, (h, values) in enumerate(found):
         swaps: list[list[tuple[Hypothesis, dict[str, float]]]] = [[]] if len(found) > 1 else []
         here = {e.type for e in el.beside(network, h.where)}
         for simple in h.kind.contains:
-            if simple in here:  # that would be another value of a parameter which is known
+            if simple in here:  # another value of a known parameter
                 continue
             special = h.kind.special(simple, values, motion.get((h.where[0], h.where[-1])))
             plainer = replace(
@@ -163,38 +228,42 @@ def simpler(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, St
     return out
 
 
-def relative(general: Hypothesis, special: Hypothesis) -> bool:
-    """Whether the first holds the second as a special case, at the same place."""
+def is_special_case(general: Hypothesis, special: Hypothesis) -> bool:
+    """Return whether the law of the first hypothesis contains that of the second as a special case, at the same place."""
     there = set(general.where) == set(special.where) and general.behind == special.behind
     return special.effect in general.kind.contains and there
 
 
-def akin(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bool:
-    """Whether two sets of effects are the same, in whatever order, but for special cases of one another."""
+def same_effects(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bool:
+    """Return whether two sets of effects are the same in any order; special cases of one another count as the same."""
     rest = list(others)
     for h in some:
-        twin = next((q for q in rest if q == h or relative(q, h) or relative(h, q)), None)
-        if twin is None:
+        match = next((q for q in rest if q == h or is_special_case(q, h) or is_special_case(h, q)), None)
+        if match is None:
             return False
-        rest.remove(twin)
+        rest.remove(match)
     return not rest
 
 
 def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[Candidate]:
-    """Of relatives that fit as well, the one with fewer parameters leads.
+    """Move the first special case that fits as well as the best candidate to the front.
 
-    `chance` (2 log L): what a richer relative may gain for nothing; `sure`: what one that is not what its name says may.
+    Args:
+        ranked: Candidates, smallest deviance first.
+        chance: Deviance (2 log L) that a law with more parameters gains by chance.
+        sure: The same for a law whose values contradict its name.
     """
     if not ranked:
         return ranked
     best = ranked[0]
     for r in ranked[1:]:
-        behind = r.likelihood - best.likelihood
-        mimic = not best.well_formed(last=True) and r.well_formed(last=True) and behind < sure
-        if mimic or (relative(best.hypotheses[-1], r.hypotheses[-1]) and behind < chance):
+        behind = r.deviance - best.deviance
+        is_imitation = not best.well_formed(last=True) and r.well_formed(last=True) and behind < sure
+        if is_imitation or (is_special_case(best.hypotheses[-1], r.hypotheses[-1]) and behind < chance):
             return [r, *(q for q in ranked if q is not r)]
     return ranked
 
 
 def with_fit(candidate: Candidate, fit: Fit, value: float) -> Candidate:
-    return replace(candidate, fit=fit, likelihood=value)
+    """Return a candidate with another fit and its deviance."""
+    return replace(candidate, fit=fit, deviance=value)

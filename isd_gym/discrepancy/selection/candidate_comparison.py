@@ -107,10 +107,8 @@ class CandidateComparison:
         """Return the same share on the training records, in the channel with the widest gap."""
         e = self.evaluator
         noise = self.noise * e.validation_deviation / e.training_deviation
-        powers = (
-            np.maximum(e.training_nrmse(s.candidate) ** 2 - noise**2, 0.0) for s in (before, after)
-        )
-        return _removed_where_widest(*powers, envelope)
+        powers = [np.maximum(e.training_nrmse(x.candidate) ** 2 - noise**2, 0.0) for x in (before, after)]
+        return _removed_where_widest(powers[0], powers[1], envelope)
 
     def explained_on_test(self, candidate: Candidate) -> float:
         """Return the share of the refitted model's excess error that a candidate removes on the test records.

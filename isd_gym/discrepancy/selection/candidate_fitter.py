@@ -12,7 +12,7 @@ import numpy as np
 from ..estimation.gauss_newton import Fitter, gap, residuals
 from ..estimation.initial_states import transfer_states
 from ..estimation.multiple_shooting import fit_segments, is_lightly_damped
-from ..estimation.noise import plain, whitener
+from ..estimation.noise import white_filters, whitener
 from ..estimation.structure import Structure, base_structure
 from .candidate import BROKEN, Candidate, deviance_with_noise_of, settle, transfer, white_noise
 from .screening import beginning
@@ -57,7 +57,7 @@ class CandidateFitter:
         gaps = [gap(p, c.fit) for c in found]
         near = [c for c, g in zip(found, gaps, strict=True) if g <= ASTRAY * min(gaps)]
         best = min(near, key=lambda c: c.deviance)
-        nominal = Fitter(p, plain(least)).follow(structure, structure.start, p.estimation)
+        nominal = Fitter(p, white_filters(least)).follow(structure, structure.start, p.estimation)
         if gap(p, nominal) < min(gaps) / ASTRAY:  # every refit has lost the motion
             kept = settle(p, structure, structure.start, least, nominal, iterations=0)
             return kept
@@ -99,15 +99,17 @@ class CandidateFitter:
         """
         p, least = self.evaluator.problem, self.evaluator.least_noise
         longest = max(len(p.records[i]) for i in p.estimation)
-        share = min(1.0, WINDOW_PERIODS * 2.0 * math.pi * p.time / (longest * p.records[p.estimation[0]].rate))
+        share = min(
+            1.0, WINDOW_PERIODS * 2.0 * math.pi * p.time / (longest * p.records[p.estimation[0]].rate)
+        )
         initial = offset = None
         try:
             while share < 1.0:
                 part = beginning(p, share, LEAST_WINDOW)
-                f = Fitter(part, plain(least)).fit(structure, x, initial, offset, iterations=6)
+                f = Fitter(part, white_filters(least)).fit(structure, x, initial, offset, iterations=6)
                 x, initial, offset = f.x, f.initial, f.offset
                 share *= GROWTH
-            whole = Fitter(p, plain(least)).fit(structure, x, initial, offset, iterations=6)
+            whole = Fitter(p, white_filters(least)).fit(structure, x, initial, offset, iterations=6)
             return settle(p, structure, whole.x, least, whole, rounds=2)
         except BROKEN:
             return None
@@ -119,9 +121,7 @@ class CandidateFitter:
         own, theirs = levels
         return theirs - own
 
-    def refit(
-        self, structure: Structure, similar: Candidate, worst: float = math.inf
-    ) -> Candidate | None:
+    def refit(self, structure: Structure, similar: Candidate, worst: float = math.inf) -> Candidate | None:
         """Fit a simpler or equivalent structure from the values of a fitted candidate.
 
         Args:

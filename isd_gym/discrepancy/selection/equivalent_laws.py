@@ -13,7 +13,7 @@ from ..hypotheses.curve_matching import match_law
 from ..hypotheses.forces import place_forces
 from ..hypotheses.library import hypotheses
 from ..hypotheses.motion import motions, setting
-from .candidate import BROKEN, Candidate, values_of
+from .candidate import BROKEN, Candidate, parameter_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -32,7 +32,7 @@ PERIODS = (
 TRAVEL = 0.95  # share of the samples that define the travel
 
 
-def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
+def equivalent_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     """Replace each law of a candidate by other laws with nearly the same force.
 
     Args:
@@ -42,7 +42,7 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     Yields:
         Structures with one law replaced, best match first for each law.
     """
-    found = [(h, values_of(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
+    found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
     for k, element in enumerate(candidate.elements):
         m = motion.get(element.between) if element.place == "between" else None
@@ -62,7 +62,7 @@ def imitations(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
         yield from _rebuild(problem, ([*found[:k], match, *found[k + 1 :]] for match in matches))
 
 
-def joined(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
+def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     """Replace several laws over one plane at one place by a single law.
 
     Args:
@@ -72,7 +72,7 @@ def joined(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     Yields:
         Structures with a single law for each group, best match first.
     """
-    found = [(h, values_of(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
+    found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
     groups: dict[tuple[tuple[str, str], object], list[int]] = {}
     for k, e in enumerate(candidate.elements):
@@ -119,7 +119,7 @@ def repeats(element: el.Element, motion: el.Motion) -> bool:
     return bool(PERIODS * getattr(element, element.periodic[0]) <= high - low)
 
 
-def sound(problem: Problem, candidate: Candidate) -> bool:
+def is_sound(problem: Problem, candidate: Candidate) -> bool:
     """Return whether the values of a candidate's effects agree with the effects' names, and periodic laws repeat.
 
     Args:
@@ -133,7 +133,7 @@ def sound(problem: Problem, candidate: Candidate) -> bool:
     return all(e.between not in motion or repeats(e, motion[e.between]) for e in periodic)
 
 
-def apart(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
+def force_difference(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
     """Return the difference in force between an effect and the law that replaces the effect.
 
     Args:

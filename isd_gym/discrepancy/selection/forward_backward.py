@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from .held_out import HeldOutEvaluator
     from .settings import SearchSettings
 
-#: function that receives a line of progress
-Say = Callable[[str], None] if TYPE_CHECKING else object
-
 
 @dataclass(frozen=True, eq=False)
 class Search:
@@ -43,7 +40,8 @@ class Search:
     evaluator: HeldOutEvaluator
     settings: SearchSettings
     criteria: Criteria
-    say: Say
+    #: receives a line of progress
+    say: Callable[[str], None]
 
     @property
     def problem(self) -> Problem:

@@ -1,9 +1,9 @@
-"""The law that no list has: the missing force as a smooth function of elongation, of rate or of both, fitted with its band.
+"""The free force: a missing force as a smooth function of elongation, of rate or of both, fitted with its band.
 
 The force at the knots of a table is a Gaussian process (Rasmussen and Williams, 2006, chapter 2) that vanishes at rest, written in
-the few directions that carry nearly all of its variance: numbers of unit variance which the simulation-error fit moves like any
-parameter, beside the owner's own. So what the sensors do not resolve stays at zero and is not made up, and the curvature of
-the fit gives the band.
+the few directions that carry nearly all of its variance. The coordinates along these directions have unit variance and are fitted like
+parameters, beside the parameters of the model. A part of the force that the sensors do not resolve stays at zero. The curvature of the
+fit gives the band.
 """
 
 from __future__ import annotations
@@ -29,34 +29,43 @@ from ..hypotheses.library import hypotheses, pairs
 from ..hypotheses.motion import motions, setting
 from ..result import BestTable, Over, Tabulated
 from ..simulation.problem import Array, Problem, bare
-from ..verdict.criteria import table_gates
-from .candidate import BROKEN, Candidate, reckoned, settled, transferred, with_fit
+from .candidate import BROKEN, Candidate, settle, transfer, white_noise, with_fit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ..verdict.criteria import Criteria
-    from .held_out import Judge
+    from ..verdict.gates import Gate
+    from .held_out import HeldOutEvaluator
 
 KNOTS = {"rate": 33, "elongation": 33, "both": 13}
 #: correlation lengths, as shares of half the motion's range, that are tried in turn
 LENGTHS = {"rate": (0.7, 0.35), "elongation": (0.7, 0.35), "both": (0.7,)}
-KEPT = 1e-4  # of the variance of the strongest direction
-MOST = {"rate": 12, "elongation": 12, "both": 24}  # directions
-FINALS = 3  # tables that are fitted to the end
-STRONG = 3.0  # times the typical force: one sigma of the force beforehand
-INSIDE = 0.995  # share of the motion that the knots span
+#: smallest variance of a direction, as a share of the variance of the strongest direction
+KEPT = 1e-4
+#: largest number of directions
+MOST = {"rate": 12, "elongation": 12, "both": 24}
+#: tables that are fitted with all samples
+FINALS = 3
+#: prior standard deviation of the force, as a multiple of the typical force
+STRONG = 3.0
+#: share of the motion that the knots span
+INSIDE = 0.995
 PLANES: tuple[Over, ...] = ("rate", "elongation")
-ENOUGH = 0.9  # share explained by one of them that makes a table over both needless
-BOTH = 2  # pairs at which one over both is fitted
-RICHER = 1.15  # by how much less a table over both, or a rougher one, must leave
-POINTS = 300  # of the motion at which laws are compared
-MARGINAL = 4000  # of the motion at which the arguments of a table are told apart
+#: explained fraction of a table over one argument above which no table over both is fitted
+ENOUGH = 0.9
+#: places at which a table over both arguments is fitted
+BOTH = 2
+#: factor by which a table over both arguments, or with a shorter length, must err less (mean whitened square)
+RICHER = 1.15
+#: points of the motion at which laws are compared
+POINTS = 300
+#: points of the motion at which the arguments of a table are separated
+MARGINAL = 4000
 
 
 @dataclass(frozen=True)
 class Table(Structure):
-    """A network with a `tabulated_force`; the last free numbers are the directions of its prior. `basis` (knots, directions) [N]."""
+    """A network with a `tabulated_force`; the last free parameters are the coordinates along the directions of the prior."""
 
     element: str = ""
     over: Over = "rate"
@@ -143,13 +152,13 @@ def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: flo
 # ------------------------------------------------------------------------------------------------------ the fit
 
 
-def _started(base: Candidate, structure: Table) -> Array:
+def _start_values(base: Candidate, structure: Table) -> Array:
     return np.concatenate([base.fit.x, np.zeros(structure.basis.shape[1])])
 
 
 def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) -> float:
-    """What the fit is expected to gain by a table, to first order."""
-    x = _started(base, structure)
+    """Return the decrease of the cost that a table is expected to bring, to first order."""
+    x = _start_values(base, structure)
     p, q, shared = len(base.fit.x), len(x), int(problem.shared_offset.sum())
     total = np.diag([*(1 / f.sigma**2 for f in structure.free), *np.zeros(shared)])
     slope = np.zeros(q + shared)
@@ -174,10 +183,10 @@ def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) ->
 
 
 def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:
-    """Tables over rate and over elongation at every pair, the most promising first, on no more samples than the motion needs."""
+    """Return tables over rate and over elongation at every pair, largest expected gain first, on as few samples as the motion needs."""
     motion = motions(problem, base.fit)
-    problem, base = problem.rough, _roughly(problem, base, floors)
-    fitter = Fitter(problem, whitener(residuals(problem, base.fit), reckoned(problem, base.fit, floors)))
+    problem, base = problem.rough, _coarse(problem, base, floors)
+    fitter = Fitter(problem, whitener(residuals(problem, base.fit), white_noise(problem, base.fit, floors)))
     ranked: list[tuple[float, Table]] = []
     for pair in pairs(base.fit.network):
         m = motion.get(pair)
@@ -193,164 +202,186 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForce
 
 
 @dataclass(frozen=True)
-class Followed:
-    """The best table that was fitted. candidate, tabulated: the model with the table and its description, where it passes."""
+class FreeForce:
+    """The best table of a force."""
 
     best: BestTable | None = None
+    #: the model with the table, where the table passes its gates
     candidate: Candidate | None = None
+    #: description of that table
     tabulated: Tabulated | None = None
 
 
-def follow(judge: Judge, base: Candidate, criteria: Criteria) -> Followed:
-    """Fit tables of a force between two nodes and return the one that explains the held-out records best.
+def fit_free_force(
+    evaluator: HeldOutEvaluator,
+    base: Candidate,
+    gates: Callable[[float, float, float], tuple[Gate, ...]],
+) -> FreeForce:
+    """Fit tables of a force between two nodes and return the table that explains the held-out records best.
 
     Args:
-        judge: of the records.
-        base: the owner's model refitted.
-        criteria: the limits that a table has to pass.
+        evaluator: Scores on the held-out records.
+        base: The refitted nominal model.
+        gates: Function from the explained fraction, the error reduction and the standard errors of the gain to the gates of a table.
     """
-    problem, floors = judge.problem, judge.floors
+    problem, floors = evaluator.problem, evaluator.least_noise
     forces = place_forces(problem, base.fit)
     ranked = _ranked(problem, base, floors, forces)
     first = [next((s for s in ranked if s.over == over), None) for over in PLANES]
     finals = list({id(s): s for s in [*ranked[:FINALS], *first] if s is not None}.values())
-    tried = [c for s in finals if (c := _settled(problem, base, s, floors)) is not None]
-    weighed = _weighed(judge, base, tried)
-    if (
-        weighed is not None and weighed.share(judge, base)[0] < ENOUGH
-    ):  # a force of both, where one alone is not enough
+    tried = [c for s in finals if (c := _fit_table(problem, base, s, floors)) is not None]
+    found = _select_table(evaluator, base, tried)
+    if found is not None and found.gain_over(evaluator, base)[0] < ENOUGH:
         motion = motions(problem, base.fit)
         for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
-            if order_told(base.fit.network, pair):  # of travel, too, which the inputs do not tell
+            if order_told(base.fit.network, pair):  # the inputs do not tell the elongation
                 continue
             built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
-            c = _settled(problem, base, built, floors)
+            c = _fit_table(problem, base, built, floors)
             tried += [c] if c is not None else []
-        weighed = _weighed(judge, base, tried)
-    if weighed is None:
-        return Followed()
-    weighed = _rougher(judge, base, weighed, forces)
-    explained, moved, again = weighed.share(judge, base)
-    structure = weighed.best.fit.structure
+        found = _select_table(evaluator, base, tried)
+    if found is None:
+        return FreeForce()
+    found = _refine_length(evaluator, base, found, forces)
+    explained, moved, errors = found.gain_over(evaluator, base)
+    structure = found.best.fit.structure
     assert isinstance(structure, Table)
     pair = structure.network.element(structure.element).between
-    best = BestTable(pair, structure.over, explained, table_gates(explained, moved, again, criteria))
+    best = BestTable(pair, structure.over, explained, gates(explained, moved, errors))
     if not best.accepted:
-        return Followed(best)
+        return FreeForce(best)
     try:
-        return Followed(best, weighed.best, _told(problem, floors, weighed.best, explained))
+        return FreeForce(best, found.best, _tabulated(problem, floors, found.best, explained))
     except BROKEN:
-        return Followed(best)
+        return FreeForce(best)
 
 
-def in_its_place(
-    judge: Judge, base: Candidate, named: el.Element, over: Over | None = None
+def fit_in_place_of(
+    evaluator: HeldOutEvaluator, base: Candidate, named: el.Element, over: Over | None = None
 ) -> Candidate | None:
-    """The owner's model with a table where a named effect stands, over the same plane; None where there is none to fit.
+    """Fit a table in the place of a named effect.
 
-    judge: of the records. base: the owner's model refitted. named: the effect, between two nodes. over: another plane.
+    Args:
+        evaluator: Scores on the held-out records.
+        base: The refitted nominal model.
+        named: The effect.
+        over: Arguments of the force; those of the effect's law by default.
+
+    Returns:
+        The refitted nominal model with the table; None where the effect is no force over elongation or rate.
     """
     if named.place != "between" or named.series or named.plane not in PLANES:
         return None
-    problem, pair = judge.problem, named.between
+    problem, pair = evaluator.problem, named.between
     motion = motions(problem, base.fit).get(pair)
     if motion is None:
         return None
     over, sigma = over or named.plane, STRONG * place_forces(problem, base.fit).at(pair)
     try:
-        return _settled(
-            problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), judge.floors
+        return _fit_table(
+            problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), evaluator.least_noise
         )
     except BROKEN:
         return None
 
 
 @dataclass(frozen=True)
-class Weighed:
-    """The best table so far, and the filters behind which all are compared."""
+class BestTableSoFar:
+    """The best table so far."""
 
     best: Candidate
+    #: filters with which all tables are scored
     filters: Whitener
 
-    def share(self, judge: Judge, base: Candidate) -> tuple[float, float, float]:
-        """(share of the held-out excess that it removes, the most that it moves a channel, standard errors of the gain)."""
-        after = judge.outcome(self.best, self.filters, (judge.own(base),))
-        refit = judge.outcome(base, self.filters, (after,))
-        quiet, floor = judge.quiet(after, self.filters), judge.floor(after)
-        weights = 1.0 / np.maximum(floor, 1e-3) ** 2
+    def gain_over(self, evaluator: HeldOutEvaluator, base: Candidate) -> tuple[float, float, float]:
+        """Return the explained fraction, the largest error reduction of a channel, and the standard errors of the gain."""
+        after = evaluator.score(self.best, self.filters, (evaluator.score_alone(base),))
+        refit = evaluator.score(base, self.filters, (after,))
+        noise_score, noise = (
+            evaluator.expected_noise_score(after, self.filters),
+            evaluator.noise_share(after),
+        )
+        weights = 1.0 / np.maximum(noise, 1e-3) ** 2
         plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
-        plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - floor**2, 0.0) * weights)), 1e-12)
-        whitened = (refit.score - after.score) / max(refit.score - quiet, 1e-12)
+        plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - noise**2, 0.0) * weights)), 1e-12)
+        whitened = (refit.mean_square - after.mean_square) / max(refit.mean_square - noise_score, 1e-12)
         moved = float(np.sqrt(np.maximum(refit.nrmse**2 - after.nrmse**2, 0.0)).max())
-        return min(max(whitened, plain), 1.0), moved, after.versus(refit).errors
+        return min(max(whitened, plain), 1.0), moved, after.compare_with(refit).errors
 
 
-def _roughly(problem: Problem, base: Candidate, floors: Array) -> Candidate:
+def _coarse(problem: Problem, base: Candidate, floors: Array) -> Candidate:
     if problem.rough is problem:
         return base
-    return with_fit(base, transferred(problem.rough, base.fit, floors), base.likelihood)
+    return with_fit(base, transfer(problem.rough, base.fit, floors), base.deviance)
 
 
-def _settled(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:
-    """The owner's model with a table, fitted: there by few samples, and to its end by all."""
+def _fit_table(problem: Problem, base: Candidate, structure: Table, floors: Array) -> Candidate | None:
+    """Fit a table with few samples, then with all; None where the fit breaks down."""
     try:
-        rough, x = _roughly(problem, base, floors), _started(base, structure)
-        found = settled(problem.rough, structure, x, floors, rough.fit, rounds=2, iterations=6)
+        rough, x = _coarse(problem, base, floors), _start_values(base, structure)
+        found = settle(problem.rough, structure, x, floors, rough.fit, rounds=2, iterations=6)
         if problem.rough is problem:
             return found
-        f, least = transferred(problem, found.fit, floors), reckoned(problem, base.fit, floors)
-        return settled(problem, structure, f.x, floors, f, rounds=2, iterations=2, least=least)
+        f, least = transfer(problem, found.fit, floors), white_noise(problem, base.fit, floors)
+        return settle(problem, structure, f.x, floors, f, rounds=2, iterations=2, noise=least)
     except BROKEN:
         return None
 
 
-def _weighed(judge: Judge, base: Candidate, tried: Sequence[Candidate]) -> Weighed | None:
-    """The one that leaves least of the held-out records, one over both only where it leaves clearly less."""
+def _select_table(
+    evaluator: HeldOutEvaluator, base: Candidate, tried: Sequence[Candidate]
+) -> BestTableSoFar | None:
+    """Return the table with the smallest score; a table over both arguments must err clearly less."""
     if not tried:
         return None
-    filters = judge.weights(min(tried, key=lambda c: c.likelihood))
+    filters = evaluator.whitener(min(tried, key=lambda c: c.deviance))
     scored = []
     for c in tried:
         try:
-            score = judge.outcome(c, filters, (judge.own(base),)).score
+            score = evaluator.score(c, filters, (evaluator.score_alone(base),)).mean_square
         except BROKEN:
             continue
         richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
         scored.append((score * richer, c))
-    return Weighed(min(scored, key=lambda t: t[0])[1], filters) if scored else None
+    return BestTableSoFar(min(scored, key=lambda t: t[0])[1], filters) if scored else None
 
 
-def _rougher(judge: Judge, base: Candidate, weighed: Weighed, forces: PlaceForces) -> Weighed:
-    """The same table with a shorter length, where that leaves clearly less."""
-    old = weighed.best.fit.structure
+def _refine_length(
+    evaluator: HeldOutEvaluator, base: Candidate, found: BestTableSoFar, forces: PlaceForces
+) -> BestTableSoFar:
+    """Return the table with a shorter correlation length, where that errs clearly less."""
+    old = found.best.fit.structure
     assert isinstance(old, Table)
     pair = old.network.element(old.element).between
-    m = motions(judge.problem, weighed.best.fit, (pair,))[pair]
+    m = motions(evaluator.problem, found.best.fit, (pair,))[pair]
     for length in LENGTHS[old.over][1:]:
         try:
-            c = _settled(
-                judge.problem,
+            c = _fit_table(
+                evaluator.problem,
                 base,
                 table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair)),
-                judge.floors,
+                evaluator.least_noise,
             )
             if c is None:
                 continue
-            then = judge.outcome(c, weighed.filters, (judge.own(base),)).score
+            then = evaluator.score(c, found.filters, (evaluator.score_alone(base),)).mean_square
         except BROKEN:
             continue
-        if RICHER * then < judge.outcome(weighed.best, weighed.filters, (judge.own(base),)).score:
-            weighed = Weighed(c, weighed.filters)
-    return weighed
+        if (
+            RICHER * then
+            < evaluator.score(found.best, found.filters, (evaluator.score_alone(base),)).mean_square
+        ):
+            found = BestTableSoFar(c, found.filters)
+    return found
 
 
 # ------------------------------------------------------------------------------------------------- what is told
 
 
-def _told(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
+def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: float) -> Tabulated:
     structure = best.fit.structure
     assert isinstance(structure, Table)
-    W = whitener(residuals(problem, best.fit), reckoned(problem, best.fit, floors))
+    W = whitener(residuals(problem, best.fit), white_noise(problem, best.fit, floors))
     f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
     sigma = np.array([q.sigma for q in structure.free])
     assert f.hessian is not None

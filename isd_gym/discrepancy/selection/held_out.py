@@ -14,10 +14,19 @@ from ...errors import InputError
 from ...simulate import effective_current
 from ..estimation.gauss_newton import Fit, Fitter, residuals
 from ..estimation.initial_states import next_states, transfer_states
-from ..estimation.noise import Floor, Noise, Whitener, floors_of, noise_of, passed, plain, whitener
+from ..estimation.noise import (
+    Floor,
+    Noise,
+    Whitener,
+    floors_of,
+    noise_after_filters,
+    noise_of,
+    white_filters,
+    whitener,
+)
 from ..estimation.structure import Structure, base_structure
 from ..hypotheses.forces import element_forces, place_forces
-from ..hypotheses.unmodelled_effects import unmodelled
+from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from .candidate import BROKEN, Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density
 
@@ -104,12 +113,12 @@ class HeldOutEvaluator:
     @cached_property
     def plain_fitter(self) -> Fitter:
         """Fitter with white noise."""
-        return Fitter(self.problem, plain(self.least_noise))
+        return Fitter(self.problem, white_filters(self.least_noise))
 
     @cached_property
     def coarse_fitter(self) -> Fitter:
         """Fitter with white noise on as few samples as the motion needs."""
-        return Fitter(self.problem.rough, plain(self.least_noise))
+        return Fitter(self.problem.rough, white_filters(self.least_noise))
 
     def whitener(self, candidate: Candidate) -> Whitener:
         """Return filters that whiten the training residuals of a candidate."""
@@ -224,9 +233,7 @@ class HeldOutEvaluator:
             f, initial=f.initial | g.initial, offset=f.offset | g.offset, outputs=f.outputs | g.outputs
         )
 
-    def _nearest_states(
-        self, scores: Sequence[HeldOutScore], structure: Structure
-    ) -> dict[int, Array]:
+    def _nearest_states(self, scores: Sequence[HeldOutScore], structure: Structure) -> dict[int, Array]:
         """Return, for each held-out record, the initial state of the score with the least error, in the coordinates of a structure."""
         nearest: dict[int, tuple[float, Fit]] = {}
         for fit in (s.fit for s in scores):
@@ -273,7 +280,9 @@ class HeldOutEvaluator:
 
     def expected_noise_score(self, score: HeldOutScore, filters: Whitener) -> float:
         """Return the mean whitened square of pure noise."""
-        return min(float(passed(filters, self.channel_noise(score)).mean()), 0.999 * score.mean_square)
+        return min(
+            float(noise_after_filters(filters, self.channel_noise(score)).mean()), 0.999 * score.mean_square
+        )
 
     # -- sizes --------------------------------------------------------------------------------------------
     def unmodelled_responses(self, candidate: Candidate) -> dict[int, Array]:
@@ -282,7 +291,7 @@ class HeldOutEvaluator:
         Each effect has `SMALL` of the typical force.
         """
         if self._responses is None or self._responses[0] is not candidate:
-            self._responses = candidate, unmodelled(self.problem, candidate.fit, SMALL)
+            self._responses = candidate, simulate_unmodelled_effects(self.problem, candidate.fit, SMALL)
         return self._responses[1]
 
     def unmodelled_envelope(self, candidate: Candidate, size: float, least: float) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..estimation.gauss_newton import gap
 from ..estimation.structure import in_line, twin
-from .candidate import Candidate, relative
+from .candidate import Candidate, is_special_case
 from .criteria import Criteria, is_material
 from .equivalent_laws import force_difference, is_sound
 from .held_out import HeldOutEvaluator, error_reduction
@@ -184,7 +184,9 @@ class InclusionTests:
             return False
         large = self.is_material(scores, chosen, without, self.evaluator.effect_sizes(chosen)[effect])
         return (
-            large and scores.explained_fraction(then, now) >= c.half and error_reduction(then, now) >= c.material
+            large
+            and scores.explained_fraction(then, now) >= c.half
+            and error_reduction(then, now) >= c.material
         )
 
     # -- rivals -------------------------------------------------------------------------------------------
@@ -205,7 +207,7 @@ class InclusionTests:
             network = self.evaluator.problem.network
             links = (tuple(twin(n, network.nodes) for n in h.where) for h in (a, b))
             return a.where == b.where or (a.kind.series and in_line(network, *links))
-        return relative(a, b)
+        return is_special_case(a, b)
 
     def indistinguishable(self, scores: CandidateComparison) -> list[Candidate]:
         """Return the sound rivals of another kind that the foremost candidate is not distinguished from."""

@@ -1,4 +1,8 @@
-"""One stage of the search: many hypotheses fitted to a stretch of the records, the foremost to all of them."""
+"""One stage of forward addition: hypotheses are fitted to a window of the records, the best of them to whole records.
+
+The stage is a successive halving (Jamieson and Talwalkar, AISTATS 2016): a score test orders all hypotheses, a first round fits a part
+of them to a window, and the finals are fitted to whole records.
+"""
 
 from __future__ import annotations
 
@@ -15,23 +19,23 @@ from ...elements import beside
 from ...errors import InputError
 from ...network import GROUND
 from ..estimation.gauss_newton import Fit, Fitter, gap, residuals
-from ..estimation.initial_states import along, carried, guess
-from ..estimation.multiple_shooting import begun, remembers
-from ..estimation.noise import finer, plain, whitener
+from ..estimation.initial_states import guess, states_along, transfer_states
+from ..estimation.multiple_shooting import fit_segments, is_lightly_damped
+from ..estimation.noise import refined_noise, white_filters, whitener
 from ..estimation.structure import Structure, add
 from ..hypotheses.library import Hypothesis, hypotheses
-from ..hypotheses.neighbouring_periods import comb
+from ..hypotheses.neighbouring_periods import try_neighbouring_periods
 from ..hypotheses.position_spectrum import thinning_loses
-from ..hypotheses.score_test import Screened, advanced, screen
+from ..hypotheses.score_test import ScoredStart, score_hypotheses, with_fitted_effects
 from .candidate import (
     BROKEN,
     Candidate,
-    begun_again,
-    likelihood,
-    reckoned,
-    settled,
+    deviance,
+    refit_with_other_shape,
+    settle,
     simplest_first,
-    transferred,
+    transfer,
+    white_noise,
     with_fit,
 )
 
@@ -41,264 +45,296 @@ if TYPE_CHECKING:
     from ..simulation.problem import Array, Problem, Record
     from .settings import SearchSettings
 
-#: multiples of the amplitude that the score test gives, of one that it says little about, and of one whose sign may be either
-AMPLITUDES, LARGE, OTHER = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0), (80.0,), (-2.0, -12.0, -80.0)
-COARSE = (1.0, 5.0, 30.0)  # of those, where every hypothesis is tried
-THREADS = 2  # the kernel and the linear algebra let go of the interpreter
+#: multiples of the amplitude of the score test from which fits start
+AMPLITUDES = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0)
+#: further multiples where the score test says little, and where the sign is open
+LARGE, OTHER_SIGN = (80.0,), (-2.0, -12.0, -80.0)
+#: multiples where every hypothesis is tried
+COARSE = (1.0, 5.0, 30.0)
+#: multiples of the parameter that shapes a law from which the best candidates are fitted again
+SHAPES = (0.5, 2.0)
+#: decrease of the deviance (2 log L) by which a neighbouring period must be better
+BETTER_PERIOD = 5.0
+#: growth of the window in a free decay
+GROWTH = 1.4
+#: the window starts at the beginning where the residual there has this share of the largest energy: a start from rest is known
+BEGINNING = 0.7
 
 
 @dataclass(frozen=True)
 class Window:
-    """Samples first..first+size-1 of a record."""
+    """Samples first to first + size - 1 of a record."""
 
     first: int
     size: int
 
     def of(self, record: Record) -> Record:
+        """Return the window of a record."""
         return record.part(self.first, self.first + self.size, record.name)
 
 
 @dataclass(frozen=True)
-class Finish:
-    """The order in which the candidates came in, best first, and the white noise (channels,) they were compared under."""
+class ScreeningResult:
+    """Candidates of a stage."""
 
+    #: best candidate first
     ranked: tuple[Candidate, ...]
-    white: Array
+    #: white noise with which the candidates were compared (channels,)
+    noise: Array
 
 
-def shape_of(r: Candidate) -> int | None:
-    """Which free number shapes its last effect."""
-    path = f"{r.fit.structure.names[-1]}.{r.hypotheses[-1].kind.shaped_by}"
-    return next((k for k, f in enumerate(r.fit.structure.free) if f.path == path), None)
+def shape_index(candidate: Candidate) -> int | None:
+    """Return the index of the free parameter that shapes the last law; None where no parameter does."""
+    path = f"{candidate.fit.structure.names[-1]}.{candidate.hypotheses[-1].kind.shaped_by}"
+    return next((k for k, f in enumerate(candidate.fit.structure.free) if f.path == path), None)
 
 
-def widest(record: Record, residual: Array, settings: SearchSettings) -> Window:
-    """The stretch of a record in which the whitened residual (n, channels) is largest: elsewhere an effect may be silent."""
+def widest_window(record: Record, residual: Array, settings: SearchSettings) -> Window:
+    """Return the window with the largest residual energy: elsewhere an effect may be invisible.
+
+    Args:
+        record: The record.
+        residual: Whitened residual (samples, channels).
+        settings: Size of the window.
+    """
     size = min(max(int(settings.window * len(record)), settings.least_window), len(record))
     energy = np.concatenate([[0.0], np.cumsum(np.sum(residual**2, axis=1))])
     gain = energy[size:] - energy[:-size]
-    # a start from rest is known, one in mid-motion must be fitted: the beginning wins where it is nearly as good
-    return Window(0 if gain[0] > 0.7 * gain.max() else int(np.argmax(gain)), size)
+    return Window(0 if gain[0] > BEGINNING * gain.max() else int(np.argmax(gain)), size)
 
 
 @dataclass(frozen=True)
-class Race:
-    """What all stages share: the fit from which they set out, its noise, and the stretches over which heats are run."""
+class Screening:
+    """A stage: the fit to which an effect is added, and the windows of the first round."""
 
     problem: Problem
     current: Fit
-    floors: Array
+    #: smallest noise of weights (channels,)
+    least_noise: Array
     settings: SearchSettings
-    lost: bool = False
+    #: whether the simulation has lost the phase of a free decay, so that small effects say nothing about large ones
+    has_lost_phase: bool = False
 
     @cached_property
-    def hot(self) -> Array:
-        """White noise to reckon with before anything is explained."""
-        return reckoned(self.problem, self.current, self.floors)
+    def first_noise(self) -> Array:
+        """White noise of the current fit (channels,)."""
+        return white_noise(self.problem, self.current, self.least_noise)
 
     @cached_property
     def fitter(self) -> Fitter:
-        return Fitter(self.problem, whitener(residuals(self.problem, self.current), self.hot))
+        """Fitter to whole records with the weights of the current fit."""
+        return Fitter(self.problem, whitener(residuals(self.problem, self.current), self.first_noise))
 
     @cached_property
-    def slight(self) -> bool:
-        """Whether the motion is remembered for many periods."""
-        return remembers(self.problem.network)
+    def is_lightly_damped(self) -> bool:
+        """Whether the motion lasts for many periods."""
+        return is_lightly_damped(self.problem.network)
 
     @cached_property
     def windows(self) -> dict[int, Window]:
+        """Window of each training record."""
         p = self.problem
         left = dict(zip(p.estimation, residuals(p, self.current), strict=True))
-        return {i: widest(p.records[i], self.fitter.weights(left[i]), self.settings) for i in p.estimation}
+        return {
+            i: widest_window(p.records[i], self.fitter.weights(left[i]), self.settings) for i in p.estimation
+        }
 
     @cached_property
-    def short(self) -> Problem:
+    def windowed(self) -> Problem:
+        """The problem with the windows in place of the training records."""
         cut = [self.windows[i].of(r) if i in self.windows else r for i, r in enumerate(self.problem.records)]
         return self.problem.with_records(cut)
 
     @cached_property
-    def heat(self) -> Fitter:
-        return Fitter(self.short, self.fitter.weights)
+    def window_fitter(self) -> Fitter:
+        """Fitter to the windows."""
+        return Fitter(self.windowed, self.fitter.weights)
 
     @cached_property
-    def begin(self) -> dict[int, Array]:
-        """Initial states of the stretches in the current fit."""
+    def window_states(self) -> dict[int, Array]:
+        """Initial states of the windows in the current fit."""
         p, now = self.problem, self.current
         out = {}
         for i, w in self.windows.items():
             if w.first == 0:
                 out[i] = now.initial[i]
             else:
-                there = along(p, now.structure, now.x, {i: now.initial[i]}, [w.first])[i][0]
-                out[i] = guess(self.short, now.network, i, there, now.structure.offsets)
+                there = states_along(p, now.structure, now.x, {i: now.initial[i]}, [w.first])[i][0]
+                out[i] = guess(self.windowed, now.network, i, there, now.structure.offsets)
         return out
 
-    # -- stages -----------------------------------------------------------------------------------------
-    def shortlist(self) -> list[list[Screened]]:
-        """The hypotheses that the score test puts first, each with its starts."""
-        tried = [h for h in hypotheses(self.current.structure.network) if self.sensible(h)]
+    @cached_property
+    def coarse(self) -> Screening:
+        """The same stage on as few samples as the motion needs."""
+        p, few = self.problem, self.problem.rough
+        if few is p or thinning_loses(p, self.current, self.least_noise):
+            return self
+        counts = [sum(len(q.records[i]) for i in q.estimation) for q in (few, p)]
+        least = math.ceil(counts[0] / counts[1] * self.settings.least_window)
+        settings = replace(self.settings, least_window=least)
+        return replace(
+            self, problem=few, current=transfer(few, self.current, self.least_noise), settings=settings
+        )
+
+    # -- hypotheses ---------------------------------------------------------------------------------------
+    def shortlist(self) -> list[list[ScoredStart]]:
+        """Return the hypotheses of the first round, each with its starts.
+
+        The score test chooses. An element in series with a moved node always enters, since a small compliance says little about a large
+        one. Above a wide gap the hypotheses enter that come nearest to the records at large amplitudes.
+        """
+        tried = [h for h in hypotheses(self.current.structure.network) if self.is_sensible(h)]
         moved = set(self.problem.network.moved_nodes)
-        groups: dict[object, list[Screened]] = {}
-        # where the motion is remembered for long, its phase turns a sign about
-        found = screen(self.problem, self.fitter, self.current, tried, self.lost or self.slight)
+        groups: dict[object, list[ScoredStart]] = {}
+        any_sign = self.has_lost_phase or self.is_lightly_damped  # a shifted phase may turn a sign around
+        found = score_hypotheses(self.problem, self.fitter, self.current, tried, any_sign)
         for s in found:
-            # it says little about what is put in series
             always = s.hypothesis.kind.series and bool(set(s.hypothesis.where) & moved)
             if s.hypothesis in groups or len(groups) < self.entries or always:
                 groups.setdefault(s.hypothesis, []).append(s)
-        if gap(self.problem, self.current) < self.settings.far:
+        if gap(self.problem, self.current) < self.settings.wide_gap:
             return list(groups.values())
         return [*groups.values(), *(g for g in self.nearest(found) if g[0].hypothesis not in groups)]
 
     @property
     def entries(self) -> int:
-        """How many hypotheses run: the score test, which looks at small steps, chooses only where not all can be afforded."""
-        samples = sum(len(self.short.records[i]) for i in self.short.estimation)
-        return max(self.settings.heats, self.settings.cheap // samples)
+        """Number of hypotheses of the first round: more where the windows are short."""
+        samples = sum(len(self.windowed.records[i]) for i in self.windowed.estimation)
+        return max(self.settings.first_round, self.settings.cheap_samples // samples)
 
-    def sensible(self, h: Hypothesis) -> bool:
-        """Whether a hypothesis of the network as it is now is one: what was found is not put in line again, nor beside itself, and
-        detents are between parts that the owner knows (at a node without mass, which a joint brought, they leave the motion many
-        ways to go on)."""
+    def is_sensible(self, h: Hypothesis) -> bool:
+        """Return False for hypotheses that repeat an effect already in the model, in series or in parallel.
+
+        A periodic law at a node without mass, which an element in series brought, is not sensible either.
+        """
         if h.place != "between":
             return True
         network, found = self.current.structure.network, self.current.structure.names
-        joint = not {*self.problem.network.nodes, GROUND}.issuperset(h.where)
-        twice = any(e.type == h.effect and e.name in found for e in beside(network, h.where))
-        return not twice and h.behind not in found and not (h.kind.periodic and joint)
+        is_joint = not {*self.problem.network.nodes, GROUND}.issuperset(h.where)
+        is_repeated = any(e.type == h.effect and e.name in found for e in beside(network, h.where))
+        return not is_repeated and h.behind not in found and not (h.kind.periodic and is_joint)
 
-    def nearest(self, found: Sequence[Screened]) -> list[list[Screened]]:
-        """Of a gap so wide that small steps say little: the hypotheses that come nearest as they stand, at large amplitudes."""
-        every: dict[object, list[Screened]] = {}
+    def nearest(self, found: Sequence[ScoredStart]) -> list[list[ScoredStart]]:
+        """Return the hypotheses with the smallest error at large amplitudes, without a fit."""
+        every: dict[object, list[ScoredStart]] = {}
         for s in found:
             every.setdefault(s.hypothesis, []).append(s)
-        came = []
+        scored = []
         for group in every.values():
             scores = _misfit(self, [t for s in group for t in amplified(self, s, COARSE)])
             if scores is not None and len(scores):
-                came.append((float(scores.min()), group))
-        came.sort(key=lambda t: t[0])
-        return [group for _, group in came[: self.settings.nearest]]
+                scored.append((float(scores.min()), group))
+        scored.sort(key=lambda t: t[0])
+        return [group for _, group in scored[: self.settings.nearest]]
 
-    def try_out(self, group: list[Screened]) -> Candidate | None:
-        """A hypothesis fitted to the stretches, from its best starts."""
+    # -- fits ---------------------------------------------------------------------------------------------
+    def fit_to_windows(self, group: list[ScoredStart]) -> Candidate | None:
+        """Fit a hypothesis to the windows from its best starts; None where every fit breaks down."""
         tries: list[Candidate] = []
         for structure, x in starts(self, group):
-            known = carried(self.short, self.current.network, self.begin, structure)
+            known = transfer_states(self.windowed, self.current.network, self.window_states, structure)
             try:
-                if structure.hypotheses[-1].kind.periodic:  # which of its rests holds is to be seen first
-                    seen = {i: guess(self.short, structure.at(x), i) for i in self.short.estimation}
+                if structure.hypotheses[-1].kind.periodic:  # first find the position of rest that holds
+                    guessed = {i: guess(self.windowed, structure.at(x), i) for i in self.windowed.estimation}
                     known = min(
-                        (known, seen),
-                        key=lambda s: self.heat.cost(
-                            structure, x, s, self.current.offset, self.short.estimation
+                        (known, guessed),
+                        key=lambda s: self.window_fitter.cost(
+                            structure, x, s, self.current.offset, self.windowed.estimation
                         ),
                     )
-                f = self.heat.fit(structure, x, known, self.current.offset, iterations=3)
+                f = self.window_fitter.fit(structure, x, known, self.current.offset, iterations=3)
             except BROKEN:
                 continue
-            tries.append(self._candidate(self.short, f))
+            tries.append(self._candidate(self.windowed, f))
         if not tries:
             return None
-        f = min(tries, key=lambda c: c.likelihood).fit
+        f = min(tries, key=lambda c: c.deviance).fit
         try:
-            f = self.heat.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
+            f = self.window_fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
         except BROKEN:
             return None
-        return self._candidate(self.short, f)
+        return self._candidate(self.windowed, f)
 
     def _candidate(self, problem: Problem, fit: Fit) -> Candidate:
-        return Candidate(fit, likelihood(problem, fit, finer(self.hot, self.floors)))
+        return Candidate(fit, deviance(problem, fit, refined_noise(self.first_noise, self.least_noise)))
 
-    def lengthen(self, r: Candidate) -> Candidate | None:
-        """From the stretch to the whole of the records, with the heat's coarse weights."""
+    def fit_to_records(self, r: Candidate) -> Candidate | None:
+        """Fit a candidate of the windows to whole records; None where the fit breaks down."""
         try:
-            W = whitener(residuals(self.short, r.fit), reckoned(self.short, r.fit, self.floors))
-            known = carried(self.problem, self.current.network, self.current.initial, r.fit.structure)
+            filters = whitener(
+                residuals(self.windowed, r.fit), white_noise(self.windowed, r.fit, self.least_noise)
+            )
+            known = transfer_states(self.problem, self.current.network, self.current.initial, r.fit.structure)
             known |= {i: r.fit.initial[i] for i, w in self.windows.items() if w.first == 0}
-            fitter = Fitter(self.problem, W)
+            fitter = Fitter(self.problem, filters)
             f = fitter.fit(r.fit.structure, r.fit.x, known, r.fit.offset, iterations=5)
-            there = begun(self.problem, f.structure, r.fit.x, fitter) if self.slight else None
-            if there is not None:
-                again = fitter.fit(f.structure, there, iterations=5)
+            x = fit_segments(self.problem, f.structure, r.fit.x, fitter) if self.is_lightly_damped else None
+            if x is not None:
+                again = fitter.fit(f.structure, x, iterations=5)
                 f = again if again.cost + again.prior < f.cost + f.prior else f
         except BROKEN:
             return None
         return self._candidate(self.problem, f)
 
-    def polish(self, r: Candidate, cold: Array) -> Candidate | None:
-        """Fitted until its own noise does not change any more; what repeats over travel also at neighbouring periods."""
+    def settle_noise(self, r: Candidate, noise: Array) -> Candidate | None:
+        """Fit a candidate until its own noise has converged; a periodic law also at neighbouring periods."""
         p = self.problem
         try:
-            r = settled(p, r.fit.structure, r.fit.x, self.floors, r.fit, iterations=4, least=cold)
+            r = settle(p, r.fit.structure, r.fit.x, self.least_noise, r.fit, iterations=4, noise=noise)
             for _ in range(3 if r.hypotheses[-1].kind.periodic else 0):
-                W = whitener(residuals(p, r.fit), cold)
-                f = comb(p, Fitter(p, W), r.fit, r.fit.structure.names[-1])
-                again = settled(p, f.structure, f.x, self.floors, f, rounds=2, iterations=4, least=cold)
-                if again.likelihood > r.likelihood - 5:
+                filters = whitener(residuals(p, r.fit), noise)
+                f = try_neighbouring_periods(p, Fitter(p, filters), r.fit, r.fit.structure.names[-1])
+                again = settle(p, f.structure, f.x, self.least_noise, f, rounds=2, iterations=4, noise=noise)
+                if again.deviance > r.deviance - BETTER_PERIOD:
                     break
                 r = again
         except BROKEN:
             return None
         return r
 
-    def elsewhere(self, r: Candidate, factor: float, cold: Array) -> Candidate:
-        """The fit begun again with another shape, where that is better: from one start it may end in a place of its own."""
-        return begun_again(self.problem, r, shape_of(r), factor, self.floors, cold) or r
+    def try_other_shape(self, r: Candidate, factor: float, noise: Array) -> Candidate:
+        """Fit a candidate again from another shape of its law; return the candidate itself where that fails."""
+        return refit_with_other_shape(self.problem, r, shape_index(r), factor, self.least_noise, noise) or r
 
-    @cached_property
-    def rough(self) -> Race:
-        """The same race with no more samples than the motion needs."""
-        p, few = self.problem, self.problem.rough
-        if few is p or thinning_loses(p, self.current, self.floors):
-            return self
-        share = sum(len(few.records[i]) for i in few.estimation) / sum(
-            len(p.records[i]) for i in p.estimation
-        )
-        settings = replace(self.settings, least_window=math.ceil(share * self.settings.least_window))
-        return replace(
-            self, problem=few, current=transferred(few, self.current, self.floors), settings=settings
-        )
-
-    def heats(self) -> list[Candidate]:
-        """The foremost of all hypotheses, fitted to all of the records."""
-        groups, _ = self.shortlist(), (self.heat, self.begin)
-        with ThreadPoolExecutor(THREADS) as pool:
-            came = _came_in(pool.map(self.try_out, groups))
-            ranked = came[: self.settings.finals]
-            # a likelihood under coloured noise may miss who closes most of the gap
-            closest = min(came, key=lambda r: gap(self.short, r.fit), default=None)
+    def first_round(self) -> list[Candidate]:
+        """Fit the hypotheses of the shortlist to the windows, and the best of them to whole records."""
+        groups, _ = self.shortlist(), (self.window_fitter, self.window_states)
+        with ThreadPoolExecutor(self.settings.jobs) as pool:
+            fitted = _best_first(pool.map(self.fit_to_windows, groups))
+            ranked = fitted[: self.settings.finals]
+            # the deviance under coloured noise may miss the candidate that closes most of the gap
+            closest = min(fitted, key=lambda r: gap(self.windowed, r.fit), default=None)
             ranked += [closest] if closest is not None and closest not in ranked else []
-            return _came_in(pool.map(self.lengthen, ranked))
+            return _best_first(pool.map(self.fit_to_records, ranked))
 
-    def run(self) -> Finish:
-        ranked = self.rough.heats()
-        if self.rough is not self:
-            ranked = _came_in(map(self.transferred, ranked))
+    def run(self) -> ScreeningResult:
+        """Run the stage."""
+        ranked = self.coarse.first_round()
+        if self.coarse is not self:
+            ranked = _best_first(map(self._transferred, ranked))
         if not ranked:
-            return Finish((), self.hot)
-        # what the best of them leaves is what is trusted now
-        cold = np.min([reckoned(self.problem, r.fit, self.floors) for r in ranked], axis=0)
-        with ThreadPoolExecutor(THREADS) as pool:
-            ranked = _came_in(pool.map(lambda r: self.polish(r, cold), ranked))
-            again = [(r, k) for r in ranked[:2] if shape_of(r) is not None for k in (0.5, 2.0)]
+            return ScreeningResult((), self.first_noise)
+        noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
+        with ThreadPoolExecutor(self.settings.jobs) as pool:
+            ranked = _best_first(pool.map(lambda r: self.settle_noise(r, noise), ranked))
+            again = [(r, k) for r in ranked[:2] if shape_index(r) is not None for k in SHAPES]
             for r, other in zip(
                 [r for r, _ in again],
-                pool.map(lambda t: self.elsewhere(t[0], t[1], cold), again),
+                pool.map(lambda t: self.try_other_shape(t[0], t[1], noise), again),
                 strict=True,
             ):
-                ranked = [other if q is r and other.likelihood < q.likelihood else q for q in ranked]
-        return Finish(tuple(self.order(ranked)), cold)
+                ranked = [other if q is r and other.deviance < q.deviance else q for q in ranked]
+        return ScreeningResult(tuple(self.rank(ranked)), noise)
 
-    def transferred(self, r: Candidate) -> Candidate | None:
+    def _transferred(self, r: Candidate) -> Candidate | None:
         try:
-            return self._candidate(self.problem, transferred(self.problem, r.fit, self.floors))
+            return self._candidate(self.problem, transfer(self.problem, r.fit, self.least_noise))
         except BROKEN:
             return None
 
-    def order(self, ranked: Sequence[Candidate]) -> list[Candidate]:
-        """By likelihood; one that closes half of the gap, where the likeliest does not, goes first."""
-        ranked = sorted(ranked, key=lambda r: r.likelihood)
+    def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
+        """Order candidates by deviance; a candidate that closes half of the gap goes before a likelier one that does not."""
+        ranked = sorted(ranked, key=lambda r: r.deviance)
         widths = [gap(self.problem, r.fit) for r in ranked]
         if ranked and min(widths) < 0.5 * gap(self.problem, self.current) < widths[0]:
             closest = ranked[int(np.argmin(widths))]
@@ -306,38 +342,39 @@ class Race:
         return simplest_first(ranked, self.settings.chance, self.settings.sure)
 
 
-def _came_in(found: Iterable[Candidate | None]) -> list[Candidate]:
-    """Those that did not break down, best first, each set of effects once."""
+def _best_first(found: Iterable[Candidate | None]) -> list[Candidate]:
+    """Return the candidates that did not break down, smallest deviance first, each set of effects once."""
     best: dict[object, Candidate] = {}
     for r in found:
-        if r is not None and math.isfinite(r.likelihood):
+        if r is not None and math.isfinite(r.deviance):
             old = best.get(r.hypotheses)
-            best[r.hypotheses] = r if old is None or r.likelihood < old.likelihood else old
-    return sorted(best.values(), key=lambda r: r.likelihood)
+            best[r.hypotheses] = r if old is None or r.deviance < old.deviance else old
+    return sorted(best.values(), key=lambda r: r.deviance)
 
 
-# ------------------------------------------------------------------------------------------ where fits begin
+# ------------------------------------------------------------------------------------------ where fits start
 
 
-def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
-    """Where joint fits begin: the screened starts at several amplitudes, base at its prior, simulated and compared.
+def starts(screening: Screening, group: list[ScoredStart]) -> list[tuple[Structure, Array]]:
+    """Return the starts of a hypothesis with the smallest error: structure and start values (parameters,), transformed.
 
-    The score test looks at small effects; a large one is found by trying.
+    The starts of the score test are simulated at several amplitudes, with the nominal values of the model's own parameters. The score
+    test is local; a large effect is found by trying.
     """
-    current, kind = race.current, group[0].hypothesis.kind
-    if kind.periodic:  # a step too far leads to another period: from the base as fitted
+    current, kind = screening.current, group[0].hypothesis.kind
+    if kind.periodic:  # a large step leads to another period: start from the refitted values
         known = dict(zip((f.path for f in current.structure.free), current.x, strict=True))
-        near = [t for s in group[:3] for t in amplified(race, s, (1.0,))]
+        near = [t for s in group[:3] for t in amplified(screening, s, (1.0,))]
         return [
             (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
         ]
     tries = []
     for s in group[:6]:
-        more = LARGE * (s.start.inverse or race.lost) + OTHER * s.start.signed
-        tries += amplified(race, s, AMPLITUDES + more)
+        more = LARGE * (s.start.inverse or screening.has_lost_phase) + OTHER_SIGN * s.start.signed
+        tries += amplified(screening, s, AMPLITUDES + more)
     if not tries:
         return []
-    scores = _misfit(race, tries)
+    scores = _misfit(screening, tries)
     if scores is None:
         return [(tries[0], tries[0].start)]
     order = np.argsort(scores)
@@ -348,61 +385,76 @@ def starts(race: Race, group: list[Screened]) -> list[tuple[Structure, Array]]:
     return [(t, t.start) for t in picked]
 
 
-def amplified(race: Race, s: Screened, factors: Sequence[float]) -> list[Structure]:
-    """A screened start at multiples of its amplitude, where it has one."""
+def amplified(screening: Screening, s: ScoredStart, factors: Sequence[float]) -> list[Structure]:
+    """Return a start at multiples of its amplitude; once where the effect has no amplitude."""
     out = []
     for factor in factors if s.start.grows else (1.0,):
         values = dict(s.values)
         for key in s.start.grows:
             values[key] *= 1 / factor if s.start.inverse else factor
         try:
-            out.append(add(advanced(race.current), s.hypothesis, values))
+            out.append(add(with_fitted_effects(screening.current), s.hypothesis, values))
         except InputError:
             continue
     return out
 
 
-def _misfit(race: Race, tries: Sequence[Structure]) -> Array | None:
-    """Sum over channels of the logarithm of the residual's variance, as they stand: one that drifts does not drown others."""
-    problem, current = race.short, race.current
+def _misfit(screening: Screening, tries: Sequence[Structure]) -> Array | None:
+    """Return the sum over channels of the logarithm of the residual's variance (tries,): one drifting channel does not hide the others."""
+    problem, current = screening.windowed, screening.current
     if not tries:
         return None
     scores, nets = np.zeros(len(tries)), [t.network for t in tries]
-    begun = [carried(problem, current.network, race.begin, t) for t in tries]
-    at = {i: np.stack([b[i] for b in begun], axis=1) for i in problem.estimation}
+    initial = [transfer_states(problem, current.network, screening.window_states, t) for t in tries]
+    at = {i: np.stack([b[i] for b in initial], axis=1) for i in problem.estimation}
     try:
         seen = problem.simulate_all(nets, problem.estimation, at, like=nets[0])
     except BROKEN:
         return None
     for i, y in seen.items():
         with np.errstate(over="ignore", invalid="ignore"):
-            v = np.var(problem.records[i].measured[:, :, None] - y, axis=0) + race.floors[:, None] ** 2
-        whole = np.isfinite(v).all(axis=0)
-        scores += np.where(whole, np.sum(np.log(np.where(np.isfinite(v), v, 1.0)), axis=0), math.inf)
+            v = np.var(problem.records[i].measured[:, :, None] - y, axis=0)
+            v = v + screening.least_noise[:, None] ** 2
+        is_finite = np.isfinite(v).all(axis=0)
+        scores += np.where(is_finite, np.sum(np.log(np.where(np.isfinite(v), v, 1.0)), axis=0), math.inf)
     return scores
 
 
 # -------------------------------------------------------------------------------------------- free decays
 
 
-def compete(problem: Problem, current: Fit, floors: Array, settings: SearchSettings) -> Finish:
-    """One stage of forward addition. A free decay whose frequency the model misses is compared on its beginning, which
-    then grows: later on the phase is anything."""
-    if problem.network.inputs or gap(problem, current) < settings.lost:
-        return Race(problem, current, floors, settings).run()
-    return _growing(problem, current, floors, settings)
+def screen_effects(
+    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings
+) -> ScreeningResult:
+    """Run one stage of forward addition.
+
+    A free decay whose frequency the model misses is compared over its beginning, which then grows: later the phase is arbitrary.
+
+    Args:
+        problem: Model and records.
+        current: The fit to which an effect is added.
+        least_noise: Smallest noise of weights (channels,).
+        settings: Settings of the search.
+    """
+    if problem.network.inputs or gap(problem, current) < settings.lost_phase:
+        return Screening(problem, current, least_noise, settings).run()
+    return _screen_growing(problem, current, least_noise, settings)
 
 
-def _growing(problem: Problem, current: Fit, floors: Array, settings: SearchSettings) -> Finish:
+def _screen_growing(
+    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings
+) -> ScreeningResult:
     share, part, fit = 1.0, problem, current
-    while gap(part, fit) >= settings.lost and share * max(map(len, problem.records)) > settings.shortest:
+    longest = max(map(len, problem.records))
+    while gap(part, fit) >= settings.lost_phase and share * longest > settings.shortest:
         share /= 2
         part = beginning(problem, share, settings.shortest)
-        # from the state as measured: the one that fits a wrong frequency best is nobody's
-        fit = Fitter(part, plain(floors)).fit(current.structure, current.x, iterations=0)
-    ranked = list(Race(part, fit, floors, replace(settings, heats=100, finals=8), lost=True).run().ranked)
+        # from the measured state: the state that fits a wrong frequency best means nothing
+        fit = Fitter(part, white_filters(least_noise)).fit(current.structure, current.x, iterations=0)
+    many = replace(settings, first_round=100, finals=8)
+    ranked = list(Screening(part, fit, least_noise, many, has_lost_phase=True).run().ranked)
 
-    def each(change: Callable[[Candidate], Candidate]) -> None:
+    def change_each(change: Callable[[Candidate], Candidate]) -> None:
         for r in list(ranked):
             try:
                 ranked[ranked.index(r)] = change(r)
@@ -410,14 +462,16 @@ def _growing(problem: Problem, current: Fit, floors: Array, settings: SearchSett
                 ranked.remove(r)
 
     while share < 1.0:
-        share = min(1.4 * share, 1.0)
+        share = min(GROWTH * share, 1.0)
         part = beginning(problem, share, settings.shortest) if share < 1.0 else problem
-        fitter = Fitter(part, plain(floors))
-        each(functools.partial(_refit, fitter))
-    white = np.min([reckoned(problem, r.fit, floors) for r in ranked], axis=0) if ranked else floors
-    each(lambda r: settled(problem, r.fit.structure, r.fit.x, floors, r.fit, least=white))
-    ranked.sort(key=lambda r: r.likelihood)
-    return Finish(tuple(simplest_first(ranked, settings.chance, settings.sure)), white)
+        fitter = Fitter(part, white_filters(least_noise))
+        change_each(functools.partial(_refit, fitter))
+    noise = least_noise
+    if ranked:
+        noise = np.min([white_noise(problem, r.fit, least_noise) for r in ranked], axis=0)
+    change_each(lambda r: settle(problem, r.fit.structure, r.fit.x, least_noise, r.fit, noise=noise))
+    ranked.sort(key=lambda r: r.deviance)
+    return ScreeningResult(tuple(simplest_first(ranked, settings.chance, settings.sure)), noise)
 
 
 def _refit(fitter: Fitter, r: Candidate) -> Candidate:
@@ -425,7 +479,13 @@ def _refit(fitter: Fitter, r: Candidate) -> Candidate:
 
 
 def beginning(problem: Problem, share: float, least: int) -> Problem:
-    """The first `share` of every record, and at least `least` samples where it has them."""
+    """Return the problem with the first part of every record.
+
+    Args:
+        problem: Model and records.
+        share: Share of each record.
+        least: Smallest number of samples, where a record has as many.
+    """
     return problem.with_records(
         [r.part(0, max(int(share * len(r)), min(len(r), least)), r.name) for r in problem.records]
     )

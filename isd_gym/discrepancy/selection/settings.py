@@ -1,4 +1,4 @@
-"""Numbers that steer the search. What decides is in `criteria`; both are arguments of `diagnose` and come back with it."""
+"""Settings that steer the search: what the search does not try cannot be found, but the settings decide nothing else."""
 
 from __future__ import annotations
 
@@ -7,37 +7,45 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How far the search goes: it may miss what it does not try, but decides nothing.
+    """How far the search goes. The settings are an argument of `diagnose` and are returned with the result."""
 
-    heats, finals: how many hypotheses are fitted to the stretch of a record where the gap is widest, and how many of
-    them to all of it. cheap: samples; where the stretches are short, as many hypotheses more as have so many together. far, nearest: gap from which on the score test, which looks at small effects, says too little, and how many
-    hypotheses then join that come nearest as they stand. depth: effects at once. turns: runners-up from which the search starts over where one effect is not
-    enough. window: share of a record that a heat sees, and the least samples of it. chance, sure (2 log L): what a richer
-    relative may gain for nothing, and what a step must gain. lost: gap (power over the signal's) from which on a simulation
-    that no input ties to the record has lost its phase. astray: error of the refitted model (share of the deviation,
-    mean over channels) from which on records are compared in brief stretches first; brief: their length in the rig's own time scale,
-    least_brief: and in that of its slowest channel;
-    pieces: how many of them at most to fit, to choose and to report by; shortest: samples of one. outrun: power of the error, as a multiple
-    of the chosen one's, from which on another law for the same force is not followed any further. max_lag [s]: how late or early the
-    clocks of other loggers may be.
-    """
-
-    heats: int = 8
+    #: hypotheses that are fitted to the window of the records with the widest gap
+    first_round: int = 8
+    #: hypotheses of the first round that are fitted to whole records
     finals: int = 4
-    cheap: int = 40_000
-    far: float = 0.1
+    #: samples of all windows together up to which more hypotheses enter the first round
+    cheap_samples: int = 40_000
+    #: gap (power of the error over the power of the signal) above which the score test, which is local, says too little
+    wide_gap: float = 0.1
+    #: hypotheses that enter the first round above that gap because they come nearest to the records at large amplitudes
     nearest: int = 4
+    #: largest number of effects
     depth: int = 3
+    #: runners-up of the first stage from which the search starts again where one start decides nothing
     turns: int = 2
+    #: share of a record that the window of the first round covers
     window: float = 0.4
+    #: smallest window [samples]
     least_window: int = 2000
+    #: deviance (2 log L) that a law with more parameters gains by chance
     chance: float = 30.0
+    #: deviance (2 log L) that a law whose values contradict its name gains by chance
     sure: float = 60.0
-    lost: float = 0.5
+    #: gap above which the simulation of a free decay has lost the phase
+    lost_phase: float = 0.5
+    #: smallest number of samples of a window or segment
     shortest: int = 80
-    outrun: float = 1.5
+    #: error of an equivalent law on few samples, over the error of the found law (in power), above which the law is dropped
+    worst_equivalent: float = 1.5
+    #: error of the refitted model (share of the deviation, mean over channels) above which records are compared in segments
     astray: float = 0.5
-    brief: float = 16.0
-    least_brief: float = 4.0
-    pieces: int = 30
+    #: length of a segment, in the rig's time scale
+    segment: float = 16.0
+    #: smallest length of a segment, in the time scale of the slowest channel
+    least_segment: float = 4.0
+    #: largest number of segments to fit, to choose and to report by, each
+    segments: int = 30
+    #: threads that share the fits; the result does not depend on the number
+    jobs: int = 2
+    #: largest lag between the clocks of loggers [s]
     max_lag: float = 0.5

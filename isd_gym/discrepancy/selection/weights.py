@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..estimation.structure import owner_pair, twin
-from .candidate import BROKEN, relative
-from .equivalent_laws import sound
+from .candidate import is_special_case
+from .equivalent_laws import is_sound
 from .free_force import Table
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..estimation.structure import Hypothesis
     from ..simulation.problem import Array
     from .candidate import Candidate
-    from .candidate_comparison import Trial
+    from .candidate_comparison import CandidateComparison
     from .forward_backward import Search
 
 #: draws of the Bayesian bootstrap
@@ -102,15 +102,15 @@ def statements_of(search: Search, candidate: Candidate, best: Candidate) -> froz
         and best.hypotheses
         and len(candidate.hypotheses) == len(best.hypotheses)
         and candidate.hypotheses[:-1] == best.hypotheses[:-1]
-        and search.same(candidate, best)
-        and not relative(candidate.hypotheses[-1], best.hypotheses[-1])
+        and search.tests.states_the_same(candidate, best)
+        and not is_special_case(candidate.hypotheses[-1], best.hypotheses[-1])
     )
     chosen = best if alike else candidate
     return frozenset(Statement(place_of(search, h), h.kind.mechanism, h.effect) for h in chosen.hypotheses)
 
 
 def weigh_candidates(
-    search: Search, trial: Trial, extra: Iterable[Candidate] = (), seed: int = 0
+    search: Search, scores: CandidateComparison, extra: Iterable[Candidate] = (), seed: int = 0
 ) -> tuple[WeightedCandidate, ...]:
     """Weigh the candidates of a search on the blocks of validation and training records.
 
@@ -119,27 +119,27 @@ def weigh_candidates(
 
     Args:
         search: The search.
-        trial: Scores of the candidates behind common filters.
+        scores: Scores of the candidates.
         extra: Further candidates, such as tables of a free force.
         seed: Seed of the Bayesian bootstrap.
 
     Returns:
         Candidates with weights, largest weight first.
     """
-    best = trial.foremost
-    taking_part: list[Candidate] = [trial.base]
-    if best is not trial.base:
+    best = scores.foremost
+    taking_part: list[Candidate] = [scores.refitted]
+    if best is not scores.refitted:
         taking_part.append(best)
-    for r in trial.candidates():
-        if any(r is q for q in taking_part) or not trial.follows(r) or not sound(search.problem, r):
+    for r in scores.candidates():
+        if any(r is q for q in taking_part) or not scores.can_score(r) or not is_sound(search.problem, r):
             continue
-        if len(r.fit.x) > len(best.fit.x) and not search.clearly_better(trial, r, best):
+        if len(r.fit.x) > len(best.fit.x) and not search.tests.is_worth_more_parameters(scores, r, best):
             continue
         taking_part.append(r)
     for r in extra:
-        if trial.follows(r):
+        if scores.can_score(r):
             taking_part.append(r)
-    weights = pseudo_bma_weights(np.stack([trial.of(r).blocks_lpd for r in taking_part]), seed)
+    weights = pseudo_bma_weights(np.stack([scores.score(r).lpd for r in taking_part]), seed)
     found = [
         WeightedCandidate(r, float(w), statements_of(search, r, best))
         for r, w in zip(taking_part, weights, strict=True)
@@ -175,7 +175,6 @@ def weight_of_all(candidates: Sequence[WeightedCandidate], best: Candidate) -> f
 
 
 __all__ = [
-    "BROKEN",
     "FREE_FORCE",
     "Statement",
     "WeightedCandidate",

@@ -1,0 +1,1 @@
+"""Simulation of networks over measured records: inputs between samples, many variants side by side, a cache."""

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from ...arrays import Array
 
 
-class Memory:
+class SimulationCache:
     """What was simulated last, to be had again without simulating: no more than `limit` bytes of it."""
 
     def __init__(self, limit: int = 200_000_000):

@@ -25,7 +25,7 @@ def through(values: Array, every: int, *, by: int = 0) -> Array:
     )
 
 
-def finer(values: Array, every: int, *, held: bool, sparse: bool) -> Array:
+def interpolated(values: Array, every: int, *, held: bool, sparse: bool) -> Array:
     """A record (n,) at `every` times its rate: held, or along lines; through a spline where samples are `sparse`."""
     return through(values, every) if sparse and not held else upsample(values, every, hold=held)
 
@@ -36,7 +36,7 @@ def differences(values: Array, step: float) -> tuple[Array, Array]:
     return v, np.gradient(v, step, edge_order=2)
 
 
-def bent(
+def splined_input(
     values: Array, slopes: tuple[Array, Array] | None, step: float, every: int, *, sparse: bool
 ) -> tuple[Array, ...]:
     """An input at `every` times its rate, and its two derivatives by time, where something acts through them.
@@ -51,7 +51,7 @@ def bent(
         splined = [GAINS[k] * noise / step ** (k + 1) < QUIET * rms(slopes[k]) for k in (0, 1)]
     else:
         splined = [False, False]
-    x = finer(values, every, held=False, sparse=sparse or splined[0])
+    x = interpolated(values, every, held=False, sparse=sparse or splined[0])
     derived = [
         through(values, every, by=k + 1) / step ** (k + 1) if splined[k] else upsample(slopes[k], every)
         for k in (0, 1)

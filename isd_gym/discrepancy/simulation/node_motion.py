@@ -21,7 +21,7 @@ def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = Non
     return np.vstack([asm.position[pick, x], time * asm.velocity[pick, x]])
 
 
-def carrier(source: Assembly, target: Assembly, time: float) -> Array:
+def transfer_matrix(source: Assembly, target: Assembly, time: float) -> Array:
     """Matrix from initial states of one network to those of another: the nodes that both have move alike."""
     moved = source.network.moved_nodes
     both = [n for n in source.network.nodes if n in target.network.nodes and n not in moved]

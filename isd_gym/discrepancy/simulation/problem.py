@@ -18,9 +18,9 @@ from ...arrays import Array as Array  # noqa: TC001  (re-exported)
 from ...network import Network, assemble
 from ...simulate import Plant, effective_current
 from ...units import convert
-from .cache import Memory
-from .interpolation import bent, finer
-from .node_motion import carrier
+from .cache import SimulationCache
+from .interpolation import interpolated, splined_input
+from .node_motion import transfer_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -236,7 +236,7 @@ class Problem:
         self.record_offset = np.array([c.offset == "record" for c in network.outputs], bool)
         self._time = time
         self._spans: dict[int, float] = {}
-        self.memory = Memory()
+        self.memory = SimulationCache()
 
     def _of(self, *roles: Role) -> list[int]:
         return [i for i, r in enumerate(self.roles) if r in roles]
@@ -467,7 +467,7 @@ class Problem:
             if c.name in curves:
                 fine = [curve[0] for curve in curves[c.name]]
             else:
-                fine = [finer(r.inputs[c.name], every, held=held, sparse=sparse) for r in records]
+                fine = [interpolated(r.inputs[c.name], every, held=held, sparse=sparse) for r in records]
             if motored and held:
                 made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
                 inputs[c.name] = np.concatenate(made, axis=1)
@@ -500,7 +500,7 @@ class Problem:
         known = self.memory.get(key)
         if known is None:
             r = self.records[index]
-            known = bent(r.inputs[name], r.slopes.get(name), r.step, every, sparse=self._sparse(r))
+            known = splined_input(r.inputs[name], r.slopes.get(name), r.step, every, sparse=self._sparse(r))
             self.memory.put(key, r, known)
         return known
 
@@ -516,6 +516,6 @@ class Problem:
             if id(asm) not in maps:
                 key = asm.position.tobytes() + asm.velocity.tobytes()
                 if key not in known:
-                    known[key] = carrier(source, asm, self.time)
+                    known[key] = transfer_matrix(source, asm, self.time)
                 maps[id(asm)] = known[key]
         return np.stack([maps[id(asm)] @ initial[:, k] for k, asm in enumerate(plant.assemblies)], axis=1)

@@ -12,7 +12,8 @@ from ... import elements as el
 from ...network.cut import cut_nodes
 from ..estimation.noise import lagged, predicted
 from ..estimation.structure import REACH as FAR
-from ..verdict.criteria import COMPARE, CRITERIA, Gate
+from ..selection.criteria import CRITERIA
+from ..verdict.gates import COMPARE, Gate
 from .estimation import estimate_uncertainty
 from .result import UnknownInputResult
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ...arrays import Array
     from ...network import Network
     from ..estimation.structure import Hypothesis
-    from ..verdict.criteria import Relation, Verdict
+    from ..verdict.gates import Relation, Verdict
     from .estimation import Estimates, ModelFit, TimeLimit
     from .kalman import Prediction
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from ...network import Network
     from ..result import Quantity
-    from ..verdict.criteria import Gate, Verdict
+    from ..verdict.gates import Gate, Verdict
 
 SCHEMA = "isd-unmeasured/1"
 #: Kind, mark and files of a result folder.

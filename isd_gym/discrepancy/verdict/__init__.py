@@ -1,0 +1,1 @@
+"""The verdict: evidence, gates, findings and their wording."""

@@ -1,4 +1,4 @@
-"""Everything that is measured of one candidate, once: the numbers that `criteria.decide` reads."""
+"""Evidence: the numbers from which `gates.decide` draws the verdict."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
-def row(values: Iterable[float]) -> tuple[float, ...]:
-    """One number a channel, as plain ones."""
+def as_numbers(values: Iterable[float]) -> tuple[float, ...]:
+    """Return one plain number per channel."""
     return tuple(float(v) for v in values)
 
 
 @dataclass(frozen=True)
 class EffectEvidence:
-    """One effect of a candidate.
+    """Evidence for one effect of the foremost candidate."""
 
-    share: of the force, current or signal at its place. spread: half of its widest 95 % interval over the value.
-    complaint: why its values cannot be what its name says, empty where they can. sensor: whether it is a sensor's fault,
-    and `fault` how large a one (of a gain, or of the time in which the motion changes).
-    """
-
+    #: effect and place in words
     label: str
+    #: share of the force, current or signal at its place
     share: float
+    #: half of the widest 95 % interval, as the logarithm of a factor; infinite where the interval holds zero
     spread: float = 0.0
-    complaint: str = ""
+    #: how the values contradict the name; empty where they do not
+    contradiction: str = ""
+    #: whether the effect is a fault of a sensor
     sensor: bool = False
+    #: size of that fault: of a gain, or of the time in which the motion changes
     fault: float = 0.0
     #: share of the excess error without the effect that the effect removes
     removed: float = 0.0
@@ -36,122 +37,147 @@ class EffectEvidence:
     width: float = 0.0
     #: whether that excess is larger in a channel than unmodelled effects make it
     beyond_small: bool = False
+    #: share of the samples on the rarer side of the law's characteristic point; 1 where the law has none
+    support: float = 1.0
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A candidate against the owner's model refitted. Per channel, as shares of its deviation on the records to choose by:
+    """Evidence for the foremost candidate against the refitted nominal model.
 
-    before, refit, after: errors of the owner's model, of it refitted, and of the candidate. floor: noise; floor_known:
-    whether the signal or the owner tells it, or it is only bounded. worth: excess that small effects make of the model
-    refitted; worth_after: of the candidate, which may have many rests. Of the candidate: its `effects`; explained: share of the refitted model's excess; lead: excess of the nearest rival of another kind over its own, and those that are abreast;
-    force_lead: the same of the best rival that blames no sensor; sure: how often it is chosen when held-out blocks are drawn anew;
-    shapeless: share of what it leaves that a free curve in its effect's place removes.
-    fitted_refit, fitted_after, fitted_explained: errors, and the share that is explained, on the records that were fitted to.
-    closest: errors of the richest candidate, and `closest_share` the largest share of its effects. limits, refit_limits: what the candidate, and
-    the model refitted, ask for beyond what the owner allows; beside: parameters of the owner's laws over the same plane at an effect's
-    place, which may make one law of another.
+    Errors are RMS errors on the validation records as shares of the channel's deviation, one number per channel, unless stated
+    otherwise. An excess error is the error beyond noise. An excess is a power where it is called an explained fraction.
     """
 
     channels: tuple[str, ...]
+    #: error of the nominal model
     before: tuple[float, ...]
+    #: error of the refitted nominal model
     refit: tuple[float, ...]
+    #: error of the candidate
     after: tuple[float, ...]
-    floor: tuple[float, ...]
-    floor_known: tuple[bool, ...]
-    worth: tuple[float, ...]
+    #: noise
+    noise: tuple[float, ...]
+    #: whether the owner or the signal tells the noise; otherwise the noise is only bounded
+    noise_known: tuple[bool, ...]
+    #: excess error of unmodelled effects beside the refitted model
+    envelope: tuple[float, ...]
     effects: tuple[EffectEvidence, ...] = ()
-    #: log predictive density minus that of the refitted model [nats], and its standard error
+    #: log predictive density minus that of the refitted model [nats]
     elpd_diff: float = 0.0
+    #: standard error of that difference [nats]
     elpd_dse: float = math.inf
+    #: share of the refitted model's excess error that the candidate removes
     explained: float = 0.0
-    lead: float = math.inf
-    abreast: tuple[str, ...] = ()
-    force_lead: float = math.inf
-    fitted_refit: tuple[float, ...] = ()
-    fitted_after: tuple[float, ...] = ()
-    closest: tuple[float, ...] = ()
-    closest_share: float = 1.0
+    #: smallest excess loss of a rival of another kind, over the candidate's
+    rival_loss: float = math.inf
+    #: rivals of another kind that the candidate is not distinguished from
+    indistinguishable: tuple[str, ...] = ()
+    #: smallest excess loss of a rival that blames no sensor, over the candidate's
+    force_loss: float = math.inf
+    #: error of the refitted model on the training records
+    training_refit: tuple[float, ...] = ()
+    #: error of the candidate on the training records
+    training_after: tuple[float, ...] = ()
+    #: error of the candidate with most effects
+    richest: tuple[float, ...] = ()
+    #: largest share of an effect of that candidate
+    richest_share: float = 1.0
+    #: parameters of the nominal model at the limit of their stated uncertainty, in the candidate
     limits: tuple[str, ...] = ()
+    #: the same in the refitted model
     refit_limits: tuple[str, ...] = ()
+    #: parameters of the model's laws over the same plane at an effect's place
     beside: tuple[str, ...] = ()
-    worth_after: tuple[float, ...] = ()
-    fitted_explained: float = 0.0
-    sure: float = 1.0
-    shapeless: float = 0.0
+    #: excess error of unmodelled effects beside the candidate
+    envelope_after: tuple[float, ...] = ()
+    #: share of the excess error that the candidate removes on the training records
+    training_explained: float = 0.0
+    #: weight of the candidates that contain all effects of the candidate
+    probability: float = 1.0
+    #: share of the remaining excess error that a free curve in the effect's place removes
+    lack_of_fit: float = 0.0
     #: share of the refitted model's excess error that the candidate removes on the test records
-    confirmed: float = 1.0
+    test_explained: float = 1.0
     #: power left on the test records over the power of unmodelled effects, largest over channels
-    test_rest: float = 0.0
+    test_excess_ratio: float = 0.0
 
-    def _excess(self, row: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(math.sqrt(max(x**2 - f**2, 0.0)) for x, f in zip(row, self.floor, strict=True))
+    def _excess(self, errors: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(math.sqrt(max(x**2 - f**2, 0.0)) for x, f in zip(errors, self.noise, strict=True))
 
     @property
     def excess_before(self) -> tuple[float, ...]:
+        """Excess error of the nominal model."""
         return self._excess(self.before)
 
     @property
     def excess_refit(self) -> tuple[float, ...]:
+        """Excess error of the refitted model."""
         return self._excess(self.refit)
 
     @property
     def excess_after(self) -> tuple[float, ...]:
+        """Excess error of the candidate."""
         return self._excess(self.after)
 
     @property
     def width(self) -> float:
-        """How wide the gap is beyond the noise, in the mean over channels."""
+        """Excess error of the refitted model, mean over channels."""
         return sum(self.excess_refit) / len(self.channels)
 
     @property
+    def width_after(self) -> float:
+        """Excess error of the candidate, mean over channels."""
+        return sum(self.excess_after) / len(self.channels)
+
+    @property
     def moved(self) -> float:
-        """Largest share of a channel's deviation that the candidate moves towards the records, held out or fitted to."""
+        """Largest share of a channel's deviation by which the error falls, on validation or training records."""
         pairs = [
             *zip(self.refit, self.after, strict=True),
-            *zip(self.fitted_refit, self.fitted_after, strict=True),
+            *zip(self.training_refit, self.training_after, strict=True),
         ]
         return max(math.sqrt(max(r**2 - a**2, 0.0)) for r, a in pairs)
 
     @property
     def agrees_before(self) -> bool:
-        return all(x < w for x, w in zip(self.excess_before, self.worth, strict=True))
+        """Whether the nominal model errs by no more than unmodelled effects make."""
+        return all(x < w for x, w in zip(self.excess_before, self.envelope, strict=True))
 
     @property
-    def driven_out(self) -> tuple[str, ...]:
-        """Parameters over the candidate's plane at its place that stand at the limit of what the owner allows, and did not without it.
+    def driven_to_limits(self) -> tuple[str, ...]:
+        """Parameters beside an effect that are at their limit with the candidate only.
 
-        What is really missing brings them back; another law needs them for the rest of its curve.
+        The true effect brings such parameters back; another law needs them for the rest of its curve.
         """
         return tuple(x for x in self.limits if x in self.beside and x not in self.refit_limits)
 
     @property
-    def rest(self) -> float:
-        """Power that the candidate leaves over the power that small effects leave, in the channel where that is largest."""
-        pairs = zip(self.excess_after, self.worth_after or self.worth, strict=True)
+    def excess_ratio(self) -> float:
+        """Power that the candidate leaves over the power of unmodelled effects, largest over channels."""
+        pairs = zip(self.excess_after, self.envelope_after or self.envelope, strict=True)
         return max(x**2 / max(w**2, 1e-12) for x, w in pairs)
 
     @property
-    def width_after(self) -> float:
-        """How wide a gap the candidate leaves beyond the noise, in the mean over channels."""
-        return sum(self.excess_after) / len(self.channels)
+    def training_ratio(self) -> float:
+        """Error of the candidate over that of the refitted model on the training records, geometric mean over channels.
 
-    @property
-    def fitted_ratio(self) -> float:
-        """Error of the candidate over that of the refitted model on the fitted records, geometric mean over channels.
-
-        A ratio just below 1 is no merit: a refitted model makes up for a good part of what it lacks there; and where dry friction lets
-        one channel drift, that channel says nothing.
+        The mean hides a channel that dry friction lets drift.
         """
-        pairs = list(zip(self.fitted_refit, self.fitted_after, strict=True))
+        pairs = list(zip(self.training_refit, self.training_after, strict=True))
         total = sum(math.log(max(after, 1e-12) / max(refit, 1e-12)) for refit, after in pairs)
         return math.exp(total / max(len(pairs), 1))
 
-    def closed_by_small(self, share: float) -> bool:
-        """Whether effects too small to be named would close the gap."""
-        rest = all(x < w for x, w in zip(self._excess(self.closest), self.worth, strict=True))
-        return bool(self.closest) and rest and self.closest_share < share
+    @property
+    def support(self) -> float:
+        """Smallest support of the effects."""
+        return min((e.support for e in self.effects), default=1.0)
 
-    def believed(self, misses: float) -> bool:
-        """Whether a noise that is only bounded covers no more than a small error."""
-        return all(k or r < misses for k, r in zip(self.floor_known, self.refit, strict=True))
+    def closed_by_small(self, share: float) -> bool:
+        """Return whether effects below a share of the force close the gap."""
+        is_closed = all(x < w for x, w in zip(self._excess(self.richest), self.envelope, strict=True))
+        return bool(self.richest) and is_closed and self.richest_share < share
+
+    def has_credible_noise(self, misses: float) -> bool:
+        """Return whether a noise that is only bounded covers a small error only."""
+        return all(k or r < misses for k, r in zip(self.noise_known, self.refit, strict=True))

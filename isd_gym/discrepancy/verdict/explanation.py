@@ -111,7 +111,7 @@ def conditions(
             yield current > level, f"{c.name} above {level:.3g} A"
 
 
-def places(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
+def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
     """Every channel's share of the refitted model's excess error, in units of its noise; where in frequency and motion."""
     try:
         motion = motions(problem, fit)
@@ -136,7 +136,7 @@ def places(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
     return tuple(sorted(out, key=lambda p: -p.share))
 
 
-def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) -> Law | None:
+def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) -> Law | None:
     """The force of a found two-terminal effect over travel or rate, with the band of its parameters' intervals."""
     e = fit.network.element(name)
     if e.place != "between" or e.plane == "time":
@@ -169,7 +169,7 @@ def law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) 
     )
 
 
-def table_law(problem: Problem, fit: Fit, t: Tabulated) -> Law:
+def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
     """A tabulated force drawn over rate or elongation; over elongation at no rate, where it is of both."""
     motion = motions(problem, fit, (t.between,))[t.between]
     rate = t.over == "rate"

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..result import Quantity
-from ..selection.candidate import values_of
+from ..selection.candidate import parameter_values
 from ..selection.weights import probability
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ..selection.criteria import Criteria
     from ..selection.forward_backward import Search
     from ..selection.weights import Statement, WeightedCandidate
-    from .criteria import Criteria
     from .evidence import Evidence
 
 #: smallest probability of a kind at a place that is reported
@@ -117,7 +117,7 @@ def find(
 
 def _reliable(weight: float, level: str, e: Evidence, c: Criteria) -> float:
     """Return the stated probability of a statement: its weight times the share of such statements that are right."""
-    return weight * (1.0 - c.share_mistaken(level, e.explained))
+    return weight * (1.0 - c.share_mistaken(level, e.explained, e.support))
 
 
 def _values(
@@ -132,7 +132,7 @@ def _values(
             if h.effect != statement.law:
                 continue
             network, out = w.candidate.fit.network, {}
-            for key, value in values_of(element).items():
+            for key, value in parameter_values(element).items():
                 path = f"{name}.{key}"
                 known = quantities.get(path)
                 if known is not None and known.value == value:

@@ -330,7 +330,7 @@ def _agreement(d: Mapping[str, Any]) -> str:
 
 def _reason(d: Mapping[str, Any]) -> str:
     e, c = d["evidence"], d["criteria"]
-    rows = zip(e["channels"], e["refit"], e["floor"], e["worth"], strict=True)
+    rows = zip(e["channels"], e["refit"], e["noise"], e["envelope"], strict=True)
     excess = {
         name: (max(_square(r) - _square(f), 0.0) ** 0.5, f, w)
         for name, r, f, w in rows
@@ -403,7 +403,7 @@ def _noise(d: Mapping[str, Any]) -> str:
     e = d["evidence"]
     if d["verdict"] not in ("no_discrepancy", "parameters_only", "unknown_effect"):
         return ""
-    rows = zip(e["channels"], e["floor"], e["floor_known"], strict=True)
+    rows = zip(e["channels"], e["noise"], e["noise_known"], strict=True)
     bounded = [f"{name} (at most {_percent(floor)})" for name, floor, known in rows if not known]
     if not bounded:
         return ""

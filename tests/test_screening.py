@@ -7,19 +7,19 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from isd_gym.discrepancy.hypotheses.library.library import hypotheses
-from isd_gym.discrepancy.hypotheses.library.score_test import Screened
+from isd_gym.discrepancy.hypotheses.library.score_test import ScoredStart
 
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
-from isd_gym.discrepancy.selection.screening import Race, amplified, starts
+from isd_gym.discrepancy.selection.screening import Screening, amplified, starts
 from isd_gym.elements import Start
 from isd_gym.network import Network
 
 
-def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Race, Screened]:
+def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Screening, ScoredStart]:
     structure = base_structure(Network.load("quarter-car-isd"))
-    race = cast("Race", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
+    race = cast("Screening", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
     h = next(h for h in hypotheses(structure.network) if h.effect == effect)
-    return race, Screened(h, Start(values, **start), values, 1.0)
+    return race, ScoredStart(h, Start(values, **start), values, 1.0)
 
 
 def test_a_start_that_no_law_can_have_is_left_out() -> None:
@@ -49,9 +49,9 @@ def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure() -> No
     assert not stops(replace(car, uncertainty={**car.uncertainty, "end_stop.clearance": 0.1}))
     found = add(base_structure(car), stops(car)[0], {"clearance": 0.01, "stiffness": 2e5})
     race = cast(
-        "Race",
+        "Screening",
         SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car)),
     )
-    assert not any(Race.sensible(race, h) for h in stops(found.network))
+    assert not any(Screening.sensible(race, h) for h in stops(found.network))
     # two springs are one spring
     assert not any(h.effect == "linear_stiffness" and h.where == ("body", "wheel") for h in hypotheses(car))

@@ -1,0 +1,166 @@
+"""Uncertainty of fitted parameters: covariance, intervals, and parameters at their limits."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ... import elements as el
+from ..estimation.gauss_newton import Fitter, residuals
+from ..estimation.noise import whitener
+from ..result import Quantity
+from .candidate import BROKEN, Candidate, white_noise
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ...network import Network
+    from ..estimation.structure import Structure
+    from ..simulation.problem import Array
+    from .held_out import HeldOutEvaluator
+
+#: quantile of a normal distribution for a 95 % interval
+Z95 = 1.96
+#: largest shift of a parameter by an unmodelled effect (transformed units)
+LARGEST_SHIFT = 1e6
+
+
+def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | None:
+    """Return the covariance of the free parameters, transformed (parameters, parameters); None where no parameter is free.
+
+    Noise counts by the curvature of the cost with the coloured noise of the residuals. Unmodelled effects count by the shift of the
+    parameters that each of them causes, to first order.
+
+    Args:
+        evaluator: Records and responses to unmodelled effects.
+        candidate: The candidate.
+    """
+    problem, fit = evaluator.problem, candidate.fit
+    filters = whitener(residuals(problem, fit), white_noise(problem, fit, evaluator.least_noise))
+    f = Fitter(problem, filters).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
+    if f.hessian is None or not len(f.x):
+        return None
+    sigma = np.array([q.sigma for q in f.structure.free])
+    out = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))
+    try:
+        shift, left = Fitter(problem, filters).refit(f, evaluator.unmodelled_responses(candidate))
+        # no effect is larger than the residual allows: where nothing holds a mass, a small force moves it far, and would be seen
+        visible = np.sqrt(sum(np.sum(part**2, axis=(0, 1)) for part in left.values()))
+        shift = shift * np.minimum(1.0, math.sqrt(f.cost) / np.maximum(visible, 1e-300))
+        shift = np.clip(shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+        out = out + shift @ shift.T
+    except BROKEN:
+        pass
+    return np.asarray(out)
+
+
+def intervals(
+    evaluator: HeldOutEvaluator, candidate: Candidate, known: Array | None = None
+) -> dict[str, Quantity]:
+    """Return every free parameter with its 95 % interval, by path; no interval is wider than the stated uncertainty.
+
+    Args:
+        evaluator: Records and responses to unmodelled effects.
+        candidate: The candidate.
+        known: The covariance, where it is known already.
+    """
+    problem, f = evaluator.problem, candidate.fit
+    matrix = covariance(evaluator, candidate) if known is None else known
+    out: dict[str, Quantity] = {}
+    if matrix is None:
+        return out
+    sigma = np.array([q.sigma for q in f.structure.free])
+    variance = np.minimum(np.maximum(np.diag(matrix), 0.0), sigma**2)
+    prior = problem.network.parameters
+    for k, q in enumerate(f.structure.free):
+        s, x = math.sqrt(variance[k]), f.x[k]
+        ends = (
+            q.back(max(x - Z95 * s, -700.0)),
+            q.back(min(x + Z95 * s, 700.0)) if q.log else x + Z95 * s,
+        )
+        out[q.path] = Quantity(q.back(x), *ends, f.network.unit_of(q.path), prior.get(q.path))
+    return out
+
+
+def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:
+    """Return the parameters of the nominal model that end at the limit of their stated uncertainty."""
+    return tuple(
+        q.path
+        for q, x in zip(candidate.fit.structure.free, candidate.fit.x, strict=True)
+        if q.owner < 0 and (x <= q.low + 1e-6 * q.sigma or x >= q.high - 1e-6 * q.sigma)
+    )
+
+
+def parameters_beside(network: Network, elements: Sequence[el.Element]) -> tuple[str, ...]:
+    """Return the parameters of the network's laws over the same plane and at the same place as one of the elements."""
+    out = []
+    for e in elements:
+        here = el.beside(network, e.where) if e.place == "between" else []
+        out += [
+            f"{o.name}.{f.name}" for o in here if o.plane == e.plane for f in el.parameter_fields(type(o))
+        ]
+    return tuple(dict.fromkeys(out))
+
+
+def differing_part(
+    network: Network, structure: Structure, x: Array, element: el.Element, matrix: Array | None
+) -> Quantity | None:
+    """Return the difference of two parameters of a law whose common part could be a parameter of the model.
+
+    Args:
+        network: The nominal model.
+        structure: Structure with the law.
+        x: Free parameters, transformed (parameters,).
+        element: The law.
+        matrix: Covariance of the free parameters.
+
+    Returns:
+        The difference with its interval; None where the law has no such pair.
+    """
+    here = [e for e in el.beside(network, element.where) if e.name != element.name]
+    pair = element.differing(here)
+    if pair is None or matrix is None:
+        return None
+    free = structure.free
+    paths = [q.path for q in free]
+    wanted = [f"{element.name}.{name}" for name in pair]
+    if any(w not in paths or free[paths.index(w)].log for w in wanted):
+        return None
+    a = np.zeros(len(paths))
+    a[[paths.index(w) for w in wanted]] = 1.0, -1.0
+    value, half = float(a @ x), Z95 * math.sqrt(max(float(a @ matrix @ a), 0.0))
+    return Quantity(value, value - half, value + half, structure.network.unit_of(wanted[0]), None)
+
+
+def relative_uncertainty(
+    element: el.Element, quantities: dict[str, Quantity], difference: Quantity | None = None
+) -> float:
+    """Return half of the widest 95 % interval of a law, as the logarithm of a factor; infinite where the interval holds zero.
+
+    Of several parameters with the same unit the largest counts: an asymmetric damper may be soft in one direction.
+
+    Args:
+        element: The law.
+        quantities: Parameters with intervals, by path.
+        difference: Difference of two parameters that counts in their place (`differing_part`).
+    """
+    by_unit: dict[str, tuple[float, float]] = {}
+    for f in el.parameter_fields(type(element)):
+        q = quantities.get(f"{element.name}.{f.name}")
+        if q is None or f.metadata["stride"]:  # a phase has no size
+            continue
+        neutral = f.default if isinstance(f.default, int | float) else 0.0
+        size = abs(q.value - neutral)
+        half = q.value - q.low if f.metadata["minimum"] >= 0 else 0.5 * abs(q.high - q.low)
+        old = by_unit.get(q.unit, (0.0, 0.0))
+        by_unit[q.unit] = max(old[0], size), max(old[1], half)
+    if difference is not None:
+        by_unit[difference.unit] = abs(difference.value), 0.5 * (difference.high - difference.low)
+    return max((_factor(size, half) for size, half in by_unit.values()), default=0.0)
+
+
+def _factor(size: float, half: float) -> float:
+    """Return the logarithm of the factor by which a value, known to plus or minus `half`, may be too large."""
+    return math.inf if half >= size else -math.log1p(-half / size)
