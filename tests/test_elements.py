@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from isd_gym import elements as el
 from isd_gym.discrepancy.structure import Hypothesis, add, base_structure, free_of
@@ -297,3 +298,77 @@ def test_whole_turns_are_tried_where_the_nodes_turn():
         {"turn": "whole"},
     ]
     assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [{"turn": "any"}]
+
+
+def test_degressive_damping_is_linear_at_rest_and_bounded_at_speed():
+    law = el.DegressiveDamping("x", ("a", "b"), damping=300.0, knee=0.2)  # type: ignore[call-arg]
+    v = np.linspace(-3.0, 3.0, 61)
+    assert law.curve(v) == pytest.approx(300.0 * v / (1 + np.abs(v) / 0.2))
+    assert law.curve(np.array([1e-6])) == pytest.approx(300e-6, rel=1e-5)
+    assert law.curve(np.array([0.2])) == pytest.approx(0.5 * 300.0 * 0.2)
+    assert law.curve(np.array([1e6])) == pytest.approx(300.0 * 0.2, rel=1e-5)
+
+
+def test_a_mass_behind_a_degressive_damper_loses_speed_as_its_equation_says():
+    mass, c, knee = 2.0, 30.0, 0.1
+    model = {
+        "schema": "isd-model/1",
+        "masses": {"cart": mass},
+        "elements": [
+            {
+                "name": "x",
+                "type": "degressive_damping",
+                "between": ["cart", "ground"],
+                "damping": c,
+                "knee": knee,
+            }
+        ],
+        "inputs": [{"name": "push", "quantity": "force", "at": "cart", "unit": "N"}],
+        "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
+    }
+    time = np.arange(0, 1.5, 1e-3)
+    push = np.where(time < 0.5, 8.0, 0.0)
+    # linear between samples, as the input is read
+    force = lambda t: np.interp(t, time, push)  # noqa: E731
+    exact = solve_ivp(
+        lambda t, x: [(force(t) - c * x[0] / (1 + abs(x[0]) / knee)) / mass], (0, 1.5), [0.0],
+        rtol=1e-9, atol=1e-12, t_eval=time, max_step=1e-3,
+    ).y[0]  # fmt: skip
+    seen = simulate(model, time, {"push": push})["speed"]
+    assert exact.max() > 5 * knee  # far into the degressive range
+    assert np.abs(seen - exact).max() < 1e-4 * exact.max()
+
+
+def test_a_degressive_damper_takes_the_place_of_the_linear_one():
+    net = with_effects()
+    assert el.DegressiveDamping.stands(net, ("cart", "ground"))
+    assert not el.DegressiveDamping.stands(net.without_element("guide"), ("cart", "ground"))
+    v = 0.4 * np.sin(np.arange(2000) * 0.01)
+    at = el.Setting(net, ("cart", "ground"), el.Motion(v, v, v), 1.0)
+    for start in el.DegressiveDamping.starts(at):
+        law = el.DegressiveDamping("x", ("cart", "ground"), **start.values)  # type: ignore[call-arg]
+        assert el.rms(law.curve(v)) == pytest.approx(
+            3.0 * el.rms(v)
+        )  # the force of the damper that it replaces
+        linear = el.DegressiveDamping.special("linear_damping", start.values, at.motion)["damping"]
+        level = el.DegressiveDamping.special("coulomb_friction", start.values, at.motion)["level"]
+        assert linear * el.rms(v) == pytest.approx(level)
+        assert level == pytest.approx(law.curve(np.array([el.rms(v)]))[0])
+    built = add(base_structure(net), Hypothesis("degressive_damping", ("cart", "ground")), start.values)
+    assert "guide" not in {e.name for e in built.network.elements}
+    # the only element of a rig may be replaced, too, and a force cell then reads what stands there
+    alone = {
+        "schema": "isd-model/1",
+        "elements": [
+            {"name": "guide", "type": "linear_damping", "between": ["rod", "ground"], "damping": 3.0}
+        ],
+        "inputs": [{"name": "stroke", "quantity": "displacement", "at": "rod", "unit": "m"}],
+        "outputs": [{"name": "force", "quantity": "force", "element": "guide", "unit": "N"}],
+        "uncertainty": {"guide.damping": 0.1},
+    }
+    built = add(
+        base_structure(Network.load(alone)), Hypothesis("degressive_damping", ("rod", "ground")), start.values
+    )
+    assert [e.name for e in built.network.elements] == ["degressive_damping"]
+    assert built.network.outputs[0].elements == ("degressive_damping",)
+    assert [f.path for f in built.free] == ["degressive_damping.damping", "degressive_damping.knee"]
