@@ -232,3 +232,61 @@ def test_a_channel_that_lags_or_leads_is_named_with_its_delay(samples):
     found = diagnose([driven(1, late=samples)], model, validate=[driven(2, late=samples)])
     assert named(found) == {("sensor_delay", "speed")}
     assert values(found)["delay"] == pytest.approx(samples * 5e-3, rel=0.1)
+
+
+# ------------------------------------------------------------------------------------ logged channels
+
+
+def warmed(seed, kind):
+    """The cart's belt rig pushed by a force while its oil warms up; damping or friction falls with the temperature."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 30, 5e-3)
+    push = 8.0 * sines(rng, t, (0.2, 2.0))[0]
+    oil = 20.0 + rng.uniform(30, 40) * (1 - np.exp(-t / 12.0))
+    damping = 9.0 - 0.12 * (oil - 30.0) * (kind == "damping")
+    level = (3.0 - 0.05 * (oil - 30.0)) * (kind == "friction")
+    x, v, speed, parts = 0.0, 0.0, np.zeros(len(t)), 5
+    h = 5e-3 / parts
+    for k in range(len(t)):
+        speed[k] = v
+        for j in range(parts):
+            pushed = push[k] + (push[min(k + 1, len(t) - 1)] - push[k]) * (j + 0.5) / parts
+            free = v + h / 2.0 * (pushed - damping[k] * v - 40.0 * x)
+            v = free - np.clip(free, -h / 2.0 * level[k], h / 2.0 * level[k])  # friction holds, or slides
+            x += h * v
+    noisy = speed + 2e-3 * rng.normal(size=len(t))
+    return Table(t, {"push": push, "oil": np.round(oil, 1), "speed": noisy}, f"warm{seed}")
+
+
+WARM = {
+    "schema": "isd-model/1",
+    "name": "warm",
+    "masses": {"cart": 2.0},
+    "elements": [
+        {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 9.0},
+        {"name": "belt", "type": "linear_stiffness", "between": ["cart", "ground"], "stiffness": 40.0},
+    ],
+    "inputs": [
+        {"name": "push", "quantity": "force", "at": "cart", "unit": "N"},
+        {"name": "oil", "quantity": "temperature", "unit": "degC"},
+    ],
+    "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
+    "uncertainty": {"guide.damping": 0.2, "belt.stiffness": 0.05},
+}
+
+
+def test_damping_that_falls_with_a_logged_temperature_is_named_with_its_slope():
+    found = diagnose([warmed(1, "damping")], WARM, validate=[warmed(2, "damping")])
+    assert named(found) == {("scheduled_damping", ("cart", "ground"))}
+    assert values(found)["slope"] == pytest.approx(-0.12, rel=0.1)
+
+
+@pytest.mark.slow
+def test_friction_that_falls_with_a_logged_temperature_is_named_with_its_slope():
+    found = diagnose([warmed(1, "friction")], WARM, validate=[warmed(2, "friction")])
+    assert named(found) == {("scheduled_friction", ("cart", "ground"))}
+    assert values(found)["slope"] == pytest.approx(-0.05, rel=0.2)
+
+
+def test_a_logged_temperature_that_changes_nothing_is_not_blamed():
+    found = diagnose([warmed(1, "nothing")], WARM, validate=[warmed(2, "nothing")])
+    assert not found.effects and found.verdict in ("no_discrepancy", "parameters_only")

@@ -66,6 +66,7 @@ from .laws import (
     TyreLiftOff,
 )
 from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
+from .scheduled import ScheduledDamping, ScheduledFriction
 from .sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
 from .table import TabulatedForce
 
@@ -99,6 +100,8 @@ __all__ = [
     "Motor",
     "QuadraticDamping",
     "QuadraticThrust",
+    "ScheduledDamping",
+    "ScheduledFriction",
     "SensorBias",
     "SensorDeadZone",
     "SensorDelay",
