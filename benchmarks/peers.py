@@ -24,10 +24,10 @@ from scipy.signal import decimate, savgol_filter
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from grading import grade, graded, named, pair
-from isd_gym.discrepancy.hypotheses.library.library import hypotheses
 
 from isd_gym.data import Table, read_table
 from isd_gym.discrepancy.estimation.structure import add, base_structure
+from isd_gym.discrepancy.hypotheses.library import hypotheses
 from isd_gym.elements import beside as standing
 from isd_gym.errors import InputError
 from isd_gym.network import Network

@@ -132,6 +132,10 @@ class Batch:
         for j, (part, name) in enumerate(plant.labels):
             if part in columns and name == plant.networks[0].inputs[self._road_input()].name:
                 columns[part] = j
+        if any(c.quantity == "condition" for c in network.inputs):
+            raise InputError(
+                f"network '{network.name}': the environment has no logged channels; leave them out"
+            )
         if len(plant.currents) > 1:
             raise InputError(
                 f"network '{network.name}' has more than one current; the environment drives one"

@@ -149,7 +149,7 @@ class Running:
         for j, channel in enumerate(plant.currents):
             c[:, j, 0] = self._current(str(channel.element), channel.name, fine[channel.name][1:], plant.step)
         if self.state is None:
-            self.state = plant.grouped(plant.state(None, u[0])).reshape(-1)
+            self.state = plant.grouped(plant.state(None, u[0], c[0])).reshape(-1)
         if still:
             u, c = u[:1], c[:1]
         out = np.empty((1 if still else 2, plant.n_outputs, 1))

@@ -19,7 +19,7 @@ from . import elements as el
 from .errors import InputError
 from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
-from .units import convert
+from .units import HELD, convert
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -309,7 +309,8 @@ class Plant:
         #: of every node that is moved, which part of the base vector its input is
         self.told = {c.name: TOLD[c.quantity] for c in moving}
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
-        self.currents = [c for c in first.network.inputs if c.quantity == "current"]
+        #: inputs that are held over a step: currents, then logged channels
+        self.currents = [c for kind in HELD for c in first.network.inputs if c.quantity == kind]
         stepped = {id(asm.rate): (asm, discretise(asm, self.step, used)) for asm in linear.values()}
         whole = {}
         for asm in once.values():
@@ -356,16 +357,22 @@ class Plant:
         self.__dict__.update(state)
         self.kernel = kernel(bool(self.at.way != CONTACT))
 
-    def state(self, initial: np.ndarray | None = None, inputs: np.ndarray | None = None) -> np.ndarray:
+    def state(
+        self,
+        initial: np.ndarray | None = None,
+        inputs: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+    ) -> np.ndarray:
         """A fresh kernel state (rows, lanes); `initial` (n,) or (n, lanes) in the coordinates of the assembly.
 
         `inputs` (inputs, 1 or lanes): what moves the network at the start, in the order of `labels`; nothing by default.
+        `held` (held inputs, 1 or lanes): currents and logged channels at the start; nothing by default.
         """
         state = np.zeros((self.at.height, self.lanes))
         if initial is not None and self.n:
             state[: self.n] = np.asarray(initial, float).reshape(self.n, -1)
         if self.n_laws and (initial is not None or inputs is not None):
-            self._start_laws(state, np.zeros((len(self.u_columns), 1)) if inputs is None else inputs)
+            self._start_laws(state, np.zeros((len(self.u_columns), 1)) if inputs is None else inputs, held)
         return state
 
     def grouped(self, state: np.ndarray) -> np.ndarray:
@@ -399,7 +406,7 @@ class Plant:
                 numbers[at.give_stopped] = np.where(yields > 0, 1.0 / yields, 0.0)
         return mats
 
-    def _start_laws(self, state: np.ndarray, inputs: np.ndarray) -> None:
+    def _start_laws(self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None) -> None:
         """Elongations, rates and smooth forces that belong to the initial state and the first inputs."""
         at = self.at
         x = state[: at.states]
@@ -410,6 +417,10 @@ class Plant:
             given = inputs[:, lane if inputs.shape[1] > 1 else 0]
             for out, rows in ((d, asm.elongation[order]), (s, asm.elongation_rate[order])):
                 out[:, lane] = rows[:, cols] @ x[:, lane] + rows[:, self.u_columns] @ given
+            if held is not None and any(e.scheduled for e in asm.laws):
+                d[:, lane] += (
+                    asm.elongation[order][:, asm.columns("I")] @ held[:, lane if held.shape[1] > 1 else 0]
+                )
             for j, e in enumerate(asm.laws[i] for i in order):
                 if e.law is not None:
                     p = np.array(e.law_parameters())
@@ -476,7 +487,7 @@ class Plant:
             )
             c[:, j] = values[: len(c)]
         out = np.empty((samples, self.n_outputs, self.lanes))
-        states = self.grouped(self.state(initial, u[0]))
+        states = self.grouped(self.state(initial, u[0], c[0]))
         self.kernel.record(
             self.mats.reshape(-1), self.ints, states.reshape(-1), u.reshape(-1), c.reshape(-1),
             every, width, self.lanes, out,
@@ -581,7 +592,7 @@ def simulate(
         if values.shape != time.shape or not np.all(np.isfinite(values)):
             raise InputError(f"input '{c.name}' must hold {len(time)} finite samples")
         values = convert(values, c.unit, c.si)
-        fine[c.name] = upsample(values, every, hold=c.quantity == "current")
+        fine[c.name] = upsample(values, every, hold=c.quantity in HELD)
         if c.name in needs:
             from scipy.interpolate import CubicSpline  # takes longer to import than most records to simulate
 

@@ -17,7 +17,15 @@ QUANTITIES = {name: (name, unit) for name, unit in UNITS.items()} | {
     "angular_acceleration": ("acceleration", "rad/s^2"),
     "torque": ("force", "N m"),
     "voltage": ("current", "V"),  # that a drive is told to give
+    # logged, and acting on no node: what the coefficients of laws may depend on
+    "temperature": ("condition", "degC"),
+    "pressure": ("condition", "Pa"),
+    "speed": ("condition", "m/s"),
 }
+#: quantities, as a model file has them, of inputs that act on no node
+CONDITIONS = tuple(name for name, (quantity, _) in QUANTITIES.items() if quantity == "condition")
+#: quantities to the equations of inputs that are held from one sample to the next
+HELD = ("current", "condition")
 #: SI units of what turns
 TURNING = ("rad", "rad/s", "rad/s^2", "N m")
 Value = TypeVar("Value", float, Any)  # a number, or an array of them
@@ -57,6 +65,11 @@ TABLE: dict[str, tuple[str, float]] = {
     "V": ("V", 1.0),
     "mV": ("V", 1e-3),
     "kV": ("V", 1e3),
+    "degC": ("degC", 1.0),
+    "Pa": ("Pa", 1.0),
+    "kPa": ("Pa", 1e3),
+    "MPa": ("Pa", 1e6),
+    "bar": ("Pa", 1e5),
     "s": ("s", 1.0),
     "ms": ("s", 1e-3),
     "us": ("s", 1e-6),
@@ -64,6 +77,7 @@ TABLE: dict[str, tuple[str, float]] = {
 _SPELLINGS = {"m/s2": "m/s^2", "m/s**2": "m/s^2", "m/s²": "m/s^2", "mm/s2": "mm/s^2", "mm/s²": "mm/s^2"}
 _SPELLINGS |= {
     "°": "deg",
+    "°C": "degC",
     "degree": "deg",
     "degrees": "deg",
     "radian": "rad",

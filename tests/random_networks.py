@@ -13,7 +13,9 @@ PASSIVE = [
     "linear_stiffness", "linear_damping", "inertance", "coulomb_friction", "stribeck_friction", "quadratic_damping",
     "asymmetric_damping", "cubic_stiffness", "gas_spring", "bump_stop", "backlash", "hysteresis",
 ]  # fmt: skip
-BETWEEN = [name for name, cls in el.TYPES.items() if cls.place == "between" and name != "motor"]
+BETWEEN = [
+    name for name, cls in el.TYPES.items() if cls.place == "between" and name != "motor" and not cls.scheduled
+]
 
 
 def number(rng, f, passive):

@@ -391,9 +391,8 @@ def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_b
 
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side() -> None:
     # a spring that has play, beside a damper that has none: everything between the two nodes used to be put behind the play
-    from isd_gym.discrepancy.hypotheses.library.library import hypotheses
-
     from isd_gym.discrepancy.estimation.structure import add, base_structure
+    from isd_gym.discrepancy.hypotheses.library import hypotheses
 
     net = Network.load(families.make_case("shaken.play", 305).model)
     k, c, m = (net.parameters[p] for p in ("spring.stiffness", "damper.damping", "mass.mass"))
@@ -702,7 +701,7 @@ def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
 
 
 def test_every_mass_and_the_ground_is_a_place_whatever_is_moved() -> None:
-    from isd_gym.discrepancy.hypotheses.library.library import hypotheses, pairs
+    from isd_gym.discrepancy.hypotheses.library import hypotheses, pairs
 
     car = Network.load("quarter-car-isd")
     assert {("body", "ground"), ("wheel", "ground")} <= set(pairs(car))

@@ -2,14 +2,19 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from isd_gym import elements as el
+from isd_gym.data import Table
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure, free_of
+from isd_gym.discrepancy.planning import infer_rig
+from isd_gym.discrepancy.records import read_record
 from isd_gym.env import ISDSuspensionEnv
 from isd_gym.errors import InputError
 from isd_gym.fmu import Running
-from isd_gym.network import Network
+from isd_gym.network import Network, linearise
 from isd_gym.simulate import effective_current, simulate
+from isd_gym.units import convert
 
 
 def library():
@@ -297,3 +302,250 @@ def test_whole_turns_are_tried_where_the_nodes_turn():
         {"turn": "whole"},
     ]
     assert el.CoggingForce.variants(with_effects(), ("cart", "ground")) == [{"turn": "any"}]
+
+
+def test_degressive_damping_is_linear_at_rest_and_bounded_at_speed():
+    law = el.DegressiveDamping("x", ("a", "b"), damping=300.0, knee=0.2)  # type: ignore[call-arg]
+    v = np.linspace(-3.0, 3.0, 61)
+    assert law.curve(v) == pytest.approx(300.0 * v / (1 + np.abs(v) / 0.2))
+    assert law.curve(np.array([1e-6])) == pytest.approx(300e-6, rel=1e-5)
+    assert law.curve(np.array([0.2])) == pytest.approx(0.5 * 300.0 * 0.2)
+    assert law.curve(np.array([1e6])) == pytest.approx(300.0 * 0.2, rel=1e-5)
+
+
+def test_a_mass_behind_a_degressive_damper_loses_speed_as_its_equation_says():
+    mass, c, knee = 2.0, 30.0, 0.1
+    model = {
+        "schema": "isd-model/1",
+        "masses": {"cart": mass},
+        "elements": [
+            {
+                "name": "x",
+                "type": "degressive_damping",
+                "between": ["cart", "ground"],
+                "damping": c,
+                "knee": knee,
+            }
+        ],
+        "inputs": [{"name": "push", "quantity": "force", "at": "cart", "unit": "N"}],
+        "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
+    }
+    time = np.arange(0, 1.5, 1e-3)
+    push = np.where(time < 0.5, 8.0, 0.0)
+    # linear between samples, as the input is read
+    force = lambda t: np.interp(t, time, push)  # noqa: E731
+    exact = solve_ivp(
+        lambda t, x: [(force(t) - c * x[0] / (1 + abs(x[0]) / knee)) / mass], (0, 1.5), [0.0],
+        rtol=1e-9, atol=1e-12, t_eval=time, max_step=1e-3,
+    ).y[0]  # fmt: skip
+    seen = simulate(model, time, {"push": push})["speed"]
+    assert exact.max() > 5 * knee  # far into the degressive range
+    assert np.abs(seen - exact).max() < 1e-4 * exact.max()
+
+
+def test_a_degressive_damper_takes_the_place_of_the_linear_one():
+    net = with_effects()
+    assert el.DegressiveDamping.stands(net, ("cart", "ground"))
+    assert not el.DegressiveDamping.stands(net.without_element("guide"), ("cart", "ground"))
+    v = 0.4 * np.sin(np.arange(2000) * 0.01)
+    at = el.Setting(net, ("cart", "ground"), el.Motion(v, v, v), 1.0)
+    for start in el.DegressiveDamping.starts(at):
+        law = el.DegressiveDamping("x", ("cart", "ground"), **start.values)  # type: ignore[call-arg]
+        assert el.rms(law.curve(v)) == pytest.approx(
+            3.0 * el.rms(v)
+        )  # the force of the damper that it replaces
+        linear = el.DegressiveDamping.special("linear_damping", start.values, at.motion)["damping"]
+        level = el.DegressiveDamping.special("coulomb_friction", start.values, at.motion)["level"]
+        assert linear * el.rms(v) == pytest.approx(level)
+        assert level == pytest.approx(law.curve(np.array([el.rms(v)]))[0])
+    built = add(base_structure(net), Hypothesis("degressive_damping", ("cart", "ground")), start.values)
+    assert "guide" not in {e.name for e in built.network.elements}
+    # the only element of a rig may be replaced, too, and a force cell then reads what stands there
+    alone = {
+        "schema": "isd-model/1",
+        "elements": [
+            {"name": "guide", "type": "linear_damping", "between": ["rod", "ground"], "damping": 3.0}
+        ],
+        "inputs": [{"name": "stroke", "quantity": "displacement", "at": "rod", "unit": "m"}],
+        "outputs": [{"name": "force", "quantity": "force", "element": "guide", "unit": "N"}],
+        "uncertainty": {"guide.damping": 0.1},
+    }
+    built = add(
+        base_structure(Network.load(alone)), Hypothesis("degressive_damping", ("rod", "ground")), start.values
+    )
+    assert [e.name for e in built.network.elements] == ["degressive_damping"]
+    assert built.network.outputs[0].elements == ("degressive_damping",)
+    assert [f.path for f in built.free] == ["degressive_damping.damping", "degressive_damping.knee"]
+
+
+# ---------------------------------------------------------------------- coefficients and logged channels
+
+
+def logged(*effects, inputs=({"name": "oil", "quantity": "temperature", "unit": "degC"},)):
+    return {
+        "schema": "isd-model/1",
+        "masses": {"cart": 2.0},
+        "elements": [
+            {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 3.0},
+            *({"name": f"x{k}", "between": ["cart", "ground"], **e} for k, e in enumerate(effects)),
+        ],
+        "inputs": [{"name": "push", "quantity": "force", "at": "cart", "unit": "N"}, *inputs],
+        "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
+        "uncertainty": {"guide.damping": 0.3},
+    }
+
+
+THINS = {"type": "scheduled_damping", "channel": "oil", "slope": -0.05, "reference": 20.0}
+RUBS = {"type": "scheduled_friction", "channel": "oil", "level": 2.0, "slope": -0.03, "reference": 20.0}
+
+
+def test_damping_follows_the_logged_temperature():
+    time = np.arange(0, 6, 2e-3)
+    push, oil = 5 * np.sin(3 * time), 20.0 + 6.0 * time
+    exact = solve_ivp(
+        # the temperature is held from one sample to the next
+        lambda t, x: [
+            (np.interp(t, time, push) - (3.0 - 0.05 * (np.interp(t, time, oil) - 0.006 - 20.0)) * x[0]) / 2.0
+        ],
+        (0, time[-1]), [0.0], rtol=1e-9, atol=1e-12, t_eval=time, max_step=2e-3,
+    ).y[0]  # fmt: skip
+    seen = simulate(logged(THINS), time, {"push": push, "oil": oil})["speed"]
+    plain = simulate(logged(), time, {"push": push, "oil": oil})["speed"]
+    assert np.abs(plain - exact).max() > 0.2 * np.abs(exact).max()  # the temperature matters
+    assert np.abs(seen - exact).max() < 3e-4 * np.abs(exact).max()
+
+
+def test_friction_follows_the_logged_temperature():
+    time = np.arange(0, 8, 1e-3)
+    push = 6.0 * np.ones(len(time))
+    for temperature in (20.0, 60.0, 95.0):
+        seen = simulate(logged(RUBS), time, {"push": push, "oil": np.full(len(time), temperature)})["speed"]
+        level = max(2.0 - 0.03 * (temperature - 20.0), 0.0)
+        # the speed that damper and friction leave of the push
+        assert seen[-1] == pytest.approx((6.0 - level) / 3.0, rel=1e-3)
+    # below its level it holds, and lets go as it warms up
+    warming = np.where(time < 4.0, 20.0, 60.0)
+    seen = simulate(logged(RUBS), time, {"push": np.full(len(time), 1.5), "oil": warming})["speed"]
+    assert np.abs(seen[time < 4.0]).max() < 1e-9
+    assert seen[-1] == pytest.approx((1.5 - 0.8) / 3.0, rel=2e-2)
+
+
+def test_a_friction_at_its_reference_is_coulomb_friction():
+    time = np.arange(0, 5, 1e-3)
+    push = 5 * np.sin(2.3 * time)
+    coulomb = {"type": "coulomb_friction", "level": 2.0}
+    oil = {"oil": np.full(len(time), 20.0)}
+    one = simulate(logged(RUBS), time, {"push": push, **oil})["speed"]
+    two = simulate(logged(coulomb), time, {"push": push, **oil})["speed"]
+    assert np.ptp(two) > 0.5
+    assert np.allclose(one, two, rtol=0, atol=2e-5)
+
+
+def test_a_logged_channel_beside_a_current_and_a_record_without_it_is_the_same_to_the_last_bit():
+    time = np.arange(0, 2, 2e-3)
+    current = np.sin(5 * time)
+    plain = simulate(MOTOR, time, {"current": current})
+    oil = {"name": "oil", "quantity": "temperature", "unit": "degC"}
+    # before and after the current in the list of inputs
+    for inputs in ([*MOTOR["inputs"], oil], [oil, *MOTOR["inputs"]]):
+        thins = {"name": "thins", "between": ["cart", "ground"], **THINS}
+        model = {**MOTOR, "inputs": inputs}
+        seen = simulate(model, time, {"current": current, "oil": 20.0 + time})
+        assert all(np.array_equal(seen[n], plain[n]) for n in plain)
+        model = {**model, "elements": [*MOTOR["elements"], thins]}
+        cold = simulate(model, time, {"current": current, "oil": 0.0 * time})["speed"]
+        damped = {**MOTOR["elements"][1], "damping": 3.0 + 0.05 * 20.0}
+        exact = simulate({**MOTOR, "elements": [MOTOR["elements"][0], damped]}, time, {"current": current})
+        assert np.abs(cold - exact["speed"]).max() < 1e-4 * np.abs(cold).max()
+
+
+def test_the_linear_model_has_the_damping_at_the_reference():
+    space = linearise(logged(THINS))
+    assert space.inputs == ("push", "oil")
+    # the speed per newton at 0.5 Hz is that of the mass and the damper of 3 N s/m; the temperature alone moves nothing
+    answer = space.response(np.array([0.5]))[0, 0]
+    assert answer[0] == pytest.approx(1 / (2j * np.pi * 0.5 * 2.0 + 3.0)) and answer[1] == 0
+
+
+def test_a_logged_channel_in_a_model_file():
+    net = Network.load(logged(THINS, RUBS))
+    assert Network.from_dict(net.to_dict()) == net
+    assert net.unit_of("x0.slope") == "N s/m per degC" and net.unit_of("x0.reference") == "degC"
+    assert net.inputs[1].spoken == "temperature"
+    assert convert(2.0, "bar", "kPa") == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "says"),
+    [
+        (
+            logged({**THINS, "channel": "oi"}),
+            "'x0': \"channel\" must name an input that acts on no node \\(oil\\)",
+        ),
+        (
+            logged({k: v for k, v in THINS.items() if k != "channel"}),
+            "must name an input that acts on no node",
+        ),
+        (logged(THINS, inputs=()), "there is none\\); add one, such as"),
+        (logged({**THINS, "channel": "push"}), "must name an input that acts on no node"),
+        (
+            logged(inputs=({"name": "oil", "quantity": "temperature", "unit": "degC", "at": "cart"},)),
+            "'oil': a temperature acts on no node",
+        ),
+        (
+            logged(inputs=({"name": "oil", "quantity": "temperature", "unit": "bar"},)),
+            "unit 'bar' cannot be turned",
+        ),
+        (
+            {**logged(), "outputs": [{"name": "t", "quantity": "temperature", "unit": "degC", "at": "cart"}]},
+            "a temperature cannot be an output",
+        ),
+    ],
+)
+def test_bad_use_of_a_logged_channel_is_one_line(model, says):
+    with pytest.raises(InputError, match=says) as error:
+        Network.load(model)
+    assert "\n" not in str(error.value)
+
+
+def test_a_channel_that_was_not_logged_is_one_line_that_says_what_helps():
+    time = np.arange(0, 10, 0.01)
+    table = Table(time, {"push": np.sin(time), "speed": np.cos(time)}, "run.csv")
+    with pytest.raises(InputError, match=r"oil.*leave the input and the elements that read it out") as error:
+        read_record(table, Network.load(logged(THINS)), [])
+    assert "\n" not in str(error.value)
+
+
+def test_what_has_no_logged_channels_refuses_them():
+    oil = {"name": "oil", "quantity": "temperature", "unit": "degC"}
+    car = Network.load("quarter-car-isd").to_dict()
+    with pytest.raises(InputError, match="the environment has no logged channels"):
+        ISDSuspensionEnv(network=Network.from_dict({**car, "inputs": [*car["inputs"], oil]}))
+    with pytest.raises(InputError, match="no test can drive a logged temperature"):
+        infer_rig(Network.load(logged(THINS)))
+
+
+def test_laws_of_a_logged_channel_are_tried_where_it_changes():
+    net = Network.load(logged())
+    assert el.ScheduledDamping.variants(net, ("cart", "ground")) == [{"channel": "oil"}]
+    assert el.ScheduledDamping.variants(with_effects(), ("cart", "ground")) == []
+    v = np.sin(np.arange(3000) * 0.01)
+    motion = el.Motion(v, v, v)
+
+    def starts(kind, samples):
+        at = el.Setting(net, ("cart", "ground"), motion, 10.0, options={"channel": "oil"}, samples=samples)
+        return kind.starts(at)
+
+    warming = 20.0 + 0.01 * np.arange(3000)
+    for kind in (el.ScheduledDamping, el.ScheduledFriction):
+        assert not starts(kind, np.full(3000, 40.0))
+        assert starts(kind, warming)
+    (start,) = starts(el.ScheduledDamping, warming)
+    force = start.values["slope"] * (warming - start.values["reference"]) * v
+    assert el.rms(force) == pytest.approx(el.PROBE * 10.0)
+    built = add(
+        base_structure(net),
+        Hypothesis("scheduled_damping", ("cart", "ground"), (("channel", "oil"),)),
+        start.values,
+    )
+    assert [f.path for f in built.free if f.owner >= 0] == ["scheduled_damping.slope"]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from isd_gym.discrepancy.hypotheses.library.library import hypotheses
-from isd_gym.discrepancy.hypotheses.library.motion import together
-from isd_gym.discrepancy.hypotheses.library.score_test import trials
 
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.sensitivities import tangents
 from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.hypotheses.library import hypotheses
+from isd_gym.discrepancy.hypotheses.motion import together
+from isd_gym.discrepancy.hypotheses.score_test import trials
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
 from isd_gym.network import Network

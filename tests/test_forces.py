@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from isd_gym.discrepancy.hypotheses.library.forces import PlaceForces, place_forces
 
 from isd_gym.arrays import rms
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.hypotheses.forces import PlaceForces, place_forces
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.network import Network
 

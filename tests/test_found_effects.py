@@ -4,14 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from isd_gym.discrepancy.hypotheses.library.motion import motions
-from isd_gym.discrepancy.hypotheses.library.position_spectrum import spectral_pitches, thinning_loses
+from scipy.linalg import expm
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.hypotheses.motion import motions
+from isd_gym.discrepancy.hypotheses.position_spectrum import spectral_pitches, thinning_loses
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.network import Network
 
@@ -80,7 +81,9 @@ def test_records_are_not_thinned_where_that_would_lose_the_residual():
         net, problem = as_problem(PULLED, [table])
         floors = np.array([0.2])
         assert problem.rough.records[0].rate > problem.records[0].rate
-        return thinning_loses(problem, Fitter(problem, white_filters(floors)).fit(base_structure(net)), floors)
+        return thinning_loses(
+            problem, Fitter(problem, white_filters(floors)).fit(base_structure(net)), floors
+        )
 
     assert lost(pulled(1))
     # as large a force of thirty times the pitch is as slow as the motion, and without any there is noise alone
@@ -124,3 +127,168 @@ def test_cogging_of_a_shaft_has_a_whole_number_of_periods_a_turn():
     assert named(found) == {("cogging_force", ("ground", "shaft"))}
     assert 2 * math.pi / values(found)["pitch"] == pytest.approx(14, rel=1e-4)
     assert values(found)["amplitude"] == pytest.approx(0.01, rel=0.05)
+
+
+# ----------------------------------------------------------------------------------- damping and drives
+
+
+def sines(rng, t, band=(0.3, 3.0), count=8):
+    """A sum of sines with its derivative, of deviation one."""
+    x, v = np.zeros((2, len(t)))
+    for f in np.geomspace(*band, count):
+        phase = rng.uniform(0, 2 * np.pi)
+        x += np.sin(2 * np.pi * f * t + phase) / f
+        v += 2 * np.pi * np.cos(2 * np.pi * f * t + phase)
+    return x / x.std(), v / x.std()
+
+
+def test_a_damper_that_gives_way_at_speed_is_named():
+    model = {
+        "schema": "isd-model/1",
+        "name": "damper",
+        "elements": [
+            {"name": "damper", "type": "linear_damping", "between": ["rod", "ground"], "damping": 900.0}
+        ],
+        "inputs": [{"name": "stroke", "quantity": "displacement", "at": "rod", "unit": "m"}],
+        "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
+        "uncertainty": {"damper.damping": 0.3},
+    }
+
+    def record(seed):
+        rng, t = np.random.default_rng(seed), np.arange(0, 20, 2e-3)
+        x, v = sines(rng, t)
+        x, v = 0.01 * x, 0.01 * v
+        force = 2000.0 * v / (1 + np.abs(v) / 0.08)
+        return Table(t, {"stroke": x, "force": force + 1.5 * rng.normal(size=len(t))}, f"damper{seed}")
+
+    found = diagnose([record(1)], model, validate=[record(2)])
+    assert named(found) == {("degressive_damping", ("ground", "rod"))}
+    assert values(found)["damping"] == pytest.approx(2000.0, rel=0.05)
+    assert values(found)["knee"] == pytest.approx(0.08, rel=0.1)
+
+
+CART = {
+    "schema": "isd-model/1",
+    "name": "cart",
+    "masses": {"cart": 2.0},
+    "elements": [
+        {"name": "drive", "type": "motor", "between": ["cart", "ground"], "thrust_constant": 5.0},
+        {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 6.0},
+        {"name": "belt", "type": "linear_stiffness", "between": ["cart", "ground"], "stiffness": 40.0},
+    ],
+    "inputs": [{"name": "current", "quantity": "current", "element": "drive", "unit": "A"}],
+    "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
+    "uncertainty": {"guide.damping": 0.2, "drive.thrust_constant": 0.1, "belt.stiffness": 0.1},
+}
+
+
+def driven(seed, law=lambda u: u, sense=lambda y: y, band=(0.2, 2.0), noise=2e-3, late=0):
+    """A cart on a belt whose drive makes `law` of the current and whose sensor makes `sense` of the speed, `late` samples late."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 30, 5e-3)
+    u = sines(rng, t, band)[0]
+    place = np.zeros(len(t))
+    w = law(u)
+    A = np.array([[0.0, 1.0], [-40.0 / 2.0, -6.3 / 2.0]])
+    big = np.zeros((3, 3))
+    big[:2, :2], big[1, 2] = A, -5.0 / 2.0
+    E = expm(big * 5e-3)  # the current is held over a step; the motor pulls its terminals together
+    x, speed = np.zeros(2), np.zeros(len(t))
+    for k in range(len(t)):
+        place[k], speed[k] = x
+        x = E[:2, :2] @ x + E[:2, 2] * w[k]
+    inside = slice(20, len(t) - 20)
+    y = sense(np.roll(speed, late)) + noise * rng.normal(size=len(t))
+    place = place + 0.3 * noise * rng.normal(size=len(t))
+    return Table(t[inside], {"current": u[inside], "speed": y[inside], "place": place[inside]}, f"cart{seed}")
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "how", "expected"),
+    [
+        ("drive_dead_zone", "motor", {"law": lambda u: u - np.clip(u, -0.4, 0.4)}, ("threshold", 0.4)),
+        ("quadratic_thrust", "motor", {"law": lambda u: u * np.abs(u) / 1.5}, ("reference", 1.5)),
+        pytest.param(
+            "sensor_magnitude", "speed", {"sense": np.abs}, None, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "sensor_dead_zone",
+            "speed",
+            {"sense": lambda y: y - np.clip(y, -0.05, 0.05)},
+            ("width", 0.05),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)  # fmt: skip
+def test_a_law_of_the_drive_or_of_the_sensor_is_named(effect, place, how, expected):
+    found = diagnose([driven(1, **how)], CART, validate=[driven(2, **how)])
+    assert named(found) == {(effect, place if place == "speed" else ("cart", "ground"))}
+    if expected:
+        assert values(found)[expected[0]] == pytest.approx(expected[1], rel=0.1)
+
+
+@pytest.mark.parametrize("samples", [6, -6])
+def test_a_channel_that_lags_or_leads_is_named_with_its_delay(samples):
+    # another channel tells that it is not the drive
+    place = {"name": "place", "quantity": "displacement", "at": "cart", "unit": "m"}
+    model = {**CART, "outputs": [*CART["outputs"], place]}
+    found = diagnose([driven(1, late=samples)], model, validate=[driven(2, late=samples)])
+    assert named(found) == {("sensor_delay", "speed")}
+    assert values(found)["delay"] == pytest.approx(samples * 5e-3, rel=0.1)
+
+
+# ------------------------------------------------------------------------------------ logged channels
+
+
+def warmed(seed, kind):
+    """The cart's belt rig pushed by a force while its oil warms up; damping or friction falls with the temperature."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 30, 5e-3)
+    push = 8.0 * sines(rng, t, (0.2, 2.0))[0]
+    oil = 20.0 + rng.uniform(30, 40) * (1 - np.exp(-t / 12.0))
+    damping = 9.0 - 0.12 * (oil - 30.0) * (kind == "damping")
+    level = (3.0 - 0.05 * (oil - 30.0)) * (kind == "friction")
+    x, v, speed, parts = 0.0, 0.0, np.zeros(len(t)), 5
+    h = 5e-3 / parts
+    for k in range(len(t)):
+        speed[k] = v
+        for j in range(parts):
+            pushed = push[k] + (push[min(k + 1, len(t) - 1)] - push[k]) * (j + 0.5) / parts
+            free = v + h / 2.0 * (pushed - damping[k] * v - 40.0 * x)
+            v = free - np.clip(free, -h / 2.0 * level[k], h / 2.0 * level[k])  # friction holds, or slides
+            x += h * v
+    noisy = speed + 2e-3 * rng.normal(size=len(t))
+    return Table(t, {"push": push, "oil": np.round(oil, 1), "speed": noisy}, f"warm{seed}")
+
+
+WARM = {
+    "schema": "isd-model/1",
+    "name": "warm",
+    "masses": {"cart": 2.0},
+    "elements": [
+        {"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 9.0},
+        {"name": "belt", "type": "linear_stiffness", "between": ["cart", "ground"], "stiffness": 40.0},
+    ],
+    "inputs": [
+        {"name": "push", "quantity": "force", "at": "cart", "unit": "N"},
+        {"name": "oil", "quantity": "temperature", "unit": "degC"},
+    ],
+    "outputs": [{"name": "speed", "quantity": "velocity", "at": "cart", "unit": "m/s"}],
+    "uncertainty": {"guide.damping": 0.2, "belt.stiffness": 0.05},
+}
+
+
+def test_damping_that_falls_with_a_logged_temperature_is_named_with_its_slope():
+    found = diagnose([warmed(1, "damping")], WARM, validate=[warmed(2, "damping")])
+    assert named(found) == {("scheduled_damping", ("cart", "ground"))}
+    assert values(found)["slope"] == pytest.approx(-0.12, rel=0.1)
+
+
+@pytest.mark.slow
+def test_friction_that_falls_with_a_logged_temperature_is_named_with_its_slope():
+    found = diagnose([warmed(1, "friction")], WARM, validate=[warmed(2, "friction")])
+    assert named(found) == {("scheduled_friction", ("cart", "ground"))}
+    assert values(found)["slope"] == pytest.approx(-0.05, rel=0.2)
+
+
+def test_a_logged_temperature_that_changes_nothing_is_not_blamed():
+    found = diagnose([warmed(1, "nothing")], WARM, validate=[warmed(2, "nothing")])
+    assert not found.effects and found.verdict in ("no_discrepancy", "parameters_only")

@@ -6,9 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from isd_gym.discrepancy.hypotheses.library.library import hypotheses, pairs
-from isd_gym.discrepancy.hypotheses.library.missing_force import Deconvolution
-from isd_gym.discrepancy.hypotheses.library.motion import motions
 from typer.testing import CliRunner
 
 from isd_gym import simulate
@@ -17,6 +14,9 @@ from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.initial_states import states_along
 from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.hypotheses.library import hypotheses, pairs
+from isd_gym.discrepancy.hypotheses.missing_force import Deconvolution
+from isd_gym.discrepancy.hypotheses.motion import motions
 from isd_gym.discrepancy.result import Trace
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError

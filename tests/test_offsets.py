@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from isd_gym.discrepancy.hypotheses.library.score_test import residual_of
 from scipy.optimize import least_squares
 
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.initial_states import motion_rows
 from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.hypotheses.score_test import residual_of
 from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError

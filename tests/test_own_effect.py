@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from isd_gym.discrepancy.hypotheses.library.library import hypotheses
 
 from isd_gym import elements as el
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.hypotheses.library import hypotheses
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 

@@ -14,7 +14,6 @@ import matplotlib
 import matplotlib.figure
 import numpy as np
 import pytest
-from isd_gym.discrepancy.hypotheses.library.missing_force import Deconvolution
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -25,6 +24,7 @@ from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, 
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.hypotheses.missing_force import Deconvolution
 from isd_gym.discrepancy.result import BestCandidate, Tabulated
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence

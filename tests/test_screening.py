@@ -6,10 +6,9 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-from isd_gym.discrepancy.hypotheses.library.library import hypotheses
-from isd_gym.discrepancy.hypotheses.library.score_test import ScoredStart
-
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
+from isd_gym.discrepancy.hypotheses.library import hypotheses
+from isd_gym.discrepancy.hypotheses.score_test import ScoredStart
 from isd_gym.discrepancy.selection.screening import Screening, amplified, starts
 from isd_gym.elements import Start
 from isd_gym.network import Network

@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import signal
 
 from ..errors import InputError, shown
-from ..units import convert
+from ..units import CONDITIONS, convert
 from .signals import even_stamps, stamp_rounding
 
 if TYPE_CHECKING:
@@ -58,6 +58,9 @@ QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "angular_acceleration": ("rad/s^2", 1e5, 1e7, 1e-3),
     "torque": ("N m", 1e5, 1e7, 1e-6),
     "voltage": ("V", 1e3, 1e5, 1e-5),
+    "temperature": ("degC", 1e3, 1e4, 1e-3),
+    "pressure": ("Pa", 1e9, 1e11, 1e-1),
+    "speed": ("m/s", 1e3, 1e5, 1e-4),
 }
 MIN_SAMPLES = 200
 #: what `QUANTITIES` and the times below are made for, where no model tells a rig's own: a car's body on its springs [s]
@@ -159,7 +162,11 @@ def check(
         found += _named("magnitude", _check_magnitude(name, quantity, x, table.step, of_model))
         if noise > resolution:
             chance[name] = min(1.0, resolution / (2.5 * noise))  # that two samples of it are equal, at rest
-        if name in outputs or quantity not in ("current", "force"):  # drives saturate and hold by design
+        if name in outputs or quantity not in (
+            "current",
+            "force",
+            *CONDITIONS,
+        ):  # drives saturate and hold by design
             others = [(values[n], grain[0]) for n, grain in grains.items() if n != name]
             rest, is_input = REST * scale.time, name in inputs
             held = _named(

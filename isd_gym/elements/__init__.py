@@ -58,6 +58,7 @@ from .laws import (
     CoggingForce,
     ConstantForce,
     CubicStiffness,
+    DegressiveDamping,
     GasSpring,
     GravitySine,
     Hysteresis,
@@ -65,6 +66,7 @@ from .laws import (
     TyreLiftOff,
 )
 from .linear import Inertance, LinearDamping, LinearStiffness, Motor, SeriesCompliance, TerminalInertia
+from .scheduled import ScheduledDamping, ScheduledFriction
 from .sensors import SensorBias, SensorDeadZone, SensorDelay, SensorGain, SensorMagnitude
 from .table import TabulatedForce
 
@@ -85,6 +87,7 @@ __all__ = [
     "ConstantForce",
     "CoulombFriction",
     "CubicStiffness",
+    "DegressiveDamping",
     "DriveDeadZone",
     "Element",
     "GasSpring",
@@ -97,6 +100,8 @@ __all__ = [
     "Motor",
     "QuadraticDamping",
     "QuadraticThrust",
+    "ScheduledDamping",
+    "ScheduledFriction",
     "SensorBias",
     "SensorDeadZone",
     "SensorDelay",

@@ -225,6 +225,8 @@ class Element:
     replaces: ClassVar[tuple[str, ...]] = ()
     #: the parameter that shapes it, for which fits may have several optima
     shaped_by: ClassVar[str | None] = None
+    #: the law reads a logged channel (its field `channel`) in the place of the elongation
+    scheduled: ClassVar[bool] = False
     #: (length of a period, phase) where it repeats over travel: fits have an optimum a period
     periodic: ClassVar[tuple[str, str] | None] = None
 

@@ -22,6 +22,7 @@ from .base import (
     beside,
     held_still,
     parameter,
+    plausible,
     register,
     rms,
 )
@@ -42,6 +43,10 @@ WHOLE_PERIODS = 120
 
 def _quadratic(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
     return p[0] * v * abs(v), z
+
+
+def _degressive(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
+    return p[0] * v / (1.0 + abs(v) / p[1]), z
 
 
 def _asymmetric(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
@@ -192,6 +197,51 @@ class QuadraticDamping(Element):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         return [Start({"damping": at.small / rms(at.moves.v**2)}, grows=("damping",))]
+
+
+@register
+class DegressiveDamping(Element):
+    type = "degressive_damping"
+    mechanism = "viscous"
+    equation = "F = c v / (1 + |v| / v_d), in place of the linear damper"
+    source = "Dixon, The Shock Absorber Handbook: blow-off valves; shear-thinning fluids"
+    signature = (
+        "damping that is smaller at high speed: half of that at rest at v_d, and a force of at most c v_d"
+    )
+    test = "Double the speed: the force must grow by less than twice, the less the further beyond {knee}; near rest its slope is {damping}."
+    plane = "rate"
+    contains = ("linear_damping", "coulomb_friction")
+    replaces = ("linear_damping",)  # its slope at rest is that damping
+    shaped_by = "knee"
+    law = staticmethod(_degressive)
+    damping: float = parameter("N s/m", 10.0, 1e5)
+    # beyond twenty times the start it is a linear damper, below a twentieth of it dry friction
+    knee: float = plausible(parameter("m/s", 1e-3, 1.0, open_end=True), reach=20.0)
+
+    @classmethod
+    def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
+        damped = any(e.type == "linear_damping" for e in beside(network, where))
+        return damped and super().stands(network, where)
+
+    @classmethod
+    def starts(cls, at: Setting) -> list[Start]:
+        linear = sum(e.linear()[1] for e in at.beside if e.type == "linear_damping")
+        force = linear * rms(at.moves.v) or at.small
+        knees = [share * rms(at.moves.v) for share in (0.3, 1.0, 3.0)]
+        # of the same force as the linear damper, from which it may differ either way
+        return [
+            Start(
+                {"damping": force / rms(at.moves.v / (1.0 + np.abs(at.moves.v) / knee)), "knee": knee},
+                signed=True,
+            )
+            for knee in knees
+        ]
+
+    @classmethod
+    def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
+        rate = rms(motion.v) if motion is not None else values["knee"]
+        slope = values["damping"] / (1.0 + rate / values["knee"])
+        return {"level": slope * rate} if simple == "coulomb_friction" else {"damping": slope}
 
 
 @register

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, str]:
     """An input (n,) at the instants `at` [s], and how: '' where it has these very stamps.
 
-    A current and what a drive commands are held, a force is linear between its samples, a motion a cubic spline.
+    A current and what a drive commands are held, a force and a logged channel are linear between samples, a motion a cubic spline.
     """
     t, x = signal.time, signal.values
     if len(t) >= len(at):
@@ -31,7 +31,7 @@ def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, 
         return x[
             np.clip(np.searchsorted(t, at + 1e-9 * signal.step, side="right") - 1, 0, len(x) - 1)
         ], "held"
-    if quantity == "force":
+    if quantity in ("force", "condition"):
         return np.interp(at, t, x), "linear between its samples"
     return np.asarray(CubicSpline(t, x)(np.clip(at, t[0], t[-1]))), "a cubic spline through its samples"
 

@@ -256,7 +256,7 @@ def _units(f: Facts, c: Channel) -> list[tuple[str, float]]:
     from ..data.quality import QUANTITIES
 
     si = c.si
-    _, doubtful, _, least = QUANTITIES[c.quantity]
+    _, doubtful, _, least = QUANTITIES[c.spoken if c.quantity == "condition" else c.quantity]
     out = []
     for unit in dict.fromkeys([c.unit, si, *(u for u, (s, _) in TABLE.items() if s == si)]):
         factor = convert(1.0, unit, si)

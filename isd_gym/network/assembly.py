@@ -25,6 +25,7 @@ import numpy as np
 
 from .. import elements as el
 from ..errors import InputError
+from ..units import HELD
 from .frames import complete, frames, unknown
 from .model import GROUND, MOTIONS, Channel, Network
 
@@ -80,7 +81,10 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     matrices = _matrices(network, nodes, between)
     ties = _ties(network, nodes, matrices)
     split = _split(matrices, ties, nodes)
-    counts = [sum(c.quantity == quantity for c in network.inputs) for quantity in ("force", "current")]
+    counts = [
+        sum(c.quantity == "force" for c in network.inputs),
+        sum(c.quantity in HELD for c in network.inputs),
+    ]
     states = 2 * len(split.accelerates) + len(split.yields)
     size = (states, len(nodes.moved), counts[0], counts[1], len(laws))
     pushes = _pushes(network, nodes, laws, size)
@@ -102,6 +106,8 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
     if not all(np.isfinite(m).all() for m in (motion.rate, motion.position, motion.velocity, *rows)):
         raise InputError(TOO_FAR_APART)
     algebraic = np.abs(motion.algebraic).sum(axis=1) > NO_SHARE
+    by_difference = tuple(_hangs_on(row, motion.algebraic) for row in law_rows)
+    _schedule(network, laws, elongation, by_difference, size)
     return Assembly(
         network=network,
         channels=channels,
@@ -110,12 +116,36 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
         rate=motion.rate,
         elongation=elongation,
         elongation_rate=elongation_rate,
-        by_difference=tuple(_hangs_on(row, motion.algebraic) for row in law_rows),
+        by_difference=by_difference,
         outputs=np.array(rows).reshape(len(rows), sum(_widths(size))),
         outputs_by_difference=tuple(difference for _, difference in found),
         position=motion.position,
         velocity=np.where(algebraic[:, None], 0.0, motion.velocity),
     )
+
+
+def _schedule(
+    network: Network,
+    laws: Sequence[el.Element],
+    elongation: np.ndarray,
+    by_difference: Sequence[bool],
+    size: Size,
+) -> None:
+    """Give laws that read a logged channel its value in the place of the elongation.
+
+    Logged channels follow the currents in the base vector.
+
+    Raises:
+        InputError: The rate of such a law is a difference of elongations.
+    """
+    currents = sum(c.quantity == "current" for c in network.inputs)
+    logged = [c.name for c in network.inputs if c.quantity == "condition"]
+    for j, e in enumerate(laws):
+        if e.scheduled:
+            if by_difference[j]:
+                raise InputError(f"element '{e.name}': the velocity of an algebraic node is not defined")
+            column = currents + logged.index(getattr(e, "channel", ""))
+            elongation[j] = _entries(size, "I", 1, column)[0]
 
 
 # ---------------------------------------------------------------------------------- the parts of an assembly

@@ -79,6 +79,8 @@ def cut_nodes(network: Network) -> list[str]:
 
 def without(network: Network, name: str) -> str:
     """What helps where input `name` of a `network` was not measured, as the end of a message; '' where nothing does."""
+    if any(c.name == name and c.quantity == "condition" for c in network.inputs):
+        return "; where nobody logged it, leave the input and the elements that read it out of the model"
     road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)
     if road is None:
         return ""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError
+from ..units import HELD
 from .assembly import TOO_FAR_APART, assemble
 from .model import MOTIONS, Channel, Network
 
@@ -37,7 +38,10 @@ class StateSpace:
 
 
 def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness [N/m] and damping [N s/m] of each law at rest, or of `damping` where it names the law."""
+    """Stiffness [N/m] and damping [N s/m] of each law at rest, or of `damping` where it names the law.
+
+    Laws that read a logged channel have the slope at the reference of the channel.
+    """
     slopes_k, slopes_c = np.zeros(len(laws)), np.zeros(len(laws))
     for j, e in enumerate(laws):
         if e.name in damping:
@@ -45,7 +49,8 @@ def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[n
         elif e.law is not None:
             p, d, h = np.array(e.law_parameters()), 1e-7, 1e-9
             slopes_k[j] = (e.law(p, d, 0.0, 0.0, 0.0, h)[0] - e.law(p, -d, 0.0, 0.0, 0.0, h)[0]) / (2 * d)
-            slopes_c[j] = (e.law(p, 0.0, d, 0.0, 0.0, h)[0] - e.law(p, 0.0, -d, 0.0, 0.0, h)[0]) / (2 * d)
+            at = getattr(e, "reference", 0.0) if e.scheduled else 0.0
+            slopes_c[j] = (e.law(p, at, d, 0.0, 0.0, h)[0] - e.law(p, at, -d, 0.0, 0.0, h)[0]) / (2 * d)
     return slopes_k, slopes_c
 
 
@@ -131,7 +136,7 @@ def linearise(
         ("v", [name + "'" * (1 - at) if at < 2 else "" for name, at in told.items()]),
         ("alpha", [name + "'" * (2 - at) for name, at in told.items()]),
         ("F", [c.name for c in network.inputs if c.quantity == "force"]),
-        ("I", [c.name for c in network.inputs if c.quantity == "current"]),
+        ("I", [c.name for kind in HELD for c in network.inputs if c.quantity == kind]),
         ("f", [e.name for e in asm.laws] if laws else []),
     ]
     for part, labels in groups:

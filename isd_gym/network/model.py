@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from .. import elements as el
 from ..errors import InputError, harmless, hint, shown
 from ..inputs import number
-from ..units import QUANTITIES, TURNING, UNITS, about_axis, si_of
+from ..units import HELD, QUANTITIES, TURNING, UNITS, about_axis, si_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -203,6 +203,7 @@ class Network:
                         raise InputError(f"{kind} '{c.name}': no element '{name}'")
         for c in self.inputs:
             self._check_input(c, motors)
+        self._check_conditions()
         for c in self.outputs:
             self._check_output(c, by_name)
         _unique(list(self.moved_nodes), "moved node")
@@ -228,11 +229,26 @@ class Network:
                     f"{'kg m^2' if node in self.turning else 'kg'}, {low:g} to {high:g}, not {shown(mass)}"
                 )
 
+    def _check_conditions(self) -> None:
+        """Every law that reads a logged channel names an input that is one."""
+        known = [c.name for c in self.inputs if c.quantity == "condition"]
+        for e in self.elements:
+            if e.scheduled and getattr(e, "channel", "") not in known:
+                raise InputError(
+                    f"element '{e.name}': \"channel\" must name an input that acts on no node "
+                    f"({', '.join(known) or 'there is none'}); add one, such as "
+                    '{"name": "oil", "quantity": "temperature", "unit": "degC"}'
+                )
+
     def _check_input(self, c: Channel, motors: set[str]) -> None:
+        if c.quantity == "condition" and (c.at, c.between, c.element) != (None, None, None):
+            raise InputError(
+                f"input '{c.name}': a {c.spoken} acts on no node and no element; leave its place out"
+            )
         if c.quantity == "current":
             if c.element not in motors:
                 raise InputError(f"input '{c.name}': a current needs \"element\": the name of a motor")
-        elif c.at is None:
+        elif c.at is None and c.quantity != "condition":
             hint = " (of that one node: a distance between two cannot be moved)" if c.between else ""
             raise InputError(f"input '{c.name}': a {c.quantity} needs \"at\": a node{hint}")
         if c.offset:
@@ -263,7 +279,7 @@ class Network:
             if (c.between is None) == (c.at is None):
                 raise InputError(f'output \'{c.name}\': a {c.quantity} is "at" a node or "between" two')
         else:
-            raise InputError(f"output '{c.name}': a {c.quantity} cannot be an output")
+            raise InputError(f"output '{c.name}': a {c.spoken} cannot be an output")
 
     def _check_connected(self) -> None:
         links: dict[str, list[str]] = {n: [] for n in self.nodes}
@@ -307,7 +323,7 @@ class Network:
                 if c.quantity == "force":
                     ties = [self.element(n) for n in c.elements]
                     nodes += [n for e in ties for n in e.where if n != GROUND]
-                elif c.quantity == "current":
+                elif c.quantity in HELD:
                     continue
                 turns = c.si in TURNING
                 for n in nodes:
@@ -382,7 +398,7 @@ class Network:
         """Nodes that turn: by their inertia, by a channel in units of rotation, or tied to one that does."""
         seeds = set(self.turning)
         for c in self.inputs + self.outputs:
-            if c.quantity != "current" and c.si in TURNING:
+            if c.quantity not in HELD and c.si in TURNING:
                 seeds |= {n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND}
         parts = {self.tied[n] for n in seeds if n in self.tied} if seeds else set()
         return frozenset(n for n, part in self.tied.items() if part in parts)
@@ -415,7 +431,12 @@ class Network:
                     if f.name == name:
                         if e.place == "channel" and f.metadata["unit"] == "unit of the channel":
                             return next(c.unit for c in self.outputs if c.name == e.where[0])
-                        return self._unit(e, f.metadata["unit"])
+                        unit = f.metadata["unit"]
+                        if e.scheduled and "unit of the channel" in unit:
+                            own = next(c.si for c in self.inputs if c.name == getattr(e, "channel", ""))
+                            base, _, rest = unit.partition("unit of the channel")
+                            return f"{self._unit(e, base)}{own}{rest}"
+                        return self._unit(e, unit)
         if owner in self.masses and path == self.mass_path(owner):
             return "kg m^2" if owner in self.turning else "kg"
         raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")

@@ -15,6 +15,7 @@ from importlib import resources
 from typing import Any
 
 from ..errors import InputError
+from ..units import CONDITIONS
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 NAMES = ("isd-model-1", "isd-score-1", "isd-diagnosis-1", "isd-plan-1", "isd-unmeasured-1", "isd-map-1")
@@ -132,8 +133,10 @@ def _element(cls: type) -> dict[str, Any]:
             if f.metadata["knots"] == "N":
                 spec = {"description": "[N]", "type": "array", "items": {"anyOf": [{"type": "number"}, row]}}
                 required.append(f.name)
-        else:
+        elif f.name in cls.choices:  # type: ignore[attr-defined]
             spec = {"enum": list(cls.choices[f.name])}  # type: ignore[attr-defined]
+        else:
+            spec = {"type": "string", "description": "name of an input that acts on no node"}
         if f.default is MISSING:
             required.append(f.name)
         elif "knots" not in f.metadata:
@@ -185,10 +188,12 @@ def _input() -> dict[str, Any]:
     road = {"measured": {"type": "boolean", "description": "false: a displacement that nobody measures"}}
     return {
         "description": "a displacement, velocity or acceleration moves its node (angles where it turns); a force or torque "
-        "acts at it; a current or voltage drives a motor",
+        "acts at it; a current or voltage drives a motor; a temperature, pressure or speed without a place is what coefficients "
+        "may depend on",
         "oneOf": [
             _channel({"at": name}, (*MOTION, "force", "torque"), no_offset | road),
             _channel({"element": name}, ("current", "voltage"), no_offset),
+            _channel({}, CONDITIONS, no_offset),
         ],
     }
 

@@ -208,15 +208,16 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     found = list(zip(structure.hypotheses, structure.names, strict=True))
     if cls.series:
         network, where = split(network, where, name, h.behind)
-    for e in el.beside(network, where) if cls.place == "between" else ():
-        if e.type in cls.replaces:
-            network = drop(network, e.name)
-            free = [f for f in free if not f.path.startswith(f"{e.name}.")]
-            found = [(other, its) for other, its in found if its != e.name]
+    here = el.beside(network, where) if cls.place == "between" else []
+    gone = [e.name for e in here if e.type in cls.replaces]
     tied = cls.tied(network, where)
     data = {**_plausible(cls, values), **{key: network.parameters[path] for key, path in tied.items()}}
     element = cls(name=name, where=where, **data, **dict(h.options))
     network = replace(network, elements=(*network.elements, element), outputs=_cells(network, element))
+    for other in gone:  # what replaces it stands there by now
+        network = drop(network, other)
+        free = [f for f in free if not f.path.startswith(f"{other}.")]
+        found = [(known, its) for known, its in found if its != other]
     held = cls.held(dict(h.options))
     free += [f for f in free_of(element, len(found)) if f.path.rpartition(".")[2] not in tied]
     free = [_held(f) if f.path in {f"{name}.{key}" for key in held} else f for f in free]

@@ -88,6 +88,9 @@ def setting(
         time = pace(
             problem.records[problem.estimation[0]].measured[:, j], problem.records[problem.estimation[0]].rate
         )
+    elif h.kind.scheduled:
+        channel = dict(h.options)["channel"]
+        samples = np.concatenate([problem.records[i].inputs[channel] for i in problem.estimation])
     return Setting(network, h.where, motion, force, signal, time, dict(h.options), samples, pitches)
 
 

@@ -231,6 +231,11 @@ def infer_rig(
     if not network.inputs:
         raise InputError(f"model '{network.name}' has no inputs: a test is not possible")
     notes = notes if notes is not None else []
+    for c in network.inputs:
+        if c.quantity == "condition":
+            raise InputError(
+                f"input '{c.name}': no test can drive a logged {c.spoken}; leave out the input and what reads it"
+            )
     given, names = dict(limits or {}), [c.name for c in network.inputs]
     for name in given:
         if name not in names:

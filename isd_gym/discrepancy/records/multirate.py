@@ -21,7 +21,7 @@ from ...data.quality import Scale, admit
 from ...errors import InputError
 from ...loggers.grid import sampled
 from ...loggers.recording import Recording, Signal
-from ...units import convert
+from ...units import HELD, convert
 from ..simulation.interpolation import through
 from ..simulation.problem import Array, Problem, Record, pace
 
@@ -310,7 +310,7 @@ def check_sampling_rates(record: Record, network: Network) -> None:
     ]
     if not slow or not network.inputs:
         return
-    held = {c.name for c in network.inputs if c.quantity == "current"}
+    held = {c.name for c in network.inputs if c.quantity in HELD}
     inputs = {
         n: np.repeat(x, FINER)[: FINER * (len(x) - 1) + 1] if n in held else through(x, FINER)
         for n, x in record.inputs.items()

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ..selection.criteria import Criteria
     from ..simulation.problem import Array
+    from .criteria import Criteria
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from scipy.signal import firwin, oaconvolve, welch
 from ...arrays import Array as Array  # noqa: TC001  (re-exported)
 from ...network import Network, assemble
 from ...simulate import Plant, effective_current
-from ...units import convert
+from ...units import HELD, convert
 from .cache import SimulationCache
 from .interpolation import interpolated, splined_input
 from .node_motion import transfer_matrix
@@ -306,7 +306,7 @@ class Problem:
         by = [self._spare(r) for r in self.records]
         if max(by, default=1) < 2:
             return self
-        held = {c.name for c in self.network.inputs if c.quantity == "current"}
+        held = {c.name for c in self.network.inputs if c.quantity in HELD}
         records = [thinned(r, k, held) if k > 1 else r for r, k in zip(self.records, by, strict=True)]
         return Problem(self.network, records, self.roles, 1.01 * COARSE, self.time)
 
@@ -463,12 +463,12 @@ class Problem:
         curves = {name: [self._bent(i, name, every) for i in members] for name in plant.differentiated}
         inputs: dict[str, Array] = {}
         for c in first.inputs:
-            held = c.quantity == "current"
+            held = c.quantity in HELD
             if c.name in curves:
                 fine = [curve[0] for curve in curves[c.name]]
             else:
                 fine = [interpolated(r.inputs[c.name], every, held=held, sparse=sparse) for r in records]
-            if motored and held:
+            if motored and c.quantity == "current":
                 made = [effective_current(n, c.elements[0], f[:, None], h) for f in fine for n in networks]
                 inputs[c.name] = np.concatenate(made, axis=1)
             else:
