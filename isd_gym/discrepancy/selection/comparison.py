@@ -62,17 +62,18 @@ def compare(first: Array, second: Array) -> Comparison:
     return Comparison(float(difference.sum()), dse)
 
 
-def log_density(squares: Array, weight: float) -> float:
+def log_density(squares: Array, weight: float, floor: Array) -> float:
     """Return the log predictive density of a block of whitened residuals whose noise variance is unknown.
 
-    The variance of each channel has a scaled inverse chi-squared prior about one, the variance that the filters give to noise, with as
-    many degrees of freedom as the block has samples. Integrating the variance out leaves a Student t density, so a block with a gross
-    error counts by the logarithm of the error: in a free decay, most of the power of all errors lies in the first periods.
+    The variance of each channel has a scaled inverse chi-squared prior with as many degrees of freedom as the block has samples.
+    Integrating the variance out leaves a Student t density, so a block with a gross error counts by the logarithm of the error: in a free
+    decay, most of the power of all errors lies in the first periods.
 
     Args:
-        squares: squares of the whitened residuals (samples, channels).
-        weight: number of independent samples. Blocks hold the same signal energy, so every block of a record has the same weight, its
-            mean length: a long block of a decay's end says no more than a short one of its beginning.
+        squares: Squares of the whitened residuals (samples, channels).
+        weight: Number of independent samples. Blocks hold the same signal energy, so every block of a record has the same weight, its
+            mean length: a long block at the end of a decay says no more than a short block at its beginning.
+        floor: Scale of the prior (channels,): whitened variance of the smallest noise that any model is credited with.
 
     Returns:
         Log density [nats], without constants.
@@ -80,7 +81,7 @@ def log_density(squares: Array, weight: float) -> float:
     References:
         Gelman et al.: Bayesian Data Analysis, 3rd edition (2013), sections 3.2 and 17.2.
     """
-    return -weight * float(np.sum(np.log1p(squares.mean(axis=0))))
+    return -weight * float(np.sum(np.log1p(squares.mean(axis=0) / floor)))
 
 
 def block_edges(measured: Array, blocks: int, least: int) -> Array:

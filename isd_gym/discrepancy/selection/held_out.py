@@ -192,13 +192,15 @@ class HeldOutEvaluator:
     def _score_blocks(self, records: Sequence[int], fit: Fit, filters: Whitener) -> tuple[Array, Array]:
         """Return sum and number of whitened squares (blocks, 2), and the log density (blocks,) [nats]."""
         squares, lpd = [], []
+        gain = np.array([float(taps @ taps) for taps in filters.taps])
+        floor = np.minimum(gain * self.least_noise**2, 1.0)
         for i in records:
             y = self.problem.records[i].measured
             e = filters(y - fit.outputs[i]) ** 2
             edges = block_edges(y, BLOCKS, LEAST_BLOCK)
             for a, b in pairwise(edges):
                 squares.append((float(e[a:b].sum()), e[a:b].size))
-                lpd.append(log_density(e[a:b], len(e) / (len(edges) - 1)))
+                lpd.append(log_density(e[a:b], len(e) / (len(edges) - 1), floor))
         return np.array(squares), np.array(lpd)
 
     def score_path(self, path: Sequence[Candidate]) -> tuple[HeldOutScore, ...]:

@@ -217,12 +217,15 @@ def find_support(problem: Problem, fit: Fit, element: el.Element) -> float:
 def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     """Return the share of the remaining excess error that a free curve in the place of the foremost effect removes.
 
-    A single effect is tested where its error is larger than unmodelled effects make; otherwise the share is 0. Several effects over one
-    plane at one place are 1 if they, with the model's own laws there at their limits, are as many as the bends of a curve. So are as
+    A single effect is tested where its error is larger than unmodelled effects make; otherwise the share is 0. Several effects at one
+    place are 1 if they are as many as the bends of a curve. Effects over one plane count with the model's own laws there at their limits. So are as
     many effects anywhere, if one free curve explains the gap: one force without a name stands for all of them.
     """
     c, best = search.criteria, scores.foremost
     if len(best.hypotheses) > 1:
+        places = {frozenset(owner_pair(search.problem.network, h) or h.where) for h in best.hypotheses}
+        if len(places) == 1 and len(best.hypotheses) >= BENDS:
+            return 1.0
         if len(_laws_over_one_plane(search, best)) >= BENDS:
             return 1.0
         if len(best.hypotheses) < BENDS:
