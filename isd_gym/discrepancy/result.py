@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..network import Network
-    from .records import Lag
+    from .records import Feedback, Lag
     from .selection.criteria import Criteria
     from .selection.settings import SearchSettings
     from .simulation.problem import Array
@@ -312,14 +312,15 @@ class Stretches:
     """The brief stretches over which records were compared, each from an initial state of its own.
 
     count: of stretches. shortest, longest: their lengths [s]. reason: 'diverges' (the simulation of whole records breaks down),
-    'astray' (it errs by more than the limit) or 'unnamed' (over whole records no name passes every gate). error: of the refitted model
+    'astray' (it errs by more than the limit), 'feedback' (an input follows from outputs) or 'unnamed' (over whole records no name
+    passes every gate). error: of the refitted model
     over whole records, as a share of the deviation, mean over channels. limit: of that error.
     """
 
     count: int
     shortest: float
     longest: float
-    reason: Literal["diverges", "astray", "unnamed"]
+    reason: Literal["diverges", "astray", "unnamed", "feedback"]
     error: float
     limit: float
 
@@ -372,6 +373,8 @@ class Diagnosis:
     stretches: Stretches | None = None
     constant: dict[str, float] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    #: inputs that follow from outputs
+    closed_loop: tuple[Feedback, ...] = ()
 
     def __repr__(self) -> str:
         found = [f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip() for e in self.effects]
@@ -415,6 +418,7 @@ class Diagnosis:
                 "remainder": self.remainder.to_dict() if self.remainder else None,
                 "stretches": asdict(self.stretches) if self.stretches else None,
                 "constant": self.constant,
+                "closed_loop": [asdict(f) | {"outputs": list(f.outputs)} for f in self.closed_loop],
                 "next_experiment": self.next_experiment,
                 "tabulated": self.tabulated.to_dict() if self.tabulated else None,
                 "evidence": _finite(asdict(self.evidence)) if self.evidence else None,

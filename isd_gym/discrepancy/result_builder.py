@@ -27,6 +27,7 @@ from .verdict.wording import summary_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from .records import Feedback
     from .selection.candidate_comparison import CandidateComparison
     from .selection.forward_backward import Search
     from .simulation.problem import Array, Problem
@@ -47,6 +48,8 @@ class ResultBuilder:
     held_from: tuple[float, ...]
     seed: int
     say: Callable[[str], None]
+    #: inputs that follow from outputs
+    feedback: tuple[Feedback, ...] = ()
 
     def build(self, decision: Decision, notes: Sequence[str], over: Stretches | None = None) -> Diagnosis:
         """Build the result.
@@ -59,7 +62,9 @@ class ResultBuilder:
         search, scores, measured = self.search, self.scores, self.measured
         p, network, criteria = search.problem, search.problem.network, search.criteria
         refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
-        free = self._free_force() if decision.verdict == "unknown_effect" else FreeForce()
+        # under feedback a free curve would draw the controller's law
+        is_free = decision.verdict == "unknown_effect" and not self.feedback
+        free = self._free_force() if is_free else FreeForce()
         decision, findings = self._findings(decision, free)
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
@@ -88,6 +93,7 @@ class ResultBuilder:
             reason=decision.reason,
             remainder=self._remainder(noise, rows) if is_named else None,
             stretches=over,
+            closed_loop=self.feedback,
             effects=tuple(found),
             small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
             contenders=tuple(self._contenders(rivals, is_ambiguous)),
@@ -135,6 +141,8 @@ class ResultBuilder:
             own = next(w.statements for w in weighted if w.candidate is scores.foremost)
             named = frozenset((s.place, s.law) for s in own)
         findings = find(self.search, weighted, measured.evidence, measured.quantities, named)
+        if self.feedback:  # a controller imitates an element: no kind is certain
+            return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
 
     # -- parts of the result ------------------------------------------------------------------------------

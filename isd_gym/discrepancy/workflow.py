@@ -21,10 +21,12 @@ from .hypotheses.library import hypotheses
 from .hypotheses.score_test import score_hypotheses
 from .records import (
     LEAD_IN,
+    Feedback,
     align_clocks,
     check_sampling_rates,
     cut_segments,
     differentiate_inputs,
+    find_feedback,
     read_record,
     split_records,
 )
@@ -36,6 +38,7 @@ from .selection.forward_backward import Search
 from .selection.held_out import HeldOutEvaluator
 from .selection.settings import SearchSettings
 from .simulation.problem import Problem, Record, Role, bare, pace
+from .verdict.closed_loop import decide_under_feedback
 from .verdict.gates import decide
 from .verdict.measurement import Measurements, collect_evidence
 
@@ -104,6 +107,8 @@ def diagnose(
     for record in (*fit, *held):
         check_sampling_rates(record, network)
     loose, lags = align_clocks([*fit, *held], network, steps.max_lag)
+    feedback = find_feedback(loose, network)
+    notes += map(str, feedback)
     filtered = differentiate_inputs(loose, network)
     kept: list[Role] = ["fit"] * len(fit)
     kept += ["report"] * len(held)
@@ -113,7 +118,14 @@ def diagnose(
     records, roles = split_records(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time, lead)
     problem = Problem(network, records, roles)
     flow = Workflow(
-        problem, whole, progress or (lambda line: None), seed, steps, criteria, held_from(whole, problem)
+        problem,
+        whole,
+        progress or (lambda line: None),
+        seed,
+        steps,
+        criteria,
+        held_from(whole, problem),
+        feedback,
     )
     # one thread for linear algebra: sums do not depend on the number of cores
     with threadpool_limits(1):
@@ -168,6 +180,10 @@ class Workflow:
     criteria: Criteria
     #: time from which each whole record takes no part in fitting [s]
     held_from: tuple[float, ...]
+    #: inputs that follow from outputs
+    feedback: tuple[Feedback, ...] = ()
+    #: whether the records of the problem are segments
+    is_segmented: bool = False
 
     def __post_init__(self) -> None:
         self.network = self.problem.network
@@ -190,7 +206,7 @@ class Workflow:
         )
         refitted = self.search.fitter.refit_nominal()
         error = self._error_of_whole_records(refitted)
-        is_lost = not error <= self.settings.astray
+        is_lost = bool(self.feedback) or not error <= self.settings.astray
         if is_lost:
             found = self._diagnose_segments(notes, start, error, periodic_only=False)
             if found is not None:
@@ -199,7 +215,7 @@ class Workflow:
         else:
             scores = self.search.run(refitted, self.is_decided)
         measured = self.measure(scores)
-        decision = decide(measured.evidence, self.criteria)
+        decision = self.decide(scores)
         if decision.verdict == "unknown_effect" and not is_lost:
             for factor in SEGMENT_FACTORS:
                 found = self._diagnose_segments(notes, start, error, periodic_only=True, factor=factor)
@@ -213,12 +229,19 @@ class Workflow:
             self._measured = scores, collect_evidence(self.search, scores, self.seed)
         return self._measured[1]
 
+    def decide(self, scores: CandidateComparison) -> Decision:
+        """Return the decision on a search; under feedback a name has to meet further conditions."""
+        decision, best = decide(self.measure(scores).evidence, self.criteria), scores.foremost
+        return decide_under_feedback(
+            decision, self.problem, best.fit, best.elements, self.feedback, self.is_segmented
+        )
+
     def is_decided(self, scores: CandidateComparison) -> bool:
         """Return whether a search needs no further start.
 
         Where only the lack-of-fit gate fails, the place is known and the law is not in the library: other names are only other curves.
         """
-        decision = decide(self.measure(scores).evidence, self.criteria)
+        decision = self.decide(scores)
         failed = {g.name for g in decision.gates if not g.passed}
         return failed == {"lack of fit"} or decision.verdict in (
             "missing_effect",
@@ -236,7 +259,7 @@ class Workflow:
         over: Stretches | None = None,
     ) -> Diagnosis:
         builder = ResultBuilder(
-            self.search, scores, measured, self.whole, self.held_from, self.seed, self.say
+            self.search, scores, measured, self.whole, self.held_from, self.seed, self.say, self.feedback
         )
         result = builder.build(decision, notes, over)
         return replace(result, seconds=clock.perf_counter() - start)
@@ -310,7 +333,7 @@ class Workflow:
         self.say(
             f"comparing over {over.count} stretches of {over.shortest:.2g} to {over.longest:.2g} s, each from its own state"
         )
-        flow = replace(self, problem=problem)
+        flow = replace(self, problem=problem, is_segmented=True)
         search = flow.search
         try:
             refitted = search.fitter.refit_nominal()
@@ -323,7 +346,7 @@ class Workflow:
             measured = flow.measure(scores)
         except BROKEN:
             return None
-        decision = decide(measured.evidence, self.criteria)
+        decision = flow.decide(scores)
         is_named = decision.verdict == "missing_effect"
         if not is_named and (periodic_only or decision.verdict == "unknown_effect"):
             return None
@@ -333,9 +356,11 @@ class Workflow:
 
     def _describe_segments(self, problem: Problem, error: float, periodic_only: bool) -> Stretches:
         lengths = [len(r) * r.rate for r in problem.records]
-        reason: Literal["diverges", "astray", "unnamed"] = "unnamed"
+        reason: Literal["diverges", "astray", "unnamed", "feedback"] = "unnamed"
         if not periodic_only:
             reason = "astray" if math.isfinite(error) else "diverges"
+        if self.feedback:
+            reason = "feedback"
         return Stretches(len(lengths), min(lengths), max(lengths), reason, error, self.settings.astray)
 
     def is_within_noise(self, refitted: Candidate) -> bool:

@@ -1,11 +1,12 @@
 """Measured records: reading, filtering, several sampling rates, clock lags, and the training/validation/test split.
 
-`reading` checks and converts a source, `multirate` builds records from channels with time stamps of their own, `clock_lag`
+`reading` checks and converts a source, `feedback` detects inputs that follow from outputs, `multirate` builds records from channels with time stamps of their own, `clock_lag`
 estimates lags between the clocks of loggers, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
 and test records.
 """
 
 from .clock_lag import Lag, align_clocks
+from .feedback import Feedback, find_feedback
 from .filtering import choose_decimation, count_derivatives, differentiate_inputs
 from .multirate import build_record, check_sampling_rates
 from .reading import read_record
@@ -13,6 +14,7 @@ from .splitting import LEAD_IN, cut_segments, split_records
 
 __all__ = [
     "LEAD_IN",
+    "Feedback",
     "Lag",
     "align_clocks",
     "build_record",
@@ -21,6 +23,7 @@ __all__ = [
     "count_derivatives",
     "cut_segments",
     "differentiate_inputs",
+    "find_feedback",
     "read_record",
     "split_records",
 ]

@@ -53,7 +53,13 @@ def summary_of(document: Mapping[str, Any]) -> str:
         parts = [_unknown(document), _certain(document), _best_candidate(document), _table(document)]
     else:
         parts = [_agreement(document), _reason(document), _changes(document)]
-    parts += [_small(document), _noise(document), _limits(document), _stretches(document)]
+    parts += [
+        _small(document),
+        _noise(document),
+        _limits(document),
+        _stretches(document),
+        _closed_loop(document),
+    ]
     return " ".join(p for p in parts if p)
 
 
@@ -418,6 +424,21 @@ def _limits(d: Mapping[str, Any]) -> str:
     return f"At the limit that their stated uncertainty allows: {', '.join(asked)}. Check these values."
 
 
+def _closed_loop(d: Mapping[str, Any]) -> str:
+    found = d.get("closed_loop")
+    if not found:
+        return ""
+    inputs = [
+        f"{f['input']} follows from {' and '.join(f['outputs'])}: past outputs explain {_percent(f['share'], 0)} of what its own "
+        "past leaves unpredicted"
+        for f in found
+    ]
+    return (
+        f"The records are of a closed loop ({'; '.join(inputs)}). A controller's law can look like an element, such as a spring to the "
+        "ground. Repeat the test with an input that does not depend on the outputs."
+    )
+
+
 def _stretches(d: Mapping[str, Any]) -> str:
     s = d["stretches"]
     if not s:
@@ -428,5 +449,6 @@ def _stretches(d: Mapping[str, Any]) -> str:
         "diverges": "the simulation of the refitted model breaks down over whole records",
         "astray": f"over whole records the refitted model errs by {_percent(s['error'])} of the deviation (limit {_percent(s['limit'], 0)})",
         "unnamed": "over whole records no name passes every gate",
+        "feedback": "under feedback whole records are no valid comparison",
     }[s["reason"]]
     return f"Compared over {s['count']} stretches of {length}, each from an initial state of its own: {why}."

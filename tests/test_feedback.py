@@ -1,0 +1,195 @@
+"""Inputs that follow from outputs: detected, told, and no reason for a name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete, lfilter
+
+from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.verdict.closed_loop import imitated_share
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.noise import white_filters
+from isd_gym.discrepancy.simulation.problem import Problem, Record
+from isd_gym.discrepancy.records import find_feedback, read_record
+from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.network import Network
+
+Array = NDArray[np.float64]
+STEP, SAMPLES = 0.01, 4000
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def cart(stiffness: float = 0.0) -> Network:
+    """A mass on a guide with viscous damping, pushed by a known force; with a spring to the ground where asked."""
+    elements = [{"name": "guide", "type": "linear_damping", "between": ["cart", "ground"], "damping": 2.0}]
+    if stiffness:
+        spring = {"name": "spring", "type": "linear_stiffness", "between": ["cart", "ground"]}
+        elements.append({**spring, "stiffness": stiffness})
+    return Network.load(
+        {
+            "schema": "isd-model/1",
+            "name": "cart",
+            "masses": {"cart": 1.0},
+            "elements": elements,
+            "inputs": [{"name": "push", "quantity": "force", "at": "cart", "unit": "N"}],
+            "outputs": [
+                {"name": "position", "quantity": "displacement", "at": "cart", "unit": "m", "offset": "free"}
+            ],
+            "uncertainty": {"cart.mass": 0.1, "guide.damping": 1.0},
+        }
+    )
+
+
+def march(push: Array, stiffness: float, seed: int) -> Array:
+    """Positions of the cart under a given push, exactly discretised by scipy, with white noise of 0.5 %."""
+    A, B, C, D, _ = cont2discrete(
+        (np.array([[0.0, 1.0], [-stiffness, -2.0]]), np.array([[0.0], [1.0]]), np.eye(2)[:1], np.zeros((1, 1))), STEP
+    )  # fmt: skip
+    x, out = np.zeros(2), np.empty(len(push))
+    for k, u in enumerate(push):
+        out[k] = x[0]
+        x = A @ x + B[:, 0] * u
+    return out + 0.005 * out.std() * np.random.default_rng(seed).standard_normal(len(out))
+
+
+def controlled(law: str, stiffness: float = 0.0, seed: int = 0, friction: float = 0.0) -> tuple[Array, Array]:
+    """(push, position) of the cart under a controller that sees the noisy position, with force disturbances.
+
+    Euler steps of a fiftieth of a sample; friction is projected, so that the cart can stick.
+    """
+    rng = np.random.default_rng(seed)
+    reference = lfilter([2e-5], np.poly([0.98, 0.98, 0.98]), rng.standard_normal(SAMPLES))
+    push, seen = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    x, v, now, fine = 0.2, 0.0, 1.0, 50
+    for k in range(SAMPLES):
+        seen[k] = x + 5e-4 * rng.standard_normal()
+        slope = (seen[k] - seen[max(k - 3, 0)]) / (3 * STEP)
+        if law == "bang-bang":
+            error = -seen[k] - 0.05 * slope
+            now = now if abs(error) < 0.02 else float(np.sign(error))
+        else:
+            now = 20.0 * (reference[k] - seen[k]) - 5.0 * slope
+        push[k] = now
+        force = now + 0.1 * rng.standard_normal()
+        for _ in range(fine):
+            v += (force - 2.0 * v - stiffness * x) * STEP / fine
+            v -= float(np.clip(v, -friction * STEP / fine, friction * STEP / fine))
+            x += v * STEP / fine
+    return push, seen
+
+
+def as_record(push: Array, position: Array, name: str = "run") -> Record:
+    return Record(name, STEP, {"push": push}, position[:, None])
+
+
+def drive(kind: str, seed: int = 0) -> Array:
+    """Inputs of an open-loop test."""
+    rng, t = np.random.default_rng(seed), np.arange(SAMPLES) * STEP
+    if kind == "square":
+        return np.sign(np.sin(2 * np.pi * 1.0 * t + 0.1))
+    if kind == "square between samples":
+        return np.sign(np.sin(2 * np.pi * 0.937 * t + 0.3))
+    if kind == "pseudo-random binary":
+        return np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 25), 25)
+    if kind == "telegraph":
+        return np.sign(lfilter([1.0], [1.0, -0.95], rng.standard_normal(SAMPLES)))
+    if kind == "square sweep":
+        return np.sign(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)))
+    if kind == "sine":
+        return np.round(np.sin(2 * np.pi * 0.937 * t), 6)
+    if kind == "sweep":
+        return np.round(np.sin(2 * np.pi * (0.2 * t + 0.02 * t**2)), 6)
+    if kind == "white":
+        return rng.standard_normal(SAMPLES)
+    if kind == "coloured, measured":
+        u = lfilter([0.1], [1.0, -0.9], rng.standard_normal(SAMPLES))
+        return np.asarray(u)
+    return np.where(t > 10.0, 1.0, 0.0)
+
+
+KINDS = [
+    "square", "square between samples", "pseudo-random binary", "telegraph", "square sweep", "sine", "sweep", "white",
+    "coloured, measured", "step",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("stiffness", [0.0, 40.0])
+def test_an_open_loop_is_no_feedback(kind: str, stiffness: float) -> None:
+    """A clock, a sweep or noise is no answer to the output, although the output follows the input."""
+    for seed in range(3):
+        push = drive(kind, seed)
+        position = march(push, stiffness, seed)
+        if kind.endswith(
+            "measured"
+        ):  # the sensor of the input has noise, too: the output knows more of the true input
+            push = push + 0.02 * push.std() * np.random.default_rng(9).standard_normal(len(push))
+        assert find_feedback([as_record(push, position)], cart(stiffness)) == ()
+
+
+@pytest.mark.parametrize("law", ["bang-bang", "linear"])
+@pytest.mark.parametrize("stiffness", [0.0, 20.0])
+def test_feedback_is_found(law: str, stiffness: float) -> None:
+    for seed in range(2):
+        runs = [as_record(*controlled(law, stiffness, 10 * seed + k), f"run {k}") for k in range(2)]
+        (found,) = find_feedback(runs, cart(stiffness))
+        assert found.input == "push"
+        assert found.outputs == ("position",)
+        assert 0.02 < found.share < 1.0
+        assert found.significance < 1e-3
+
+
+def test_a_measured_motion_is_no_feedback() -> None:
+    """The displacement of a shaken node is measured where it acts, whatever its controller does."""
+    network = Network.load(
+        {
+            "schema": "isd-model/1",
+            "name": "slide",
+            "elements": [{"name": "b", "type": "inertance", "between": ["rod", "ground"], "inertance": 3.0}],
+            "inputs": [{"name": "x", "quantity": "displacement", "at": "rod", "unit": "m"}],
+            "outputs": [{"name": "force", "quantity": "force", "at": "rod", "unit": "N"}],
+        }
+    )
+    rng = np.random.default_rng(1)
+    force = lfilter([1.0], [1.0, -0.7], rng.standard_normal(SAMPLES))
+    motion = lfilter([1.0], [1.0, -1.99, 0.991], force)
+    record = Record("run", STEP, {"x": motion}, force[:, None])
+    assert find_feedback([record], network) == ()
+
+
+def test_short_records_are_no_feedback() -> None:
+    push, position = controlled("linear")
+    assert find_feedback([as_record(push[:100], position[:100])], cart()) == ()
+
+
+def test_a_spring_imitates_a_controller_and_friction_does_not() -> None:
+    push, position = controlled("bang-bang")
+    rate = np.gradient(position, STEP)
+    assert np.corrcoef(push, position)[0, 1] ** 2 > 0.5
+    assert np.corrcoef(push, np.sign(rate))[0, 1] ** 2 < 0.5
+    network = cart(stiffness=4.0)
+    problem = Problem(network, [as_record(push, position)], ["fit"])
+    fit = Fitter(problem, white_filters(np.array([0.01]))).fit(base_structure(network), frozen=True)
+    here = imitated_share(problem, fit, network.element("spring"), "push")
+    moved = fit.outputs[0][:, 0]
+    assert here == pytest.approx(np.corrcoef(push, moved)[0, 1] ** 2, abs=0.02)
+
+
+def test_every_rig_in_open_loop_is_seen_as_such() -> None:
+    """Measured and simulated rigs: the cart under bang-bang control alone is a closed loop."""
+    if not SHARED.is_dir():
+        pytest.skip("the shared rigs are not here")
+    found = {}
+    for folder in sorted(p.parent for p in SHARED.glob("*/*/model.json")):
+        network = Network.load(folder / "model.json")
+        if not any(c.quantity in ("force", "current") for c in network.inputs):
+            continue
+        records = [read_record(f, network, [], ("all",)) for f in sorted(folder.glob("*.csv"))]
+        found[folder.name] = find_feedback(records, network)
+    assert len(found) >= 20
+    assert {name for name, f in found.items() if f} == {"cart_feedback"}
