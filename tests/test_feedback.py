@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
-from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.verdict.closed_loop import imitated_share
 from isd_gym.discrepancy.estimation.gauss_newton import Fitter
 from isd_gym.discrepancy.estimation.noise import white_filters
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.discrepancy.records import find_feedback, read_record
 from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.records import find_feedback, read_record
+from isd_gym.discrepancy.simulation.problem import Problem, Record
+from isd_gym.discrepancy.verdict.closed_loop import imitated_share
 from isd_gym.network import Network
 
 Array = NDArray[np.float64]

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..network import Network
-    from .records import Feedback, Lag
+    from .estimation.clock_lag import Lag
+    from .records import Feedback
     from .selection.criteria import Criteria
     from .selection.settings import SearchSettings
     from .simulation.problem import Array

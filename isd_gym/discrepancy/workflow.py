@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
+from .estimation.clock_lag import align_clocks
 from .estimation.gauss_newton import Fitter, residuals
 from .estimation.noise import whitener
 from .hypotheses.library import hypotheses
@@ -22,7 +23,6 @@ from .hypotheses.score_test import score_hypotheses
 from .records import (
     LEAD_IN,
     Feedback,
-    align_clocks,
     check_sampling_rates,
     cut_segments,
     differentiate_inputs,

@@ -12,9 +12,10 @@ from ...data import Table
 from ...errors import InputError
 from ...network import Network, assemble
 from ...units import convert
-from ..records import Lag, align_clocks, read_record
+from ..records import read_record
 from ..simulation.node_motion import transfer_matrix
 from ..simulation.problem import Array, Problem, bare
+from .clock_lag import Lag, align_clocks
 from .gauss_newton import Fitter
 from .noise import floors_of, white_filters
 from .structure import base_structure

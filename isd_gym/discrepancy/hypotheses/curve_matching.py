@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ... import elements as el
-from ..selection.candidate import BROKEN
+from ..simulation.problem import BROKEN
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,11 +1,9 @@
 """Measured records: reading, filtering, several sampling rates, clock lags, and the training/validation/test split.
 
-`reading` checks and converts a source, `feedback` detects inputs that follow from outputs, `multirate` builds records from channels with time stamps of their own, `clock_lag`
-estimates lags between the clocks of loggers, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
+`reading` checks and converts a source, `feedback` detects inputs that follow from outputs, `multirate` builds records from channels with time stamps of their own, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
 and test records.
 """
 
-from .clock_lag import Lag, align_clocks
 from .feedback import Feedback, find_feedback
 from .filtering import choose_decimation, count_derivatives, differentiate_inputs
 from .multirate import build_record, check_sampling_rates
@@ -15,8 +13,6 @@ from .splitting import LEAD_IN, cut_segments, split_records
 __all__ = [
     "LEAD_IN",
     "Feedback",
-    "Lag",
-    "align_clocks",
     "build_record",
     "check_sampling_rates",
     "choose_decimation",

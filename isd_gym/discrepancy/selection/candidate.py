@@ -6,22 +6,18 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ... import elements as el
-from ...errors import InputError
 from ..estimation.gauss_newton import Fit, Fitter, residuals
 from ..estimation.noise import innovations, refined_noise, trusted_noise, white_filters, whitener
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.motion import motions
+from ..simulation.problem import BROKEN as BROKEN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..simulation.problem import Array, Problem
 
-#: exceptions of a fit or a simulation that breaks down
-BROKEN = (InputError, np.linalg.LinAlgError)
 #: decrease of the deviance (2 log L) below which a fit with its own noise has converged
 CONVERGED = 2.0
 #: a fit from another shape that ends within this share of the step has returned

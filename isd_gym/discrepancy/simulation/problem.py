@@ -15,6 +15,7 @@ import numpy as np
 from scipy.signal import firwin, oaconvolve, welch
 
 from ...arrays import Array as Array  # noqa: TC001  (re-exported)
+from ...errors import InputError
 from ...network import Network, assemble
 from ...simulate import Plant, effective_current
 from ...units import HELD, convert
@@ -199,6 +200,9 @@ def bare(network: Network) -> Network:
     kept = tuple(e for e in network.elements if e.place == "between")
     return network if len(kept) == len(network.elements) else replace(network, elements=kept)
 
+
+#: exceptions of a simulation or a fit that breaks down
+BROKEN = (InputError, np.linalg.LinAlgError)
 
 #: steps of the physics, in the time in which the motion changes, in fits and in searches: 126 and 21 a period. Dry friction is
 #: of first order in them: where it rules the motion, outputs are off by about 1 % of their deviation in fits

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import InputError
-from ..estimation.gauss_newton import Fit, Fitter
-from ..estimation.initial_states import guess
-from ..estimation.noise import white_filters
-from ..estimation.sensitivities import tangents
-from ..estimation.structure import Structure, base_structure
+from ..records.multirate import build_record
 from ..simulation.problem import Array, Problem, Record
-from .multirate import build_record
+from .gauss_newton import Fit, Fitter
+from .initial_states import guess
+from .noise import white_filters
+from .sensitivities import tangents
+from .structure import Structure, base_structure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
