@@ -27,17 +27,17 @@ GOOD = Evidence(
     before=(0.4,),
     refit=(0.3,),
     after=(0.021,),
-    floor=(0.02,),
-    floor_known=(True,),
-    worth=(0.03,),
+    noise=(0.02,),
+    noise_known=(True,),
+    envelope=(0.03,),
     effects=(FRICTION,),
     elpd_diff=2000.0,
     elpd_dse=200.0,
     explained=0.995,
-    lead=50.0,
-    force_lead=50.0,
-    closest=(0.021,),
-    closest_share=0.4,
+    rival_loss=50.0,
+    force_loss=50.0,
+    richest=(0.021,),
+    richest_share=0.4,
 )
 
 
@@ -53,17 +53,17 @@ def test_a_name_passes_every_gate() -> None:
         ("predicts better", {"elpd_diff": 3.0, "elpd_dse": 1.0}, "unknown_effect"),
         ("predicts better", {"elpd_dse": 1500.0}, "unknown_effect"),
         ("material", {"effects": (replace(FRICTION, share=0.02, removed=0.7),)}, "unknown_effect"),
-        ("adequate", {"explained": 0.6, "after": (0.2,), "closest": (0.2,)}, "unknown_effect"),
+        ("adequate", {"explained": 0.6, "after": (0.2,), "richest": (0.2,)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
-        ("determined", {"effects": (replace(FRICTION, complaint="beyond its reach"),)}, "unknown_effect"),
+        ("determined", {"effects": (replace(FRICTION, contradiction="beyond its reach"),)}, "unknown_effect"),
         ("plausible", {"limits": ("damper.damping",), "beside": ("damper.damping",)}, "unknown_effect"),
-        ("ahead", {"abreast": ("hysteresis at mass-ground",), "lead": 1.0}, "ambiguous"),
-        ("shape", {"shapeless": 0.8}, "unknown_effect"),
-        ("likely", {"sure": 0.4}, "unknown_effect"),
-        ("confirmed", {"confirmed": 0.4}, "unknown_effect"),
-        ("confirmed", {"confirmed": 0.6, "test_rest": 10.0}, "unknown_effect"),
-        ("forces first", {"effects": (GAIN,), "force_lead": 1.2}, "ambiguous"),
-        ("forces first", {"effects": (replace(GAIN, fault=0.4),), "force_lead": 10.0}, "ambiguous"),
+        ("distinguishable", {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0}, "ambiguous"),
+        ("lack of fit", {"lack_of_fit": 0.8}, "unknown_effect"),
+        ("probable", {"probability": 0.4}, "unknown_effect"),
+        ("confirmed", {"test_explained": 0.4}, "unknown_effect"),
+        ("confirmed", {"test_explained": 0.6, "test_excess_ratio": 10.0}, "unknown_effect"),
+        ("sensor", {"effects": (GAIN,), "force_loss": 1.2}, "ambiguous"),
+        ("sensor", {"effects": (replace(GAIN, fault=0.4),), "force_loss": 10.0}, "ambiguous"),
     ],
 )
 def test_each_gate_can_fail_and_the_verdict_follows(gate: str, change: dict, verdict: str) -> None:
@@ -84,22 +84,22 @@ def test_a_limit_that_the_model_stood_at_before_is_no_fault_of_the_name() -> Non
 
 
 def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either() -> None:
-    d = decide(replace(GOOD, abreast=("hysteresis at mass-ground",), lead=1.0, sure=0.4))
+    d = decide(replace(GOOD, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0, probability=0.4))
     assert d.verdict == "ambiguous"
 
 
 def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_itself() -> None:
-    left = replace(GOOD, explained=0.6, after=(0.09,), closest=(0.09,))
+    left = replace(GOOD, explained=0.6, after=(0.09,), richest=(0.09,))
     assert decide(left).verdict == "unknown_effect"
-    assert decide(replace(left, worth_after=(0.1,))).verdict == "missing_effect"
-    left = replace(left, after=(0.12,), closest=(0.12,))  # a gap of its own, and half a name
-    assert decide(replace(left, worth_after=(0.1,))).verdict == "unknown_effect"
+    assert decide(replace(left, envelope_after=(0.1,))).verdict == "missing_effect"
+    left = replace(left, after=(0.12,), richest=(0.12,))  # a gap of its own, and half a name
+    assert decide(replace(left, envelope_after=(0.1,))).verdict == "unknown_effect"
     # driven harder than what was fitted to, held-out records show more of what is small: then the fitted ones tell
-    harder = replace(left, explained=0.3, worth_after=(0.1,))
+    harder = replace(left, explained=0.3, envelope_after=(0.1,))
     assert decide(harder).verdict == "unknown_effect"
-    assert decide(replace(harder, fitted_explained=0.99)).verdict == "missing_effect"
-    assert decide(replace(harder, fitted_explained=0.87)).verdict == "unknown_effect"
-    assert decide(replace(harder, fitted_explained=0.99, worth_after=(0.03,))).verdict == "unknown_effect"
+    assert decide(replace(harder, training_explained=0.99)).verdict == "missing_effect"
+    assert decide(replace(harder, training_explained=0.87)).verdict == "unknown_effect"
+    assert decide(replace(harder, training_explained=0.99, envelope_after=(0.03,))).verdict == "unknown_effect"
 
 
 def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told() -> None:
@@ -108,12 +108,12 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
     # of a gap of 8 % it is what small effects make that tells
     more = (replace(FRICTION, share=0.03, width=0.08),)
     small = (replace(FRICTION, share=0.02, width=0.08),)
-    assert decide(replace(GOOD, effects=more, refit=(0.08,), closest_share=0.03)).verdict == "missing_effect"
+    assert decide(replace(GOOD, effects=more, refit=(0.08,), richest_share=0.03)).verdict == "missing_effect"
     assert (
-        decide(replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02)).verdict == "parameters_only"
+        decide(replace(GOOD, effects=small, refit=(0.08,), richest_share=0.02)).verdict == "parameters_only"
     )
     small = (replace(small[0], beyond_small=False),)
-    narrow = replace(GOOD, effects=small, refit=(0.08,), closest_share=0.02, worth=(0.085,))
+    narrow = replace(GOOD, effects=small, refit=(0.08,), richest_share=0.02, envelope=(0.085,))
     d = decide(narrow)
     assert d.verdict == "parameters_only"
     assert d.small
@@ -121,21 +121,21 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
 
 
 def test_agreement_needs_a_noise_that_is_known_or_a_small_error() -> None:
-    quiet = replace(GOOD, before=(0.021,), refit=(0.02,), after=(0.02,), effects=(), closest=())
+    quiet = replace(GOOD, before=(0.021,), refit=(0.02,), after=(0.02,), effects=(), richest=())
     assert decide(quiet).verdict == "no_discrepancy"
     assert decide(replace(quiet, before=(0.2,))).verdict == "parameters_only"
     # 99.7 % of the signal left and called noise, of which nothing is known beforehand
-    broad = replace(quiet, refit=(0.997,), floor=(0.997,), floor_known=(False,))
+    broad = replace(quiet, refit=(0.997,), noise=(0.997,), noise_known=(False,))
     assert decide(broad).verdict == "unknown_effect"
 
 
 def test_a_name_makes_nothing_worse_that_it_was_fitted_to() -> None:
     # nine tenths of the held-out gap, by chance, and the fitted records worse than before
-    lucky = replace(GOOD, fitted_refit=(0.3,), fitted_after=(0.4,), fitted_explained=-0.9)
+    lucky = replace(GOOD, training_refit=(0.3,), training_after=(0.4,), training_explained=-0.9)
     d = decide(lucky)
     assert d.verdict == "unknown_effect"
     assert [g.name for g in d.gates if not g.passed] == ["adequate"]
-    assert decide(replace(lucky, fitted_after=(0.03,), fitted_explained=0.97)).verdict == "missing_effect"
+    assert decide(replace(lucky, training_after=(0.03,), training_explained=0.97)).verdict == "missing_effect"
 
 
 def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name() -> None:
@@ -145,37 +145,37 @@ def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name() -> Non
     }
     four |= {
         k: v * 4
-        for k, v in {"floor": (0.02,), "floor_known": (True,), "worth": (0.03,), "closest": (0.021,)}.items()
+        for k, v in {"noise": (0.02,), "noise_known": (True,), "envelope": (0.03,), "richest": (0.021,)}.items()
     }
-    drifts = replace(GOOD, **four, fitted_refit=(0.05, 0.05, 0.04, 0.3), fitted_after=(0.02, 0.02, 0.02, 0.6))
+    drifts = replace(GOOD, **four, training_refit=(0.05, 0.05, 0.04, 0.3), training_after=(0.02, 0.02, 0.02, 0.6))
     assert decide(drifts).verdict == "missing_effect"
-    assert decide(replace(drifts, fitted_after=(0.06, 0.05, 0.05, 0.6))).verdict == "unknown_effect"
+    assert decide(replace(drifts, training_after=(0.06, 0.05, 0.05, 0.6))).verdict == "unknown_effect"
 
 
 def test_what_noise_may_hide_is_no_finding() -> None:
     clean = replace(
-        GOOD, before=(0.16,), refit=(0.051,), after=(0.051,), floor=(0.041,), worth=(0.01,), effects=()
+        GOOD, before=(0.16,), refit=(0.051,), after=(0.051,), noise=(0.041,), envelope=(0.01,), effects=()
     )
-    assert decide(replace(clean, closest=())).verdict == "parameters_only"
-    assert decide(replace(clean, closest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
+    assert decide(replace(clean, richest=())).verdict == "parameters_only"
+    assert decide(replace(clean, richest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
     # what gains something is looked at whatever the noise
-    small = replace(clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, shapeless=0.7)
+    small = replace(clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, lack_of_fit=0.7)
     assert decide(small).verdict == "unknown_effect"
 
 
 def test_a_name_that_small_effects_excuse_is_stated_with_less_confidence() -> None:
-    whole, part = (confidence(replace(GOOD, explained=x, sure=0.9)) for x in (0.95, 0.7))
+    whole, part = (confidence(replace(GOOD, explained=x, probability=0.9)) for x in (0.95, 0.7))
     assert whole == pytest.approx(0.9 * (1.0 - CRITERIA.mistaken))
     assert part == pytest.approx(0.9 * (1.0 - CRITERIA.partly)) and part < whole
 
 
 def test_criteria_are_arguments_and_say_why_they_are() -> None:
     strict = Criteria(share=0.5, alone=0.999)
-    assert decide(replace(GOOD, explained=0.89, closest_share=0.9), strict).verdict == "unknown_effect"
+    assert decide(replace(GOOD, explained=0.89, richest_share=0.9), strict).verdict == "unknown_effect"
     rows = table()
     assert {r["id"] for r in rows} == set(Criteria.__dataclass_fields__)
     assert all(r["unit"] and r["why"] and r["source"] for r in rows)
-    assert {g.name for g in gates_of(GOOD, CRITERIA)} >= {"material", "ahead", "forces first"}
+    assert {g.name for g in gates_of(GOOD, CRITERIA)} >= {"material", "distinguishable", "sensor"}
 
 
 def test_once_up_and_down_where_the_motion_hardly_goes_is_no_repetition() -> None:
@@ -193,7 +193,7 @@ EFFECTS = st.builds(
     label=st.just("friction"),
     share=SHARES,
     spread=st.floats(0.0, 10.0) | st.just(math.inf),
-    complaint=st.sampled_from(["", "beyond its reach"]),
+    contradiction=st.sampled_from(["", "beyond its reach"]),
     sensor=st.booleans(),
     fault=st.floats(0.0, 1.0),
     removed=SHARES,
@@ -210,13 +210,13 @@ def evidences(draw: st.DrawFn) -> Evidence:
     rows = st.tuples(*[SHARES] * count)
     return Evidence(
         channels=("a", "b")[:count],
-        **{name: draw(rows) for name in ("before", "refit", "after", "floor", "worth", "worth_after")},
-        **{name: draw(rows) for name in ("fitted_refit", "fitted_after", "closest")},
-        floor_known=draw(st.tuples(*[st.booleans()] * count)),
+        **{name: draw(rows) for name in ("before", "refit", "after", "noise", "envelope", "envelope_after")},
+        **{name: draw(rows) for name in ("training_refit", "training_after", "richest")},
+        noise_known=draw(st.tuples(*[st.booleans()] * count)),
         effects=tuple(draw(st.lists(EFFECTS, min_size=1, max_size=2))),
-        **{name: draw(NUMBERS) for name in ("elpd_diff", "explained", "lead", "force_lead", "confirmed")},
-        **{name: draw(SHARES) for name in ("elpd_dse", "fitted_explained", "sure", "shapeless", "test_rest")},
-        **{name: draw(PARAMETERS) for name in ("abreast", "limits", "refit_limits", "beside")},
+        **{name: draw(NUMBERS) for name in ("elpd_diff", "explained", "rival_loss", "force_loss", "test_explained")},
+        **{name: draw(SHARES) for name in ("elpd_dse", "training_explained", "probability", "lack_of_fit", "test_excess_ratio")},
+        **{name: draw(PARAMETERS) for name in ("indistinguishable", "limits", "refit_limits", "beside")},
     )
 
 
@@ -236,19 +236,19 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
         for x in e.effects
     )
     half = e.explained >= c.half and e.width_after < c.wide
-    excused = e.rest < c.several and (half or e.fitted_explained >= c.alone)
+    excused = e.excess_ratio < c.several and (half or e.training_explained >= c.alone)
     far = c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far
     assert {n: g.passed for n, g in gates.items()} == {
         "predicts better": e.elpd_diff > c.elpd_diff and e.elpd_diff / max(e.elpd_dse, 1e-12) > c.elpd_errors,
         "material": e.moved >= c.material and large,
-        "adequate": e.fitted_ratio <= 1.0 and (e.explained >= c.adequate or excused),
-        "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.complaint for x in e.effects),
-        "plausible": not e.driven_out,
-        "ahead": not e.abreast,
-        "shape": e.shapeless < c.half,
-        "likely": e.sure >= c.likely,
-        "confirmed": e.confirmed >= c.adequate or (e.confirmed >= c.half and e.test_rest < c.several),
-        "forces first": not sensors or e.force_lead >= far,
+        "adequate": e.training_ratio <= 1.0 and (e.explained >= c.adequate or excused),
+        "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.contradiction for x in e.effects),
+        "plausible": not e.driven_to_limits,
+        "distinguishable": not e.indistinguishable,
+        "lack of fit": e.lack_of_fit < c.half,
+        "probable": e.probability >= c.probable,
+        "confirmed": e.test_explained >= c.adequate or (e.test_explained >= c.half and e.test_excess_ratio < c.several),
+        "sensor": not sensors or e.force_loss >= far,
     }  # fmt: skip
 
 
@@ -262,7 +262,7 @@ def test_so_are_those_of_a_table(explained: float, moved: float, errors: float) 
 
 def test_the_limit_of_a_doubtful_sensor_is_the_one_it_was_held_against() -> None:
     def forces_first(fault: float) -> Gate:
-        return gates_of(replace(GOOD, effects=(replace(GAIN, fault=fault),), force_lead=10.0))[-1]
+        return gates_of(replace(GOOD, effects=(replace(GAIN, fault=fault),), force_loss=10.0))[-1]
 
     assert (forces_first(0.1).passed, forces_first(0.1).limit) == (True, 2.0)
     assert (forces_first(0.4).passed, forces_first(0.4).limit) == (False, 20.0)

@@ -29,17 +29,17 @@ SEEN = Evidence(
     before=(0.4,),
     refit=(0.3,),
     after=(0.02,),
-    floor=(0.02,),
-    floor_known=(True,),
-    worth=(0.03,),
+    noise=(0.02,),
+    noise_known=(True,),
+    envelope=(0.03,),
     effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=0.05),),
     elpd_diff=2000.0,
     elpd_dse=200.0,
     explained=0.99,
-    lead=50.0,
-    force_lead=50.0,
-    closest=(0.02,),
-    closest_share=0.4,
+    rival_loss=50.0,
+    force_loss=50.0,
+    richest=(0.02,),
+    richest_share=0.4,
 )
 
 
@@ -94,7 +94,7 @@ def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() 
     said = summary_of(document(VAGUE))
     assert "The best candidate, coulomb friction between mass and ground, takes the error in travel" in said
     assert "from 30.0 % to 7.0 % and fails 1 of 10 gates: determined (0.95, needed below 0.9)." in said
-    nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, closest=())))
+    nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, richest=())))
     assert "No known effect gains anything" in nothing
 
 
@@ -155,24 +155,24 @@ def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
         {"effects": [name], "where": [["mass", "ground"]], "excess": excess, "why_not": ""}
         for name, excess in (("coulomb_friction", 0.01), ("hysteresis", 0.012))
     ]
-    abreast = replace(SEEN, abreast=("hysteresis at mass-ground",), lead=1.0)
+    abreast = replace(SEEN, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0)
     said = summary_of(document(abreast, alternatives=rivals, next_experiment={"do": "a sine"}))
     assert "which of 2 explanations is right: coulomb friction between mass and ground (leaves 1.0 %" in said
     assert said.endswith("Next: play the test in next_experiment.csv.")
     alone = summary_of(document(abreast, alternatives=rivals[:1]))
-    assert "fails ahead (1, needed at most 0)" in alone
+    assert "fails distinguishable (1, needed at most 0)" in alone
 
 
 @pytest.mark.parametrize(
     ("change", "reason", "words"),
     [
         ({"refit": (0.021,)}, "immaterial", "no channel errs by more than 0.6 % of its"),
-        ({"refit": (0.05,), "worth": (0.06,)}, "small_effects", "leave up to 6.0 %"),
-        ({"refit": (0.06,), "floor": (0.05,), "worth": (0.01,)}, "noise", "travel errs by 3.3 % beyond the noise of 5.0 %"),
+        ({"refit": (0.05,), "envelope": (0.06,)}, "small_effects", "leave up to 6.0 %"),
+        ({"refit": (0.06,), "noise": (0.05,), "envelope": (0.01,)}, "noise", "travel errs by 3.3 % beyond the noise of 5.0 %"),
     ],
 )  # fmt: skip
 def test_why_nothing_is_missing_is_told_with_its_figures(change: dict, reason: str, words: str) -> None:
-    base = {"before": (0.2,), "effects": (), "after": (0.02,), "closest": ()}
+    base = {"before": (0.2,), "effects": (), "after": (0.02,), "richest": ()}
     quiet = replace(SEEN, **(base | change))
     spring = {"prior": 100.0, "value": 112.0, "low": 111.0, "high": 113.0, "unit": "N/m"}
     d = document(quiet, parameters={"k.stiffness": spring})
@@ -183,19 +183,19 @@ def test_why_nothing_is_missing_is_told_with_its_figures(change: dict, reason: s
 
 
 def test_a_small_effect_is_told_with_its_share_or_the_gate_it_fails() -> None:
-    small = replace(SEEN, effects=(replace(SEEN.effects[0], share=0.02),), refit=(0.08,), worth=(0.085,))
-    small = replace(small, closest_share=0.02)
+    small = replace(SEEN, effects=(replace(SEEN.effects[0], share=0.02),), refit=(0.08,), envelope=(0.085,))
+    small = replace(small, richest_share=0.02)
     said = summary_of(document(small))
     assert "Too small to be named: coulomb friction between mass and ground (level 3 N), 2.0 %" in said
 
 
 def test_a_bound_of_the_noise_is_told() -> None:
-    bounded = replace(VAGUE, floor_known=(False,))
+    bounded = replace(VAGUE, noise_known=(False,))
     assert "only bound the noise of travel (at most 2.0 %)" in summary_of(document(bounded))
 
 
 def test_a_unit_whose_sensor_has_another_zero() -> None:
-    d = document(replace(SEEN, effects=(), after=SEEN.refit, closest=()), constant={"travel": 0.9})
+    d = document(replace(SEEN, effects=(), after=SEEN.refit, richest=()), constant={"travel": 0.9})
     said = unit_summary_of(d)
     assert "A constant is 90 % of the squared error in travel" in said and "shows no inside" in said
 
