@@ -37,7 +37,7 @@ def _scheduled_friction(p: Array, d: float, v: float) -> float:
 
 
 class _Scheduled(Element):
-    """A law whose `channel` is the name of an input without a node."""
+    """An element whose `channel` is the name of an input without a node."""
 
     plane = "time"
     scheduled: ClassVar[bool] = True
