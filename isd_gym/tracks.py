@@ -153,23 +153,27 @@ def innovations(poles: np.ndarray, coefficients: np.ndarray, spacing: float) -> 
         Discrete poles a_i (n,) and gains g_i [m] (n,) of ``r_i,next = a_i r_i + g_i xi``.
     """
     exponents = poles * spacing
-    halves = np.array([math.sinh(e) / e if e else 1.0 for e in exponents]) * coefficients * spacing
-    scale = max(float(np.max(exponents)), 1e-300) ** 2  # the unknown u / scale is of the order of 1
+    bounded = np.maximum(exponents, 1e-150)  # sinh(e) / e is 1 there
+    halves = coefficients * spacing * np.sinh(bounded) / bounded
+    scale = float(bounded.max()) ** 2  # the unknown u / scale is of the order of 1
     places = (2 * np.sinh(0.5 * exponents)) ** 2 / scale
-    numerator = np.zeros(1)
-    for i in range(len(places)):
-        numerator = np.polyadd(numerator, halves[i] * np.poly(-np.delete(places, i)))
+    others = ~np.eye(len(poles), dtype=bool)
+    numerator = halves @ np.array([_polynomial(places[row]) for row in others])
     zeros = 2 * np.arcsinh(0.5 * np.sqrt(-scale * np.roots(numerator).astype(complex)))
     discrete = np.exp(-exponents)
-    at_nyquist = float(np.sum(halves / (4 + scale * places)))
-    first = math.sqrt(at_nyquist) * np.prod(1 + discrete) / np.prod(1 + np.exp(-zeros))
-    gains = [
-        first
-        * np.prod(-np.expm1(exponents[i] - zeros))
-        / np.prod(-np.expm1(exponents[i] - np.delete(exponents, i)))
-        for i in range(len(poles))
-    ]
-    return discrete, np.real(gains)
+    at_nyquist = math.sqrt(np.sum(halves / (4 + scale * places)))
+    first = at_nyquist * np.prod(1 + discrete) / np.prod(1 + np.exp(-zeros))
+    above = np.prod(-np.expm1(exponents[:, None] - zeros), axis=1)
+    below = np.prod(-np.expm1(exponents[:, None] - exponents), axis=1, where=others)
+    return discrete, np.real(first * above / below)
+
+
+def _polynomial(places: np.ndarray) -> list[float]:
+    """Return the coefficients of the product of (u + place) over `places`, highest power first."""
+    out = [1.0]
+    for place in places.tolist():
+        out = [high + place * low for high, low in zip([*out, 0.0], [0.0, *out], strict=True)]
+    return out
 
 
 @lru_cache(maxsize=1024)
