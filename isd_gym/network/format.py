@@ -317,6 +317,6 @@ def _axis_of(data: Mapping[str, Any], quantity: str, where: str) -> tuple[str, s
         raise InputError(f'{where}: "body" and "axis" say all: leave out "at", "between" and "element"')
     if QUANTITIES[quantity][1] not in TURNING:
         raise InputError(
-            f'{where}: a {quantity} is not about an axis; for that of the centre of gravity write "at": "{body}"'
+            f'{where}: "{quantity}" is no motion about an axis; for that of the centre of gravity write "at": "{body}"'
         )
     return angle_node(body, axis), axis
