@@ -496,11 +496,12 @@ def road(source: str | Path | Road) -> Road:
         "bump": bump,
         "pothole": pothole,
         "sweep": sweep,
-        **{f"bump-{side}": lambda side=side: on_side(bump(), side) for side in SIDES},
-        **{f"pothole-{side}": lambda side=side: on_side(pothole(), side) for side in SIDES},
     }
     if text in named:
         return named[text]()
+    shape, _, side = text.rpartition("-")
+    if shape in ("bump", "pothole") and side in SIDES:
+        return on_side(named[shape](), side)
     if text.upper().removeprefix("ISO-") in ISO_CLASSES:
         return iso_road(text.upper().removeprefix("ISO-"))
     if os.path.exists(text) and not os.path.isdir(text):  # a pipe is refused where it is read
