@@ -12,7 +12,7 @@ import isd_gym.simulate
 from isd_gym import simulate
 from isd_gym.errors import InputError
 from isd_gym.kernel.layout import GENERAL
-from isd_gym.network import Channel, Network, assemble, linearise, transfer
+from isd_gym.network import Channel, Network, assemble, cut, linearise, rejoin, transfer
 
 OLD = ("force-rig", "force-rig-eq6", "quarter-car-eq8", "quarter-car-isd", "quarter-car-passive")
 CARS = ("half-car-isd", "half-car-passive", "full-car-isd", "full-car-passive")
@@ -342,6 +342,32 @@ def test_a_moved_point_holds_the_body():
     cell = -m * w**2 * (1.0 - 0.5 * q * length) + k * nose
     assert np.abs(got[:, 1, 0] - nose).max() < 1e-9 * np.abs(nose).max()
     assert np.abs(got[:, 0, 0] - cell).max() < 1e-9 * np.abs(cell).max()
+
+
+def test_a_half_car_is_cut_at_one_wheel_and_at_both(drive):
+    """What one wheel's sensor tells replaces its tyre and road; the other road stays until that wheel is cut, too."""
+    data = Network.load("half-car-isd").to_dict()
+    data["outputs"] += [
+        {"name": f"hub_{end}", "quantity": "displacement", "at": f"wheel_{end}", "unit": "m"}
+        for end in ("front", "rear")
+    ]
+    whole = Network.from_dict(data)
+    got = simulate(whole, drive["time"], inputs(drive))
+    one = cut(whole, "wheel_front")
+    assert one.moved_nodes == ("wheel_front", "road_rear") and one.bodies == whole.bodies
+    assert "body.inertia.pitch" in one.uncertainty and "tyre_front.stiffness" not in one.uncertainty
+    both = cut(one, "wheel_rear")
+    assert both.moved_nodes == ("wheel_rear", "wheel_front")
+    measured = inputs(drive) | {name: got[name] for name in ("hub_front", "hub_rear")}
+    for part in (one, both):
+        out = simulate(part, drive["time"], measured)
+        assert {"pitch_acceleration", "driver_acceleration"} <= set(out)
+        for name in ("pitch_acceleration", "suspension_travel_rear", "device_travel_front"):
+            assert np.std(out[name] - got[name]) < 0.01 * np.std(got[name])
+    heavy = one.with_parameters({"body.inertia.pitch": 1300.0})
+    assert rejoin(whole, heavy).parameters == whole.parameters | {"body.inertia.pitch": 1300.0}
+    with pytest.raises(InputError, match="cut: 'body_front' is part of body 'body'"):
+        cut(whole, "body_front")
 
 
 def _change(*path, value):

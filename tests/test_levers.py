@@ -9,6 +9,7 @@ import pytest
 from isd_gym import simulate
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble, cut, transfer
+from isd_gym.report.schematic import draw
 
 FREQUENCY = np.geomspace(0.05, 60.0, 60)
 
@@ -235,6 +236,13 @@ def test_a_cut_keeps_the_levers_on_its_side():
     assert np.std(alone["body_acceleration"] - whole["body_acceleration"]) < 1e-3 * np.std(
         whole["body_acceleration"]
     )
+
+
+def test_a_lever_is_drawn_between_its_nodes():
+    made = draw(rack())
+    parts = {s.part for s in made.strokes}
+    assert {"el:pinion", "node:shaft", "node:mass", "node:ground"} <= parts
+    assert "ratio 0.012 m/rad" in [w.text for w in made.words if w.part == "el:pinion"]
 
 
 def _with(*levers, **more):
