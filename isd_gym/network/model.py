@@ -182,7 +182,7 @@ class Network:
         for node in self.turning:
             if node not in self.masses:
                 raise InputError(f"inertias: '{node}' has none")
-        _unique([e.name for e in (*self.elements, *self.levers)], "element")
+        _unique([*(e.name for e in self.elements), *(v.name for v in self.levers)], "element")
         _unique([c.name for c in self.inputs + self.outputs], "channel")
         if "time" in {c.name for c in self.inputs + self.outputs}:
             raise InputError("a channel cannot be called 'time'")
@@ -606,7 +606,7 @@ class Network:
 
     def free_name(self, stem: str) -> str:
         """`stem`, or stem_2, stem_3, ...: a name no element or node has yet."""
-        taken = {e.name for e in (*self.elements, *self.levers)} | set(self.nodes)
+        taken = {e.name for e in self.elements} | {v.name for v in self.levers} | set(self.nodes)
         names = (stem if i == 1 else f"{stem}_{i}" for i in range(1, 10_000))
         return next(n for n in names if n not in taken)
 

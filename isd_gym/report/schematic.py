@@ -284,7 +284,7 @@ class _Sheet:
         self.y: dict[str, tuple[float, float]] = {}  # node -> upper and lower edge
         self.x: dict[str, list[float]] = {}  # node -> where something is attached
         self.beside: dict[str, list[str]] = {}  # element -> what else is written there
-        self.carried = network.masses | {b.name: b.mass for b in network.bodies}
+        self.carried = {**network.masses, **{b.name: b.mass for b in network.bodies}}
         #: points and angles are drawn at the box of their body
         self.home = {n: b.name for b in network.bodies for n in b.nodes[1:]}
         self.points = {p.name: (p.x, p.y) for b in network.bodies for p in b.points}
@@ -614,7 +614,8 @@ LETTERED = {
 def _pieces(sheet: _Sheet) -> list[Piece]:
     """The elements and levers as pieces between drawn nodes: a point of a body is drawn at the body."""
     out = []
-    for e in (*(e for e in sheet.net.elements if e.place == "between"), *sheet.net.levers):
+    between: list[el.Element | Lever] = [e for e in sheet.net.elements if e.place == "between"]
+    for e in (*between, *sheet.net.levers):
         first, second = e.between
         top, bottom = (sheet.home.get(n, n) for n in (first, second))
         out.append(Piece(top, bottom if bottom != top else second, element=e))

@@ -36,7 +36,7 @@ def model_schema() -> dict[str, Any]:
     """Schema of `isd-model/1` with every element type that is registered."""
     from ..elements import TYPES
     from ..network import SCHEMA
-    from ..network.model import MASSES
+    from ..network.bodies import MASSES
 
     types = sorted(TYPES)
     return {

@@ -199,7 +199,8 @@ def decide(
     else:
         fitted = model.network(fit.x)
         outside = tuple(e for e in nominal.elements if e.place != "between")
-        found_model = replace(nominal, masses=fitted.masses, elements=(*fitted.elements, *outside))
+        inertial = {"masses": fitted.masses, "bodies": fitted.bodies, "levers": fitted.levers}
+        found_model = replace(nominal, elements=(*fitted.elements, *outside), **inertial)
     if verdict == "unknown_effect":
         estimates = replace(estimates, determined=())
     return UnknownInputResult(
