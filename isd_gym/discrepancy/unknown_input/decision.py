@@ -199,8 +199,13 @@ def decide(
     else:
         fitted = model.network(fit.x)
         outside = tuple(e for e in nominal.elements if e.place != "between")
-        inertial = {"masses": fitted.masses, "bodies": fitted.bodies, "levers": fitted.levers}
-        found_model = replace(nominal, elements=(*fitted.elements, *outside), **inertial)
+        found_model = replace(
+            nominal,
+            masses=fitted.masses,
+            bodies=fitted.bodies,
+            levers=fitted.levers,
+            elements=(*fitted.elements, *outside),
+        )
     if verdict == "unknown_effect":
         estimates = replace(estimates, determined=())
     return UnknownInputResult(
