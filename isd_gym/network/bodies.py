@@ -27,7 +27,9 @@ def angle_node(body: str, axis: str) -> str:
 
 def is_number(value: Any) -> bool:
     """Return whether a value of a file is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, int) or math.isfinite(value)
 
 
 @dataclass(frozen=True)

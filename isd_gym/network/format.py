@@ -181,10 +181,16 @@ def read_bodies(data: Any) -> tuple[Body, ...]:
         where = f"body {shown(name)}"
         check_name(name, "bodies")
         _check_keys(entry, {"mass", "inertia", "points"}, {"mass"}, where)
-        points = entry.get("points", {})
-        for key, value, known in (("inertia", entry.get("inertia", {}), set(AXES)), ("points", points, None)):
-            _check_keys(value, set(value) if known is None and isinstance(value, Mapping) else known or set(), set(),
-                        f"{where}: \"{key}\"")  # fmt: skip
+        inertia, points = entry.get("inertia", {}), entry.get("points", {})
+        _check_keys(inertia, set(AXES), set(), f'{where}: "inertia"')
+        if None in inertia.values():
+            raise InputError(
+                f"{where}: an inertia must be a number of kg m^2, not null; leave it out where there is none"
+            )
+        if not isinstance(points, Mapping):
+            raise InputError(
+                f'{where}: "points" must be an object of point by name, not {type(points).__name__}'
+            )
         for point, at in points.items():
             check_name(point, f"{where}: points")
             _check_keys(at, {"x", "y"}, set(), f"{where}: point {shown(point)}")
