@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -17,62 +18,23 @@ import numpy as np
 from . import elements as el
 from .errors import InputError
 from .kernel import layout as place
-from .kernel.layout import TOGETHER, WIDTH, aligned
-from .network import GROUND, Channel, Network
+from .kernel.layout import CONTACT, TOGETHER, WIDTH, aligned
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
+from .tracks import SUM_STATES
+from .vehicle import CURRENT_LIMIT as CURRENT_LIMIT
+from .vehicle import SLEW_LIMIT as SLEW_LIMIT
+from .vehicle import signal_channels as signal_channels
+from .vehicle import state_channels as state_channels
+from .vehicle import vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-CURRENT_LIMIT = 5.0  # A, Table 5
-SLEW_LIMIT = 0.5  # A per control step, Table 5
+    from .network import Channel, Network
+
 NO_SATURATION = 1e9
 LATE = 100  # groups of cars that this thread does while another one wakes (some 40 us)
-
-#: what every car reports, in the order of the outputs of the kernel
-SIGNALS = (
-    "body_acceleration",
-    "suspension_travel",
-    "suspension_travel_rate",
-    "device_travel",
-    "device_travel_rate",
-    "tyre_load",
-)
-
-
-def signal_channels(network: Network) -> list[Channel]:
-    """The signals of a car, as channels of its network.
-
-    body and wheel are the first two masses, the device is what stands between the motor's terminals, the road is the
-    moved node. A car without a motor reports its suspension in the device's place.
-    """
-    masses = list(network.masses)
-    if len(masses) < 2 or not any(c.quantity == "displacement" for c in network.moving):
-        raise InputError(
-            f"network '{network.name}' is no car: it needs two masses and a displacement input (the road)"
-        )
-    body, wheel = masses[0], masses[1]
-    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
-    device = motor.between if motor is not None else (body, wheel)
-    return [
-        Channel("body_acceleration", "acceleration", "m/s^2", at=body),
-        Channel("suspension_travel", "displacement", "m", between=(body, wheel)),
-        Channel("suspension_travel_rate", "velocity", "m/s", between=(body, wheel)),
-        Channel("device_travel", "displacement", "m", between=device),
-        Channel("device_travel_rate", "velocity", "m/s", between=device),
-        Channel("tyre_load", "force", "N", at=network.moved_nodes[0]),
-    ]
-
-
-def state_channels(network: Network) -> list[Channel]:
-    """Displacement and velocity of every free node, for the full observation and for pictures."""
-    out = []
-    for node in network.nodes:
-        if node not in network.moved_nodes:
-            out.append(Channel(f"{node}_displacement", "displacement", "m", at=node))
-            out.append(Channel(f"{node}_velocity", "velocity", "m/s", at=node))
-    return out
 
 
 class Batch:
@@ -112,15 +74,16 @@ class Batch:
         self._check_randomize()
         self._spread = {k: v for k, v in self.randomize.items() if k not in ("speed", "road")}
         self._roads = [road(r) for r in self.randomize.get("road", [])]
+        self.vehicle = car = vehicle(network)
         # the network's own outputs are not needed here: the signals take their place
-        bare = Network(
-            network.name,
-            network.masses,
-            tuple(e for e in network.elements if e.place != "channel"),
-            network.inputs,
+        bare = replace(
+            network,
+            elements=tuple(e for e in network.elements if e.place != "channel"),
+            outputs=(),
+            uncertainty={},
         )
         self._bare = bare
-        self.channels = [*signal_channels(network), *extra]
+        self.channels = [*car.channels, *extra]
         self.groups = -(-count // WIDTH)
         networks: Network | list[Network] = [bare] * WIDTH if self._spread else bare
         self.plant = plant = Plant(networks, physics_step, lanes=WIDTH, extra=self.channels)
@@ -128,91 +91,136 @@ class Batch:
         if self._spread:
             self._mats = aligned(self.groups, *plant.mats.shape[1:])
             self._mats[:] = plant.mats
-        columns = {part: -1 for part in ("r", "v", "alpha")}
-        for j, (part, name) in enumerate(plant.labels):
-            if part in columns and name == plant.networks[0].inputs[self._road_input()].name:
-                columns[part] = j
         if any(c.quantity == "condition" for c in network.inputs):
             raise InputError(
                 f"network '{network.name}': the environment has no logged channels; leave them out"
             )
-        if len(plant.currents) > 1:
-            raise InputError(
-                f"network '{network.name}' has more than one current; the environment drives one"
-            )
+        self.points = round(preview / control_step)
+        self.size = place.CarSize(1 + len(car.axes), len(car.corners), len(car.driven), car.wheels.tracks)
+        self.of = of = place.cars_layout(self.size)
+        # one array of whole numbers spares the kernel's caller a tenth of a microsecond
+        self._ints = np.concatenate([plant.ints, self._tables()])
+        self._setup = self._ints[len(plant.ints) :]
         self._states = aligned(self.groups, plant.at.height, WIDTH)
         wide = self.groups * WIDTH  # rows hold whole groups of cars; those beyond `count` stand still
-        self._cars = aligned(place.SIGNALS + len(self.channels), wide)
-        self._ways = np.zeros((3, wide), np.int64)
-        self._cars[place.SATURATION] = NO_SATURATION
-        known = (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
-        for e in network.elements:
-            if e.place == "element" and not isinstance(e, known):
-                raise InputError(f"element '{e.name}': the environment's drive has no {e.type}; leave it out")
-        lag, delay, saturation = (
-            next((e for e in network.elements if isinstance(e, kind)), None) for kind in known
-        )
-        if isinstance(lag, el.ActuatorLag) and lag.time_constant > 0:
-            self._cars[place.LAG_POLE] = math.exp(-physics_step / lag.time_constant)
-        if isinstance(saturation, el.ThrustSaturation):
-            self._cars[place.SATURATION] = saturation.current
-        if isinstance(delay, el.ActuatorDelay):
-            self._cars[place.DELAY] = delay.delay / physics_step
-        steps_late = self._cars[place.DELAY].max()
-        self._past = np.zeros((int(steps_late) + 2 if steps_late else 0, wide))
-        self.points = round(preview / control_step)
-        # the road drawn ahead: of every physics step of a control step a ring that begins at ints[-1], and the last of them
-        # once more, a car's points side by side
-        self._rings = aligned(self.substeps, self.points, wide)
-        self._ahead = np.zeros((wide, self.points))
+        self._cars = aligned(of.outputs + len(self.channels), wide)
+        self._ways = np.zeros((of.counter + of.tracks, wide), np.int64)
+        steps_late = self._set_drives()
+        self._past = np.zeros((steps_late, of.currents, wide))
+        self._setup[[place.ALL, place.DEPTH]] = wide, steps_late
+        # the road drawn ahead: of each track and physics step of a control step a ring that begins at `NOW`, and the last of
+        # them once more, a car's points side by side
+        self._rings = aligned(of.tracks, self.substeps, self.points, wide)
+        self._ahead = np.zeros((wide, of.tracks * self.points))
+        slowest = min(self.speed, *self.randomize.get("speed", (self.speed,)))
+        longest = max(car.wheels.delays(slowest, physics_step))
+        self._kept = math.ceil(longest) + self.substeps + 2 if longest else 0
+        self._setup[place.KEPT] = self._kept
+        self._history = aligned(self.groups, of.tracks, self._kept, WIDTH)
         self.table = np.zeros(0)
-        driven = any(e is not None for e in (lag, delay, saturation))
-        self._ints = np.concatenate(
-            [plant.ints, [count, self.substeps, *columns.values(), driven, False, place.MEASURED, 0]]
-        )
-        self._settings = np.zeros(place.LIFTED + len(self.channels))
+        self._settings = np.zeros(of.lifted + len(self.channels) * of.corners)
         self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_LIMIT
-        self._settings[place.BOUNDS : place.LIFTED] = math.inf
-        self.seen = np.zeros((count, 6), np.float32)
-        self._said = np.zeros((place.SAID, wide))
+        self._settings[of.bounds : of.bounds + of.measured] = math.inf
+        self.seen = np.zeros((count, of.measured + of.currents), np.float32)
+        self._said = np.zeros((of.said, wide))
         self.speeds = np.full(count, self.speed)
         self.threads = 1
         self._arguments()
+
+    def _tables(self) -> np.ndarray:
+        """Whole numbers of the kernel's control step (`layout`)."""
+        car, plant, wheels = self.vehicle, self.plant, self.vehicle.wheels
+        columns = dict.fromkeys(
+            ((c.road_input, part) for c in car.corners for part in ("r", "v", "alpha")), -1
+        )
+        for j, (part, name) in enumerate(plant.labels):
+            if (name, part) in columns:
+                columns[name, part] = j
+        current_of = [
+            next((i for i, c in enumerate(car.driven) if c.current_input == channel.name), 0)
+            for channel in plant.currents
+        ] or [0]
+        head = np.zeros(place.TABLES, np.int64)
+        head[[place.COUNT, place.SUBSTEPS, place.SHOWS]] = self.count, self.substeps, place.MEASURED
+        leaders = [
+            min((behind, i) for i, behind in enumerate(wheels.behind) if wheels.track[i] == t)[1]
+            for t in range(wheels.tracks)
+        ]
+        late = [int(behind > 0.0) for behind in wheels.behind]
+        return np.concatenate([head, [*columns.values()], wheels.track, late, leaders, current_of]).astype(
+            np.int64
+        )
+
+    def _set_drives(self) -> int:
+        """Put the numbers of each motor's drive into the cars; returns how many past currents the drives need."""
+        of, step = self.of, self.plant.step
+        kinds = (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
+        for e in self.network.elements:
+            if e.place == "element" and not isinstance(e, kinds):
+                raise InputError(f"element '{e.name}': the environment's drive has no {e.type}; leave it out")
+        self._cars[of.saturation : of.saturation + of.currents] = NO_SATURATION
+        for j, corner in enumerate(self.vehicle.driven):
+            acting: set[type] = set()
+            for e in self.network.elements:
+                if not isinstance(e, kinds) or e.where[0] != corner.motor or type(e) in acting:
+                    continue
+                acting.add(type(e))
+                self._setup[place.DRIVE_ACTS] = True
+                if isinstance(e, el.ActuatorLag) and e.time_constant > 0:
+                    self._cars[of.lag_pole + j] = math.exp(-step / e.time_constant)
+                elif isinstance(e, el.ActuatorDelay):
+                    self._cars[of.delay + j] = e.delay / step
+                elif isinstance(e, el.ThrustSaturation):
+                    self._cars[of.saturation + j] = e.current
+        steps_late = self._cars[of.delay : of.delay + of.currents].max()
+        return int(steps_late) + 2 if steps_late else 0
 
     def _arguments(self) -> None:
         """The arguments of the kernel, and what is seen of them from here: views, made once."""
         at, count = self.plant.at, self.count
         self._drive: Callable[..., int] | None = None
         self._drive_arguments = (
-            *(self._mats.reshape(-1), self._ints, self._states.reshape(-1), self._cars, self._ways),
-            *(self.table, self._past, self._rings, self._ahead, self._settings),
+            *(self._mats.reshape(-1), self._ints, self._states.reshape(-1), self._cars.reshape(-1)),
+            *(
+                self._ways.reshape(-1),
+                self.table,
+                self._past.reshape(-1),
+                self._rings.reshape(-1),
+                self._ahead,
+            ),
+            *(self._history.reshape(-1), self._settings),
         )
         threads = max(1, min(self.threads, self.groups))
         late = min(LATE, self.groups // threads)
         ends = [0, *(late + (self.groups - late) * i // threads for i in range(1, threads + 1))]
-        inputs = (self.substeps + 1) * at.inputs + self.substeps * at.currents
+        inputs = (self.substeps + 1) * at.inputs + self.substeps * (at.currents + 2 + self.of.tracks)
         self._shares = [
             (aligned(TOGETHER, inputs, WIDTH).ravel(), begin, stop)
             for begin, stop in zip(ends[:-1], ends[1:], strict=True)
         ]
         self._calls: list[tuple[Any, ...]] = []
         self._crew: Crew | None = None
-        self.cars, self.out = self._cars[:, :count], self._cars[place.SIGNALS :, :count]
-        self.counters = self._ways[place.COUNTER].view(np.uint64)
-        self.target = self.cars[place.TARGET]  # currents that are asked for [A] (count,)
+        of = self.of
+        self.cars, self.out = self._cars[:, :count], self._cars[of.outputs :, :count]
+        self._setup = self._ints[len(self.plant.ints) :]
+        self.counters = self._ways[of.counter :].view(np.uint64)  # (tracks, cars)
+        self.target = self.cars[
+            of.target : of.target + of.currents
+        ]  # commanded currents [A] (currents, count)
+        self.first_targets = self.target[:, 0]
         self._write_to(self._said, self.seen)
 
     def _write_to(self, said: np.ndarray, seen: np.ndarray) -> None:
         self._said, self.seen = said, seen
         self._first_said, self.first_seen = said[:, 0], seen[0]
-        self._calls = [(*self._drive_arguments, said, seen, *share) for share in self._shares]
+        self._calls = [(*self._drive_arguments, said.reshape(-1), seen, *share) for share in self._shares]
 
     def renew(self) -> None:
         """What the last step said and showed is somebody else's now; the next one writes elsewhere."""
         self._write_to(np.empty(self._said.shape), np.empty(self.seen.shape, np.float32))
 
     def __getstate__(self) -> dict[str, Any]:
-        views = ("cars", "out", "counters", "target")
+        views = ("cars", "out", "counters", "target", "first_targets", "_setup")
         return {
             k: v
             for k, v in self.__dict__.items()
@@ -238,26 +246,29 @@ class Batch:
         weights: Sequence[float],
         bounds: Sequence[float],
         *,
-        width: int = 6,
+        width: int,
         shows: int = place.MEASURED,
-        lifted: Sequence[bool] = (),
+        lifted: Sequence[Sequence[float]] = (),
         threads: int = 1,
     ) -> None:
-        """Have every step limit the currents that `target` asks for, and give rewards, costs and observations.
+        """Have every step limit the currents that `target` commands, and give rewards, costs and observations.
 
-        weights: factors on the squares of acceleration, travel, tyre load and current; bounds of the five measured signals;
-        width of an observation, and what it `shows` (`layout`); of which outputs the road's height is taken off.
-        threads: how many share the cars. The results do not depend on it.
+        Args:
+            weights: Factors on the squares of accelerations, travels, tyre loads and currents (`StageCost.factors`).
+            bounds: Bounds of the measured signals without the currents.
+            width: Width of an observation.
+            shows: Content of an observation: `MEASURED`, `WHOLE` or `AHEAD` of `layout`.
+            lifted: Share of the road's height at each corner to be taken off each output (outputs, corners).
+            threads: Number of threads that share the cars; the results do not depend on it.
         """
-        self._ints[-3], self._ints[-2] = True, shows
-        self._settings[place.WEIGHTS : place.BOUNDS] = weights
-        self._settings[place.BOUNDS : place.LIFTED] = bounds
-        self._settings[place.LIFTED : place.LIFTED + len(lifted)] = lifted
+        of = self.of
+        self._setup[place.IS_COMMANDED], self._setup[place.SHOWS] = True, shows
+        self._settings[of.weights : of.bounds] = weights
+        self._settings[of.bounds : of.lifted] = bounds
+        shares = np.ravel(lifted)
+        self._settings[of.lifted : of.lifted + len(shares)] = shares
         self.seen, self.threads = np.zeros((self.count, width), np.float32), threads
         self._arguments()
-
-    def _road_input(self) -> int:
-        return next(i for i, c in enumerate(self.network.inputs) if c.quantity == "displacement")
 
     def _check_randomize(self) -> None:
         known = self.network.parameters
@@ -288,48 +299,81 @@ class Batch:
             speed = float(rng.uniform(*self.randomize["speed"]))
         ground = self._roads[int(rng.integers(len(self._roads)))] if self._roads else self.road
         self.speeds[i] = speed
-        h, cars = self.plant.step, self._cars
-        cars[place.ROUGH_GAIN, i], cars[place.ROUGH_POLE, i] = ground.noise(speed, h)
-        for row in (place.CURRENT, place.LAGGED, place.HEIGHT, place.HEIGHT_RATE, place.ROUGH, place.TARGET):
-            cars[row, i] = 0.0
-        self._past[:, i] = 0.0
-        self.counters[i] = rng.integers(0, 2**64, dtype=np.uint64)
-        fixed = ground.fixed(speed, h, round(self.duration / h) + self.points * self.substeps, rng)
+        h, cars, of = self.plant.step, self._cars, self.of
+        poles, gains = self._filters(ground, speed)
+        cars[of.pole : of.rough, i], cars[of.gain : of.pole, i] = poles, gains
+        cars[of.late : of.gain, i] = self.vehicle.wheels.delays(speed, h)
+        for begin, end in (
+            (of.current, of.lag_pole), (of.target, of.late), (of.rough, of.outputs)
+        ):  # fmt: skip
+            cars[begin:end, i] = 0.0
+        self._past[:, :, i] = 0.0
+        self.counters[:, i] = [rng.integers(0, 2**64, dtype=np.uint64) for _ in range(of.tracks)]
+        fixed = ground.fixed_tracks(
+            of.tracks, speed, h, round(self.duration / h) + self.points * self.substeps, rng
+        )
         self._give(i, fixed)
         group, lane = divmod(i, WIDTH)
         self._states[group, :, lane] = 0.0
+        self._history[group, :, :, lane] = 0.0
         if self.points:
+            self._look_ahead(i, poles, gains, fixed)
+
+    def _filters(self, ground: Road, speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """Poles and gains [m] of the sections of the rough tracks."""
+        if self.of.tracks == 2:
+            return ground.track_filters(self.vehicle.wheels.width, speed, self.plant.step)
+        gain, pole = ground.noise(speed, self.plant.step)
+        return np.array([pole]), np.array([gain])
+
+    def _look_ahead(self, i: int, poles: np.ndarray, gains: np.ndarray, fixed: np.ndarray) -> None:
+        """Draw the road of car i as far ahead as it is seen; `fixed` (tracks, n) [m] is its fixed profile."""
+        of, cars = self.of, self._cars
+        rough = np.empty((of.tracks, self.points * self.substeps))
+        if of.tracks == 2:
+            from .kernel.tracks import track_noise
+
+            states = np.zeros(of.filters)
+            first, second = self.counters[:, i]
+            self.counters[:, i] = track_noise(first, second, poles, gains, SUM_STATES, states, rough)
+            cars[of.rough : of.outputs, i] = states
+        else:
             from .kernel.cars import road_noise
 
-            rough = np.empty(self.points * self.substeps)
-            self.counters[i] = road_noise(
-                self.counters[i], cars[place.ROUGH_GAIN, i], cars[place.ROUGH_POLE, i], 0.0, rough
-            )
-            cars[place.ROUGH, i] = rough[-1]
-            if len(fixed):
-                count = min(len(rough), len(fixed))
-                rough[:count] += fixed[:count]
-                rough[count:] += fixed[-1]
-                self._ways[place.PROFILE, i] += count
-            ring = np.roll(rough.reshape(self.points, self.substeps), self._ints[-1], axis=0)
-            self._rings[:, :, i], self._ahead[i] = ring.T, ring[:, -1]
+            self.counters[0, i] = road_noise(self.counters[0, i], gains[0], poles[0], 0.0, rough[0])
+            cars[of.rough, i] = rough[0, -1]
+        length = fixed.shape[1]
+        if length:
+            count = min(rough.shape[1], length)
+            rough[:, :count] += fixed[:, :count]
+            rough[:, count:] += fixed[:, -1:]
+            self._ways[of.profile : of.profile_end, i] += count
+        rings = rough.reshape(of.tracks, self.points, self.substeps)
+        rings = np.roll(rings, self._setup[place.NOW], axis=1)
+        self._rings[:, :, :, i], self._ahead[i] = rings.transpose(0, 2, 1), rings[:, :, -1].ravel()
 
     def _give(self, i: int, fixed: np.ndarray) -> None:
-        """Give car i its fixed profile, in a slot of the table; the kernel holds the last height after its end."""
-        ways = self._ways[: place.COUNTER, : self.count]
-        if not len(fixed):
-            ways[:, i] = 0
+        """Give car i its fixed profile (tracks, n), in slots of the table; the kernel holds the last height after its end."""
+        tracks = self.of.tracks
+        ways = self._ways[: 2 * tracks, : self.count].reshape(2, tracks, self.count)
+        length = fixed.shape[1]
+        if not length:
+            ways[:, :, i] = 0
             return
-        slot = len(self.table) // self.count
-        if len(fixed) > slot:
-            table = np.zeros((self.count, len(fixed)))
-            table[:, :slot] = self.table.reshape(self.count, slot)
-            begin, old = np.arange(self.count), ways.copy()
-            ways[:] = np.where(old[1] > 0, old + begin * (len(fixed) - slot), 0)
-            self.table, slot = table.ravel(), len(fixed)
+        slots = self.count * tracks
+        slot = len(self.table) // slots
+        begin = np.arange(slots).reshape(self.count, tracks).T
+        if length > slot:
+            table = np.zeros((slots, length))
+            table[:, :slot] = self.table.reshape(slots, slot)
+            old = ways.copy()
+            ways[:] = np.where(old[1] > 0, old + begin * (length - slot), 0)
+            self.table, slot = table.ravel(), length
             self._arguments()
-        self.table[i * slot : i * slot + len(fixed)] = fixed
-        ways[:, i] = i * slot, i * slot + len(fixed)
+        for t, heights in enumerate(fixed):
+            at = begin[t, i] * slot
+            self.table[at : at + length] = heights
+            ways[:, t, i] = at, at + length
 
     def _redraw(self, i: int, rng: np.random.Generator) -> None:
         from .network import assemble
@@ -352,57 +396,84 @@ class Batch:
                 self._crew = Crew(len(self._calls))
             self.broken = sum(self._crew.do(drive, self._calls))
         if self.points:
-            self._ints[-1] = (self._ints[-1] + 1) % self.points
+            self._setup[place.NOW] = (self._setup[place.NOW] + 1) % self.points
+        if self._kept:
+            self._setup[place.KEPT_NOW] = (self._setup[place.KEPT_NOW] + self.substeps) % self._kept
         return self.out
 
     def _compiled(self) -> Callable[..., int]:
         """The kernel for the types of these arguments, which stay: they need not be looked up at every step."""
         from numba import typeof
 
-        self._drive = self.plant.kernel.drive.compile(tuple(map(typeof, self._calls[0])))  # type: ignore[attr-defined]
+        from .kernel.compiled import kernel
+
+        of_car = kernel(self.plant.at.way != CONTACT, self.size)
+        self._drive = of_car.drive.compile(tuple(map(typeof, self._calls[0])))  # type: ignore[attr-defined]
         return self._drive
 
     @property
     def current(self) -> np.ndarray:
-        """Present commanded current [A] (count,)."""
-        return self.cars[place.CURRENT]
+        """Present commanded current of the first corner [A] (count,)."""
+        return self.cars[self.of.current]
+
+    @property
+    def currents(self) -> np.ndarray:
+        """Present commanded currents [A] (currents, count)."""
+        return self.cars[self.of.current : self.of.current + self.of.currents]
 
     def alone(self) -> tuple[float, ...]:
-        """Of the first car: reward, four terms of the cost, dynamic tyre load [N], and 1 where it broke."""
+        """Of the first car: reward, terms of the cost, dynamic tyre loads [N], and 1 where it broke."""
         return self._first_said.tolist()
 
     @property
     def judged(self) -> np.ndarray:
-        """Of the last step, rows: reward, four terms of the cost, dynamic tyre load [N] (6, count)."""
-        return self._said[: place.BROKEN, : self.count]
+        """Of the last step, rows: reward, terms of the cost, dynamic tyre loads [N] (rows, count)."""
+        return self._said[: self.of.broken, : self.count]
 
     def forget(self, which: np.ndarray | slice) -> None:
         """Nothing is said of the cars `which`, which have just begun; what has been handed out stays."""
         said = self._said.copy()
-        said[: place.BROKEN, which] = 0.0
+        said[: self.of.broken, which] = 0.0
         self.out[:, which] = 0.0
         self._write_to(said, self.seen)
 
     @property
     def gone(self) -> np.ndarray:
         """Which cars left their bounds, or reason, in the last step (count,)."""
-        return self._said[place.BROKEN, : self.count] != 0.0
+        return self._said[self.of.broken, : self.count] != 0.0
 
     @property
     def levels(self) -> np.ndarray:
-        """Variance that each physics step adds to the rough road under the wheel [m^2] (count,): what a linear car's cost grows with."""
-        return self.cars[place.ROUGH_GAIN] ** 2
+        """Level of the rough road [m^2] (count,): a linear car's cost is proportional to it.
+
+        With one track it is the variance that each physics step adds to the height under the wheel.
+        """
+        return self.cars[self.of.gain] ** 2
 
     @property
     def road_height(self) -> np.ndarray:
-        """Height of the road under the wheel now [m] (count,)."""
-        return self.cars[place.HEIGHT]
+        """Height of the road under the first corner now [m] (count,)."""
+        return self.cars[self.of.height]
 
-    def road_ahead(self, points: int | None = None) -> np.ndarray:
-        """Road ahead relative to the height under the wheel [m], one point a control step, (count, points)."""
-        begin = int(self._ints[-1])
-        ahead = np.roll(self._ahead[: self.count], -begin, axis=1)[:, :points]
-        return ahead - self.road_height[:, None]
+    @property
+    def road_heights(self) -> np.ndarray:
+        """Heights of the road under all corners now [m] (corners, count)."""
+        return self.cars[self.of.height : self.of.height + self.of.corners]
+
+    def road_ahead(self, points: int | None = None, track: int = 0) -> np.ndarray:
+        """Return a track ahead relative to the height under its first wheel.
+
+        Args:
+            points: Number of points, one a control step; all that are drawn unless given.
+            track: Number of the track, the left one before the right one.
+
+        Returns:
+            Heights [m] (count, points).
+        """
+        begin = int(self._setup[place.NOW])
+        ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
+        leader = self._setup[self.of.leader + track]
+        return np.roll(ahead, -begin, axis=1)[:, :points] - self.road_heights[leader][:, None]
 
 
 class Crew:
@@ -437,12 +508,3 @@ def _work(asked: SimpleQueue[Any], done: SimpleQueue[Any]) -> None:
             done.put(function(*share))
         except BaseException as error:
             done.put(error)
-
-
-def nodes_of_device(network: Network) -> tuple[str | None, str | None]:
-    """The terminals of the motor that are neither mass nor ground, for pictures."""
-    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
-    if motor is None:
-        return None, None
-    first, second = (n if n != GROUND else None for n in motor.between)
-    return first, second

@@ -110,7 +110,8 @@ def _tables(network: Network, ground: Road, speed: float, sensors: Sensors | Non
 
 
 def _same_car(one: Network, other: Network) -> bool:
-    return (one.masses, one.elements, one.inputs) == (other.masses, other.elements, other.inputs)
+    parts = ("masses", "bodies", "levers", "elements", "inputs")
+    return all(getattr(one, part) == getattr(other, part) for part in parts)
 
 
 def _listed(names: list[str]) -> str:

@@ -2,62 +2,147 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 Signal = TypeVar("Signal", float, np.ndarray)
+MOTIONS = ("acceleration", "pitch", "roll")
+TERMS = (*MOTIONS, "travel", "tyre_load", "current")
 
 
-def squares(
-    by_a: Any, by_l: Any, by_f: Any, by_i: Any, a: Any, l: Any, f: Any, i: Any
-) -> tuple[Any, Any, Any, Any]:
-    """The terms of the cost, of floats or arrays, and in compiled code: factors times the squares of acceleration, travel, tyre load and current.
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
-    by_a [s^4/m^2], by_l [1/m^2], by_f [1/N^2], by_i [1/A^2]: the factors, `StageCost.quadratic`'s. a: acceleration
-    [m/s^2]; l: travel [m]; f: tyre load [N]; i: current [A].
+
+def square(weight: Any, signal: Any) -> Any:
+    """Return a factor times the square of a signal, of floats or arrays, and in compiled code.
+
+    Args:
+        weight: Factor [1/unit^2].
+        signal: Signal [unit].
     """
-    return by_a * (a * a), by_l * (l * l), by_f * (f * f), by_i * (i * i)
+    return weight * (signal * signal)
 
 
 @dataclass(frozen=True)
 class StageCost:
     """Weighted squares of signals over their reference values; the reward is minus the sum.
 
-    Weights [-] 0.6 and 0.3 are section 4.2's; references are Table 7's passive row, so a passive car costs about 0.9.
+    The weights [-] 0.6 and 0.3 are those of section 4.2. The references are Table 7's passive row, so that a passive
+    quarter car costs about 0.9.
 
-    acceleration, travel, tyre_load, current [-]: the weights.
+    A half car and a full car have `HALF_CAR` and `FULL_CAR`. The weight 0.6 is shared equally by the accelerations of the body:
+    0.3 each for vertical and pitch acceleration, or 0.2 each with roll acceleration. The weights of travel, tyre load and
+    current are shared equally by the corners. Each reference is the RMS of the signal in the passive car on the paper's
+    road at 20 m/s, so that this car costs 0.9 as well.
+
+    Attributes:
+        acceleration: Weight of the vertical acceleration of the body [-].
+        travel: Weight of the suspension travel [-].
+        tyre_load: Weight of the dynamic tyre load [-].
+        current: Weight of the motor current [-].
+        acceleration_reference: Vertical acceleration of the body [m/s^2].
+        travel_reference: Suspension travel [m], of all corners or one for each.
+        tyre_load_reference: Dynamic tyre load [N], of all corners or one for each.
+        current_reference: Motor current [A].
+        pitch: Weight of the pitch acceleration of the body [-].
+        roll: Weight of the roll acceleration of the body [-].
+        pitch_reference: Pitch acceleration [rad/s^2].
+        roll_reference: Roll acceleration [rad/s^2].
     """
 
-    acceleration: float = 0.6
-    travel: float = 0.3
-    tyre_load: float = 0.0
-    current: float = 0.0
-    acceleration_reference: float = 0.8306  # m/s^2
-    travel_reference: float = 7.6e-3  # m
-    tyre_load_reference: float = 518.0  # N
-    current_reference: float = 5.0  # A
+    acceleration: float = 0.6  # [-]
+    travel: float = 0.3  # [-]
+    tyre_load: float = 0.0  # [-]
+    current: float = 0.0  # [-]
+    acceleration_reference: float = 0.8306  # [m/s^2]
+    travel_reference: float | tuple[float, ...] = 7.6e-3  # [m]
+    tyre_load_reference: float | tuple[float, ...] = 518.0  # [N]
+    current_reference: float = 5.0  # [A]
+    pitch: float = 0.0  # [-]
+    roll: float = 0.0  # [-]
+    pitch_reference: float = 1.0  # [rad/s^2]
+    roll_reference: float = 1.0  # [rad/s^2]
 
     def __post_init__(self) -> None:
-        for name in ("acceleration", "travel", "tyre_load", "current"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(f"the weight of {name} must be >= 0, not {getattr(self, name)!r}")
-            if not getattr(self, f"{name}_reference") > 0.0:
-                raise InputError(f"the reference of {name} must be > 0")
+        for name in TERMS:
+            weight, reference = getattr(self, name), getattr(self, f"{name}_reference")
+            if not (_is_number(weight) and weight >= 0.0):
+                raise InputError(f"the weight of {name} must be >= 0, not {shown(weight)}")
+            if name in ("travel", "tyre_load") and isinstance(reference, list | tuple):
+                reference = tuple(reference)
+                object.__setattr__(self, f"{name}_reference", reference)
+            values = reference if isinstance(reference, tuple) else (reference,)
+            if not (values and all(_is_number(value) and value > 0.0 for value in values)):
+                raise InputError(f"the reference of {name} must be > 0, not {shown(reference)}")
+
+    @classmethod
+    def of(cls, given: StageCost | Mapping[str, Any] | None, axes: tuple[str, ...] = ()) -> StageCost:
+        """Return the stage cost of a car from a stage cost, from some of its attributes, or the usual one.
+
+        Args:
+            given: Stage cost, or attributes that differ from those of the usual one.
+            axes: Axes about which the body turns, of 'pitch' and 'roll'.
+
+        Raises:
+            InputError: An attribute does not exist, or the body does not turn about an axis that has a weight.
+        """
+        usual = USUAL.get(axes, USUAL[()])
+        if not isinstance(given, StageCost):
+            known = [f.name for f in fields(cls)]
+            for key in given or {}:
+                if key not in known:
+                    raise InputError(f"cost: no {shown(key)}, there are {', '.join(known)}")
+            given = replace(usual, **(given or {}))
+        for axis in MOTIONS[1:]:
+            if getattr(given, axis) > 0.0 and axis not in axes:
+                raise InputError(
+                    f"cost: the body of this car does not {axis}; leave the weight of {axis} at 0"
+                )
+        return given
 
     @cached_property
     def quadratic(self) -> tuple[float, float, float, float]:
-        """Factors on the squares of acceleration [m/s^2], travel [m], tyre load [N] and current [A]."""
-        return (
-            self.acceleration / self.acceleration_reference**2,
-            self.travel / self.travel_reference**2,
-            self.tyre_load / self.tyre_load_reference**2,
-            self.current / self.current_reference**2,
-        )
+        """Factors on the squares of acceleration [m/s^2], travel [m], tyre load [N] and current [A] of a quarter car."""
+        a, l, f, i = self.factors()
+        return a, l, f, i
+
+    def factors(self, axes: tuple[str, ...] = (), corners: int = 1, currents: int = 1) -> tuple[float, ...]:
+        """Return the factors on the squares of accelerations, travels, tyre loads and currents, in this order.
+
+        Args:
+            axes: Axes about which the body turns, of 'pitch' and 'roll'.
+            corners: Number of corners.
+            currents: Number of currents.
+
+        Returns:
+            Factors (1 + axes + 2 corners + currents,) on the squares of vertical acceleration [m/s^2], angular
+            accelerations [rad/s^2], travels [m], tyre loads [N] and currents [A].
+
+        Raises:
+            InputError: There are references for another number of corners.
+        """
+        out = [self._factor(name, getattr(self, f"{name}_reference"), 1) for name in (MOTIONS[0], *axes)]
+        for name in ("travel", "tyre_load"):
+            reference = getattr(self, f"{name}_reference")
+            each = reference if isinstance(reference, tuple) else (reference,) * corners
+            if len(each) != corners:
+                raise InputError(
+                    f"cost: {name}_reference has {len(each)} values for {corners} corners; give one number, or one for each"
+                )
+            out += [self._factor(name, value, corners) for value in each]
+        return (*out, *[self._factor("current", self.current_reference, currents)] * currents)
+
+    def _factor(self, name: str, reference: float, shared_by: int) -> float:
+        return getattr(self, name) / shared_by / reference**2
 
     def terms(
         self,
@@ -66,11 +151,16 @@ class StageCost:
         tyre_load: Signal | float = 0.0,
         current: Signal | float = 0.0,
     ) -> tuple[Signal, Signal, Signal | float, Signal | float]:
-        """The four terms of the cost, of floats or arrays.
+        """Return the four terms of the cost of a quarter car, of floats or arrays.
 
-        acceleration [m/s^2], travel [m], tyre_load [N], current [A].
+        Args:
+            acceleration: Vertical acceleration of the body [m/s^2].
+            travel: Suspension travel [m].
+            tyre_load: Dynamic tyre load [N].
+            current: Motor current [A].
         """
-        return squares(*self.quadratic, acceleration, travel, tyre_load, current)
+        a, l, f, i = self.quadratic
+        return square(a, acceleration), square(l, travel), square(f, tyre_load), square(i, current)
 
     def __call__(
         self,
@@ -79,6 +169,11 @@ class StageCost:
         tyre_load: Signal | float = 0.0,
         current: Signal | float = 0.0,
     ) -> Signal:
-        """The cost: the sum of the terms."""
+        """Return the cost of a quarter car, the sum of the terms; arguments as those of `terms`."""
         a, l, f, i = self.terms(acceleration, travel, tyre_load, current)
         return a + l + f + i
+
+
+#: usual stage costs of cars, by the axes about which their body turns
+QUARTER_CAR = StageCost()
+USUAL: dict[tuple[str, ...], StageCost] = {(): QUARTER_CAR}

@@ -1,6 +1,6 @@
-"""`ISDSuspension-v0`: a quarter car with a hydraulic electric inerter on a road, one car or many.
+"""The environments: a car with hydraulic electric inerters on a road, one car or many.
 
-Physics lives in `Batch`; spaces, rewards and episodes live here.
+Physics lives in `Batch`; options, spaces, sensors and rewards in `Task`; episodes here.
 """
 
 from __future__ import annotations
@@ -8,176 +8,30 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from . import elements as el
-from .batch import CURRENT_LIMIT, SIGNALS, Batch, nodes_of_device, state_channels
-from .cost import StageCost
 from .errors import InputError, plain
 from .network import Network
-from .sensors import Sensors, Sight
+from .task import CONTROL_STEP as CONTROL_STEP
+from .task import PICTURE_PAST, PICTURE_WINDOW, Options, Past, Task, info_maker, moment, snapshot
+from .vehicle import vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
     from .rendering import Renderer, Snapshot
-    from .road import Road
 
-CONTROL_STEP = 5e-3  # s
-
-#: measured signals: name, unit, bound
-MEASURED = (
-    ("body_acceleration", "m/s^2", 200.0),
-    ("suspension_travel", "m", 1.0),
-    ("suspension_travel_rate", "m/s", 50.0),
-    ("device_travel", "m", 1.0),
-    ("device_travel_rate", "m/s", 50.0),
-    ("current", "A", CURRENT_LIMIT),
-)
-STATE_BOUND = 1e3  # m or m/s, of the full observation
-ROAD_BOUND = 10.0  # m, of the preview
 PICTURES = 50.0  # a simulated second, in a window; `render` may be called at every step
-GRAVITY = 9.81  # m/s^2
-PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
-PICTURE_PAST = 4.0  # s of its curves
-Past = deque[tuple[float, float, float]]  # a `moment` per control step
+_QUARTER_CAR = vehicle(Network.load("quarter-car-isd"))
+#: measured signals of a quarter car: name, unit, bound
+MEASURED = tuple((signal.name, signal.unit, signal.bound) for signal in _QUARTER_CAR.measured)
 N_MEASURED = len(MEASURED)
-#: what `Batch.judged` says behind the reward
-STEP_INFO = ("cost_acceleration", "cost_travel", "cost_tyre_load", "cost_current", "tyre_load")
-OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
-
-
-class Task:
-    """What the single and the vector environment share: spaces, sensors, cost, limits."""
-
-    def __init__(
-        self,
-        count: int,
-        *,
-        network: str | Path | Mapping[str, Any] | Network,
-        road: str | Road,
-        speed: float,
-        observation: str,
-        cost: StageCost | Mapping[str, float] | None,
-        randomize: Mapping[str, Any] | None,
-        control_step: float,
-        preview: float,
-        duration: float,
-        sensors: Sensors | Mapping[str, Any] | str | None = None,
-        picture: bool = False,
-        threads: int = 1,
-    ) -> None:
-        if observation not in OBSERVATIONS:
-            raise InputError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
-        self.network = net = Network.load(network)
-        self.observation = observation
-        self.cost = cost if isinstance(cost, StageCost) else StageCost(**(cost or {}))
-        extra = state_channels(net) if observation == "full" or picture else []
-        self.points = round(preview / control_step) if observation == "preview" else 0
-        look = self.points * control_step
-        if picture:  # the road in front of the car is part of the picture
-            look = max(look, PICTURE_WINDOW / min(speed, *(randomize or {}).get("speed", (speed,))))
-            look = control_step * math.ceil(look / control_step)
-        self.batch = Batch(
-            count,
-            net,
-            road_=road,
-            speed=speed,
-            control_step=control_step,
-            duration=duration,
-            randomize=randomize,
-            preview=look,
-            extra=extra,
-        )
-        high = [bound for _, _, bound in MEASURED]
-        self.labels = [f"{name} [{unit}]" for name, unit, _ in MEASURED]
-        if observation == "full":
-            high += [STATE_BOUND] * len(extra)
-            self.labels += [
-                f"{c.name} [{c.unit}], above the road" if "disp" in c.name else f"{c.name} [{c.unit}]"
-                for c in extra
-            ]
-        elif observation == "preview":
-            high += [ROAD_BOUND] * self.points
-            self.labels += [f"road ahead {(i + 1) * control_step:.3f} s [m]" for i in range(self.points)]
-        self.high = np.array(high, np.float32)
-        self.width = len(high)
-        self.action_space = spaces.Box(-CURRENT_LIMIT, CURRENT_LIMIT, (1,), np.float32)
-        self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
-        self.batch.judge(
-            self.cost.quadratic,
-            [bound for _, _, bound in MEASURED[:-1]],
-            width=self.width,
-            shows=OBSERVATIONS.index(observation),
-            lifted=[False] * len(SIGNALS) + [c.quantity == "displacement" for c in extra],
-            threads=threads,
-        )
-        names = [name for name, _, _ in MEASURED]
-        self._sensors = [e for e in net.elements if e.place == "channel" and e.where[0] in names]
-        for e in self._sensors:
-            if isinstance(e, el.SensorDelay) and e.delay < 0:
-                raise InputError(
-                    f"element '{e.name}': no sensor of an environment can lead; delay must be >= 0 s"
-                )
-        self._histories: dict[str, np.ndarray] = {}
-        self.sensors = Sensors.of(sensors)
-        self._sight = (
-            None
-            if self.sensors.perfect
-            else Sight(self.sensors, count, N_MEASURED, self.points, control_step)
-        )
-        #: whether a policy sees anything else than what is
-        self.faulty = bool(self._sensors) or self._sight is not None
-
-    def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Observations (cars, width) of the cars `which`, at rest at the start of their roads."""
-        obs = np.zeros((self.batch.count, self.width), np.float32)[which]
-        if self.observation == "preview":
-            obs[:, N_MEASURED:] = self.batch.road_ahead(self.points)[which]
-        return self._sense(obs, which, first=True) if self.faulty else obs
-
-    def observe(self) -> np.ndarray:
-        """Observations (count, width) float32 after a step; those of cars that broke are cut off at their bounds."""
-        obs = self.batch.seen
-        if self.faulty:
-            obs = self._sense(obs)
-        if self.batch.broken:
-            obs = np.clip(np.nan_to_num(obs), -self.high, self.high)
-        return obs
-
-    def _sense(
-        self, obs: np.ndarray, which: np.ndarray | slice = slice(None), *, first: bool = False
-    ) -> np.ndarray:
-        """Faults of channels of the model, then `sensors`: what is reported (the physics and the reward do not see it)."""
-        names = [name for name, _, _ in MEASURED]
-        step = self.batch.control_step
-        for e in self._sensors:
-            j = names.index(e.where[0])
-            if isinstance(e, el.SensorDelay):  # what `apply` does to a record, a sample at a time
-                low, part = int(e.delay / step), e.delay / step % 1.0
-                past = self._histories.setdefault(e.name, np.zeros((low + 2, self.batch.count)))
-                past[1:, which] = past[:-1, which]
-                past[0, which] = obs[:, j]
-                obs[:, j] = (1 - part) * past[low, which] + part * past[low + 1, which]
-            else:
-                obs[:, j] = e.apply(obs[:, j], step)
-        if self._sight is not None:
-            obs = self._sight.see(obs, self.batch.speeds[which], which, first=first)
-        return np.clip(obs, -self.high, self.high)
-
-    def forget(self, i: int, rng: np.random.Generator) -> None:
-        """Car i starts on a new road; `rng` has drawn it."""
-        if self._sight is not None:
-            self._sight.begin(i, rng)
-        for past in self._histories.values():
-            past[:, i] = 0.0
+#: numbers in `info` of a quarter car's step beside the speed
+STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads)
 
 
 class ISDSuspensionEnv(gym.Env):
@@ -238,35 +92,15 @@ class ISDSuspensionEnv(gym.Env):
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
 
     def __init__(
-        self,
-        network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd",
-        road: str | Road = "paper",
-        speed: float = 20.0,
-        observation: str = "measured",
-        cost: StageCost | Mapping[str, float] | None = None,
-        randomize: Mapping[str, Any] | None = None,
-        control_step: float = CONTROL_STEP,
-        preview: float = 0.25,
-        duration: float = 20.0,
-        sensors: Sensors | Mapping[str, Any] | str | None = None,
-        render_mode: str | None = None,
+        self, network: Any = Options.network, *, render_mode: str | None = None, **options: Any
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode must be human or rgb_array, not {render_mode!r}")
-        self.task = Task(
-            1,
-            network=network,
-            road=road,
-            speed=speed,
-            observation=observation,
-            cost=cost,
-            randomize=randomize,
-            control_step=control_step,
-            preview=preview,
-            duration=duration,
-            sensors=sensors,
-            picture=render_mode is not None,
-        )
+        chosen = Options.of({"network": network, **options})
+        self.task = Task(1, chosen, picture=render_mode is not None)
+        self._n_currents = self.task.batch.of.currents
+        self._make_info = info_maker(self.task.step_info)
+        speed, control_step = chosen.speed, chosen.control_step
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self.render_mode = render_mode
@@ -303,38 +137,35 @@ class ISDSuspensionEnv(gym.Env):
         if self.render_mode == "human":
             self.render()
         self._speed = float(batch.speeds[0])
-        return self.task.first()[0], {"speed": self._speed, **dict.fromkeys(STEP_INFO, 0.0)}
+        return self.task.first()[0], {"speed": self._speed, **dict.fromkeys(self.task.step_info, 0.0)}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if not self._ready:
             raise gym.error.ResetNeeded("call reset() before step()")
-        try:
-            (target,) = action.tolist() if isinstance(action, np.ndarray) else action
-            if type(target) is not float:
-                if isinstance(target, str | bytes) or isinstance(action, bytes):
-                    raise TypeError  # float() would make a number of it
-                target = float(target)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(
-                f"the action must have shape (1,), a current in A, not {plain(repr(action), 60)}"
-            ) from None
-        if not math.isfinite(target):
-            raise InputError(f"the action must be finite, not {target}")
         batch = self.task.batch
-        batch.target[0] = target
+        try:
+            targets = action.tolist() if isinstance(action, np.ndarray) else _listed(action)
+            if len(targets) != self._n_currents:
+                raise TypeError
+            for i, target in enumerate(targets):
+                current = target if type(target) is float else _number(target)
+                if not isfinite(current):
+                    raise InputError(f"the action must be finite, not {current}")
+                batch.first_targets[i] = current
+        except InputError:
+            raise
+        except (TypeError, ValueError, OverflowError):
+            count = self._n_currents
+            what = "a current in A" if count == 1 else "currents in A"
+            raise InputError(
+                f"the action must have shape ({count},), {what}, not {plain(repr(action), 60)}"
+            ) from None
         batch.step()
         self._steps += 1
-        reward, by_acceleration, by_travel, by_load, by_current, tyre_load, broke = batch.alone()
-        broken = broke != 0.0
-        obs = self.task.observe()[0] if broken or self.task.faulty else batch.first_seen.copy()
-        info = {
-            "speed": self._speed,
-            "tyre_load": tyre_load,
-            "cost_acceleration": by_acceleration,
-            "cost_travel": by_travel,
-            "cost_tyre_load": by_load,
-            "cost_current": by_current,
-        }
+        told = batch.alone()
+        reward, broken = told[0], told[-1] != 0.0
+        obs = self.task.observe()[0] if broken or self.task.is_faulty else batch.first_seen.copy()
+        info = self._make_info(self._speed, told)
         if self.render_mode is not None:
             self._total_cost -= reward
             self._trail.append(float(batch.road_height[0]))
@@ -372,7 +203,25 @@ class ISDSuspensionEnv(gym.Env):
             self._renderer = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderer": None}
+        return {k: v for k, v in self.__dict__.items() if k != "_make_info"} | {"_renderer": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._make_info = info_maker(self.task.step_info)
+
+
+def _listed(action: Any) -> list[Any]:
+    """An action that is no array, number by number."""
+    if isinstance(action, bytes | str):
+        raise TypeError
+    return list(action)
+
+
+def _number(value: Any) -> float:
+    """A part of an action as a float."""
+    if isinstance(value, bytes | str):
+        raise TypeError  # float() would make a number of it
+    return float(value)
 
 
 def _currents(actions: Any) -> np.ndarray:
@@ -407,20 +256,13 @@ class ISDSuspensionVectorEnv(VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd",
-        road: str | Road = "paper",
-        speed: float = 20.0,
-        observation: str = "measured",
-        cost: StageCost | Mapping[str, float] | None = None,
-        randomize: Mapping[str, Any] | None = None,
-        control_step: float = CONTROL_STEP,
-        preview: float = 0.25,
-        duration: float = 20.0,
+        network: Any = Options.network,
+        *,
         max_episode_steps: int = 4000,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        sensors: Sensors | Mapping[str, Any] | str | None = None,
         render_mode: str | None = None,
         threads: int | None = None,
+        **options: Any,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise InputError(
@@ -438,21 +280,14 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.max_episode_steps = max_episode_steps
+        chosen = Options.of({"network": network, **options})
         self.task = Task(
             num_envs,
-            network=network,
-            road=road,
-            speed=speed,
-            observation=observation,
-            cost=cost,
-            randomize=randomize,
-            control_step=control_step,
-            preview=preview,
-            duration=duration,
-            sensors=sensors,
+            chosen,
             picture=render_mode is not None,
             threads=_threads(num_envs) if threads is None else threads,
         )
+        speed, control_step = chosen.speed, chosen.control_step
         self.metadata = {
             **self.metadata,
             "autoreset_mode": mode,
@@ -515,7 +350,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
     def _info(self) -> dict[str, Any]:
         """`info` of all cars as they stand."""
-        return {"speed": self._speeds, **dict(zip(STEP_INFO, self.task.batch.judged[1:].copy(), strict=True))}
+        told = self.task.batch.judged[1:].copy()
+        return {"speed": self._speeds, **dict(zip(self.task.step_info, told, strict=True))}
 
     def _restart(self, which: np.ndarray) -> None:
         batch = self.task.batch
@@ -541,14 +377,18 @@ class ISDSuspensionVectorEnv(VectorEnv):
         if not self._rngs:
             raise gym.error.ResetNeeded("call reset() before step()")
         target = _currents(actions)
-        if target.shape != (self.num_envs, 1):
-            raise InputError(
-                f"the actions must have shape ({self.num_envs}, 1), currents in A, not {target.shape}"
-            )
         batch = self.task.batch
-        batch.target[:] = target[:, 0]
-        if batch.target.dot(self._zeros) != 0.0:  # 0 times what is not finite is nan: cheaper than a mask
-            raise InputError(f"action {int(np.argmin(np.isfinite(batch.target)))} is not finite")
+        if target.shape != self.action_space.shape:
+            raise InputError(
+                f"the actions must have shape {self.action_space.shape}, currents in A, not {target.shape}"
+            )
+        batch.target[:] = target.T
+        sums = [
+            row.dot(self._zeros) for row in batch.target
+        ]  # 0 times what is not finite is nan: cheaper than a mask
+        if any(sums):
+            finite = np.isfinite(batch.target).all(axis=0)
+            raise InputError(f"action {int(np.argmin(finite))} is not finite")
         revived = (
             np.flatnonzero(self._done)
             if self._any_done and self.autoreset_mode is AutoresetMode.NEXT_STEP
@@ -565,7 +405,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             obs[revived] = self.task.first(revived)
             terminated[revived] = False
         reward, *terms = batch.judged
-        info = {"speed": self._speeds, **dict(zip(STEP_INFO, terms, strict=True))}
+        info = {"speed": self._speeds, **dict(zip(self.task.step_info, terms, strict=True))}
         if self._trails:
             self._total_cost -= reward
             for i in np.flatnonzero(self.steps):  # not where a car has just started again
@@ -596,7 +436,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._restart(which)
         obs[which] = self.task.first(which)
         info["speed"] = self._speeds
-        for name in STEP_INFO:
+        for name in self.task.step_info:
             info[name][which] = 0.0
         return obs
 
@@ -638,47 +478,3 @@ _MODES = {
     "same_step": AutoresetMode.SAME_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
-
-
-def moment(task: Task, i: int, steps: int) -> tuple[float, float, float]:
-    """Time [s], body acceleration [m/s^2] and suspension travel [m] of car i, for the curves of a picture."""
-    out = task.batch.out
-    return steps * task.batch.control_step, float(out[0, i]), float(out[1, i])
-
-
-def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, past: Past, cost: float) -> Snapshot:
-    """Car i as a picture shows it; `trail` [m] is the road it has come over, a height per control step, `past` its moments."""
-    from .rendering import Snapshot
-
-    batch, net = task.batch, task.network
-    out = batch.out[:, i]
-    place = {
-        c.name.removesuffix("_displacement"): float(out[j])
-        for j, c in enumerate(batch.channels)
-        if c.name.endswith("_displacement")
-    }
-    masses = list(net.masses)
-    first, second = nodes_of_device(net)
-    stops = [e for e in net.elements if isinstance(e, el.BumpStop) and e.between == (first, second)]
-    height, step = float(batch.road_height[i]), batch.control_step * float(batch.speeds[i])
-    return Snapshot(
-        time=steps * batch.control_step,
-        body=place[masses[0]],
-        wheel=place[masses[1]],
-        piston=place.get(str(first)) if first not in masses else None,
-        joint=place.get(str(second)) if second not in masses else None,
-        road_profile=np.concatenate([trail, height + batch.road_ahead()[i]]),
-        road_step=step,
-        road_behind=(len(trail) - 1) * step,
-        speed=float(batch.speeds[i]),
-        current=float(batch.current[i]),
-        current_limit=CURRENT_LIMIT if first is not None else None,
-        body_acceleration=float(out[0]),
-        suspension_travel=float(out[1]),
-        tyre_load=float(out[5]),
-        static_tyre_load=GRAVITY * sum(net.masses.values()),
-        device_travel_limit=stops[0].clearance if stops else None,
-        label=net.name,
-        cost=cost,
-        past=tuple(past),
-    )

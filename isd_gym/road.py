@@ -8,12 +8,17 @@ density over distance does not depend on the step, nor on the speed.
 
 which is ISO 8608 (waviness 2) above the cut-off n_c. The paper's road has n_c = 0: dz_r/dt is white with the two-sided
 intensity (2 pi)^2 kappa u, and kappa = G(n0) n0^2 / 2.
+
+A car has one track (quarter and half car) or a left and a right track (full car). Both tracks have this density, and the
+coherence of an isotropic surface (`tracks`). A profile is the same on both sides (a bump that an axle meets) or differs.
+All wheels of a side pass the same track, each after its distance behind the foremost wheel over the speed.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +26,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError, shown
+from .tracks import (
+    DIFFERENCE_STATES,
+    ONE_WHEEL,
+    SUM_STATES,
+    WheelPositions,
+    coherence,
+    delayed,
+    track_filters,
+)
 from .units import convert
 
 if TYPE_CHECKING:
@@ -36,21 +50,44 @@ STEEPEST = 1.0  # median slope of a recorded profile [m/m]: no road is that stee
 
 @dataclass(frozen=True)
 class Road:
-    """A road.
+    """A road: rough ground, a fixed profile, or both."""
 
-    roughness: G(n0) [m^3], 0 for even ground. cutoff: n_c [cycle/m]. heights of a fixed profile [m] over `abscissa`,
-    a distance [m] or, with `over_time`, a time [s]; `shift`: start at a random place of it.
-
-    name: as reports call it.
-    """
-
+    # as reports call it
     name: str
+    # G(n0) [m^3]; 0 for even ground
     roughness: float = 0.0
+    # n_c [cycle/m]
     cutoff: float = 0.0
+    # places (n,) of the fixed profile: distance [m] or, with `over_time`, time [s]
     abscissa: np.ndarray | None = None
+    # heights of the fixed profile [m]: (n,) for all tracks, or (2, n) for the left and the right track
     profile: np.ndarray | None = None
+    # whether `abscissa` is a time
     over_time: bool = False
+    # whether a drive starts at a random place of the profile
     shift: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the shape of the profile.
+
+        Raises:
+            InputError: Profile and abscissa do not fit, or the profile has more than two tracks.
+        """
+        if (self.abscissa is None) != (self.profile is None):
+            raise InputError(f"road {shown(self.name)}: give both abscissa and profile, or neither")
+        if self.abscissa is None or self.profile is None:
+            return
+        count, shape = len(self.abscissa), self.profile.shape
+        if shape not in ((count,), (2, count)):
+            raise InputError(
+                f"road {shown(self.name)}: a profile over {count} places has the shape ({count},) or "
+                f"(2, {count}) for left and right, not {shape}"
+            )
+
+    @property
+    def has_two_tracks(self) -> bool:
+        """Whether the profile differs between left and right: only cars with two tracks can drive on it."""
+        return self.profile is not None and self.profile.ndim == 2
 
     def noise(self, speed: float, step: float) -> tuple[float, float]:
         """(gain [m], pole [-]) of ``r_next = pole * r + gain * xi`` with unit-variance xi, exact at the samples.
@@ -63,44 +100,173 @@ class Road:
             return math.sqrt(intensity * step), 1.0
         return math.sqrt(intensity * -math.expm1(-2 * rate * step) / (2 * rate)), math.exp(-rate * step)
 
-    def fixed(self, speed: float, step: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """The fixed profile [m] at the ends of up to `count` steps, from 0 to where it stays; empty if there is none.
+    def check_tracks(self, tracks: int) -> None:
+        """Check that a car can drive on this road.
 
-        speed, step: [m/s], [s]. rng: draws where it starts, with `shift`.
+        Args:
+            tracks: Number of tracks of the car, 1 or 2.
+
+        Raises:
+            InputError: The profile differs between left and right, and the car has one track.
         """
+        if self.has_two_tracks and tracks == 1:
+            raise InputError(
+                f"road {shown(self.name)} has a left and a right track, the car has one: "
+                "choose a road without sides, or a full car"
+            )
+
+    def track_filters(self, width: float, speed: float, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first-order sections of the rough left and right track, exact at the samples.
+
+        Args:
+            width: Track width [m].
+            speed: Speed [m/s].
+            step: Step [s].
+
+        Returns:
+            Poles (9,) and gains [m] (9,), read-only, as `tracks.track_filters` defines them.
+
+        Raises:
+            InputError: The track width is no plausible one.
+        """
+        return track_filters(self.roughness * REFERENCE_FREQUENCY**2, self.cutoff, width, speed * step)
+
+    def fixed(self, speed: float, step: float, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return the fixed profile for a car with one track: `fixed_tracks` with one track.
+
+        Args:
+            speed: Speed [m/s].
+            step: Step [s].
+            count: Number of steps.
+            rng: Draws the start, with `shift`.
+
+        Returns:
+            Heights [m] (m,), m <= count; empty without a profile.
+
+        Raises:
+            InputError: The profile differs between left and right.
+        """
+        return self.fixed_tracks(1, speed, step, count, rng)[0]
+
+    def fixed_tracks(
+        self, tracks: int, speed: float, step: float, count: int, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Return the fixed profile at the ends of the steps, from 0 up to the place where all tracks stay.
+
+        Args:
+            tracks: Number of tracks of the car, 1 or 2.
+            speed: Speed [m/s].
+            step: Step [s].
+            count: Number of steps.
+            rng: Draws the start, with `shift`; one draw for both tracks.
+
+        Returns:
+            Heights [m] (tracks, m), m <= count, left track first; (tracks, 0) without a profile.
+
+        Raises:
+            InputError: The profile differs between left and right, and the car has one track.
+        """
+        self.check_tracks(tracks)
         if self.abscissa is None or self.profile is None:
-            return np.empty(0)
+            return np.empty((tracks, 0))
         x = np.arange(count + 1) * step * (1.0 if self.over_time else speed)
         span = self.abscissa[-1] - self.abscissa[0]
         start = rng.uniform(0.0, max(span - x[-1], 0.0)) if self.shift else 0.0
-        z = np.interp(self.abscissa[0] + start + x, self.abscissa, self.profile)
-        z = z[1:] - z[0]
-        moving = np.flatnonzero(np.diff(z))  # the last height stays: no need to store it again and again
-        return z[: moving[-1] + 2] if len(moving) else z[:1]
+        x = self.abscissa[0] + start + x
+        z = np.array([np.interp(x, self.abscissa, side) for side in np.atleast_2d(self.profile)])
+        z = z[:, 1:] - z[:, :1]
+        # the last heights stay: no need to store them again and again
+        moving = np.flatnonzero(np.diff(z).any(axis=0))
+        z = z[:, : moving[-1] + 2] if len(moving) else z[:, :1]
+        return z if len(z) == tracks else np.repeat(z, tracks, axis=0)
 
     def heights(
         self, duration: float, *, speed: float = 20.0, step: float = 1e-3, rng: np.random.Generator
     ) -> np.ndarray:
-        """Heights [m] at 0, step, ..., duration; the road an environment with this generator would drive.
+        """Return the heights under one wheel: the road that an environment with this generator drives.
 
-        duration, step: [s]. speed [m/s]. rng: what an environment would draw from.
+        Args:
+            duration: Length of the drive [s].
+            speed: Speed [m/s].
+            step: Step [s].
+            rng: Generator that an environment would draw from.
+
+        Returns:
+            Heights [m] (n,) at 0, step, ..., duration.
+
+        Raises:
+            InputError: The profile differs between left and right.
         """
-        from .kernel.cars import road_noise
+        return self.wheel_heights(ONE_WHEEL, duration, speed=speed, step=step, rng=rng)[0]
 
+    def wheel_heights(
+        self,
+        wheels: WheelPositions,
+        duration: float,
+        *,
+        speed: float = 20.0,
+        step: float = 1e-3,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
+        """Return the heights under several wheels: the road that an environment with this generator drives.
+
+        The road is even where the foremost wheel starts and behind: a wheel at the distance x behind the foremost wheel
+        stays at 0 until x / speed, then passes over the same heights (`tracks.delayed`). A car with one track draws
+        the random numbers of `heights`; a car with two tracks draws one more seed, of the difference of the tracks.
+
+        Args:
+            wheels: Positions of the wheels.
+            duration: Length of the drive [s].
+            speed: Speed [m/s].
+            step: Step [s].
+            rng: Generator that an environment would draw from: seeds of the rough tracks, then start of the profile.
+
+        Returns:
+            Heights [m] (wheels, n) at 0, step, ..., duration, in the order of `wheels`.
+
+        Raises:
+            InputError: The profile differs between left and right, and the car has one track.
+        """
         count = round(duration / step)
-        gain, pole = self.noise(speed, step)
-        counter = np.uint64(rng.integers(0, 2**64, dtype=np.uint64))
-        rough = np.empty(count)
-        road_noise(counter, gain, pole, 0.0, rough)
-        fixed = self.fixed(speed, step, count, rng)
-        if len(fixed):
-            rough[: len(fixed)] += fixed
-            rough[len(fixed) :] += fixed[-1]
-        return np.concatenate([[0.0], rough])
+        rough = np.empty((wheels.tracks, count))
+        if wheels.tracks == 1:
+            from .kernel.cars import road_noise
+
+            road_noise(_seed(rng), *self.noise(speed, step), 0.0, rough[0])
+        else:
+            from .kernel.tracks import track_noise
+
+            states = np.zeros(SUM_STATES + DIFFERENCE_STATES)
+            filters = self.track_filters(wheels.width, speed, step)
+            track_noise(_seed(rng), _seed(rng), *filters, SUM_STATES, states, rough)
+        fixed = self.fixed_tracks(wheels.tracks, speed, step, count, rng)
+        length = fixed.shape[1]
+        if length:
+            rough[:, :length] += fixed
+            rough[:, length:] += fixed[:, -1:]
+        tracks = np.concatenate([np.zeros((wheels.tracks, 1)), rough], axis=1)
+        delays = wheels.delays(speed, step)
+        return np.array([delayed(tracks[k], d) for k, d in zip(wheels.track, delays, strict=True)])
 
     def psd(self, n: np.ndarray) -> np.ndarray:
         """One-sided PSD of the rough part [m^3] at spatial frequencies `n` [cycle/m]."""
         return self.roughness * REFERENCE_FREQUENCY**2 / (np.asarray(n, float) ** 2 + self.cutoff**2)
+
+    def coherence(self, n: np.ndarray, width: float) -> np.ndarray:
+        """Return the normalised cross-spectral density of the left and the right track.
+
+        Args:
+            n: Spatial frequencies [cycle/m].
+            width: Track width [m].
+
+        Returns:
+            gamma(n) [-], in the shape of `n`; the ordinary coherence is its square.
+        """
+        return coherence(n, width, self.cutoff)
+
+
+def _seed(rng: np.random.Generator) -> np.uint64:
+    return np.uint64(rng.integers(0, 2**64, dtype=np.uint64))
 
 
 def paper_road(kappa: float = PAPER_KAPPA) -> Road:
@@ -149,30 +315,61 @@ def sweep(amplitude: float = 0.005, start: float = 0.5, stop: float = 20.0, dura
     return Road("sweep", abscissa=t, profile=amplitude * np.sin(phase), over_time=True)
 
 
-def recorded(path: str | Path) -> Road:
-    """A measured profile: a table (any that `data.read_table` reads) with `distance` or `time`, and `height` or `road`.
+def on_side(ground: Road, side: str) -> Road:
+    """Return a road whose profile is met by the wheels of one side alone; the other track stays at 0.
 
-    path: of the table. Units are those of the file, metres and seconds where it tells none. Raises `InputError`.
+    Args:
+        ground: Road with a profile that is the same on both sides.
+        side: 'left' or 'right'.
+
+    Returns:
+        The road with a profile of two tracks, named `ground.name` and the side, as in 'bump-left'.
+
+    Raises:
+        InputError: The side is unknown, or the road has no profile to move to a side.
+    """
+    if side not in SIDES:
+        raise InputError(f"no side {shown(side)}: {' or '.join(SIDES)}")
+    if ground.profile is None or ground.has_two_tracks:
+        raise InputError(f"road {shown(ground.name)} has no profile that a side could have alone")
+    tracks = np.zeros((2, len(ground.profile)))
+    tracks[SIDES.index(side)] = ground.profile
+    return replace(ground, name=f"{ground.name}-{side}", profile=tracks)
+
+
+def recorded(path: str | Path) -> Road:
+    """Read a measured profile of one track or of a left and a right track.
+
+    Any table that `data.read_table` reads, with a column `distance` or `time`, and one column `height` (or `road`), or
+    two: `height_left` and `height_right`, or `height_1` (left) and `height_2` (right).
+
+    Args:
+        path: File of the table. Units are those of the file, metres and seconds where the file tells none.
+
+    Returns:
+        The road; a drive starts at a random place.
+
+    Raises:
+        InputError: The file cannot be read, lacks a column, has three tracks, or holds no plausible road.
     """
     from .data.table import read_columns
 
     path = Path(path)
-    roles: dict[str, str] = {}
+    names: list[str] = []
 
-    def choose(names: list[str]) -> list[str]:
-        lower = {name.lower(): name for name in reversed(names)}
-        for role, known in (("along", ("distance", "time")), ("height", ("height", "road"))):
-            found = next((k for k in known if k in lower), None)
-            if found is None:
-                raise InputError(f"road '{path}' needs a header with 'distance' or 'time', and 'height'")
-            roles[role] = lower[found]
-        return list(roles.values())
+    def choose(found: list[str]) -> list[str]:
+        lower = {name.lower(): name for name in reversed(found)}
+        along = next((k for k in ("distance", "time") if k in lower), None)
+        heights = _height_columns(path, list(lower))
+        if along is None or not heights:
+            raise InputError(f"road '{path}' needs a header with 'distance' or 'time', and 'height'")
+        names[:] = [lower[name] for name in (along, *heights)]
+        return names
 
     table = read_columns(path, choose, resample=True)
-    over_time = roles["along"].lower() == "time"
+    over_time = names[0].lower() == "time"
     columns = []
-    for role, unit in (("along", "s" if over_time else "m"), ("height", "m")):
-        name = roles[role]
+    for name, unit in zip(names, ("s" if over_time else "m", "m", "m"), strict=False):
         values = np.asarray(table.values[name])
         if values.dtype.kind not in "fiub" or values.ndim != 1:
             raise InputError(f"road '{path}': column {shown(name)} does not hold plain numbers")
@@ -180,7 +377,40 @@ def recorded(path: str | Path) -> Road:
             columns.append(convert(values.astype(float), table.units.get(name) or unit, unit))
         except InputError as error:
             raise InputError(f"road '{path}': column {shown(name)}: {error}") from None
-    return profiled(str(path), *columns, over_time=over_time, axis=roles["along"], line=table.line)
+    along, *heights = columns
+    if len({len(side) for side in heights}) > 1:
+        raise InputError(f"road '{path}': {shown(names[1])} and {shown(names[2])} differ in length")
+    height = heights[0] if len(heights) == 1 else np.array(heights)
+    return profiled(str(path), along, height, over_time=over_time, axis=names[0], line=table.line)
+
+
+#: heights of one side: 'height_left', 'left height', 'height_r', 'height_2'
+_SIDE_COLUMN = re.compile(
+    r"(?:height|road)[ _.-]?(?:(l(?:eft)?)|(r(?:ight)?)|(\d+))|(left)[ _.-]?(?:height|road)|(right)[ _.-]?(?:height|road)"
+)
+
+
+def _height_columns(path: Path, names: list[str]) -> list[str]:
+    """Return the height columns among lower-case names: none, one, or left and right; `InputError` for others."""
+    found: list[tuple[str, int, str]] = []
+    plain = next((name for name in ("height", "road") if name in names), None)
+    if plain is not None:
+        found.append(("number", -1, plain))
+    for name in names:
+        if match := _SIDE_COLUMN.fullmatch(name):
+            left, right, number = match[1] or match[4], match[2] or match[5], match[3]
+            side = "left" if left else "right" if right else "number"
+            found.append((side, int(number or 0), name))
+    found.sort()
+    sides = [side for side, _, _ in found]
+    if len(found) > 2 or (found and sides not in (["number"], ["number", "number"], ["left", "right"])):
+        listed = ", ".join(shown(name) for _, _, name in found)
+        count = "three tracks" if len(found) == 3 else f"{len(found)} tracks"
+        problem = f"has {count} ({listed})" if len(found) > 2 else f"has no left and right in {listed}"
+        raise InputError(
+            f"road '{path}' {problem}: keep one column 'height', or 'height_left' and 'height_right'"
+        )
+    return [name for _, _, name in found]
 
 
 def profiled(
@@ -192,14 +422,28 @@ def profiled(
     axis: str = "time",
     line: Callable[[int], str] = "sample {}".format,
 ) -> Road:
-    """A measured profile: `height` (n,) [m] over distance [m] or time [s], `along` (n,). Raises `InputError`.
+    """Return a road from a measured profile of one track or of a left and a right track.
 
-    source, axis, line: for messages, the file, the name of its column and its line of a sample. over_time: whether it is time.
+    Args:
+        source: File, for messages and the name of the road.
+        along: Places (n,): distance [m] or time [s].
+        height: Heights [m] (n,), or (2, n) for the left and the right track.
+        over_time: Whether `along` is a time.
+        axis: Name of the column of `along`, for messages.
+        line: Line of a sample in the file, for messages.
+
+    Returns:
+        The road; a drive starts at a random place.
+
+    Raises:
+        InputError: Lengths differ, a value is not finite, `along` does not increase, or the road is too steep.
     """
     x, z = along, height
-    if len(x) != len(z):
-        raise InputError(f"road '{source}': {shown(axis)} has {len(x)} samples, the height has {len(z)}")
-    bad = np.flatnonzero(~np.isfinite(x) | ~np.isfinite(z) | (np.abs(x) > 1e9) | (np.abs(z) > 1e5))
+    if len(x) != z.shape[-1]:
+        raise InputError(f"road '{source}': {shown(axis)} has {len(x)} samples, the height has {z.shape[-1]}")
+    sides = np.atleast_2d(z)
+    wrong = (~np.isfinite(sides) | (np.abs(sides) > 1e5)).any(axis=0)
+    bad = np.flatnonzero(~np.isfinite(x) | (np.abs(x) > 1e9) | wrong)
     if len(bad):
         raise InputError(f"road '{source}', {line(bad[0])}: not finite, or no road any more")
     if len(x) < 2:
@@ -211,7 +455,7 @@ def profiled(
     if steps.max() > 10 * np.median(steps):
         where = line(int(np.argmax(steps)) + 1)
         raise InputError(f"road '{source}', {where}: gap of {steps.max():g} in {shown(axis)}")
-    slope = float(np.median(np.abs(np.diff(z)) / steps))
+    slope = float(np.median(np.abs(np.diff(sides)) / steps, axis=1).max())
     if slope > (STEEPEST * 20.0 if over_time else STEEPEST):
         raise InputError(
             f"road '{source}' climbs {slope:.3g} m in every {'second' if over_time else 'metre'}: is the height in mm? "
@@ -220,15 +464,27 @@ def profiled(
     return Road(Path(source).stem, abscissa=x, profile=z, over_time=over_time, shift=True)
 
 
-NAMES = "paper, paper-printed, flat, A ... H, bump, pothole, sweep, a file, or a sum such as C+bump"
+SIDES = ("left", "right")
+NAMES = (
+    "paper, paper-printed, flat, A ... H, bump, pothole, sweep, a file, or a sum such as C+bump; "
+    "of one side: bump-left, pothole-right"
+)
 
 
 def road(source: str | Path | Road) -> Road:
-    """A road from its name: paper, paper-printed (kappa as in Table 6), flat, A-H, bump, pothole, sweep, a CSV file.
+    """Return a road from its name.
 
-    A class and a profile add up: 'C+bump'.
+    Names are paper, paper-printed (kappa as in Table 6), flat, A to H, bump, pothole, sweep and files. A class and a
+    profile add up: 'C+bump'. An axle meets 'bump' and 'pothole'; a wheel meets 'bump-left' or 'pothole-right'.
 
-    source: the name, or a road as it is.
+    Args:
+        source: Name, file or a road as it is.
+
+    Returns:
+        The road.
+
+    Raises:
+        InputError: No road has this name, or the file holds no road.
     """
     if isinstance(source, Road):
         return source
@@ -243,6 +499,9 @@ def road(source: str | Path | Road) -> Road:
     }
     if text in named:
         return named[text]()
+    shape, _, side = text.rpartition("-")
+    if shape in ("bump", "pothole") and side in SIDES:
+        return on_side(named[shape](), side)
     if text.upper().removeprefix("ISO-") in ISO_CLASSES:
         return iso_road(text.upper().removeprefix("ISO-"))
     if os.path.exists(text) and not os.path.isdir(text):  # a pipe is refused where it is read

@@ -17,7 +17,7 @@ from .errors import InputError, shown
 from .inputs import is_number
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 #: one sigma of white noise on each measured signal at noise 1; the current is the controller's own and is known
 NOISE = {
@@ -27,7 +27,11 @@ NOISE = {
     "device_travel": 1e-4,  # m
     "device_travel_rate": 0.01,  # m/s
 }
-_SIGMA = np.array([*NOISE.values()])
+#: the same for the angular accelerations of a body
+ANGULAR_NOISE = {
+    "pitch_acceleration": 0.1,  # rad/s^2: two accelerometers of `NOISE`, 1.4 m apart
+    "roll_acceleration": 0.1,  # rad/s^2
+}
 MOST_LATE = 100  # control steps
 
 
@@ -128,30 +132,51 @@ def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int
 
 
 class Sight:
-    """`Sensors` at work on `cars` cars with `points` of road ahead, one a control step [s]; the measured signals come first.
+    """`Sensors` at work on several cars; the measured signals come first in an observation."""
 
-    sensors: what they are. signals: measured columns, the last of them the current.
-    """
+    def __init__(
+        self,
+        sensors: Sensors,
+        cars: int,
+        signals: Sequence[str],
+        tracks: int,
+        points: int,
+        control_step: float,
+    ) -> None:
+        """Begin with `cars` cars.
 
-    def __init__(self, sensors: Sensors, cars: int, signals: int, points: int, control_step: float) -> None:
-        self.sensors, self.signals, self.points, self.step = sensors, signals, points, control_step
+        Args:
+            sensors: Imperfections.
+            cars: Number of cars.
+            signals: Kind of each measured signal; those of the kind 'current' come last and are always known.
+            tracks: Number of tracks of road ahead.
+            points: Heights of each track, one a control step.
+            control_step: Control step [s].
+
+        Raises:
+            InputError: The lag of the road is no whole number of control steps.
+        """
+        self.sensors, self.signals, self.step = sensors, len(signals), control_step
+        self.tracks, self.points = tracks, points
         self.keys, self.count = np.zeros(cars, np.uint64), np.zeros(cars, np.uint64)
-        self.sigma = np.zeros((cars, signals - 1))
-        self._road_sigma = np.full((cars, points), sensors.road_error)
+        usual = NOISE | ANGULAR_NOISE
+        self._usual = np.array([usual[kind] for kind in signals if kind != "current"])
+        self.sigma = np.zeros((cars, len(self._usual)))
+        self._road_sigma = np.full((cars, tracks * points), sensors.road_error)
         late = round(sensors.road_lag / control_step)
         if abs(late * control_step - sensors.road_lag) > 1e-6 * control_step:
             raise InputError(
                 f"road_lag of {sensors.road_lag:g} s is no whole number of control steps of {control_step:g} s"
             )
-        self._past = np.zeros((sensors.delay + 1, cars, signals - 1))
-        self._roads = np.zeros((late + 1, cars, points))
+        self._past = np.zeros((sensors.delay + 1, cars, len(self._usual)))
+        self._roads = np.zeros((late + 1, cars, tracks * points))
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
         """Car i starts on a new road; what is drawn comes from its own generator, once everything else is drawn."""
         self.count[i] = 0
         self.keys[i] = rng.integers(2**64, dtype=np.uint64)
         noise = self.sensors.noise
-        self.sigma[i] = _SIGMA * (rng.uniform(*noise) if isinstance(noise, tuple) else noise)
+        self.sigma[i] = self._usual * (rng.uniform(*noise) if isinstance(noise, tuple) else noise)
 
     def see(
         self, obs: np.ndarray, speeds: np.ndarray, which: np.ndarray | slice, *, first: bool
@@ -160,8 +185,11 @@ class Sight:
 
         speeds [m/s]: of these cars.
         """
-        n, out = self.signals - 1, obs.copy()
-        for past, columns in ((self._past, slice(0, n)), (self._roads, slice(self.signals, None))):
+        n, out = self.sigma.shape[1], obs.copy()
+        for past, columns in (
+            (self._past, slice(0, n)),
+            (self._roads, slice(self.signals, self.signals + self.tracks * self.points)),
+        ):
             if first:  # it stood there all the time
                 past[:, which] = obs[:, columns]
             elif len(past) > 1:
@@ -176,12 +204,13 @@ class Sight:
             if self.sensors.road_error:
                 _add_noise(out, keys, count, self.signals, self._road_sigma[which])
             if math.isfinite(self.sensors.road_range):
-                ahead = out[:, self.signals :]
                 reach = (self.sensors.road_range / (speeds * self.step) + 1e-9).astype(int)
-                ahead[reach == 0] = 0.0
                 last = np.clip(reach - 1, 0, self.points - 1)
-                end = ahead[np.arange(len(ahead)), last]
                 beyond = np.arange(self.points) > last[:, None]
-                ahead[beyond] = np.broadcast_to(end[:, None], ahead.shape)[beyond]
+                for begin in range(self.signals, out.shape[1], self.points):
+                    ahead = out[:, begin : begin + self.points]
+                    ahead[reach == 0] = 0.0
+                    end = ahead[np.arange(len(ahead)), last]
+                    ahead[beyond] = np.broadcast_to(end[:, None], ahead.shape)[beyond]
         self.count[which] += np.uint64(1)
         return out

@@ -237,7 +237,8 @@ def _linear_part(network: Network) -> tuple[Any, ...]:
         (type(e), e.name, e.where) if e.place == "between" and e.parts() and not any(e.linear()) else e
         for e in network.elements
     )
-    return (*network.masses.items(), network.turning, network.inputs, network.outputs, *elements)
+    ties = (network.bodies, network.levers)
+    return (*network.masses.items(), network.turning, *ties, network.inputs, network.outputs, *elements)
 
 
 def _pad(block: np.ndarray) -> np.ndarray:

@@ -104,27 +104,53 @@ class _Plant:
     linear: list[tuple[dict[str, Any], Array]]
     laws: list[tuple[dict[str, Any], int, Array, Array]]
     motors: list[tuple[dict[str, Any], Array]]
+    tied: dict[str, dict[str, float]]
+    """Points of bodies and one end of each lever, as factors on other nodes."""
 
     def row(self, node: str) -> Array:
-        """Selects a node's coordinate; a row of zeros for ground."""
+        """Selects a node's coordinate, or combines those that a tied node follows; a row of zeros for ground."""
         nodes = self.free + self.moved
         r = np.zeros(len(nodes))
+        if node in self.tied:
+            return np.asarray(sum((f * self.row(n) for n, f in self.tied[node].items()), r))
         if node != "ground":
             r[nodes.index(node)] = 1.0
         return r
 
 
+def _ties(model: Model, moved: list[str]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Inertia of the coordinates that bodies add, and what follows them: z_point = z - x pitch + y roll; levers."""
+    inertia: dict[str, float] = {}
+    tied: dict[str, dict[str, float]] = {}
+    for name, body in model.get("bodies", {}).items():
+        turns = body.get("inertia", {})
+        inertia |= {name: body["mass"]} | {f"{name}.{axis}": value for axis, value in turns.items()}
+        for point, at in body.get("points", {}).items():
+            arms = {"pitch": -at.get("x", 0.0), "roll": at.get("y", 0.0)}
+            tied[point] = {name: 1.0} | {f"{name}.{axis}": arms[axis] for axis in turns}
+    for lever in model.get("levers", []):
+        first, second = lever["between"]
+        if first in moved or first in tied:
+            tied[second] = {first: 1.0 / lever["ratio"]}
+        else:
+            tied[first] = {second: lever["ratio"]}
+    return inertia, tied
+
+
 def _plant(model: Model) -> _Plant:
     moved = [i["at"] for i in model.get("inputs", []) if i["quantity"] == "displacement"]
-    nodes = [n for n in model.get("masses", {}) if n != "ground"]
+    inertia, tied = _ties(model, moved)
+    inertia |= model.get("masses", {}) | model.get("inertias", {})
+    nodes = [n for n in inertia if n != "ground"]
     for e in model["elements"]:
         nodes += [n for n in e.get("between", []) if n != "ground" and n not in nodes]
-    free = [n for n in nodes if n not in moved]
+    nodes += [n for v in model.get("levers", []) for n in v["between"] if n not in nodes]
+    free = [n for n in dict.fromkeys(nodes) if n not in moved and n not in tied]
     size = len(free) + len(moved)
     plant = _Plant(
-        free, moved, np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size)), [], [], []
+        free, moved, np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size)), [], [], [], tied
     )
-    for node, mass in model.get("masses", {}).items():
+    for node, mass in inertia.items():
         r = plant.row(node)
         plant.mass += mass * np.outer(r, r)
     for e in model["elements"]:
@@ -601,8 +627,10 @@ def trajectories(
     push, push_at, current, motor_at, motor = [], [], [], [], []
     for i in model.get("inputs", []):
         if i["quantity"] == "force":
-            push.append(_column(inputs, i["name"], size))
-            push_at.append(plant.free.index(i["at"]))
+            row, column = plant.row(i["at"])[:n], _column(inputs, i["name"], size)
+            for k in np.flatnonzero(row):
+                push.append(row[k] * column)
+                push_at.append(k)
     for e, direction in plant.motors:
         names = [
             i["name"] for i in model["inputs"] if i["quantity"] == "current" and i["element"] == e["name"]
@@ -719,12 +747,10 @@ def _trajectory(
         if node != "ground":
             total += model.get("masses", {}).get(node, 0.0) * (a @ plant.row(node))
         load[node] = total
-    nodes = plant.free + plant.moved
+    nodes = plant.free + plant.moved + list(plant.tied)
     return Trajectory(
         t,
-        {n: x[:, i] for i, n in enumerate(nodes)},
-        {n: v[:, i] for i, n in enumerate(nodes)},
-        {n: a[:, i] for i, n in enumerate(nodes)},
+        *({n: signal @ plant.row(n) for n in nodes} for signal in (x, v, a)),
         {e["name"]: f for e, _, f in forces if "name" in e},
         load,
     )
@@ -757,8 +783,15 @@ def _channel(output: Mapping[str, Any], run: Trajectory) -> Array:
         return np.sum([run.force[name] for name in names], axis=0)
     if quantity == "force":
         return run.load[output["at"]]
-    signal = getattr(run, quantity)
+    turning = {
+        "angle": "displacement",
+        "angular_velocity": "velocity",
+        "angular_acceleration": "acceleration",
+    }
+    signal = getattr(run, turning.get(quantity, quantity))
     zero = np.zeros_like(run.time)
+    if "axis" in output:
+        return signal[f"{output['body']}.{output['axis']}"]
     if "at" in output:
         return signal.get(output["at"], zero)
     first, second = output["between"]

@@ -66,6 +66,16 @@ def test_stepping_is_the_kernels_own_simulation(change):
         assert np.abs(own[name] - values).max() < 1e-9 * np.abs(values).max(), name
 
 
+def test_a_half_car_is_stepped_as_the_kernel_simulates_it():
+    car = Network.load("half-car-isd")
+    inputs = {"road_front": ROAD, "road_rear": 0.5 * ROAD, "current_front": CURRENT, "current_rear": -CURRENT}
+    own = stepped(car, **inputs)
+    late = {"road_front": LATE, "road_rear": 0.5 * LATE}
+    whole = simulate(car, T, inputs | late)
+    for name, values in whole.items():
+        assert np.abs(own[name] - values).max() < 1e-9 * np.abs(values).max(), name
+
+
 def test_a_shaken_base_is_followed_through_its_damper():
     """Where velocity and acceleration of what is moved matter, a cubic through the last samples stands for the spline."""
     rig = Network.load(
@@ -100,6 +110,9 @@ def test_bad_inputs_are_one_line():
         ("mm", {"m": "1", "factor": "0.001"}),
         ("N m s/rad", {"kg": "1", "m": "2", "s": "-1", "rad": "-1"}),
         ("V", {"kg": "1", "m": "2", "s": "-3", "A": "-1"}),
+        ("rad/s^2", {"s": "-2", "rad": "1"}),
+        ("m/rad", {"m": "1", "rad": "-1"}),
+        ("m/m", {}),
         ("rpm", {"s": "-1", "rad": "1", "factor": repr(np.pi / 30)}),
         ("furlong", None),
     ],
@@ -154,3 +167,16 @@ def test_the_unit_validates_and_simulates_to_the_kernels_result(tmp_path):
     assert n > 100
     for name, values in whole.items():
         assert np.abs(result[name][:n] - values[:n]).max() < 1e-6 * np.abs(values).max(), name
+
+
+def test_a_full_car_is_a_valid_unit_with_the_numbers_of_its_body(tmp_path):
+    pytest.importorskip("pythonfmu")
+    fmpy = pytest.importorskip("fmpy")
+    from fmpy.validation import validate_fmu
+
+    out = tmp_path / "car.fmu"
+    export_fmu("full-car-isd", out)
+    assert validate_fmu(str(out)) == []
+    known = {v.name: v for v in fmpy.read_model_description(str(out)).modelVariables}
+    assert known["body.inertia.roll"].unit == "kg m^2" and float(known["body.inertia.roll"].start) == 460.0
+    assert known["roll_acceleration"].unit == "rad/s^2" and known["current_rear_left"].causality == "input"

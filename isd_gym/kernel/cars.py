@@ -1,4 +1,4 @@
-"""Cars on their roads: a control step of all of them, with its drive, road, limits, reward and observation."""
+"""Cars on their roads: a control step of all of them, with their drives, roads, limits, rewards and observations."""
 
 from __future__ import annotations
 
@@ -7,67 +7,86 @@ import math
 import numba as nb
 import numpy as np
 
-from ..cost import squares
+from ..cost import square
 from .lanes import bits, load, noise, select, spread, store
 from .layout import (
     AHEAD,
-    BOUNDS,
-    BROKEN,
-    COST,
-    COUNTER,
-    CURRENT,
+    ALL,
+    COUNT,
     CURRENT_LIMIT,
-    DELAY,
-    HEIGHT,
-    HEIGHT_RATE,
-    LAG_POLE,
-    LAGGED,
-    LIFTED,
-    PROFILE,
-    PROFILE_END,
+    DEPTH,
+    DRIVE_ACTS,
+    IS_COMMANDED,
+    KEPT,
+    KEPT_NOW,
+    NOW,
+    QUARTER_CAR,
     REWARD,
-    ROUGH,
-    ROUGH_GAIN,
-    ROUGH_POLE,
-    SATURATION,
-    SIGNALS,
+    SHOWS,
     SLEW_LIMIT,
-    TARGET,
+    SUBSTEPS,
     TOGETHER,
-    TYRE_LOAD,
-    WEIGHTS,
     WHOLE,
     WIDTH,
+    cars_layout,
     layout,
 )
 from .linear import U, clip
 from .steps import march, outputs, pool_of
 
+#: sizes and places of the numbers of a car; constants of the compiled code, which is compiled for each kind of car
+CAR = cars_layout(QUARTER_CAR)
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's step
 
 
 def drive(
-    mats, ints, states, cars, ways, table, past, rings, ahead, settings, said, seen_out, room, begin, stop
+    mats,
+    ints,
+    states,
+    cars,
+    ways,
+    table,
+    past,
+    rings,
+    ahead,
+    history,
+    settings,
+    said,
+    seen_out,
+    room,
+    begin,
+    stop,
 ):
     """One control step of the groups of cars from `begin` to before `stop`; the number of cars that broke.
 
-    ints[-9:] = cars, physics steps per control step, the columns of u that take the road's height, rate and acceleration
-    (-1: none), whether the drive does more than hold its current, whether currents are asked for (and limited) or
-    given, what an observation shows (`MEASURED`, `WHOLE`, `AHEAD`), and where the road drawn ahead begins now. `cars`,
-    `ways`, `settings`: `layout`. table: the fixed profiles, one after another. past (currents kept, cars): newest first.
-    rings (substeps, points, cars): the road drawn ahead, a ring for each physics step of a control step, and ahead
-    (cars, points): the last of them, car by car. seen_out (cars, signals): the observations. said: `layout`. room: for the
-    inputs of a control step.
+    All arrays but those with a shape of their own are flat, which spares the kernel to make them so.
+
+    Args:
+        mats: Numbers of the plant (`layout`).
+        ints: Sizes of the plant, then `setup` of the batch (`layout`, as are cars, ways, settings and said).
+        states: States of the groups.
+        cars: Numbers of the cars, row by row.
+        ways: Whole numbers of the cars, row by row.
+        table: Fixed profiles, one after another [m].
+        past: Currents that the drives have yet to follow (steps, currents, cars), newest first [A].
+        rings: Tracks drawn ahead (tracks, substeps, points, cars), a ring for each physics step of a control step [m].
+        ahead: Last ring of each track (cars, tracks * points), car by car [m].
+        history: Tracks that the first axle has passed (groups, tracks, `KEPT`, 8) [m].
+        settings: Numbers that all cars share.
+        said: Reward, costs and tyre loads, row by row.
+        seen_out: Observations (cars, signals).
+        room: Memory for the inputs of a control step.
+        begin: First group.
+        stop: Group behind the last one.
     """
-    flat, whole, drawn, told = cars.reshape(-1), ways.reshape(-1), rings.reshape(-1), said.reshape(-1)
-    together = (
-        1 if mats.shape[0] != layout(ints).size else TOGETHER
-    )  # numbers of their own fill the processor's cache
+    at = layout(ints)
+    setup = ints[at.differs + at.laws :]
+    together = 1 if mats.shape[0] != at.size else TOGETHER  # numbers of their own fill the processor's cache
     broken = 0
     for group in range(begin, stop, together):
         broken += control(
-            mats, ints, states, flat, cars.shape[1], whole, table, past, drawn, ahead, settings, told, seen_out, room,
-            group, min(group + together, stop),
+            mats, ints, setup, states, cars, setup[ALL], ways, table, past, rings, ahead, history, settings, said,
+            seen_out, room, group, min(group + together, stop),
         )  # fmt: skip
     return broken
 
@@ -75,6 +94,7 @@ def drive(
 def control(
     mats,
     ints,
+    setup,
     states,
     cars,
     wide,
@@ -83,6 +103,7 @@ def control(
     past,
     rings,
     ahead,
+    history,
     settings,
     said,
     seen_out,
@@ -90,120 +111,199 @@ def control(
     begin,
     stop,
 ):
-    """One control step of a few groups of cars; arguments as `drive`'s, the rows of cars, ways and rings `wide`, flat.
+    """One control step of a few groups of cars; arguments as `drive`'s, rows of cars, ways, rings and said are `wide`.
 
     The groups take turns step by step: while one waits for its friction, the processor has the next one's sums to do.
     """
     at = layout(ints)
-    substeps, asked, shows = ints[-8], ints[-3], ints[-2]
+    substeps, shows = setup[SUBSTEPS], setup[SHOWS]
     own = mats.shape[0] != at.size
     nc, size = at.currents, at.height * WIDTH
     c_at = (substeps + 1) * at.inputs
-    span = (c_at + substeps * nc) * WIDTH  # inputs of a group
+    road_at = c_at + substeps * nc
+    span = (road_at + substeps * (2 + CAR.tracks)) * WIDTH  # of a group
     for group in range(begin, stop):
         first = group * WIDTH
         u = room[(group - begin) * span : (group - begin + 1) * span]
-        count = min(WIDTH, ints[-9] - first)
-        current = load(cars, CURRENT * wide + first)
-        if asked:
-            target = clip(load(cars, TARGET * wide + first), spread(settings[CURRENT_LIMIT]))
-            current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
-            store(cars, CURRENT * wide + first, current)
-        travel(ints, cars, ways, table, rings, ahead, u, mats[0], wide, first, count)
-        for k in range(substeps * nc):
-            if ints[-4]:  # the drive does more than hold its current
-                for l in range(count):
-                    u[(c_at + k) * WIDTH + l] = driven(cars, past, wide, first + l)
+        count = min(WIDTH, setup[COUNT] - first)
+        if setup[IS_COMMANDED]:
+            for j in range(CAR.currents):
+                current = load(cars, (CAR.current + j) * wide + first)
+                target = clip(load(cars, (CAR.target + j) * wide + first), spread(settings[CURRENT_LIMIT]))
+                current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
+                store(cars, (CAR.current + j) * wide + first, current)
+        tracks_at = ground(setup, cars, ways, table, rings, ahead, settings, u, road_at, wide, first, count)
+        wheels(setup, at.inputs, cars, history, u, tracks_at, mats[0], wide, group, count)
+        for j in range(nc):
+            row = setup[CAR.current_of + j]
+            if setup[DRIVE_ACTS]:
+                for k in range(substeps):
+                    for l in range(count):
+                        u[(c_at + k * nc + j) * WIDTH + l] = driven(
+                            cars, past, setup[DEPTH], row, wide, first + l
+                        )
             else:
-                store(u, (c_at + k) * WIDTH, current)
+                current = load(cars, (CAR.current + row) * wide + first)
+                for k in range(substeps):
+                    store(u, (c_at + k * nc + j) * WIDTH, current)
     for k in range(substeps):
         for group in range(begin, stop):
             u = room[(group - begin) * span : (group - begin + 1) * span]
             pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
-            count = min(WIDTH, ints[-9] - group * WIDTH)
+            count = min(WIDTH, setup[COUNT] - group * WIDTH)
             march(pool, own, at, ints, state, u, u[c_at * WIDTH :], k, k, 1, WIDTH, 0, count, k + 1)
     broken = 0
     for group in range(begin, stop):
         first = group * WIDTH
-        count = min(WIDTH, ints[-9] - first)
+        count = min(WIDTH, setup[COUNT] - first)
         pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
         outputs(pool, own, at, ints, state, count)
         broken += judge(at, state, cars, settings, said, wide, first, count)
         for l in range(count):
-            for j in range(5):
+            for j in range(CAR.measured):
                 seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
-            seen_out[first + l, 5] = cars[U(CURRENT * wide + first + l)]
+            for j in range(CAR.currents):
+                seen_out[first + l, CAR.measured + j] = cars[U((CAR.current + j) * wide + first + l)]
         if shows == WHOLE:
-            for l in range(count):
-                height = cars[U(HEIGHT * wide + first + l)]
-                for j in range(6, seen_out.shape[1]):
-                    lift = settings[U(LIFTED + j)] * height
-                    seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)] - lift
+            show_state(at, state, cars, settings, wide, first, count, seen_out)
         elif shows == AHEAD:
-            look(ahead, (ints[-1] + 1) % max(ahead.shape[1], 1), cars, wide, first, count, seen_out)
+            for track in range(CAR.tracks):
+                look(setup, ahead, track, cars, wide, first, count, seen_out)
     return broken
 
 
-def travel(ints, cars, ways, table, rings, ahead, u, h, wide, first, count):
-    """The road under a group in the physics steps of a control step, into u (substeps + 1, m, lanes)."""
-    m, substeps, now = ints[1], ints[-8], ints[-1]
-    col_r, col_v, col_a = ints[-7], ints[-6], ints[-5]
-    points = ahead.shape[1]
-    height, rate = load(cars, HEIGHT * wide + first), load(cars, HEIGHT_RATE * wide + first)
-    rough = load(cars, ROUGH * wide + first)
-    gain, pole = load(cars, ROUGH_GAIN * wide + first), load(cars, ROUGH_POLE * wide + first)
-    if col_r >= 0:
-        store(u, col_r * WIDTH, height)
-    if col_v >= 0:
-        store(u, col_v * WIDTH, rate)
-    if col_a >= 0:
-        store(u, col_a * WIDTH, spread(0.0))
-    for k in range(substeps):
-        rough = pole * rough + gain * noise(ways, COUNTER * wide + first, 1)
-        new = rough
-        row = (k + 1) * m
+def ground(setup, cars, ways, table, rings, ahead, settings, u, room_at, wide, first, count):
+    """The tracks of a group in the physics steps of a control step, as the first axle meets them.
+
+    They are left in u (.., 8) from row `room_at` on, track by track a height for each physics step; returns their row.
+    """
+    substeps, now = setup[SUBSTEPS], setup[NOW]
+    points = ahead.shape[1] // CAR.tracks
+    tracks_at = room_at + substeps
+    begin = 0
+    for t in range(CAR.tracks):  # the only track, or half the sum and half the difference of left and right
+        end, track_at = CAR.sum_filters if t == 0 else CAR.filters, tracks_at + t * substeps
+        for k in range(substeps):
+            store(u, (room_at + k) * WIDTH, noise(ways, (CAR.counter + t) * wide + first, 1))
+        for i in range(begin, end):
+            rough = load(cars, (CAR.rough + i) * wide + first)
+            gain, pole = load(cars, (CAR.gain + i) * wide + first), load(cars, (CAR.pole + i) * wide + first)
+            for k in range(substeps):
+                rough = pole * rough + gain * load(u, (room_at + k) * WIDTH)
+                place = (track_at + k) * WIDTH
+                store(u, place, rough if i == begin else load(u, place) + rough)
+            store(cars, (CAR.rough + i) * wide + first, rough)
+        begin = end
+    if CAR.tracks == 2:
+        for k in range(substeps):
+            left, right = (tracks_at + k) * WIDTH, (tracks_at + substeps + k) * WIDTH
+            common, opposite = load(u, left), load(u, right)
+            store(u, left, common + opposite)
+            store(u, right, common - opposite)
+    for t in range(CAR.tracks):
+        track_at = tracks_at + t * substeps
         if table.shape[0] > 0:
-            scratch = row * WIDTH
-            store(u, scratch, new)
             for l in range(count):
-                place, end = PROFILE * wide + first + l, PROFILE_END * wide + first + l
-                if ways[place] < ways[end]:
-                    u[scratch + l] += table[ways[place]]
-                    ways[place] += 1
-                elif ways[end] > 0:
-                    u[scratch + l] += table[ways[end] - 1]
-            new = load(u, scratch)
+                place, end = (CAR.profile + t) * wide + first + l, (CAR.profile_end + t) * wide + first + l
+                for k in range(substeps):
+                    if ways[place] < ways[end]:
+                        u[(track_at + k) * WIDTH + l] += table[ways[place]]
+                        ways[place] += 1
+                    elif ways[end] > 0:
+                        u[(track_at + k) * WIDTH + l] += table[ways[end] - 1]
         if points > 0:
-            place = (k * points + now) * wide + first
-            here = load(rings, place)
-            store(rings, place, new)
-            if k == substeps - 1:
-                for l in range(count):
-                    ahead[first + l, now] = rings[U(place + l)]
-            new = here
+            for k in range(substeps):
+                place = ((t * substeps + k) * points + now) * wide + first
+                here = load(rings, place)
+                store(rings, place, load(u, (track_at + k) * WIDTH))
+                if k == substeps - 1:
+                    for l in range(count):
+                        ahead[first + l, t * points + now] = rings[U(place + l)]
+                store(u, (track_at + k) * WIDTH, here)
+    return tracks_at
+
+
+def wheels(setup, inputs, cars, history, u, tracks_at, h, wide, group, count):
+    """The road under the wheels of a group in the physics steps of a control step, into u (substeps + 1, inputs, lanes).
+
+    A wheel behind the first axle meets what that one met `late` steps before, linear between two steps.
+    """
+    substeps, kept, now, first = setup[SUBSTEPS], setup[KEPT], setup[KEPT_NOW], group * WIDTH
+    if kept > 0:
+        for t in range(CAR.tracks):
+            place, passed = now, (group * CAR.tracks + t) * kept
+            for k in range(substeps):
+                store(history, (passed + place) * WIDTH, load(u, (tracks_at + t * substeps + k) * WIDTH))
+                place = place + 1 if place + 1 < kept else 0
+    for c in range(CAR.corners):
+        track, row = setup[CAR.track + c], 3 * c + CAR.columns
+        col_r, col_v, col_a = setup[row], setup[row + 1], setup[row + 2]
+        met_at = tracks_at + track * substeps
+        if setup[CAR.behind + c]:
+            met_at = tracks_at + CAR.tracks * substeps
+            passed = (group * CAR.tracks + track) * kept * WIDTH
+            for l in range(count):
+                late = cars[(CAR.late + c) * wide + first + l]
+                back = int(late)
+                part = late - back
+                place = now - back
+                for k in range(substeps):
+                    newer = place + k if place + k >= 0 else place + k + kept
+                    newer = newer if newer < kept else newer - kept
+                    older = newer - 1 if newer > 0 else kept - 1
+                    u[(met_at + k) * WIDTH + l] = (1.0 - part) * history[
+                        passed + newer * WIDTH + l
+                    ] + part * history[passed + older * WIDTH + l]
+        height = load(cars, (CAR.height + c) * wide + first)
+        rate = load(cars, (CAR.height_rate + c) * wide + first)
         if col_r >= 0:
-            store(u, (row + col_r) * WIDTH, new)
-        if col_v >= 0 or col_a >= 0:
-            v = (new - height) / h
-            if col_v >= 0:
-                store(u, (row + col_v) * WIDTH, v)
-            if col_a >= 0:
-                store(u, (row + col_a) * WIDTH, (v - rate) / h)
-            rate = v
-        height = new
-    store(cars, HEIGHT * wide + first, height)
-    store(cars, HEIGHT_RATE * wide + first, rate)
-    store(cars, ROUGH * wide + first, rough)
+            store(u, col_r * WIDTH, height)
+        if col_v >= 0:
+            store(u, col_v * WIDTH, rate)
+        if col_a >= 0:
+            store(u, col_a * WIDTH, spread(0.0))
+        for k in range(substeps):
+            new = load(u, (met_at + k) * WIDTH)
+            to = (k + 1) * inputs
+            if col_r >= 0:
+                store(u, (to + col_r) * WIDTH, new)
+            if col_v >= 0 or col_a >= 0:
+                v = (new - height) / h
+                if col_v >= 0:
+                    store(u, (to + col_v) * WIDTH, v)
+                if col_a >= 0:
+                    store(u, (to + col_a) * WIDTH, (v - rate) / h)
+                rate = v
+            height = new
+        store(cars, (CAR.height + c) * wide + first, height)
+        store(cars, (CAR.height_rate + c) * wide + first, rate)
 
 
-def look(ahead, begin, cars, wide, first, count, seen_out):
-    """The road ahead of a group, relative to the height under the wheel, behind its measured signals."""
-    points, shown = ahead.shape[1], seen_out.shape[1] - 6
+def show_state(at, state, cars, settings, wide, first, count, seen_out):
+    """The outputs behind the signals, displacements over the road, behind the measured signals of an observation."""
+    begin = CAR.measured + CAR.currents
+    for l in range(count):
+        for j in range(begin, seen_out.shape[1]):
+            i = CAR.signals + j - begin
+            value = state[U((at.outcome + i) * WIDTH + l)]
+            for c in range(CAR.corners):
+                height = cars[U((CAR.height + c) * wide + first + l)]
+                value -= settings[U(CAR.lifted + i * CAR.corners + c)] * height
+            seen_out[first + l, j] = value
+
+
+def look(setup, ahead, track, cars, wide, first, count, seen_out):
+    """A track ahead of a group, relative to the height under its first wheel, behind the measured signals."""
+    points = ahead.shape[1] // CAR.tracks
+    shown = (seen_out.shape[1] - CAR.measured - CAR.currents) // CAR.tracks
+    begin = (setup[NOW] + 1) % max(points, 1)
     before = min(points - begin, shown)
+    height_at = (CAR.height + setup[CAR.leader + track]) * wide + first
+    to = CAR.measured + CAR.currents + track * shown
     for l in range(count):
         e = first + l
-        height, row, to = cars[HEIGHT * wide + e], ahead[e], seen_out[e]
-        near, far = to[6 : 6 + before], to[6 + before : 6 + shown]
+        height, row = cars[U(height_at + l)], ahead[e, track * points : (track + 1) * points]
+        near, far = seen_out[e, to : to + before], seen_out[e, to + before : to + shown]
         source = row[begin : begin + before]
         for i in range(before):
             near[i] = source[i] - height
@@ -217,33 +317,50 @@ def judge(at, state, cars, settings, said, wide, first, count):
     A broken car's cost is that of the bounds it left.
     """
     for i in range(at.outputs):
-        store(cars, (SIGNALS + i) * wide + first, load(state, (at.outcome + i) * WIDTH))
+        store(cars, (CAR.outputs + i) * wide + first, load(state, (at.outcome + i) * WIDTH))
     good = spread(0.0) < spread(1.0)
-    for j in range(5):
-        good = good & (abs(load(state, (at.outcome + j) * WIDTH)) <= settings[U(BOUNDS + j)])
-    a, l, tyre = (
-        load(state, at.outcome * WIDTH),
-        load(state, (at.outcome + 1) * WIDTH),
-        load(state, (at.outcome + 5) * WIDTH),
-    )
+    for j in range(CAR.measured):
+        good = good & (abs(load(state, (at.outcome + j) * WIDTH)) <= settings[U(CAR.bounds + j)])
     everyone = (1 << count) - 1
     wrong = ~bits(good) & everyone
-    if wrong:
-        a = select(abs(a) <= settings[BOUNDS], a, spread(settings[BOUNDS]))
-        l = select(abs(l) <= settings[BOUNDS + 1], l, spread(settings[BOUNDS + 1]))
-        tyre = select(abs(tyre) < math.inf, tyre, spread(0.0))
-        store(cars, (SIGNALS + 5) * wide + first, tyre)
-    i = load(cars, CURRENT * wide + first)
-    by_a, by_l, by_f, by_i = squares(
-        settings[WEIGHTS], settings[WEIGHTS + 1], settings[WEIGHTS + 2], settings[WEIGHTS + 3], a, l, tyre, i
-    )
-    store(said, REWARD * wide + first, -(by_a + by_l + by_f + by_i))
-    store(said, COST * wide + first, by_a)
-    store(said, (COST + 1) * wide + first, by_l)
-    store(said, (COST + 2) * wide + first, by_f)
-    store(said, (COST + 3) * wide + first, by_i)
-    store(said, TYRE_LOAD * wide + first, tyre)
-    store(said, BROKEN * wide + first, select(good, spread(0.0), spread(1.0)))
+    weight, cost = CAR.weights, CAR.cost
+    total, term = spread(0.0), spread(0.0)
+    for j in range(CAR.accelerations):
+        x = load(state, (at.outcome + j) * WIDTH)
+        if wrong:
+            x = select(abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j]))
+        term = square(settings[weight + j], x)
+        total = total + term
+        store(said, (cost + j) * wide + first, term)
+    weight, cost = weight + CAR.accelerations, cost + CAR.accelerations
+    term = spread(0.0)
+    for c in range(CAR.corners):
+        j = CAR.accelerations + 4 * c
+        x = load(state, (at.outcome + j) * WIDTH)
+        if wrong:
+            x = select(abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j]))
+        term = term + square(settings[weight + c], x)
+    total = total + term
+    store(said, cost * wide + first, term)
+    weight += CAR.corners
+    term = spread(0.0)
+    for c in range(CAR.corners):
+        x = load(state, (at.outcome + CAR.measured + c) * WIDTH)
+        if wrong:
+            x = select(abs(x) < math.inf, x, spread(0.0))
+            store(cars, (CAR.outputs + CAR.measured + c) * wide + first, x)
+        term = term + square(settings[weight + c], x)
+        store(said, (CAR.tyre_load + c) * wide + first, x)
+    total = total + term
+    store(said, (cost + 1) * wide + first, term)
+    weight += CAR.corners
+    term = spread(0.0)
+    for j in range(CAR.currents):
+        term = term + square(settings[weight + j], load(cars, (CAR.current + j) * wide + first))
+    total = total + term
+    store(said, (cost + 2) * wide + first, term)
+    store(said, REWARD * wide + first, -total)
+    store(said, CAR.broken * wide + first, select(good, spread(0.0), spread(1.0)))
     number_wrong = 0
     while wrong:
         number_wrong += wrong & 1
@@ -251,22 +368,24 @@ def judge(at, state, cars, settings, said, wide, first, count):
     return number_wrong
 
 
-def driven(cars, past, wide, e):
-    """Current [A] of car e in the next physics step, after its drive's delay, lag and saturation."""
-    i, depth = cars[CURRENT * wide + e], past.shape[0]
+def driven(cars, past, depth, row, wide, e):
+    """Commanded current `row` [A] of car e in the next physics step, after its drive's delay, lag and saturation."""
+    i = cars[(CAR.current + row) * wide + e]
     if depth > 0:
+        place, step = row * wide + e, CAR.currents * wide
         for k in range(depth - 1, 0, -1):
-            past[k, e] = past[k - 1, e]
-        past[0, e] = i
-        back = cars[DELAY * wide + e]
+            past[place + k * step] = past[place + (k - 1) * step]
+        past[place] = i
+        back = cars[(CAR.delay + row) * wide + e]
         low = int(back)
         part = back - low
-        i = past[low, e] if part == 0.0 else ((1.0 - part) * past[low, e] + part * past[low + 1, e])
-    pole, most = cars[LAG_POLE * wide + e], cars[SATURATION * wide + e]
+        newer = past[place + low * step]
+        i = newer if part == 0.0 else ((1.0 - part) * newer + part * past[place + (low + 1) * step])
+    pole, most = cars[(CAR.lag_pole + row) * wide + e], cars[(CAR.saturation + row) * wide + e]
     if pole > 0.0:
         # mean over the step of the first-order lag, exact
-        was = cars[LAGGED * wide + e]
-        cars[LAGGED * wide + e] = i + (was - i) * pole
+        was = cars[(CAR.lagged + row) * wide + e]
+        cars[(CAR.lagged + row) * wide + e] = i + (was - i) * pole
         i = i + (was - i) * (1.0 - pole) / -math.log(pole)
     if most < 1e8:
         i = most * math.tanh(i / most)

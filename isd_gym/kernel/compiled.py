@@ -84,12 +84,14 @@ _LAWS = (
 )  # fmt: skip
 _INSTEAD = {solve.unsolved: "solved", solve.as_it_is: "at_once"}
 _STEPS = (
-    cost.squares,
+    cost.square,
     steps.march,
     steps.outputs,
     steps.pool_of,
     cars.driven,
-    cars.travel,
+    cars.ground,
+    cars.wheels,
+    cars.show_state,
     cars.look,
     cars.judge,
     cars.control,
@@ -119,7 +121,16 @@ _INLINE = (
     steps.march,
 )
 #: put in by the optimiser: a call would hand over seven numbers for every array
-_CLOSE = (linear.take, linear.sums, contact.touch, contact.apply, cars.control)
+_CLOSE = (
+    linear.take,
+    linear.sums,
+    contact.touch,
+    contact.apply,
+    cars.control,
+    cars.ground,
+    cars.wheels,
+    cars.judge,
+)
 _INNER: dict[str, Any] = {
     "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True
 }  # fmt: skip
@@ -131,9 +142,11 @@ if hasattr(
 
 
 @functools.cache
-def _bind(of: int, with_laws: bool) -> Kernel:
+def _bind(of: int, with_laws: bool, car: layout.CarSize) -> Kernel:
     smooth, dry = _laws() if with_laws else ([], [])
     names: dict[str, Any] = {k: v for module in _MODULES for k, v in vars(module).items()}
+    names["CAR"] = layout.cars_layout(car)
+    flavour = f"{'laws' if with_laws else 'closed'}_{'_'.join(map(str, car))}"
     if with_laws:
         names["law_force"] = _dispatch([c.law for c in smooth], laws.law_force)  # type: ignore[misc]
         names["law_bound"] = _dispatch([c.bound for c in dry], laws.law_bound)  # type: ignore[misc]
@@ -141,13 +154,18 @@ def _bind(of: int, with_laws: bool) -> Kernel:
         # compiled functions read constants and one another from `names`; the name of a function is part of its key
         # in numba's cache on disk: the stamp keeps old laws out
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
-        twin.__qualname__ = f"{plain.__name__}_{'laws' if with_laws else 'closed'}_{of:x}"
+        twin.__qualname__ = f"{plain.__name__}_{flavour}_{of:x}"
         name = _INSTEAD.get(plain, plain.__name__)
         options = {**(_ENTRY if plain in _ENTRIES else _INNER), "forceinline": plain in _CLOSE}
         names[name] = nb.njit(twin, **options, inline="always" if plain in _INLINE else "never")
     return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
 
 
-def kernel(with_laws: bool = True) -> Kernel:
-    """The compiled kernel with every law that is registered now, or without any: for networks of the way `CONTACT`."""
-    return _bind(stamp(), with_laws)
+def kernel(with_laws: bool = True, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
+    """Return the compiled kernel.
+
+    Args:
+        with_laws: Whether it has every law that is registered now; without any it serves networks of the way `CONTACT`.
+        car: Numbers of parts of the cars that `drive` is compiled for.
+    """
+    return _bind(stamp(), with_laws, car)

@@ -19,6 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..tracks import SUM_STATES, TRACK_STATES
+
 WIDTH = 8  # lanes of a group
 TOGETHER = 4  # groups of cars that take turns step by step
 #: ways through a step: every law is solved for; only those of lanes in which a smooth one acts; in closed form
@@ -27,37 +29,118 @@ GENERAL, QUIET, CONTACT = 0, 1, 2
 #: what an observation shows beside the measured signals: nothing, the whole state, the road ahead
 MEASURED, WHOLE, AHEAD = 0, 1, 2
 
-# What a car of a batch carries beside its state: rows of `cars`, each a number a car.
-CURRENT = 0  # commanded current [A]
-LAGGED = 1  # state of the drive's lag [A]
-ROUGH_GAIN = 2  # of the rough road [m]
-ROUGH_POLE = 3
-HEIGHT = 4  # of the road under the wheel [m]
-HEIGHT_RATE = 5  # [m/s]
-LAG_POLE = 6  # 0: no lag
-SATURATION = 7  # [A]
-DELAY = 8  # [physics steps]
-ROUGH = 9  # height of the rough road [m]
-TARGET = 10  # current that was asked for [A]
-SIGNALS = 11  # outputs from here on
+# Whole numbers of a batch of cars: the head of `setup`.
+COUNT = 0  # cars
+SUBSTEPS = 1  # physics steps of a control step
+IS_COMMANDED = 2  # whether the currents are commanded, and limited, or given
+DRIVE_ACTS = 3  # whether a drive does more than hold its current
+SHOWS = 4  # what an observation shows: `MEASURED`, `WHOLE`, `AHEAD`
+NOW = 5  # place in the rings of the road ahead where the next control step begins
+KEPT = 6  # physics steps of the tracks' past that are kept for the wheels behind the first axle
+KEPT_NOW = 7  # place in that past where the next physics step goes
+ALL = 8  # cars, those that fill up the last group included
+DEPTH = 9  # physics steps of past currents that are kept for the drives
+TABLES = 10  # from here on: the tables of `CarsLayout`
 
-# What a control step says of a car: rows of `said`.
-REWARD = 0
-COST = 1  # four terms: acceleration, travel, tyre load, current
-TYRE_LOAD = 5  # [N], finite even where the car broke
-BROKEN = 6  # 1 where an observation left its bounds or is no number
-SAID = 7  # rows
+#: measured signals of a corner: travel, its rate, device travel, its rate
+CORNER_SIGNALS = 4
+CURRENT_LIMIT, SLEW_LIMIT = 0, 1  # first two of `settings`: [A], [A per control step]
+REWARD = 0  # first row of `said`
 
-# Whole numbers of a car: rows of `ways`.
-PROFILE = 0  # next place in the table of fixed profiles
-PROFILE_END = 1
-COUNTER = 2  # of the rough road's random numbers
 
-# Numbers of a drive: `settings`.
-CURRENT_LIMIT, SLEW_LIMIT = 0, 1  # [A], [A per control step]
-WEIGHTS = 2  # factors on the squares of acceleration, travel, tyre load and current
-BOUNDS = 6  # of the five measured signals
-LIFTED = 11  # of every output, whether the road's height is to be taken off it in an observation
+class CarSize(NamedTuple):
+    """Numbers of parts of a car."""
+
+    accelerations: int  # motions of the body that are measured: vertical, pitch, roll
+    corners: int  # wheels, each with a suspension of its own
+    currents: int  # that are commanded
+    tracks: int  # of the road, 1 or 2
+
+    @property
+    def filters(self) -> int:
+        """First-order sections whose sums are the rough tracks."""
+        return TRACK_STATES if self.tracks == 2 else 1
+
+    @property
+    def sum_filters(self) -> int:
+        """Of these, those of the only track, or of half the sum of left and right; the others: half the difference."""
+        return SUM_STATES if self.tracks == 2 else 1
+
+
+QUARTER_CAR = CarSize(accelerations=1, corners=1, currents=1, tracks=1)
+
+
+class CarsLayout(NamedTuple):
+    """Sizes of cars, and where their numbers begin: in `setup` and `settings`, and by row in `cars`, `ways` and `said`."""
+
+    accelerations: int
+    corners: int
+    currents: int
+    tracks: int
+    filters: int
+    sum_filters: int
+    measured: int  # signals of the network that an observation shows, in the order of the outputs
+    signals: int  # these and the tyre loads
+    # places in `setup`
+    columns: (
+        int  # of every corner three: columns of u that take the road's height, rate, acceleration (-1: none)
+    )
+    track: int  # of every corner
+    behind: int  # of every corner, whether it meets its track later than the first axle
+    leader: int  # of every track, the corner that meets it first
+    current_of: int  # of every current of the network, which of those commanded
+    # rows of `cars`, a number a car
+    current: int  # present currents [A]
+    lagged: int  # states of the drives' lags [A]
+    lag_pole: int  # 0: no lag
+    saturation: int  # [A]
+    delay: int  # of the drives [physics steps]
+    target: int  # commanded currents [A]
+    height: int  # of the road under each wheel [m]
+    height_rate: int  # [m/s]
+    late: int  # by how much a corner is behind the first axle [physics steps]
+    gain: int  # of the filters [m]
+    pole: int
+    rough: int  # states of the filters [m]
+    outputs: int  # from here on
+    # rows of `ways`, a whole number a car
+    profile: int  # of every track, next place in the table of fixed profiles
+    profile_end: int
+    counter: int  # of the random numbers that drive the only track, or the sum and the difference
+    # places in `settings`
+    weights: int  # factors on the squares of accelerations, travels, tyre loads and currents
+    bounds: int  # of the measured signals
+    lifted: int  # of every output and corner, the share of the road's height that an observation takes off it
+    # rows of `said`, a number a car
+    cost: int  # a term for each acceleration, then travel, tyre load, current
+    tyre_load: int  # [N], finite even where the car broke
+    broken: int  # 1 where an observation left its bounds or is no number
+    said: int  # rows in all
+
+
+def cars_layout(size: CarSize) -> CarsLayout:
+    """Return the places of the numbers of cars.
+
+    Args:
+        size: Numbers of parts of a car.
+    """
+    na, corners, nc, tracks = size
+    filters = size.filters
+    track = TABLES + 3 * corners
+    leader = track + 2 * corners
+    height = 6 * nc
+    gain = height + 3 * corners
+    measured = na + CORNER_SIGNALS * corners
+    bounds = 2 + na + 2 * corners + nc
+    return CarsLayout(
+        na, corners, nc, tracks, filters, size.sum_filters, measured, measured + corners,
+        TABLES, track, track + corners, leader, leader + tracks,
+        0, nc, 2 * nc, 3 * nc, 4 * nc, 5 * nc, height, height + corners, height + 2 * corners,
+        gain, gain + filters, gain + 2 * filters, gain + 3 * filters,
+        0, tracks, 2 * tracks,
+        2, bounds, bounds + measured,
+        REWARD + 1, na + 4, na + 4 + corners, na + 5 + corners,
+    )  # fmt: skip
 
 
 class Layout(NamedTuple):

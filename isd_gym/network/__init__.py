@@ -7,19 +7,24 @@ responses (`linear`).
 
 from ..units import UNITS
 from .assembly import Assembly, assemble
+from .bodies import AXES, Body, Lever, Point
 from .cut import cut, rejoin, without
 from .format import SCHEMA, builtin_networks
 from .linear import StateSpace, linearise, natural_frequencies, own_time, transfer
 from .model import GROUND, MOTIONS, Channel, Network
 
 __all__ = [
+    "AXES",
     "GROUND",
     "MOTIONS",
     "SCHEMA",
     "UNITS",
     "Assembly",
+    "Body",
     "Channel",
+    "Lever",
     "Network",
+    "Point",
     "StateSpace",
     "assemble",
     "builtin_networks",

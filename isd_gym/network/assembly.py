@@ -1,6 +1,7 @@
 """Equations of motion of a network, assembled without any hand derivation, and their state space.
 
-With the displacements q of the free nodes, the moved nodes r(t) and the incidence E of everything that is
+With the generalized coordinates q (the displacements of the free nodes; with rigid bodies and levers fewer, `coordinates`),
+the moved nodes r(t) and the incidence E of everything that is
 not linear (motors, friction, force laws f)::
 
     M q'' + C q' + K q + M_r r'' + C_r r' + K_r r + E f = F
@@ -18,7 +19,6 @@ nothing but dampers ties it to the ground, and no r' where nothing does; momentu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,11 +26,14 @@ import numpy as np
 from .. import elements as el
 from ..errors import InputError
 from ..units import HELD
+from .coordinates import coordinates
 from .frames import complete, frames, unknown
 from .model import GROUND, MOTIONS, Channel, Network
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from .coordinates import Coordinates
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class Assembly:
     by_difference: tuple[bool, ...]
     outputs: np.ndarray
     outputs_by_difference: tuple[bool, ...]
-    position: np.ndarray  # of the free nodes
+    position: np.ndarray  # of the nodes, moved ones last
     velocity: np.ndarray
 
     def columns(self, part: str) -> slice:
@@ -75,7 +78,7 @@ def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
 
 
 def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
-    nodes = _Nodes(tuple(n for n in network.nodes if n not in network.moved_nodes), network.moved_nodes)
+    nodes = coordinates(network)
     between = [e for e in network.elements if e.place == "between"]
     laws = tuple(part for e in between for part in e.parts())
     matrices = _matrices(network, nodes, between)
@@ -105,7 +108,7 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
         complete(network, lacking, motion.rate, elongation, elongation_rate, rows)
     if not all(np.isfinite(m).all() for m in (motion.rate, motion.position, motion.velocity, *rows)):
         raise InputError(TOO_FAR_APART)
-    algebraic = np.abs(motion.algebraic).sum(axis=1) > NO_SHARE
+    algebraic = np.abs(nodes.of_nodes(motion.algebraic)).sum(axis=1) > NO_SHARE
     by_difference = tuple(_hangs_on(row, motion.algebraic) for row in law_rows)
     _schedule(network, laws, elongation, by_difference, size)
     return Assembly(
@@ -119,8 +122,8 @@ def _assemble(network: Network, extra: Sequence[Channel]) -> Assembly:
         by_difference=by_difference,
         outputs=np.array(rows).reshape(len(rows), sum(_widths(size))),
         outputs_by_difference=tuple(difference for _, difference in found),
-        position=motion.position,
-        velocity=np.where(algebraic[:, None], 0.0, motion.velocity),
+        position=nodes.of_nodes(motion.position),
+        velocity=np.where(algebraic[:, None], 0.0, nodes.of_nodes(motion.velocity)),
     )
 
 
@@ -186,41 +189,19 @@ def _hangs_on(row: np.ndarray, directions: np.ndarray) -> bool:
 
 
 @dataclass(frozen=True)
-class _Nodes:
-    """The nodes in the order of all matrices: free ones, then moved ones."""
-
-    free: tuple[str, ...]
-    moved: tuple[str, ...]
-
-    @property
-    def count(self) -> int:
-        return len(self.free) + len(self.moved)
-
-    @cached_property
-    def index(self) -> dict[str, int]:
-        return {n: i for i, n in enumerate(self.free + self.moved)}
-
-    def incidence(self, pair: tuple[str, str]) -> np.ndarray:
-        row = np.zeros(self.count)
-        for node, sign in zip(pair, (1.0, -1.0), strict=True):
-            if node != GROUND:
-                row[self.index[node]] += sign
-        return row
-
-
-@dataclass(frozen=True)
 class _Matrices:
-    """Of all nodes: inertia [kg], damping [N s/m], stiffness [N/m]."""
+    """Of all coordinates: inertia [kg], damping [N s/m], stiffness [N/m]."""
 
     inertia: np.ndarray
     damping: np.ndarray
     stiffness: np.ndarray
 
 
-def _matrices(network: Network, nodes: _Nodes, between: Sequence[el.Element]) -> _Matrices:
+def _matrices(network: Network, nodes: Coordinates, between: Sequence[el.Element]) -> _Matrices:
     inertia, damping, stiffness = (np.zeros((nodes.count, nodes.count)) for _ in range(3))
-    for node, mass in network.masses.items():
-        inertia[nodes.index[node], nodes.index[node]] += mass
+    for node, mass in network.carried.items():
+        row = nodes.row(node)
+        inertia += mass * np.outer(row, row)
     for e in between:
         row = nodes.incidence(e.between)
         k, c, b = e.linear()
@@ -229,8 +210,7 @@ def _matrices(network: Network, nodes: _Nodes, between: Sequence[el.Element]) ->
         inertia += b * np.outer(row, row)
         if isinstance(e, el.TerminalInertia):
             node = e.between[0 if e.terminal == "first" else 1]
-            if node != GROUND:
-                inertia[:, nodes.index[node]] += e.mass * row
+            inertia += e.mass * np.outer(row, nodes.row(node))
     return _Matrices(inertia, damping, stiffness)
 
 
@@ -245,11 +225,12 @@ class _Ties:
     stiffness: np.ndarray
 
 
-def _ties(network: Network, nodes: _Nodes, matrices: _Matrices) -> _Ties:
+def _ties(network: Network, nodes: Coordinates, matrices: _Matrices) -> _Ties:
     free, riding = len(nodes.free), frames(network)
     frame = np.zeros((free, len(nodes.moved)))
     for node, j in riding.items():
-        frame[nodes.index[node], j] = 1.0
+        if node in nodes.index:
+            frame[nodes.index[node], j] = 1.0
     ties = []
     for m in (matrices.inertia, matrices.damping, matrices.stiffness):
         tie = m[:free, free:] + m[:free, :free] @ frame
@@ -277,7 +258,7 @@ class _Split:
     left_algebraic: np.ndarray
 
 
-def _split(matrices: _Matrices, ties: _Ties, nodes: _Nodes) -> _Split:
+def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
     """Raises `InputError` where an inertia hangs between a massless node and a moved one."""
     free = len(nodes.free)
     inertia, damping = matrices.inertia[:free, :free], matrices.damping[:free, :free]
@@ -330,12 +311,12 @@ class _Pushes:
     motors: dict[str, np.ndarray]
 
 
-def _pushes(network: Network, nodes: _Nodes, laws: Sequence[el.Element], size: Size) -> _Pushes:
+def _pushes(network: Network, nodes: Coordinates, laws: Sequence[el.Element], size: Size) -> _Pushes:
     """Forces push in, motors and laws (positive in tension) out."""
     at, width = _spans(size), sum(_widths(size))
     push = np.zeros((nodes.count, width))
     for j, channel in enumerate(c for c in network.inputs if c.quantity == "force"):
-        push[nodes.index[str(channel.at)], at["F"].start + j] += 1.0
+        push[:, at["F"].start + j] += nodes.row(str(channel.at))
     motors: dict[str, np.ndarray] = {}
     for e in network.elements:
         if isinstance(e, el.Motor):
@@ -365,7 +346,7 @@ class _Motion:
 
 
 def _motion(
-    nodes: _Nodes, matrices: _Matrices, ties: _Ties, split: _Split, push: np.ndarray, size: Size
+    nodes: Coordinates, matrices: _Matrices, ties: _Ties, split: _Split, push: np.ndarray, size: Size
 ) -> _Motion:
     """Raises `InputError` where nothing holds a massless node."""
     (free, moved), s = ties.frame.shape, split
@@ -423,7 +404,7 @@ class _Outputs:
     """Rows of channels over the base vector."""
 
     network: Network
-    nodes: _Nodes
+    nodes: Coordinates
     laws: Sequence[el.Element]
     motors: Mapping[str, np.ndarray]
     motion: _Motion
@@ -440,13 +421,27 @@ class _Outputs:
         if channel.quantity != "force":
             pair = channel.between or (str(channel.at), GROUND)
             return self.of(self.nodes.incidence(pair), channel.quantity, where)
-        node = str(channel.at)  # a moved one: what moves it
+        return self.mover(str(channel.at), where), False
+
+    def mover(self, node: str, where: str) -> np.ndarray:
+        """Return the force that moves a moved node, as a load cell between drive and node reads it."""
+        total, at = np.zeros(sum(_widths(self.size))), self.nodes.index[node]
         for e in self.network.elements:
-            sign = self.nodes.incidence(e.between)[self.nodes.index[node]] if e.place == "between" else 0.0
+            sign = self.nodes.incidence(e.between)[at] if e.place == "between" else 0.0
             if sign:
                 total = total + sign * self.force_of(e, where)
-        mass = self.network.masses.get(node, 0.0)
-        return total + mass * self.motion.acceleration[self.nodes.index[node]], False
+        total = total + self.network.masses.get(node, 0.0) * self.motion.acceleration[at]
+        if not self.nodes.dependent:
+            return total
+        for other, mass in self.network.carried.items():  # what bodies and levers tie to the node
+            row = self.nodes.row(other)
+            if row[at] and not (other == node and node in self.network.masses):
+                total = total + row[at] * mass * (row @ self.motion.acceleration)
+        for j, c in enumerate(c for c in self.network.inputs if c.quantity == "force"):
+            share = self.nodes.row(str(c.at))[at]
+            if share and c.at != node:
+                total = total - share * _entries(self.size, "F", 1, j)[0]
+        return total
 
     def of(self, row: np.ndarray, quantity: str, where: str) -> tuple[np.ndarray, bool]:
         """Displacement, velocity or acceleration of a combination of nodes."""

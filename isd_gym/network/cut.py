@@ -9,7 +9,7 @@ from ..errors import InputError, shown
 from .model import GROUND, MOTIONS, Channel, Network
 
 if TYPE_CHECKING:
-    from .. import elements as el
+    from collections.abc import Mapping, Sequence
 
 
 def cut(network: Network, node: str) -> Network:
@@ -22,6 +22,11 @@ def cut(network: Network, node: str) -> Network:
     """
     if node not in network.nodes:
         raise InputError(f"cut: no node {shown(node)}; there are {', '.join(network.nodes)}")
+    body = next((b.name for b in network.bodies if node in b.nodes), None)
+    if body is not None:
+        raise InputError(
+            f"cut: '{node}' is part of body '{body}', and its motion is not that of the whole body: cut at another node"
+        )
     if node in network.moved_nodes:
         raise InputError(f"cut: '{node}' is moved by an input already: there is nothing to leave out")
     seen = [c for c in network.outputs if c.at == node and c.quantity in MOTIONS]
@@ -32,14 +37,17 @@ def cut(network: Network, node: str) -> Network:
         )
     drive = min(seen, key=lambda c: MOTIONS.index(c.quantity))
     behind = _behind(network, node)
-    kept = [e for e in network.elements if e.place == "between" and _stays(e, node, behind)]
+    kept = [e for e in network.elements if e.place == "between" and _stays(e.where, node, behind)]
+    bodies = tuple(b for b in network.bodies if b.name not in behind)
+    levers = tuple(v for v in network.levers if _stays(v.between, node, behind))
     alive = {n for e in kept for n in e.where} | {n for n in network.masses if n not in behind}
+    alive |= {n for b in bodies for n in b.nodes} | {n for v in levers for n in v.between}
     names = {e.name for e in kept}
     masses = {n: m for n, m in network.masses.items() if n in alive and n != node}
-    if not masses and not kept:
+    if not masses and not kept and not bodies:
         raise InputError(f"cut: nothing is left on this side of '{node}'")
     inputs = [c for c in network.inputs if _heard(c, alive - {node}, names)]
-    moved = Channel(drive.name, drive.quantity, drive.unit, at=node)
+    moved = Channel(drive.name, drive.quantity, drive.unit, at=node, axis=drive.axis)
     fixed = {node, GROUND, *(str(c.at) for c in inputs if c.quantity in MOTIONS)}
     outputs = [
         c for c in network.outputs if c is not drive and _heard(c, alive, names) and not _idle(c, fixed)
@@ -50,19 +58,21 @@ def cut(network: Network, node: str) -> Network:
     kept += [e for e in network.elements if e.place == "channel" and e.where[0] in heard]
     order = {e.name: k for k, e in enumerate(network.elements)}
     kept.sort(key=lambda e: order[e.name])
-    owners = {e.name for e in kept} | set(masses)
     if not outputs:
         raise InputError(f"cut: no output is left to compare with on this side of '{node}'")
-    return replace(
+    part = replace(
         network,
         name=f"{network.name} (cut at {node})",
         masses=masses,
         turning=network.turning & set(masses),
+        bodies=bodies,
+        levers=levers,
         elements=tuple(kept),
         inputs=(moved, *inputs),
         outputs=tuple(outputs),
-        uncertainty={k: v for k, v in network.uncertainty.items() if k.rpartition(".")[0] in owners},
+        uncertainty={},
     )
+    return _uncertain(part, network.uncertainty)
 
 
 def cut_nodes(network: Network) -> list[str]:
@@ -100,41 +110,59 @@ def rejoin(whole: Network, part: Network) -> Network:
     """
     node = next((n for n in part.moved_nodes if n not in whole.moved_nodes), None)
     behind = _behind(whole, node) if node is not None else set()
-    away = [e for e in whole.elements if e.place == "between" and not _stays(e, node or "", behind)]
+    away = [e for e in whole.elements if e.place == "between" and not _stays(e.where, node or "", behind)]
     names = {c.name for c in (*part.outputs,)}
     away += [e for e in whole.elements if e.place == "channel" and e.where[0] not in names]
     own = {e.name for e in part.elements}
     elements = (*part.elements, *(e for e in away if e.name not in own))
     cells = {c.name: c for c in part.outputs}
-    return replace(
+    bodies, levers = {b.name: b for b in part.bodies}, {v.name: v for v in part.levers}
+    joined = replace(
         whole,
         masses={n: part.masses.get(n, m) for n, m in whole.masses.items()},
+        bodies=tuple(bodies.get(b.name, b) for b in whole.bodies),
+        levers=tuple(levers.get(v.name, v) for v in whole.levers),
         elements=elements,
         outputs=tuple(cells.get(c.name, c) for c in whole.outputs),
-        uncertainty={
-            k: v
-            for k, v in whole.uncertainty.items()
-            if k.rpartition(".")[0] in {e.name for e in elements} | set(whole.masses)
-        },
+        uncertainty={},
     )
+    return _uncertain(joined, whole.uncertainty)
+
+
+def _uncertain(network: Network, uncertainty: Mapping[str, float]) -> Network:
+    """Return the network with those of the uncertainties whose parameters it has."""
+    known = network.parameters
+    return replace(network, uncertainty={k: v for k, v in uncertainty.items() if k in known})
 
 
 def _behind(network: Network, node: str) -> set[str]:
-    """Nodes that, without `node`, hang together with one that an input moves. Raises `InputError` where there is none."""
+    """Nodes that, without `node`, hang together with one that an input moves. Raises `InputError` where there is none.
+
+    Where all do, as the roads of a half car cut at one wheel do, the part with the largest mass stays.
+    """
     links: dict[str, set[str]] = {n: set() for n in network.nodes}
-    for e in network.elements:
-        if e.place == "between" and GROUND not in e.where and node not in e.where:
-            links[e.where[0]].add(e.where[1])
-            links[e.where[1]].add(e.where[0])
-    out: set[str] = set()
-    frontier = [n for n in network.moved_nodes if n != node]
-    while frontier:
-        here = frontier.pop()
-        if here not in out:
-            out.add(here)
-            frontier += links[here]
-    if not out:
+    pairs = [e.where for e in network.elements if e.place == "between" and GROUND not in e.where]
+    pairs += [v.between for v in network.levers] + [(b.name, n) for b in network.bodies for n in b.nodes[1:]]
+    for first, second in pairs:
+        if node not in (first, second):
+            links[first].add(second)
+            links[second].add(first)
+    parts: list[set[str]] = []
+    for moved in network.moved_nodes:
+        if moved == node or any(moved in part for part in parts):
+            continue
+        part, frontier = set(), [moved]
+        while frontier:
+            here = frontier.pop()
+            if here not in part:
+                part.add(here)
+                frontier += links[here]
+        parts.append(part)
+    if not parts:
         raise InputError(f"cut: nothing that an input moves lies behind '{node}'")
+    out = set().union(*parts)
+    if out >= set(network.nodes) - {node} and len(parts) > 1:
+        out -= max(parts, key=lambda part: sum(m for n, m in network.carried.items() if n in part))
     if out >= set(network.nodes) - {node}:
         raise InputError(
             f"cut: everything hangs together beside '{node}': leaving out what moves would leave nothing"
@@ -142,8 +170,9 @@ def _behind(network: Network, node: str) -> set[str]:
     return out
 
 
-def _stays(e: el.Element, node: str, behind: set[str]) -> bool:
-    return not set(e.where) & behind and set(e.where) != {node, GROUND}
+def _stays(where: Sequence[str], node: str, behind: set[str]) -> bool:
+    """Return whether an element or a lever between the nodes `where` is on this side of `node`."""
+    return not set(where) & behind and set(where) != {node, GROUND}
 
 
 def _heard(c: Channel, nodes: set[str], names: set[str]) -> bool:

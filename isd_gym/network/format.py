@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, cast
 from .. import elements as el
 from ..errors import InputError, shown
 from ..inputs import parse_json, read_bytes
-from ..units import QUANTITIES, si_of
+from ..units import QUANTITIES, TURNING, si_of
+from .bodies import AXES, LEVER_UNITS, Body, Lever, angle_node, body_of
 from .model import ELEMENTS, Channel, Network, check_name
 
 if TYPE_CHECKING:
@@ -68,7 +69,9 @@ def from_dict(data: Any) -> Network:
         "description",
         "masses",
         "inertias",
+        "bodies",
         "elements",
+        "levers",
         "inputs",
         "outputs",
         "uncertainty",
@@ -83,7 +86,7 @@ def from_dict(data: Any) -> Network:
     for node in inertias:
         if node in masses:
             raise InputError(f"inertias: '{node}' has a mass already; what turns has an inertia alone")
-    for key in ("elements", "inputs", "outputs"):
+    for key in ("elements", "levers", "inputs", "outputs"):
         if not isinstance(data.get(key, []), list):
             raise InputError(f"{key} must be a list")
         if len(data.get(key, [])) > ELEMENTS:
@@ -96,6 +99,8 @@ def from_dict(data: Any) -> Network:
         description=_text(data, "description", ""),
         masses={**masses, **inertias},
         turning=frozenset(inertias),
+        bodies=read_bodies(data.get("bodies", {})),
+        levers=tuple(read_lever(v, i) for i, v in enumerate(data.get("levers", []))),
         elements=tuple(read_element(e, i) for i, e in enumerate(data["elements"])),
         inputs=tuple(read_channel(c, "inputs", i) for i, c in enumerate(data.get("inputs", []))),
         outputs=tuple(read_channel(c, "outputs", i) for i, c in enumerate(data.get("outputs", []))),
@@ -111,8 +116,12 @@ def to_dict(network: Network) -> dict[str, Any]:
     out["masses"] = {n: m for n, m in network.masses.items() if n not in network.turning}
     if network.turning:
         out["inertias"] = {n: m for n, m in network.masses.items() if n in network.turning}
+    if network.bodies:
+        out["bodies"] = {b.name: b.to_dict() for b in network.bodies}
+    out["elements"] = [e.to_dict() for e in network.elements]
+    if network.levers:
+        out["levers"] = [v.to_dict() for v in network.levers]
     return out | {
-        "elements": [e.to_dict() for e in network.elements],
         "inputs": [c.to_dict() for c in network.inputs],
         "outputs": [c.to_dict() for c in network.outputs],
         "uncertainty": dict(network.uncertainty),
@@ -161,6 +170,50 @@ def _nodes_of(value: Any, where: str) -> tuple[str, str]:
     raise InputError(f'{where}: "between" must be a list of two node names, not {shown(value)}')
 
 
+def read_bodies(data: Any) -> tuple[Body, ...]:
+    """Return the rigid bodies of a model file, an object of body by name.
+
+    Raises:
+        InputError: A key is unknown or missing, or a value is none.
+    """
+    if not isinstance(data, Mapping):
+        raise InputError(f"bodies must be an object of body by name, not {type(data).__name__}")
+    out = []
+    for name, entry in data.items():
+        where = f"body {shown(name)}"
+        check_name(name, "bodies")
+        _check_keys(entry, {"mass", "inertia", "points"}, {"mass"}, where)
+        inertia, points = entry.get("inertia", {}), entry.get("points", {})
+        _check_keys(inertia, set(AXES), set(), f'{where}: "inertia"')
+        if None in inertia.values():
+            raise InputError(
+                f"{where}: an inertia must be a number of kg m^2, not null; leave it out where there is none"
+            )
+        if not isinstance(points, Mapping):
+            raise InputError(
+                f'{where}: "points" must be an object of point by name, not {type(points).__name__}'
+            )
+        for point, at in points.items():
+            check_name(point, f"{where}: points")
+            _check_keys(at, {"x", "y"}, set(), f"{where}: point {shown(point)}")
+        out.append(body_of(name, entry))
+    return tuple(out)
+
+
+def read_lever(data: Any, index: int) -> Lever:
+    """Return the lever that an entry of a model file describes.
+
+    Raises:
+        InputError: A key is unknown or missing, or a value is none.
+    """
+    name = _name_of(data, "levers", index)
+    where = f"lever '{name}'"
+    if "unit" not in data:
+        raise InputError(f"{where}: 'unit' is missing: that of its ratio, one of {', '.join(LEVER_UNITS)}")
+    _check_keys(data, {"name", "between", "ratio", "unit"}, {"between", "ratio"}, where)
+    return Lever(name, _nodes_of(data["between"], where), data["ratio"], data["unit"])
+
+
 def read_element(data: Any, index: int) -> el.Element:
     name = _name_of(data, "elements", index)
     where = f"element '{name}'"
@@ -188,7 +241,19 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     where = f"{kind[:-1]} '{name}'"
     _check_keys(
         data,
-        {"name", "quantity", "unit", "at", "between", "element", "offset", "noise", "measured"},
+        {
+            "name",
+            "quantity",
+            "unit",
+            "at",
+            "between",
+            "element",
+            "body",
+            "axis",
+            "offset",
+            "noise",
+            "measured",
+        },
         {"quantity", "unit"},
         where,
     )
@@ -221,6 +286,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         raise InputError(f'{where}: "measured" must be true or false, not {shown(data["measured"])}')
     if "at" in data and not isinstance(data["at"], str):
         raise InputError(f'{where}: "at" must be the name of a node, not {shown(data["at"])}')
+    at, axis = _axis_of(data, quantity, where) if "body" in data or "axis" in data else (data.get("at"), None)
     element = data.get("element")
     if (
         isinstance(element, list)
@@ -237,10 +303,32 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
         name=name,
         quantity=base,
         unit=data["unit"],
-        at=data.get("at"),
+        at=at,
         element=element,
         between=_nodes_of(data["between"], where) if "between" in data else None,
         offset=None if offset == "none" else cast("Offset", offset),
         noise=None if noise is None else float(noise),
         measured=data.get("measured", True),
+        axis=axis,
     )
+
+
+def _axis_of(data: Mapping[str, Any], quantity: str, where: str) -> tuple[str, str]:
+    """Return the node that is the angle of a body about an axis, and the axis.
+
+    Raises:
+        InputError: "body" and "axis" are not both there, or the quantity is not one of rotation.
+    """
+    body, axis = data.get("body"), data.get("axis")
+    if not isinstance(body, str) or axis not in AXES:
+        raise InputError(
+            f'{where}: a motion about an axis has "body": a body and "axis": {" or ".join(AXES)}, not {shown(body)} and '
+            f"{shown(axis)}"
+        )
+    if {"at", "between", "element"} & set(data):
+        raise InputError(f'{where}: "body" and "axis" say all: leave out "at", "between" and "element"')
+    if QUANTITIES[quantity][1] not in TURNING:
+        raise InputError(
+            f'{where}: "{quantity}" is no motion about an axis; for that of the centre of gravity write "at": "{body}"'
+        )
+    return angle_node(body, axis), axis

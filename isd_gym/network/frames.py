@@ -31,6 +31,12 @@ def frames(network: Network) -> dict[str, int]:
                 f"input '{c.name}': the {c.spoken} of '{c.at}' says nothing of its distance from '{other.at}', which "
                 f"'{other.name}' moves and the network ties to it: give both as displacements, or leave one out"
             )
+        lever = next((v for v in network.levers if part in {network.tied[n] for n in v.between}), None)
+        if lever is not None:
+            raise InputError(
+                f"input '{c.name}': lever '{lever.name}' needs the displacement of what it couples, which the {c.spoken} of "
+                f"'{c.at}' does not tell: give that as a displacement"
+            )
         out |= {n: j for n, p in network.tied.items() if p == part and n != c.at}
     return out
 

@@ -11,6 +11,7 @@ from .. import elements as el
 from ..errors import InputError, harmless, hint, shown
 from ..inputs import number
 from ..units import HELD, QUANTITIES, TURNING, UNITS, about_axis, si_of
+from .bodies import LEVER_UNITS, MASSES, Body, Lever
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -23,7 +24,6 @@ GROUND = "ground"
 MOTIONS = ("displacement", "velocity", "acceleration")
 #: what a model may ask for: longer names, more parts or larger numbers are refused, not tried
 NAME_LENGTH, NODES, ELEMENTS, CHANNELS = 200, 250, 1000, 1000
-MASSES = (1e-9, 1e9)  # [kg]
 #: an unknown constant of an output's sensor: one for all records, or one for each record
 Offset = Literal["free", "record"]
 
@@ -48,6 +48,7 @@ class Channel:
     `noise`: its RMS in the channel's unit, where the owner of the sensor knows it; `measured`: false for a road that nobody measures.
 
     `name`: of the column in a table.
+    `axis`: 'pitch' or 'roll' where `at` is the angle of a body ('body.pitch'), which a model file has as "body" and "axis".
     """
 
     name: str
@@ -59,6 +60,7 @@ class Channel:
     offset: Offset | None = None
     noise: float | None = None  # RMS in the channel's unit, from the sensor's sheet
     measured: bool = True
+    axis: str | None = None
 
     @property
     def si(self) -> str:
@@ -79,7 +81,9 @@ class Channel:
     def to_dict(self) -> dict[str, Any]:
         """As the model file has it (`isd-model/1`)."""
         out: dict[str, Any] = {"name": self.name, "quantity": self.spoken}
-        if self.at is not None:
+        if self.at is not None and self.axis is not None:
+            out |= {"body": self.at.removesuffix(f".{self.axis}"), "axis": self.axis}
+        elif self.at is not None:
             out["at"] = self.at
         if self.between is not None:
             out["between"] = list(self.between)
@@ -100,6 +104,7 @@ class Network:
     """A suspension model: `masses` [kg] by node, `elements`, `inputs`, `outputs`, `uncertainty` (relative sigma).
 
     Of the nodes in `turning` the mass is a moment of inertia [kg m^2]: they, and what is tied to them, turn.
+    `bodies` are rigid bodies, whose points are ordinary nodes, and `levers` couple two nodes by a ratio.
 
     Immutable and validated on construction; `with_parameters` and `with_element` return changed copies.
     Raises `InputError` with one line that names the place.
@@ -115,6 +120,8 @@ class Network:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
     description: str = ""
     turning: frozenset[str] = frozenset()
+    bodies: tuple[Body, ...] = ()
+    levers: tuple[Lever, ...] = ()
 
     # ------------------------------------------------------------------------------------ the file
 
@@ -162,6 +169,7 @@ class Network:
             (len(self.elements), "elements", ELEMENTS),
             (len(self.inputs) + len(self.outputs), "channels", CHANNELS),
             (len(self.masses), "masses", NODES),
+            (len(self.levers), "levers", ELEMENTS),
             (len(self.nodes), "nodes", NODES),
         ):
             if count > most:
@@ -173,10 +181,11 @@ class Network:
         for c in self.inputs + self.outputs:
             check_name(c.name, "channel")
         self._check_masses()
+        self._check_bodies()
         for node in self.turning:
             if node not in self.masses:
                 raise InputError(f"inertias: '{node}' has none")
-        _unique([e.name for e in self.elements], "element")
+        _unique([*(e.name for e in self.elements), *(v.name for v in self.levers)], "element")
         _unique([c.name for c in self.inputs + self.outputs], "channel")
         if "time" in {c.name for c in self.inputs + self.outputs}:
             raise InputError("a channel cannot be called 'time'")
@@ -193,6 +202,8 @@ class Network:
         nodes = set(self.nodes)
         for kind, channels in (("input", self.inputs), ("output", self.outputs)):
             for c in channels:
+                if c.axis is not None:
+                    self._check_axis(c, f"{kind} '{c.name}'")
                 for node in [c.at, *(c.between or ())]:
                     if node is not None and node not in nodes | {GROUND}:
                         raise InputError(f"{kind} '{c.name}': no node '{node}'")
@@ -217,6 +228,43 @@ class Network:
                 )
         self._check_connected()
         self._check_turning()
+        if self.bodies or self.levers:
+            from .coordinates import coordinates
+
+            coordinates(self)
+
+    def _check_bodies(self) -> None:
+        """A body's nodes are its own, and a lever couples two nodes that are no ground."""
+        for body in self.bodies:
+            check_name(body.name, "body")
+        for lever in self.levers:
+            check_name(lever.name, "lever")
+            if GROUND in lever.between:
+                raise InputError(f"lever '{lever.name}': the ground does not move, and cannot be at a lever")
+        taken = {GROUND: "the ground", **dict.fromkeys(self.masses, "a mass")}
+        for body in self.bodies:
+            points = {p.name for p in body.points}
+            for node in body.nodes:
+                what = f"point '{node}' of body '{body.name}'" if node in points else f"body '{body.name}'"
+                if node in taken:
+                    raise InputError(
+                        f"bodies: {what} has the name of {taken[node]}: give it another"
+                        + (", and tie the two with a lever of ratio 1" if taken[node] == "a mass" else "")
+                    )
+                taken[node] = f"a node of body '{body.name}'"
+
+    def _check_axis(self, c: Channel, where: str) -> None:
+        """Whether a channel about a body's axis has a body that turns about the axis."""
+        name = str(c.at).removesuffix(f".{c.axis}")
+        body = next((b for b in self.bodies if b.name == name), None)
+        if body is None:
+            known = ", ".join(b.name for b in self.bodies) or "none in the model"
+            raise InputError(f"{where}: no body {shown(name)} (bodies: {known})")
+        if c.axis not in body.angles:
+            raise InputError(
+                f"{where}: body '{name}' does not turn about its {c.axis} axis: give it an inertia "
+                f'("inertia": {{"{c.axis}": ...}} [kg m^2])'
+            )
 
     def _check_masses(self) -> None:
         for node, mass in self.masses.items():
@@ -283,19 +331,21 @@ class Network:
 
     def _check_connected(self) -> None:
         links: dict[str, list[str]] = {n: [] for n in self.nodes}
-        for e in self.elements:
-            if e.place == "between":
-                for this, other in (e.where, e.where[::-1]):
-                    if this != GROUND:
-                        links[this].append(other)
-        held = set(self.masses) | set(self.moved_nodes) | {c.at for c in self.inputs if c.quantity == "force"}
+        pairs = [e.where for e in self.elements if e.place == "between"] + [v.between for v in self.levers]
+        pairs += [(b.name, n) for b in self.bodies for n in b.nodes[1:]]
+        for pair in pairs:
+            for this, other in (pair, pair[::-1]):
+                if this != GROUND:
+                    links[this].append(other)
+        held = set(self.inertial_nodes) | set(self.moved_nodes) | {n for v in self.levers for n in v.between}
+        held |= {c.at for c in self.inputs if c.quantity == "force" and c.at is not None}
         for node, others in links.items():
             if node not in held and len(others) < 2:
                 raise InputError(
                     f"node '{node}' floats: it has no mass and no input and hangs on one element "
                     f"(give it a mass, an input, or call it 'ground')"
                 )
-        reached, frontier = set(), [*self.masses, *self.moved_nodes, GROUND]
+        reached, frontier = set(), [*self.inertial_nodes, *self.moved_nodes, GROUND]
         while frontier:
             node = frontier.pop()
             if node not in reached:
@@ -311,6 +361,18 @@ class Network:
         """What is tied together turns, or moves along a line: nothing here turns the one into the other."""
         if not self.rotating:
             return
+        for body in self.bodies:
+            for node in (body.name, *(p.name for p in body.points)):
+                if node in self.rotating:
+                    raise InputError(
+                        f"bodies: '{node}' of body '{body.name}' moves along a line, and is tied to what turns"
+                    )
+        for lever in self.levers:
+            for node, turns in zip(lever.between, LEVER_UNITS[lever.unit], strict=True):
+                if node in self.rotating and not turns:
+                    raise InputError(
+                        f"lever '{lever.name}': '{node}' turns, and the unit '{lever.unit}' of the ratio has it move along a line"
+                    )
         for node in self.masses:
             if node in self.rotating and node not in self.turning:
                 raise InputError(
@@ -335,11 +397,15 @@ class Network:
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        """All nodes but the ground: masses first, then in order of appearance, moved nodes last."""
+        """All nodes but the ground: masses first, then those of bodies, then in order of appearance, moved nodes last."""
         seen = dict.fromkeys(self.masses)
+        for body in self.bodies:
+            seen |= dict.fromkeys(body.nodes)
         for e in self.elements:
             if e.place == "between":
                 seen |= dict.fromkeys(e.where)
+        for lever in self.levers:
+            seen |= dict.fromkeys(lever.between)
         moved = self.moved_nodes
         return tuple(n for n in seen if n != GROUND and n not in moved) + moved
 
@@ -354,12 +420,16 @@ class Network:
 
     @cached_property
     def tied(self) -> dict[str, int]:
-        """Number of the part of the network that each node belongs to: what elements tie together, the ground left out."""
+        """Number of the part of the network that each node belongs to: what elements and bodies tie together.
+
+        The ground is left out, and a lever ties nothing: at its two ends motion is not the same.
+        """
         links: dict[str, set[str]] = {n: set() for n in self.nodes}
-        for e in self.elements:
-            if e.place == "between" and GROUND not in e.where:
-                links[e.where[0]].add(e.where[1])
-                links[e.where[1]].add(e.where[0])
+        pairs = [e.where for e in self.elements if e.place == "between" and GROUND not in e.where]
+        pairs += [(b.name, p.name) for b in self.bodies for p in b.points]
+        for first, second in pairs:
+            links[first].add(second)
+            links[second].add(first)
         out: dict[str, int] = {}
         for number_, root in enumerate(links):
             frontier = [root]
@@ -396,7 +466,8 @@ class Network:
     @cached_property
     def rotating(self) -> frozenset[str]:
         """Nodes that turn: by their inertia, by a channel in units of rotation, or tied to one that does."""
-        seeds = set(self.turning)
+        seeds = set(self.turning) | {n for b in self.bodies for n in b.angles.values()}
+        seeds |= {n for v in self.levers for n in v.turning}
         for c in self.inputs + self.outputs:
             if c.quantity not in HELD and c.si in TURNING:
                 seeds |= {n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND}
@@ -409,17 +480,40 @@ class Network:
 
         return _assemble(self, ())
 
+    @property
+    def inertial_nodes(self) -> tuple[str, ...]:
+        """Nodes that have momentum: those with a mass, and all nodes of bodies."""
+        return (*self.masses, *(n for b in self.bodies for n in b.nodes))
+
+    @property
+    def carried(self) -> dict[str, float]:
+        """Mass [kg] or moment of inertia [kg m^2] by node, those of bodies at their centres and angles."""
+        out = dict(self.masses)
+        for body in self.bodies:
+            out |= body.carried
+        return out
+
+    @property
+    def total_mass(self) -> float:
+        """Mass [kg] of all that moves along a line, bodies included."""
+        return sum(m for n, m in self.carried.items() if n not in self.rotating)
+
     @cached_property
     def parameters(self) -> dict[str, float]:
-        """Every number of the model by its path: 'body.mass', 'oil.stiffness', ..."""
+        """Every number of the model by its path: 'body.mass', 'body.inertia.pitch', 'oil.stiffness', 'pinion.ratio', ..."""
         out = {self.mass_path(node): float(m) for node, m in self.masses.items()}
+        for body in self.bodies:
+            out |= body.parameters
         for e in self.elements:
             for f in el.parameter_fields(type(e)):
                 out[f"{e.name}.{f.name}"] = getattr(e, f.name)
-        return out
+        return out | {f"{v.name}.ratio": float(v.ratio) for v in self.levers}
 
     def mass_path(self, node: str) -> str:
-        """Path of a node's mass: 'body.mass', or 'arm.inertia' where it turns."""
+        """Path of a node's mass: 'body.mass', or 'arm.inertia' where it turns; 'body.inertia.pitch' of a body's angle."""
+        for body in self.bodies:
+            if node in body.carried:
+                return list(body.parameters)[list(body.carried).index(node)]
         return f"{node}.{'inertia' if node in self.turning else 'mass'}"
 
     def unit_of(self, path: str) -> str:
@@ -439,6 +533,12 @@ class Network:
                         return self._unit(e, unit)
         if owner in self.masses and path == self.mass_path(owner):
             return "kg m^2" if owner in self.turning else "kg"
+        for body in self.bodies:
+            if path in body.parameters:
+                return "kg" if owner == body.name else "kg m^2"
+        for lever in self.levers:
+            if path == f"{lever.name}.ratio":
+                return lever.unit
         raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
 
     def _unit(self, e: el.Element, unit: str) -> str:
@@ -461,7 +561,8 @@ class Network:
 
         values: number by path ('body.mass', 'main_spring.stiffness').
         """
-        masses = dict(self.masses)
+        masses, bodies = dict(self.masses), {path: b.name for b in self.bodies for path in b.parameters}
+        levers = {f"{v.name}.ratio": v.name for v in self.levers}
         kinds = {e.name: type(e) for e in self.elements}
         changes: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
@@ -470,6 +571,10 @@ class Network:
                 raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
             if owner in kinds and name in {f.name for f in el.parameter_fields(kinds[owner])}:
                 changes.setdefault(owner, {})[name] = float(value)
+            elif path in bodies:
+                changes.setdefault(bodies[path], {})[name] = float(value)
+            elif path in levers:
+                changes.setdefault(levers[path], {})[name] = float(value)
             else:
                 masses[owner] = float(value)
         elements = tuple(replace(e, **changes[e.name]) if e.name in changes else e for e in self.elements)
@@ -478,6 +583,12 @@ class Network:
         for name in ("parameters", "_assembly"):
             out.__dict__.pop(name, None)
         out.__dict__.update(masses=masses, elements=elements)
+        if bodies or levers:
+            own = {
+                k: tuple(replace(b, **changes.get(b.name, {})) for b in getattr(self, k))
+                for k in ("bodies", "levers")
+            }
+            out.__dict__.update(own)
         out._check_masses()
         return out
 
@@ -524,7 +635,7 @@ class Network:
 
     def free_name(self, stem: str) -> str:
         """`stem`, or stem_2, stem_3, ...: a name no element or node has yet."""
-        taken = {e.name for e in self.elements} | set(self.nodes)
+        taken = {e.name for e in self.elements} | {v.name for v in self.levers} | set(self.nodes)
         names = (stem if i == 1 else f"{stem}_{i}" for i in range(1, 10_000))
         return next(n for n in names if n not in taken)
 

@@ -20,7 +20,7 @@ from .plots import channel_text, number, unit_text
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from ..network import Channel, Network
+    from ..network import Body, Channel, Lever, Network
 
 GROUND = "ground"
 SYMBOL = 46.0  # height of an element's symbol [px]
@@ -161,7 +161,7 @@ class Piece:
 
     top: str
     bottom: str
-    element: el.Element | None = None
+    element: el.Element | Lever | None = None
     parts: tuple[Piece, ...] = ()
     inner: tuple[str, ...] = ()
 
@@ -217,8 +217,14 @@ def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
 # --------------------------------------------------------------------------------------------------- words
 
 
-def values_text(e: el.Element, network: Network) -> list[str]:
-    """The numbers of an element with their units, a line each."""
+def values_text(e: el.Element | Lever, network: Network) -> list[str]:
+    """The numbers of an element or lever with their units, a line each."""
+    if not isinstance(e, el.Element):
+        return [
+            f"ratio {number(e.ratio, _digits(e.ratio))} {e.unit}".removesuffix(" m/m").removesuffix(
+                " rad/rad"
+            )
+        ]
     if isinstance(e, el.TabulatedForce) and e.scale == 1.0:
         return [f"table over {' and '.join(k for k in ('elongation', 'rate') if getattr(e, k))}"]
     out = []
@@ -278,6 +284,13 @@ class _Sheet:
         self.y: dict[str, tuple[float, float]] = {}  # node -> upper and lower edge
         self.x: dict[str, list[float]] = {}  # node -> where something is attached
         self.beside: dict[str, list[str]] = {}  # element -> what else is written there
+        self.carried = {**network.masses, **{b.name: b.mass for b in network.bodies}}
+        #: points and angles are drawn at the box of their body
+        self.home = {n: b.name for b in network.bodies for n in b.nodes[1:]}
+        self.points = {p.name: (p.x, p.y) for b in network.bodies for p in b.points}
+        self.attached: dict[str, list[float]] = {}  # point -> where something is attached
+        self.columns: dict[str, float] = {}  # distance that is measured -> where its arrow stands
+        self.right = 0.0  # where the elements end
         self.signal: dict[str, list[tuple[str, str]]] = {}  # element -> channels there, and their ink
         for e in network.elements:
             if e.place == "element":
@@ -299,7 +312,7 @@ class _Sheet:
 
     # sizes
 
-    def words(self, e: el.Element) -> list[tuple[str, str, bool]]:
+    def words(self, e: el.Element | Lever) -> list[tuple[str, str, bool]]:
         colour = "found" if e.name in self.found else "ink"
         lines = [(channel_text(e.name), colour, True)]
         lines += [(t, "found" if colour == "found" else "muted", False) for t in values_text(e, self.net)]
@@ -323,19 +336,21 @@ class _Sheet:
 
     def margin(self, p: Piece) -> float:
         """Room at the left for the names of nodes without mass."""
-        return max([LETTER * len(n) + 8.0 for n in p.inner if n not in self.net.masses], default=0.0)
+        return max([LETTER * len(n) + 8.0 for n in p.inner if n not in self.carried], default=0.0)
 
     def tall(self, n: str) -> float:
-        return BOX if n in self.net.masses else 0.0
+        return BOX if n in self.carried else 0.0
 
     def node_width(self, n: str) -> float:
-        return 30.0 + LETTER * 1.1 * len(self.mass_text(n)) if n in self.net.masses else 30.0
+        return 30.0 + LETTER * 1.1 * len(self.mass_text(n)) if n in self.carried else 30.0
 
     def mass_text(self, n: str) -> str:
-        mass = self.net.masses[n]
-        return (
+        mass = self.carried[n]
+        text = (
             f"{channel_text(n)}  {number(mass, _digits(mass))} {'kg m²' if n in self.net.turning else 'kg'}"
         )
+        inertias = next((b.inertias for b in self.net.bodies if b.name == n), {})
+        return ", ".join([text, *(f"{axis} {number(i, _digits(i))} kg m²" for axis, i in inertias.items())])
 
     def height(self, p: Piece) -> float:
         if p.element is not None:
@@ -369,6 +384,13 @@ class _Sheet:
                 self.place(q, x, top, bottom, own)
                 x += own
 
+    def ends(self, p: Piece) -> tuple[str, str]:
+        """Upper and lower node of an element's piece as the network has them, points of bodies by their own names."""
+        assert p.element is not None
+        where = p.element.between
+        first, second = where
+        return (first, second) if self.home.get(first, first) == p.top else (second, first)
+
     def draw_element(self, p: Piece, x: float, top: float, bottom: float, wide: float) -> None:
         e = p.element
         assert e is not None
@@ -377,8 +399,10 @@ class _Sheet:
         cx, cy = x + 0.5 * (wide - own) + 20.0, 0.5 * (top + bottom)
         part = f"el:{e.name}"
         colour = "found" if e.name in self.found else "ink"
-        for n in (p.top, p.bottom):
+        for n, own_end in zip((p.top, p.bottom), self.ends(p), strict=True):
             self.x.setdefault(n, []).append(cx)
+            if own_end in self.home:
+                self.attached.setdefault(own_end, []).append(cx)
         half = SYMBOL / 2
 
         def line(points: Sequence[tuple[float, float]], **how: Any) -> None:
@@ -387,12 +411,13 @@ class _Sheet:
 
         line([(0, top - cy), (0, -half)])
         line([(0, half), (0, bottom - cy)])
-        symbol = SYMBOLS.get(e.type, _box("f"))
+        kind = e.type if isinstance(e, el.Element) else "lever"
+        symbol = SYMBOLS.get(kind, _box("f"))
         for points, how in symbol:
             line(points, **how)
-        if e.type not in SYMBOLS or e.type in LETTERED:
+        if kind not in SYMBOLS or kind in LETTERED:
             self.out.words.append(
-                Word(cx, cy + 4, LETTERED.get(e.type, "f"), part, colour, "middle", True, 12.0)
+                Word(cx, cy + 4, LETTERED.get(kind, "f"), part, colour, "middle", True, 12.0)
             )
         at = cy - 6.5 * (len(words) - 1) + 4
         for text, ink, bold in words:
@@ -405,14 +430,23 @@ class _Sheet:
             xs = self.x.get(n) or [60.0]
             part = f"node:{n}"
             middle = 0.5 * (min(xs) + max(xs))
-            if n in net.masses:
+            if n in self.carried:
                 half = max(0.5 * (max(xs) - min(xs)) + 22.0, 0.5 * self.node_width(n))
                 left, right = middle - half, middle + half
+                if any(b.name == n for b in net.bodies):
+                    right = max(right, self.right)
                 corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
                 self.out.strokes.append(Stroke(corners, part, width=1.6, closed=True))
                 self.out.words.append(
                     Word(
-                        middle, 0.5 * (top + bottom) + 4, self.mass_text(n), part, "ink", "middle", True, 12.5
+                        0.5 * (left + right),
+                        0.5 * (top + bottom) + 4,
+                        self.mass_text(n),
+                        part,
+                        "ink",
+                        "middle",
+                        True,
+                        12.5,
                     )
                 )
             else:
@@ -431,6 +465,59 @@ class _Sheet:
                     # a name inside the drawing where it covers nothing: left of its bar
                     self.out.words.append(Word(left - 5, at + 4, channel_text(n), part, "muted", "end"))
             self.edge[n] = (left, right, 0.5 * (top + bottom))
+        for body in net.bodies:
+            if body.name in self.y:
+                self.draw_points(body)
+
+    def draw_points(self, body: Body) -> None:
+        """Draw the points of a body along its lower edge where elements hang, along its upper edge where none does; and its angles."""
+        left, right, _ = self.edge[body.name]
+        top, bottom = self.y[body.name]
+        free = [p.name for p in body.points if p.name not in self.attached]
+        for node in (p.name for p in body.points):
+            part = f"node:{node}"
+            if node in self.attached:
+                xs = self.attached[node]
+                self.out.strokes.append(
+                    Stroke([(min(xs) - 8, bottom), (max(xs) + 8, bottom)], part, width=4.0)
+                )
+                self.y[node] = (bottom, bottom)
+            else:
+                at = left + (right - left) * (free.index(node) + 1) / (len(free) + 1)
+                self.out.strokes.append(
+                    Stroke([(at - 5, top - 7), (at + 5, top - 7), (at, top)], part, closed=True, filled=True)
+                )
+                self.out.words.append(Word(at + 9, top - 4, channel_text(node), part, "muted"))
+            self.edge[node] = self.edge[body.name]
+        for k, (axis, node) in enumerate(body.angles.items()):
+            part, cx, cy = f"node:{node}", right - 14.0 - 24.0 * k, 0.5 * (top + bottom)
+            turn = [
+                (cx + 8 * math.cos(a), cy + 8 * math.sin(a))
+                for a in (0.25 * math.pi * i for i in range(-2, 5))
+            ]
+            self.out.strokes.append(Stroke(turn, part, width=1.2))
+            x, y = turn[-1]
+            self.out.strokes.append(Stroke([(x + 1, y - 5), (x, y), (x + 5, y + 1)], part, width=1.2))
+            self.out.words.append(Word(cx, cy + 3.5, axis[0], part, "muted", "middle", size=9.0))
+            self.edge[node] = self.edge[body.name]
+
+    def height_of(self, n: str) -> float:
+        """Height at which the motion of a node is drawn: of a point where elements hang, the lower edge of its body."""
+        return self.y[n][1] if n in self.attached else self.edge[n][2]
+
+    def keep_column(self, p: Piece, x: float) -> float:
+        """Reserve room at the right of a corner for the distances that are measured there; return where the room ends."""
+        nodes: set[str] = set()
+        todo = [p]
+        while todo:
+            q = todo.pop()
+            nodes |= set(q.element.between) if q.element is not None else set()
+            todo += q.parts
+        for c in self.net.outputs:
+            if c.between is not None and set(c.between) <= nodes:
+                self.columns[c.name] = x + 8.0
+                x += 26.0 + LETTER * len(self.output(c)[0])
+        return x
 
     edge: dict[str, tuple[float, float, float]]
 
@@ -502,6 +589,12 @@ SYMBOLS: Mapping[str, Symbol] = {
     "stribeck_friction": _PLATES,
     "bump_stop": _STOP,
     "backlash": _PLAY,
+    "lever": [
+        ([(0.0, -_HALF), (0.0, -12.0), (-11.0, -12.0), (-11.0, 0.0)], {}),
+        ([(-11.0, 0.0), (11.0, 0.0)], {"width": 2.4}),
+        ([(11.0, 0.0), (11.0, 12.0), (0.0, 12.0), (0.0, _HALF)], {}),
+        ([(0.0, 0.0), (-5.0, 8.0), (5.0, 8.0)], {"closed": True, "filled": True}),
+    ],
     "motor": [
         ([(0.0, -_HALF), (0.0, -12.0)], {}),
         ([(0.0, 12.0), (0.0, _HALF)], {}),
@@ -518,92 +611,113 @@ LETTERED = {
 }
 
 
-def _poles(network: Network, found: Collection[str]) -> tuple[str, str]:
-    """What stands below everything, and what above: the ground or the moved node, and what is farthest from it.
+def _pieces(sheet: _Sheet) -> list[Piece]:
+    """The elements and levers as pieces between drawn nodes: a point of a body is drawn at the body."""
+    out = []
+    between: list[el.Element | Lever] = [e for e in sheet.net.elements if e.place == "between"]
+    for e in (*between, *sheet.net.levers):
+        first, second = e.between
+        top, bottom = (sheet.home.get(n, n) for n in (first, second))
+        out.append(Piece(top, bottom if bottom != top else second, element=e))
+    return out
 
-    As they are without the elements `found`, so that the model stands as it stood before.
+
+def _poles(sheet: _Sheet, pieces: Sequence[Piece]) -> tuple[str, list[str]]:
+    """What stands above everything, and what below: the ground or the moved node, of a car with bodies all of these.
+
+    As they are without the elements that were found, so that the model stands as it stood before.
     """
-    between = [e for e in network.elements if e.place == "between"]
-    between = [e for e in between if e.name not in found] or between
-    nodes = {n for e in between for n in e.where}
+    network = sheet.net
+    known = [p for p in pieces if p.element is not None and p.element.name not in sheet.found] or pieces
+    nodes = {n for p in known for n in (p.top, p.bottom)}
     moved = [c.at for c in network.inputs if c.at in nodes and c.quantity in MOVES]
     bottom = GROUND if GROUND in nodes else moved[0] if moved else min(nodes)
+    bottoms = list(dict.fromkeys([bottom, *map(str, moved)])) if network.bodies else [bottom]
     near: dict[str, set[str]] = {}
-    for e in between:
-        near.setdefault(e.where[0], set()).add(e.where[1])
-        near.setdefault(e.where[1], set()).add(e.where[0])
-    far, ring = {bottom: 0}, [bottom]
+    for p in known:
+        near.setdefault(p.top, set()).add(p.bottom)
+        near.setdefault(p.bottom, set()).add(p.top)
+    far, ring = dict.fromkeys(bottoms, 0), bottoms
     while ring:
         ring = sorted({m for n in ring for m in near[n]} - set(far))
         for n in ring:
             far[n] = 1 + min(far[m] for m in near[n] if m in far)
     # among the farthest: a mass, as a car's body is, and one that is held by the most
-    top = max(
-        far, key=lambda n: (far[n] > 0, n in network.masses, n in moved, far[n], network.masses.get(n, 0.0))
-    )
-    if bottom == GROUND and moved and not network.masses:
+    mass = sheet.carried
+    top = max(far, key=lambda n: (far[n] > 0, n in mass, n in moved, far[n], mass.get(n, 0.0)))
+    if bottom == GROUND and moved and not mass:
         top = str(moved[0])
-    return top, bottom
+    if top in bottoms:
+        top = next(n for p in pieces for n in (p.top, p.bottom) if n != bottom)
+    return top, [n for n in bottoms if n != top]
 
 
 def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
     """The network as a `Drawing`; the elements named in `found` stand out. Raises `InputError` where it has no element."""
-    pieces = [Piece(e.where[0], e.where[1], element=e) for e in network.elements if e.place == "between"]
-    if not pieces:
+    if not any(e.place == "between" for e in network.elements):
         raise InputError("a network without elements between nodes cannot be drawn")
     sheet = _Sheet(network, found)
     sheet.edge = {}
-    top, bottom = _poles(network, sheet.found)
-    if top == bottom:
-        top = next(n for p in pieces for n in (p.top, p.bottom) if n != bottom)
-    rest = reduced(pieces, {top, bottom})
-    main = [p for p in rest if {p.top, p.bottom} == {top, bottom}]
+    pieces = _pieces(sheet)
+    top, bottoms = _poles(sheet, pieces)
+    rest = reduced(pieces, {top, *bottoms})
+    main = [p for p in rest if top in (p.top, p.bottom) and {p.top, p.bottom} & set(bottoms)]
     others = [p for p in rest if p not in main]
     margin, head = 90.0, 46.0
     x = margin
-    tallest = max([sheet.height(p) for p in main] + [_levels_height(sheet, others, top, bottom)])
+    tallest = max([sheet.height(p) for p in main] + [_levels_height(sheet, others, top, bottoms)])
     sheet.y[top] = (head, head + sheet.tall(top))
     begin = sheet.y[top][1]
-    sheet.y[bottom] = (begin + tallest, begin + tallest + sheet.tall(bottom))
+    for bottom in bottoms:
+        sheet.y[bottom] = (begin + tallest, begin + tallest + sheet.tall(bottom))
     for p in main:
         wide = sheet.width(p)
         sheet.place(p.reads(top), x, begin, begin + tallest, wide)
         x += wide
+        if network.bodies:
+            x = sheet.keep_column(p, x)
     if others:
-        x = _place_others(sheet, others, top, bottom, x, begin, tallest)
+        x = _place_others(sheet, others, top, bottoms, x, begin, tallest)
+    sheet.right = x
     sheet.draw_nodes()
     _signals(sheet, x)
     return sheet.out
 
 
-def _depths(pieces: Sequence[Piece], top: str, bottom: str) -> dict[str, int]:
+def _depths(pieces: Sequence[Piece], top: str, bottoms: Collection[str]) -> dict[str, int]:
     """Rows of the nodes of what is no series or parallel group, from the top down."""
     near: dict[str, set[str]] = {}
     for p in pieces:
         near.setdefault(p.top, set()).add(p.bottom)
         near.setdefault(p.bottom, set()).add(p.top)
     # the voltages of a chain of resistors: every inner node between its neighbours
-    level = {n: 0.0 if n == top else 1.0 if n == bottom else 0.5 for n in near}
+    level = {n: 0.0 if n == top else 1.0 if n in bottoms else 0.5 for n in near}
     for _ in range(200):
         for n in near:
-            if n not in (top, bottom):
+            if n != top and n not in bottoms:
                 level[n] = sum(level[m] for m in near[n]) / len(near[n])
-    order = sorted((n for n in near if n not in (top, bottom)), key=lambda n: (round(level[n], 6), n))
+    order = sorted((n for n in near if n != top and n not in bottoms), key=lambda n: (round(level[n], 6), n))
     return {n: k + 1 for k, n in enumerate(order)}
 
 
-def _levels_height(sheet: _Sheet, pieces: Sequence[Piece], top: str, bottom: str) -> float:
+def _levels_height(sheet: _Sheet, pieces: Sequence[Piece], top: str, bottoms: Collection[str]) -> float:
     if not pieces:
         return 0.0
-    rows = len(_depths(pieces, top, bottom)) + 1
+    rows = len(_depths(pieces, top, bottoms)) + 1
     return rows * (max(map(sheet.height, pieces)) + BOX)
 
 
 def _place_others(
-    sheet: _Sheet, pieces: Sequence[Piece], top: str, bottom: str, x: float, begin: float, tallest: float
+    sheet: _Sheet,
+    pieces: Sequence[Piece],
+    top: str,
+    bottoms: Collection[str],
+    x: float,
+    begin: float,
+    tallest: float,
 ) -> float:
     """What is neither in series nor in parallel: each node on a row of its own, each piece in a column."""
-    depth = _depths(pieces, top, bottom)
+    depth = _depths(pieces, top, bottoms)
     pitch = tallest / (len(depth) + 1)
     for n, k in depth.items():
         at = begin + k * pitch - 0.5 * sheet.tall(n)
@@ -639,7 +753,8 @@ def _signals(sheet: _Sheet, x: float) -> None:
         if node not in sheet.edge:
             continue
         _, end, at = sheet.edge[node]
-        k = used[node] = used.get(node, -1) + 1
+        stack = sheet.home.get(node, node)
+        k = used[stack] = used.get(stack, -1) + 1
         part = f"ch:{c.name}"
         ax, ay = end + 14.0, at + 17.0 * k
         # what is positive points up; what is moved goes both ways
@@ -647,13 +762,17 @@ def _signals(sheet: _Sheet, x: float) -> None:
         out.words.append(Word(ax + 9, ay + 4, words, part, ink))
         taken[node] = max(taken.get(node, 0.0), ax + 12 + LETTER * 1.03 * len(words))
         widest = max(widest, taken[node])
-    column = widest + 16.0
+    beside = widest + 16.0
     for c in net.outputs:
         if c.between is None or not set(c.between) <= set(sheet.edge):
             continue
         part = f"ch:{c.name}"
-        ys = [sheet.edge[n][2] for n in c.between]
+        own = sheet.columns.get(c.name)
+        column = beside if own is None else own
+        ys = [sheet.height_of(n) for n in c.between]
         for n, y in zip(c.between, ys, strict=True):
+            if n in sheet.attached:  # the arrow reaches the body itself
+                continue
             start = max(sheet.edge[n][1], taken.get(n, 0.0)) + 4
             out.strokes.append(Stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True))
         _arrow(sheet, column, max(ys), min(ys), part, both=True)
@@ -661,8 +780,9 @@ def _signals(sheet: _Sheet, x: float) -> None:
         # beside the arrow, not at the height of a node
         place = min(ys) + 0.5 * (max(ys) - min(ys))
         out.words.append(Word(column + 7, place, text, part, ink))
-        column += 26.0 + LETTER * len(text)
-        widest = max(widest, column)
+        if own is None:
+            beside += 26.0 + LETTER * len(text)
+            widest = max(widest, beside)
     low = min(
         [a for s in out.strokes for a, _ in s.points]
         + [w.x - (LETTER * len(w.text) if w.anchor == "end" else 0) for w in out.words]

@@ -20,7 +20,8 @@ from ..units import CONDITIONS
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 NAMES = ("isd-model-1", "isd-score-1", "isd-diagnosis-1", "isd-plan-1", "isd-unmeasured-1", "isd-map-1")
 
-MOTION = ("displacement", "velocity", "acceleration", "angle", "angular_velocity", "angular_acceleration")
+ANGULAR = ("angle", "angular_velocity", "angular_acceleration")
+MOTION = ("displacement", "velocity", "acceleration", *ANGULAR)
 
 
 def load(name: str) -> dict[str, Any]:
@@ -36,7 +37,7 @@ def model_schema() -> dict[str, Any]:
     """Schema of `isd-model/1` with every element type that is registered."""
     from ..elements import TYPES
     from ..network import SCHEMA
-    from ..network.model import MASSES
+    from ..network.bodies import MASSES
 
     types = sorted(TYPES)
     return {
@@ -61,6 +62,18 @@ def model_schema() -> dict[str, Any]:
                 "type": "object",
                 "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
                 "additionalProperties": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1]},
+            },
+            "bodies": {
+                "description": "rigid bodies by name: the name is the node at the centre of gravity, every point a node that "
+                "moves by z - x pitch + y roll (ISO 8855: x forward, y left, z up)",
+                "type": "object",
+                "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
+                "additionalProperties": {"$ref": "#/$defs/body"},
+            },
+            "levers": {
+                "description": "motion of the first node is ratio times motion of the second",
+                "type": "array",
+                "items": {"$ref": "#/$defs/lever"},
             },
             "elements": {
                 "type": "array",
@@ -98,11 +111,73 @@ def model_schema() -> dict[str, Any]:
                 "maxItems": 2,
                 "uniqueItems": True,
             },
+            "body": _body(),
+            "lever": _lever(),
             "input": _input(),
             "output": _output(),
         }
         | {kind: _element(TYPES[kind]) for kind in types},
     }
+
+
+def _body() -> dict[str, Any]:
+    """Return the schema of a rigid body."""
+    from ..network.bodies import AXES, FARTHEST, MASSES
+
+    inertia = {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1], "description": "[kg m^2]"}
+    place = {"type": "number", "minimum": -FARTHEST, "maximum": FARTHEST}
+    return {
+        "description": "a mass that turns about the axes for which it has an inertia",
+        "type": "object",
+        "required": ["mass"],
+        "additionalProperties": False,
+        "properties": {
+            "mass": {"type": "number", "minimum": MASSES[0], "maximum": MASSES[1], "description": "[kg]"},
+            "inertia": {
+                "type": "object",
+                "additionalProperties": False,
+                "properties": dict.fromkeys(AXES, inertia),
+            },
+            "points": {
+                "type": "object",
+                "propertyNames": {"not": {"const": "ground"}, "minLength": 1},
+                "additionalProperties": {
+                    "type": "object",
+                    "additionalProperties": False,
+                    "properties": {
+                        "x": place | {"description": "[m] in front of the centre of gravity"},
+                        "y": place | {"description": "[m] to the left of the centre of gravity"},
+                    },
+                },
+            },
+        },
+    }
+
+
+def _lever() -> dict[str, Any]:
+    """Return the schema of a lever."""
+    from ..network.bodies import LEVER_UNITS, RATIOS
+
+    size = {"type": "number", "minimum": RATIOS[0], "maximum": RATIOS[1]}
+    opposite = {"type": "number", "minimum": -RATIOS[1], "maximum": -RATIOS[0]}
+    return {
+        "type": "object",
+        "required": ["name", "between", "ratio", "unit"],
+        "additionalProperties": False,
+        "properties": {
+            "name": {"$ref": "#/$defs/name"},
+            "between": {"$ref": "#/$defs/pair", "not": {"contains": {"const": "ground"}}},
+            "ratio": {"anyOf": [size, opposite]},
+            "unit": {"enum": list(LEVER_UNITS)},
+        },
+    }
+
+
+def _about(quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a channel about an axis of a body."""
+    from ..network.bodies import AXES
+
+    return _channel({"body": {"$ref": "#/$defs/name"}, "axis": {"enum": list(AXES)}}, quantities, more)
 
 
 def _element(cls: type) -> dict[str, Any]:
@@ -192,6 +267,7 @@ def _input() -> dict[str, Any]:
         "may depend on",
         "oneOf": [
             _channel({"at": name}, (*MOTION, "force", "torque"), no_offset | road),
+            _about((*ANGULAR, "torque"), no_offset | road),
             _channel({"element": name}, ("current", "voltage"), no_offset),
             _channel({}, CONDITIONS, no_offset),
         ],
@@ -216,6 +292,7 @@ def _output() -> dict[str, Any]:
         "description": "motion at a node or between two; force of an element (or the sum of several), or at a moved node",
         "oneOf": [
             _channel({"at": name}, (*MOTION, "force", "torque"), offset),
+            _about(ANGULAR, offset),
             _channel({"between": {"$ref": "#/$defs/pair"}}, MOTION, offset),
             _channel({"element": several}, ("force", "torque"), offset),
         ],

@@ -87,6 +87,8 @@ class Deconvolution:
                 Channel(name, "current", "A", element=name),
             ),
             tuple(outputs),
+            bodies=network.bodies,
+            levers=network.levers,
         )
         space = linearise(probe)
         time = float(np.median([pace(trace.measured[n], step) for n in names]))

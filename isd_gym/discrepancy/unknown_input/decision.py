@@ -200,7 +200,13 @@ def decide(
     else:
         fitted = model.network(fit.x)
         outside = tuple(e for e in nominal.elements if e.place != "between")
-        found_model = replace(nominal, masses=fitted.masses, elements=(*fitted.elements, *outside))
+        found_model = replace(
+            nominal,
+            masses=fitted.masses,
+            bodies=fitted.bodies,
+            levers=fitted.levers,
+            elements=(*fitted.elements, *outside),
+        )
     if verdict == "unknown_effect":
         estimates = replace(estimates, determined=())
     return UnknownInputResult(

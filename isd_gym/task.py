@@ -1,0 +1,338 @@
+"""What a single and a vector environment share: their options, spaces, sensors, cost, limits and pictures."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+
+from . import elements as el
+from .batch import CURRENT_LIMIT, Batch
+from .cost import StageCost
+from .errors import InputError, shown
+from .network import GROUND, Network
+from .road import Road, road
+from .sensors import Sensors, Sight
+from .vehicle import Vehicle, state_channels, vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from .rendering import Snapshot
+
+CONTROL_STEP = 5e-3  # s
+STATE_BOUND = 1e3  # m or m/s, of the full observation
+ROAD_BOUND = 10.0  # m, of the preview
+GRAVITY = 9.81  # m/s^2
+PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
+PICTURE_PAST = 4.0  # s of its curves
+Past = deque[tuple[float, float, float]]  # a `moment` per control step
+OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options that a single and a vector environment have in common.
+
+    Raises:
+        InputError: A value is none that the environment takes.
+    """
+
+    # built-in name, file or content (`isd-model/1`), or the network itself
+    network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd"
+    # paper, A ... H, bump, pothole, sweep, a file, a sum such as C+bump, or the road itself
+    road: str | Road = "paper"
+    # [m/s]
+    speed: float = 20.0
+    # measured, full or preview
+    observation: str = "measured"
+    # stage cost, or those of its attributes that differ from the usual ones
+    cost: StageCost | Mapping[str, Any] | None = None
+    # ranges drawn at every reset: factors on parameters of the network, speeds [m/s], roads
+    randomize: Mapping[str, Any] | None = None
+    # [s]
+    control_step: float = CONTROL_STEP
+    # road ahead of the first axle that an observation shows [s]
+    preview: float = 0.25
+    # length of roads that are drawn whole [s]
+    duration: float = 20.0
+    # imperfections of the sensors
+    sensors: Sensors | Mapping[str, Any] | str | None = None
+
+    def __post_init__(self) -> None:
+        if self.observation not in OBSERVATIONS:
+            raise InputError(
+                f"observation must be one of {', '.join(OBSERVATIONS)}, not {shown(self.observation)}"
+            )
+        if not (isinstance(self.speed, int | float) and math.isfinite(self.speed) and self.speed > 0):
+            raise InputError(f"speed must be a positive number of m/s, not {shown(self.speed)}")
+        network = Network.load(self.network)
+        put = object.__setattr__
+        put(self, "network", network)
+        put(self, "road", road(self.road))
+        put(self, "cost", StageCost.of(self.cost, vehicle(network).axes))
+        put(self, "sensors", Sensors.of(self.sensors))
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Options:
+        """Return the options of a mapping, the usual ones where a name is missing.
+
+        Args:
+            given: Options by name.
+
+        Raises:
+            TypeError: There is no option of a name; libraries that try options of other environments rely on it.
+            InputError: A value is none that the environment takes.
+        """
+        known = [f.name for f in fields(cls)]
+        for key in given:
+            if key not in known:
+                raise TypeError(
+                    f"the environment got an unexpected keyword argument {shown(key)}; options are {', '.join(known)}"
+                )
+        return cls(**given)
+
+
+class Task:
+    """Cars with the spaces, sensors, costs and limits of the environments.
+
+    Attributes:
+        options: Options of the environment.
+        network: Network of the cars.
+        vehicle: The network as a car.
+        batch: Cars on their roads.
+        labels: Name and unit of each number of an observation.
+        step_info: Names of the numbers in `info` of a step beside the speed, in the order of `Batch.judged`.
+        is_faulty: Whether a policy sees anything else than the exact signals.
+    """
+
+    def __init__(self, count: int, options: Options, *, picture: bool = False, threads: int = 1) -> None:
+        """Make `count` cars.
+
+        Args:
+            count: Number of cars.
+            options: Options of the environment.
+            picture: Whether pictures of the cars will be drawn.
+            threads: Number of threads that share the cars.
+        """
+        assert isinstance(options.network, Network) and isinstance(options.cost, StageCost)
+        assert isinstance(options.sensors, Sensors)
+        self.options, self.network, self.cost = options, options.network, options.cost
+        self.vehicle: Vehicle = vehicle(self.network)
+        if picture and len(self.vehicle.corners) > 1:
+            raise InputError(
+                f"network '{self.network.name}' has {len(self.vehicle.corners)} corners, and pictures show a quarter car: "
+                "leave render_mode out"
+            )
+        self.measured = self.vehicle.measured
+        self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads)
+        speed, control_step = options.speed, options.control_step
+        extra = state_channels(self.network) if options.observation == "full" or picture else []
+        self.points = round(options.preview / control_step) if options.observation == "preview" else 0
+        look = self.points * control_step
+        if picture:  # the road in front of the car is part of the picture
+            slowest = min(speed, *(options.randomize or {}).get("speed", (speed,)))
+            look = max(look, PICTURE_WINDOW / slowest)
+            look = control_step * math.ceil(look / control_step)
+        self.batch = Batch(
+            count,
+            self.network,
+            road_=options.road,
+            speed=speed,
+            control_step=control_step,
+            duration=options.duration,
+            randomize=options.randomize,
+            preview=look,
+            extra=extra,
+        )
+        of = self.batch.of
+        self._make_spaces(extra)
+        self.batch.judge(
+            self.cost.factors(self.vehicle.axes, of.corners, of.currents),
+            [signal.bound for signal in self.measured[: of.measured]],
+            width=self.width,
+            shows=OBSERVATIONS.index(options.observation),
+            lifted=[(0.0,) * of.corners] * of.signals + [self.vehicle.shares(c) for c in extra],
+            threads=threads,
+        )
+        names = [signal.name for signal in self.measured]
+        self._channel_faults = [
+            e for e in self.network.elements if e.place == "channel" and e.where[0] in names
+        ]
+        for e in self._channel_faults:
+            if isinstance(e, el.SensorDelay) and e.delay < 0:
+                raise InputError(
+                    f"element '{e.name}': no sensor of an environment can lead; delay must be >= 0 s"
+                )
+        self._histories: dict[str, np.ndarray] = {}
+        self.sensors = options.sensors
+        self._sight = (
+            None
+            if self.sensors.perfect
+            else Sight(
+                self.sensors,
+                count,
+                [signal.kind for signal in self.measured],
+                of.tracks,
+                self.points,
+                control_step,
+            )
+        )
+        self.is_faulty = bool(self._channel_faults) or self._sight is not None
+
+    def _make_spaces(self, extra: list[Any]) -> None:
+        high = [signal.bound for signal in self.measured]
+        self.labels = [f"{signal.name} [{signal.unit}]" for signal in self.measured]
+        step, tracks = self.options.control_step, self.batch.of.tracks
+        if self.options.observation == "full":
+            high += [STATE_BOUND] * len(extra)
+            self.labels += [
+                f"{c.name} [{c.unit}]" + (", above the road" if any(self.vehicle.shares(c)) else "")
+                for c in extra
+            ]
+        elif self.options.observation == "preview":
+            high += [ROAD_BOUND] * self.points * tracks
+            sides = [""] if tracks == 1 else ["left ", "right "]
+            self.labels += [
+                f"{side}road ahead {(i + 1) * step:.3f} s [m]" for side in sides for i in range(self.points)
+            ]
+        self.high = np.array(high, np.float32)
+        self.width = len(high)
+        currents = self.batch.of.currents
+        self.action_space = spaces.Box(-CURRENT_LIMIT, CURRENT_LIMIT, (currents,), np.float32)
+        self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
+
+    def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Return the observations (cars, width) of cars at rest at the start of their roads.
+
+        Args:
+            which: Numbers of the cars.
+        """
+        obs = np.zeros((self.batch.count, self.width), np.float32)[which]
+        if self.points:
+            tracks = range(self.batch.of.tracks)
+            ahead = [self.batch.road_ahead(self.points, track)[which] for track in tracks]
+            obs[:, len(self.measured) :] = np.hstack(ahead)
+        return self._sense(obs, which, first=True) if self.is_faulty else obs
+
+    def observe(self) -> np.ndarray:
+        """Return the observations (count, width) float32 after a step; those of cars that broke are clipped to their bounds."""
+        obs = self.batch.seen
+        if self.is_faulty:
+            obs = self._sense(obs)
+        if self.batch.broken:
+            obs = np.clip(np.nan_to_num(obs), -self.high, self.high)
+        return obs
+
+    def _sense(
+        self, obs: np.ndarray, which: np.ndarray | slice = slice(None), *, first: bool = False
+    ) -> np.ndarray:
+        """Return what is reported of exact observations: faults of the model's channels, then `sensors`.
+
+        The physics and the reward have the exact signals.
+        """
+        names = [signal.name for signal in self.measured]
+        step = self.batch.control_step
+        for e in self._channel_faults:
+            j = names.index(e.where[0])
+            if isinstance(e, el.SensorDelay):  # what `apply` does to a record, a sample at a time
+                low, part = int(e.delay / step), e.delay / step % 1.0
+                past = self._histories.setdefault(e.name, np.zeros((low + 2, self.batch.count)))
+                past[1:, which] = past[:-1, which]
+                past[0, which] = obs[:, j]
+                obs[:, j] = (1 - part) * past[low, which] + part * past[low + 1, which]
+            else:
+                obs[:, j] = e.apply(obs[:, j], step)
+        if self._sight is not None:
+            obs = self._sight.see(obs, self.batch.speeds[which], which, first=first)
+        return np.clip(obs, -self.high, self.high)
+
+    def forget(self, i: int, rng: np.random.Generator) -> None:
+        """Let car i start on a new road.
+
+        Args:
+            i: Number of the car.
+            rng: Generator of the car, after it has drawn the road.
+        """
+        if self._sight is not None:
+            self._sight.begin(i, rng)
+        for past in self._histories.values():
+            past[:, i] = 0.0
+
+
+def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[str, float]]:
+    """Return a function that makes `info` of a speed and of what the kernel tells of a car.
+
+    A display of a dictionary takes a third of the time of `dict` and `zip`.
+
+    Args:
+        names: Names of the numbers behind the first one that the kernel tells.
+    """
+    pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))
+    return eval(f"lambda speed, told: {{'speed': speed, {pairs}}}")
+
+
+def moment(task: Task, i: int, steps: int) -> tuple[float, float, float]:
+    """Return time [s], body acceleration [m/s^2] and suspension travel [m] of a car, for the curves of a picture.
+
+    Args:
+        task: Cars.
+        i: Number of the car.
+        steps: Control steps since its start.
+    """
+    out = task.batch.out
+    return steps * task.batch.control_step, float(out[0, i]), float(out[1, i])
+
+
+def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, past: Past, cost: float) -> Snapshot:
+    """Return a quarter car as a picture shows it.
+
+    Args:
+        task: Cars.
+        i: Number of the car.
+        steps: Control steps since its start.
+        trail: Road that the car has come over [m], a height per control step.
+        past: Moments of the curves.
+        cost: Mean cost so far.
+    """
+    from .rendering import Snapshot
+
+    batch, net = task.batch, task.network
+    of, out, corner = batch.of, batch.out[:, i], task.vehicle.corners[0]
+    place = {
+        c.name.removesuffix("_displacement"): float(out[j])
+        for j, c in enumerate(batch.channels)
+        if c.name.endswith("_displacement")
+    }
+    first, second = (
+        (n if n != GROUND else None for n in corner.device) if corner.motor is not None else (None, None)
+    )
+    masses = list(net.masses)
+    stops = [e for e in net.elements if isinstance(e, el.BumpStop) and e.between == (first, second)]
+    height, step = float(batch.road_height[i]), batch.control_step * float(batch.speeds[i])
+    return Snapshot(
+        time=steps * batch.control_step,
+        body=place[corner.body],
+        wheel=place[corner.wheel],
+        piston=place.get(str(first)) if first not in masses else None,
+        joint=place.get(str(second)) if second not in masses else None,
+        road_profile=np.concatenate([trail, height + batch.road_ahead()[i]]),
+        road_step=step,
+        road_behind=(len(trail) - 1) * step,
+        speed=float(batch.speeds[i]),
+        current=float(batch.current[i]),
+        current_limit=CURRENT_LIMIT if first is not None else None,
+        body_acceleration=float(out[0]),
+        suspension_travel=float(out[of.accelerations]),
+        tyre_load=float(out[of.measured]),
+        static_tyre_load=GRAVITY * sum(net.masses.values()),
+        device_travel_limit=stops[0].clearance if stops else None,
+        label=net.name,
+        cost=cost,
+        past=tuple(past),
+    )

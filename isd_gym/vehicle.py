@@ -1,0 +1,318 @@
+"""Cars as the environment sees a network: motions of the body, corners with a suspension and a wheel, and their signals.
+
+A corner is a road input with the wheel that stands on it. A network without rigid bodies is a quarter car: body and wheel are
+its first two masses. In a network with a rigid body, each wheel carries the body's point that is nearest along the elements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+from . import elements as el
+from .errors import InputError
+from .network import GROUND, Channel, Network
+from .tracks import WheelPositions
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+CURRENT_LIMIT = 5.0  # A, Table 5
+SLEW_LIMIT = 0.5  # A per control step, Table 5
+AXES = ("pitch", "roll")
+ROAD = "road_"  # how the road inputs of cars with several corners begin
+
+
+class Signal(NamedTuple):
+    """A measured signal: its name, unit, and the bound of its absolute value in an observation.
+
+    Attributes:
+        name: Name, with the name of the corner behind it.
+        unit: SI unit.
+        bound: Largest absolute value [unit].
+        kind: Name without the name of the corner.
+    """
+
+    name: str
+    unit: str
+    bound: float
+    kind: str
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A wheel, its suspension and the road under it.
+
+    Attributes:
+        name: Name, '' in a quarter car, else as 'front' or 'rear_left'.
+        body: Node of the body above the suspension.
+        wheel: Node of the wheel.
+        device: Nodes between which the motor acts; body and wheel where there is no motor.
+        road: Node that the road moves.
+        road_input: Name of the input that moves it.
+        motor: Name of the motor; None where there is none.
+        current_input: Name of the motor's input; None where there is none.
+        x: Distance in front of the centre of gravity [m].
+        y: Distance to the left of the centre of gravity [m].
+    """
+
+    name: str
+    body: str
+    wheel: str
+    device: tuple[str, str]
+    road: str
+    road_input: str
+    motor: str | None
+    current_input: str | None
+    x: float = 0.0
+    y: float = 0.0
+
+    def named(self, signal: str) -> str:
+        """Return the name of a signal of this corner.
+
+        Args:
+            signal: Name of the signal, without the name of the corner.
+        """
+        return f"{signal}_{self.name}" if self.name else signal
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A network as a car.
+
+    Attributes:
+        network: Network.
+        body: Node of the body, at its centre of gravity.
+        angles: Node of the body's angle about each axis that the body turns about, 'pitch' before 'roll'.
+        corners: Corners in the order of the road inputs.
+    """
+
+    network: Network
+    body: str
+    angles: dict[str, str]
+    corners: tuple[Corner, ...]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes about which the body turns."""
+        return tuple(self.angles)
+
+    @cached_property
+    def wheels(self) -> WheelPositions:
+        """Positions of the wheels, and with them the tracks of the road.
+
+        Raises:
+            InputError: The wheels run in more than two tracks.
+        """
+        return WheelPositions(tuple(c.x for c in self.corners), tuple(c.y for c in self.corners))
+
+    @cached_property
+    def driven(self) -> tuple[Corner, ...]:
+        """Corners with a commanded current, in the order of an action; all of them where no corner has a motor."""
+        return tuple(c for c in self.corners if c.motor is not None) or self.corners
+
+    @cached_property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels of the network that the environment reads: accelerations, four signals of each corner, tyre loads."""
+        out = [Channel("body_acceleration", "acceleration", "m/s^2", at=self.body)]
+        out += [
+            Channel(f"{axis}_acceleration", "acceleration", "rad/s^2", at=n)
+            for axis, n in self.angles.items()
+        ]
+        for c in self.corners:
+            pairs = (("suspension_travel", (c.body, c.wheel)), ("device_travel", c.device))
+            for name, pair in pairs:
+                out.append(Channel(c.named(name), "displacement", "m", between=pair))
+                out.append(Channel(c.named(f"{name}_rate"), "velocity", "m/s", between=pair))
+        out += [Channel(c.named("tyre_load"), "force", "N", at=c.road) for c in self.corners]
+        return tuple(out)
+
+    @cached_property
+    def measured(self) -> tuple[Signal, ...]:
+        """Measured signals in the order of an observation, the currents at its end."""
+        out = [
+            Signal("body_acceleration", "m/s^2", 200.0, "body_acceleration"),
+            *(Signal(f"{axis}_acceleration", "rad/s^2", 200.0, f"{axis}_acceleration") for axis in self.axes),
+        ]
+        for c in self.corners:
+            for name in ("suspension_travel", "device_travel"):
+                out.append(Signal(c.named(name), "m", 1.0, name))
+                out.append(Signal(c.named(f"{name}_rate"), "m/s", 50.0, f"{name}_rate"))
+        return (*out, *(Signal(c.named("current"), "A", CURRENT_LIMIT, "current") for c in self.driven))
+
+    @property
+    def costs(self) -> tuple[str, ...]:
+        """Names of the terms of the cost."""
+        return tuple(
+            f"cost_{name}" for name in ("acceleration", *self.axes, "travel", "tyre_load", "current")
+        )
+
+    @property
+    def tyre_loads(self) -> tuple[str, ...]:
+        """Names of the dynamic tyre loads."""
+        return tuple(c.named("tyre_load") for c in self.corners)
+
+    def shares(self, channel: Channel) -> tuple[float, ...]:
+        """Return the share of the road's height under each corner that belongs to the reference of a node's displacement.
+
+        A node of a corner is above the road of that corner, a node of the body above the mean of all.
+
+        Args:
+            channel: Channel `at` a node.
+        """
+        count = len(self.corners)
+        if channel.quantity != "displacement" or channel.at in self.angles.values():
+            return (0.0,) * count
+        node = str(channel.at)
+        if count > 1 and node != self.body:
+            ends = {n: i for i, c in enumerate(self.corners) for n in (c.body, c.wheel)}
+            near = _nearest(self.network, node, ends)
+            if near is not None:
+                return tuple(float(i == ends[near]) for i in range(count))
+        return (1.0 / count,) * count
+
+
+def vehicle(network: Network) -> Vehicle:
+    """Return a network as a car.
+
+    Args:
+        network: Network with a body, and a wheel on each road input.
+
+    Raises:
+        InputError: The network is no car, or a corner has several motors.
+    """
+    if network.bodies:
+        return _with_body(network)
+    masses = list(network.masses)
+    if len(masses) < 2 or not any(c.quantity == "displacement" for c in network.moving):
+        raise InputError(
+            f"network '{network.name}' is no car: it needs two masses and a displacement input (the road)"
+        )
+    currents = [c for c in network.inputs if c.quantity == "current"]
+    if len(currents) > 1:
+        raise InputError(
+            f"network '{network.name}' has {len(currents)} currents and no rigid body: the environment of a car with several "
+            'corners needs a body with points ("bodies")'
+        )
+    body, wheel = masses[0], masses[1]
+    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
+    road_input = next(c.name for c in network.inputs if c.quantity == "displacement")
+    corner = Corner(
+        "",
+        body,
+        wheel,
+        motor.between if motor is not None else (body, wheel),
+        network.moved_nodes[0],
+        road_input,
+        motor.name if motor is not None else None,
+        currents[0].name if currents else None,
+    )
+    return Vehicle(network, body, {}, (corner,))
+
+
+def _with_body(network: Network) -> Vehicle:
+    body = network.bodies[0]
+    points = {p.name: p for p in body.points}
+    place = {body.name: (0.0, 0.0)} | {p.name: (p.x, p.y) for p in body.points}
+    roads = [c for c in network.moving if c.quantity == "displacement"]
+    if not roads:
+        raise InputError(
+            f"network '{network.name}' is no car: it needs a displacement input (the road) under each wheel"
+        )
+    wheels: dict[str, str] = {}  # by road input
+    for c in roads:
+        wheel = _nearest(
+            network, str(c.at), set(network.masses) - {body.name, *body.angles.values()}, stop=points
+        )
+        if wheel is None or wheel in wheels.values():
+            raise InputError(
+                f"network '{network.name}' is no car: no wheel of its own, a mass, stands on the road '{c.name}'"
+            )
+        wheels[c.name] = wheel
+    motors: dict[str, el.Motor] = {}
+    for e in network.elements:
+        if isinstance(e, el.Motor):
+            wheel = _nearest(network, e.between, set(wheels.values()), stop=points)
+            if wheel is None or wheel in motors:
+                raise InputError(
+                    f"network '{network.name}': motor '{e.name}' is not the only one of a wheel; the environment drives "
+                    "one at each"
+                )
+            motors[wheel] = e
+    corners = []
+    for c in roads:
+        wheel = wheels[c.name]
+        above = _nearest(network, wheel, place)
+        if above is None:
+            raise InputError(
+                f"network '{network.name}' is no car: wheel '{wheel}' does not carry the body '{body.name}'"
+            )
+        motor = motors.get(wheel)
+        current = None
+        if motor is not None:
+            current = next((i.name for i in network.inputs if motor.name in i.elements), None)
+            if current is None:
+                raise InputError(
+                    f"network '{network.name}': motor '{motor.name}' has no input with \"quantity\": \"current\""
+                )
+        x, y = place[above]
+        device = motor.between if motor is not None else (above, wheel)
+        corners.append(
+            Corner(
+                c.name.removeprefix(ROAD), above, wheel, device, str(c.at), c.name,
+                motor.name if motor is not None else None, current, x, y,
+            )
+        )  # fmt: skip
+    return Vehicle(network, body.name, {a: body.angles[a] for a in AXES if a in body.angles}, tuple(corners))
+
+
+def _nearest(
+    network: Network, start: str | Iterable[str], wanted: Collection[str], *, stop: Collection[str] = ()
+) -> str | None:
+    """Return the node of `wanted` that is the fewest elements away from `start`; paths do not lead through `stop`."""
+    frontier = [start] if isinstance(start, str) else list(start)
+    reached = set(frontier)
+    while frontier:
+        for node in frontier:
+            if node in wanted:
+                return node
+        following = []
+        for node in frontier:
+            if node in stop:
+                continue
+            for e in network.elements:
+                if e.place == "between" and node in e.where:
+                    other = e.where[1] if e.where[0] == node else e.where[0]
+                    if other != GROUND and other not in reached:
+                        reached.add(other)
+                        following.append(other)
+        frontier = following
+    return None
+
+
+def signal_channels(network: Network) -> list[Channel]:
+    """Return the signals of a car as channels of its network, see `Vehicle.channels`.
+
+    Args:
+        network: Network.
+
+    Raises:
+        InputError: The network is no car.
+    """
+    return list(vehicle(network).channels)
+
+
+def state_channels(network: Network) -> list[Channel]:
+    """Return displacement and velocity of every free node, for the full observation and for pictures.
+
+    Args:
+        network: Network.
+    """
+    points = {p.name for body in network.bodies for p in body.points}  # they follow the body
+    out = []
+    for node in network.nodes:
+        if node not in points and node not in network.moved_nodes:
+            for quantity in ("displacement", "velocity"):
+                out.append(network.probe(f"{node}_{quantity}", quantity, at=node))
+    return out

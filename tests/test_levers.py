@@ -1,0 +1,332 @@
+"""Levers: a ratio between two nodes moves forces, springs and inertias as mechanics says."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+import reference
+
+from isd_gym import simulate
+from isd_gym.errors import InputError
+from isd_gym.network import Network, assemble, cut, transfer
+from isd_gym.report.schematic import draw
+
+FREQUENCY = np.geomspace(0.05, 60.0, 60)
+
+
+def element(name, kind, first, second, **parameters):
+    return {"name": name, "type": kind, "between": [first, second], **parameters}
+
+
+def lever(name, first, second, ratio, unit="m/m"):
+    return {"name": name, "between": [first, second], "ratio": ratio, "unit": unit}
+
+
+def model(masses, elements, inputs, outputs, levers=(), **more):
+    out = {
+        "schema": "isd-model/1",
+        "masses": masses,
+        "elements": elements,
+        "inputs": inputs,
+        "outputs": outputs,
+    }
+    return Network.from_dict(out | {"levers": list(levers)} | more)
+
+
+PUSH = {"name": "push", "quantity": "force", "at": "mass", "unit": "N"}
+MOTION = [
+    {"name": "place", "quantity": "displacement", "at": "mass", "unit": "m"},
+    {"name": "shock", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
+]
+
+
+def agree(one, other):
+    a, b = transfer(one, FREQUENCY), transfer(other, FREQUENCY)
+    assert np.abs(a / b - 1.0).max() < 1e-9
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 3.0, -2.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_spring_and_damper_behind_a_lever_count_with_the_square_of_its_ratio(ratio, turned):
+    """z_rocker = ratio z_mass, whichever of the two the file names first."""
+    behind = [
+        element("spring", "linear_stiffness", "rocker", "ground", stiffness=4e3),
+        element("damper", "linear_damping", "rocker", "ground", damping=30.0),
+    ]
+    tie = lever("arm", "mass", "rocker", 1.0 / ratio) if turned else lever("arm", "rocker", "mass", ratio)
+    levered = model({"mass": 8.0}, behind, [PUSH], MOTION, [tie])
+    direct = [
+        element("spring", "linear_stiffness", "mass", "ground", stiffness=4e3 * ratio**2),
+        element("damper", "linear_damping", "mass", "ground", damping=30.0 * ratio**2),
+    ]
+    agree(levered, model({"mass": 8.0}, direct, [PUSH], MOTION))
+
+
+def test_a_motion_ratio_on_both_sides_of_a_spring_acts_on_its_elongation():
+    """A quarter car whose strut sits inboard at 0.7 of the wheel's travel: two levers of equal ratio."""
+    data = Network.load("quarter-car-passive").to_dict()
+    inboard = copy.deepcopy(data)
+    for e in inboard["elements"]:
+        if e["name"] in ("main_spring", "damper"):
+            e["between"] = ["inboard_body", "inboard_wheel"]
+    inboard["levers"] = [
+        lever("upper", "inboard_body", "body", 0.7),
+        lever("lower", "inboard_wheel", "wheel", 0.7),
+    ]
+    for e in data["elements"]:
+        if e["name"] == "main_spring":
+            e["stiffness"] *= 0.49
+        if e["name"] == "damper":
+            e["damping"] *= 0.49
+    agree(Network.from_dict(inboard), Network.from_dict(data))
+
+
+def rack(mass=2.0, inertia=0.003, ratio=0.012):
+    """An inerter as built: rod and pinion, a flywheel on the shaft."""
+    return model(
+        {"mass": mass},
+        [element("spring", "linear_stiffness", "mass", "ground", stiffness=5e3)],
+        [PUSH],
+        [*MOTION, {"name": "turn", "quantity": "angle", "at": "shaft", "unit": "rad"}],
+        [lever("pinion", "mass", "shaft", ratio, "m/rad")],
+        inertias={"shaft": inertia},
+        uncertainty={"pinion.ratio": 0.01, "shaft.inertia": 0.1},
+    )
+
+
+def test_a_flywheel_on_a_rack_is_a_mass_of_its_inertia_over_the_ratio_squared():
+    built = rack()
+    heavy = model(
+        {"mass": 2.0 + 0.003 / 0.012**2},
+        [element("spring", "linear_stiffness", "mass", "ground", stiffness=5e3)],
+        [PUSH],
+        MOTION,
+    )
+    a, b = transfer(built, FREQUENCY), transfer(heavy, FREQUENCY)
+    assert np.abs(a[:, :2] / b - 1.0).max() < 1e-9
+    assert np.abs(0.012 * a[:, 2] / a[:, 0] - 1.0).max() < 1e-9  # x_rod = ratio times angle
+    assert "shaft" in built.rotating and "mass" not in built.rotating
+    assert built.unit_of("pinion.ratio") == "m/rad"
+
+
+def test_a_drum_and_a_gear_pass_inertia_on():
+    """A rope on a drum (rad/m), a gear of 3 (rad/rad) behind: a mass feels J2 at the gear's speed."""
+    train = model(
+        {"mass": 5.0},
+        [element("rope", "linear_stiffness", "mass", "ground", stiffness=2e3)],
+        [PUSH],
+        MOTION,
+        [lever("drum", "shaft", "mass", 4.0, "rad/m"), lever("gear", "fast", "shaft", -3.0, "rad/rad")],
+        inertias={"shaft": 0.2, "fast": 0.05},
+    )
+    assert assemble(train).size[0] == 2
+    heavy = model(
+        {"mass": 5.0 + 0.2 * 16.0 + 0.05 * 144.0},
+        [element("rope", "linear_stiffness", "mass", "ground", stiffness=2e3)],
+        [PUSH],
+        MOTION,
+    )
+    agree(train, heavy)
+
+
+def test_friction_at_a_shaft_is_a_friction_force_at_the_rack():
+    """A torque of 6 N m at 0.012 m/rad holds 500 N, sticking and slipping."""
+
+    def rubbing(levers, name, **more):
+        elements = [
+            element("spring", "linear_stiffness", "mass", "ground", stiffness=5e3),
+            element("seal", "coulomb_friction", name, "ground", level=6.0 if levers else 500.0),
+        ]
+        return model({"mass": 20.0}, elements, [PUSH], MOTION, levers, **more)
+
+    t = np.arange(0.0, 3.0, 1e-3)
+    push = {"push": 900.0 * np.sin(6.0 * t)}
+    shaft = simulate(rubbing([lever("pinion", "mass", "shaft", 0.012, "m/rad")], "shaft"), t, push)
+    rod = simulate(rubbing([], "mass"), t, push)
+    assert np.sum(np.abs(np.diff(rod["place"])) < 1e-7) > 100  # it sticks
+    assert np.abs(shaft["place"] - rod["place"]).max() < 1e-9 * np.abs(rod["place"]).max()
+
+
+def test_the_kernel_agrees_with_another_integrator_on_an_inerter_as_built():
+    """Rack, pinion and flywheel with friction at the shaft: 0.1 % of the motion's deviation."""
+    data = rack().to_dict()
+    data["elements"].append(element("seal", "coulomb_friction", "shaft", "ground", level=6.0))
+    t = np.arange(0.0, 2.0, 1e-3)
+    push = {"push": 900.0 * np.sin(6.0 * t) + 300.0 * np.sin(17.0 * t)}
+    got, wanted = simulate(data, t, push, step=2.5e-4), reference.simulate(data, t, push)
+    for name in ("place", "turn"):  # the acceleration jumps where the sliding reverses, within a sample
+        assert np.std(got[name] - wanted[name]) < 1e-3 * np.std(wanted[name])
+
+
+@pytest.mark.parametrize("side", ["first", "second"])
+def test_a_moved_node_may_be_at_either_end(side):
+    """A shaker behind a rocker: what is moved and what its load cell reads are scaled by the ratio."""
+    ratio = 2.5
+    tie = (
+        lever("rocker", "plate", "shaker", ratio)
+        if side == "second"
+        else lever("rocker", "shaker", "plate", 1 / ratio)
+    )
+    cell = {"name": "cell", "quantity": "force", "at": "shaker", "unit": "N"}
+    elements = [
+        element("spring", "linear_stiffness", "mass", "plate", stiffness=3e3),
+        element("damper", "linear_damping", "mass", "plate", damping=20.0),
+    ]
+    moved = {"name": "drive", "quantity": "displacement", "at": "shaker", "unit": "m"}
+    behind = model({"mass": 4.0, "plate": 1.5}, elements, [moved], [*MOTION, cell], [tie])
+    direct = model(
+        {"mass": 4.0, "plate": 1.5},
+        elements,
+        [moved | {"at": "plate"}],
+        [*MOTION, cell | {"at": "plate"}],
+    )
+    a, b = transfer(behind, FREQUENCY), transfer(direct, FREQUENCY)
+    assert np.abs(a[:, :2] / (ratio * b[:, :2]) - 1.0).max() < 1e-9
+    assert np.abs(a[:, 2] / (ratio**2 * b[:, 2]) - 1.0).max() < 1e-9
+
+
+def test_a_lever_may_hold_a_body_at_two_points():
+    """A body on a pivot a quarter in front of its centre: z_nose = -1/3 z_tail, one motion left."""
+    data = {
+        "schema": "isd-model/1",
+        "bodies": {
+            "beam": {
+                "mass": 6.0,
+                "inertia": {"pitch": 2.0},
+                "points": {"nose": {"x": 1.0}, "tail": {"x": -1.0}},
+            }
+        },
+        "elements": [element("spring", "linear_stiffness", "tail", "ground", stiffness=900.0)],
+        "levers": [lever("pivot", "nose", "tail", -1.0 / 3.0)],
+        "inputs": [PUSH | {"at": "tail"}],
+        "outputs": [MOTION[0] | {"at": "tail"}],
+    }
+    network = Network.from_dict(data)
+    inertia = (2.0 + 6.0 * 0.5**2) / 1.5**2  # about the pivot, seen at the tail
+    w = 2 * np.pi * FREQUENCY
+    assert np.abs(transfer(network, FREQUENCY)[:, 0, 0] * (900.0 - inertia * w**2) - 1.0).max() < 1e-9
+
+
+def test_a_lever_is_kept_by_file_copy_and_parameters():
+    network = rack()
+    assert Network.from_dict(json.loads(network.dumps())) == network
+    assert network.to_dict()["levers"] == [lever("pinion", "mass", "shaft", 0.012, "m/rad")]
+    longer = network.with_parameters({"pinion.ratio": 0.02})
+    assert longer.levers[0].ratio == 0.02 and network.levers[0].ratio == 0.012
+    built = network.to_dict()
+    built["levers"][0]["ratio"] = 0.02
+    assert np.array_equal(assemble(longer).rate, assemble(Network.from_dict(built)).rate)
+    assert network.free_name("pinion") == "pinion_2"
+    with pytest.raises(InputError, match="other than zero"):
+        network.with_parameters({"pinion.ratio": 0.0})
+
+
+def test_a_cut_keeps_the_levers_on_its_side():
+    data = Network.load("quarter-car-passive").to_dict()
+    for e in data["elements"]:
+        if e["name"] == "damper":
+            e["between"] = ["arm_end", "wheel_end"]
+        if e["name"] == "tyre":
+            e["between"] = ["wheel", "patch"]
+    data["levers"] = [
+        lever("arm", "arm_end", "body", 0.8),
+        lever("hub", "wheel_end", "wheel", 0.8),
+        lever("belt", "patch", "road", 1.0),
+    ]
+    data["outputs"].append({"name": "hub", "quantity": "displacement", "at": "wheel", "unit": "m"})
+    data["uncertainty"] = {"arm.ratio": 0.02, "belt.ratio": 0.02, "body.mass": 0.05}
+    part = cut(Network.from_dict(data), "wheel")
+    assert [v.name for v in part.levers] == ["arm", "hub"] and set(part.uncertainty) == {
+        "arm.ratio",
+        "body.mass",
+    }
+    t = np.arange(0.0, 3.0, 1e-3)
+    road = {"road": 0.01 * np.sin(9.0 * t) ** 3}
+    whole = simulate(Network.from_dict(data), t, road)
+    alone = simulate(part, t, {"hub": whole["hub"]})
+    assert np.std(alone["body_acceleration"] - whole["body_acceleration"]) < 1e-3 * np.std(
+        whole["body_acceleration"]
+    )
+
+
+def test_a_lever_is_drawn_between_its_nodes():
+    made = draw(rack())
+    parts = {s.part for s in made.strokes}
+    assert {"el:pinion", "node:shaft", "node:mass", "node:ground"} <= parts
+    assert "ratio 0.012 m/rad" in [w.text for w in made.words if w.part == "el:pinion"]
+
+
+def _with(*levers, **more):
+    data = rack().to_dict()
+    data["levers"] += levers
+    return data | more
+
+
+BAD = {
+    "no unit": (
+        _with({"name": "x", "between": ["mass", "b"], "ratio": 1.0}),
+        r"lever 'x': 'unit' is missing",
+    ),
+    "another unit": (
+        _with(lever("x", "mass", "b", 1.0, "mm/rad")),
+        r"lever 'x': unit 'mm/rad' is not that of a ratio",
+    ),
+    "no ratio": (
+        _with({"name": "x", "between": ["mass", "b"], "unit": "m/m"}),
+        r"lever 'x': 'ratio' is missing",
+    ),
+    "a ratio of zero": (
+        _with(lever("x", "mass", "b", 0.0)),
+        r"lever 'x': the ratio must be a number other than zero",
+    ),
+    "a word": (_with(lever("x", "mass", "b", "two")), r"lever 'x': the ratio must be a number"),
+    "the ground": (_with(lever("x", "mass", "ground", 1.0)), r"lever 'x': the ground does not move"),
+    "itself": (_with(lever("x", "mass", "mass", 1.0)), r"lever 'x': it couples 'mass' to itself"),
+    "one node": (_with({"name": "x", "between": ["mass"], "ratio": 1.0, "unit": "m/m"}), r"two node names"),
+    "an unknown key": (_with(lever("x", "mass", "b", 1.0) | {"play": 1.0}), r"lever 'x': unknown key 'play'"),
+    "one name twice": (_with(lever("spring", "mass", "b", 1.0)), r"two elements are called 'spring'"),
+    "no list": (_with(levers={}), r"levers must be a list"),
+    "a loop": (
+        _with(lever("x", "b", "mass", 2.0), lever("y", "mass", "b", 0.5)),
+        r"lever 'y' closes a loop: other levers and bodies say the same; leave it out",
+    ),
+    "a contradiction": (
+        _with(lever("x", "b", "mass", 2.0), lever("y", "mass", "b", 0.6)),
+        r"lever 'y' contradicts the other levers and bodies: together they hold 'mass' still",
+    ),
+    "both ends moved": (
+        _with(
+            lever("x", "one", "other", 2.0),
+            inputs=[
+                PUSH,
+                *({"name": n, "quantity": "displacement", "at": n, "unit": "m"} for n in ("one", "other")),
+            ],
+        ),
+        r"lever 'x': inputs move 'one', 'other', which it ties together",
+    ),
+    "a turning node as a line": (
+        _with(lever("x", "mass", "shaft", 1.0)),
+        r"lever 'x': 'shaft' turns, and the unit 'm/m' of the ratio has it move along a line",
+    ),
+    "floating": (_with(lever("x", "b", "c", 1.0)), r"node 'b' floats"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_levers_are_refused_in_a_line(what):
+    data, message = BAD[what]
+    with pytest.raises(InputError, match=message) as refused:
+        Network.from_dict(data)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
+def test_a_lever_needs_the_displacement_of_what_it_couples(quantity):
+    data = rack().to_dict()
+    unit = {"velocity": "m/s", "acceleration": "m/s^2"}[quantity]
+    data["inputs"] = [{"name": "drive", "quantity": quantity, "at": "base", "unit": unit}]
+    data["elements"][0]["between"] = ["mass", "base"]
+    with pytest.raises(InputError, match="lever 'pinion' needs the displacement") as refused:
+        assemble(Network.from_dict(data))
+    assert "\n" not in str(refused.value)

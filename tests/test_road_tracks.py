@@ -1,0 +1,471 @@
+"""Roads with a left and a right track, and wheels that pass them one after the other."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.signal import csd, welch
+from scipy.special import kv
+
+from isd_gym import tracks
+from isd_gym.errors import InputError
+from isd_gym.road import Road, bump, iso_road, on_side, paper_road, pothole, road
+from isd_gym.tracks import SUM_STATES, TRACK_STATES, WheelPositions
+
+CAR = WheelPositions((1.35, 1.35, -1.35, -1.35), (0.75, -0.75, 0.75, -0.75))
+AXLE = WheelPositions((0.0, 0.0), (0.75, -0.75))
+HALF_CAR = WheelPositions((1.35, -1.35), (0.0, 0.0))
+ROADS = (paper_road(), iso_road("C"))
+
+
+def formula(n, width):
+    """Dodds and Robson's normalised cross-spectral density for waviness 2."""
+    x = 2 * np.pi * np.asarray(n) * width
+    return x * kv(1, x)
+
+
+def responses(ground, width, speed, step, n):
+    """Frequency responses of the filters of half the sum and half the difference (n,)."""
+    poles, gains = ground.track_filters(width, speed, step)
+    z = np.exp(2j * np.pi * np.asarray(n)[:, None] * speed * step)
+    parts = gains / (1 - poles / z)
+    return parts[:, :SUM_STATES].sum(axis=1), parts[:, SUM_STATES:].sum(axis=1)
+
+
+def words(counter, count):
+    """Unit-variance numbers of one SplitMix64 counter, in whole numbers of Python."""
+    mask, out = (1 << 64) - 1, []
+    sigma = math.sqrt(4 * (2**32 - 1) / 12)
+    for _ in range(count):
+        counter = (counter + 0x9E3779B97F4A7C15) & mask
+        w = ((counter ^ (counter >> 30)) * 0xBF58476D1CE4E5B9) & mask
+        w = ((w ^ (w >> 27)) * 0x94D049BB133111EB) & mask
+        w ^= w >> 31
+        out.append((sum((w >> 16 * i) & 0xFFFF for i in range(4)) - 4 * 0xFFFF / 2) / sigma)
+    return out
+
+
+# ------------------------------------------------------------------------------------------------ coherence
+
+
+@pytest.mark.parametrize("n", [0.0, 0.01, 0.1, 0.3])
+def test_coherence_is_that_of_an_isotropic_surface(n):
+    """Both transforms of the autocovariance exp(-k_c r), along a line and along a parallel line, by quadrature."""
+    cutoff, width = 0.05, 1.5
+    slow = 2 * np.pi * cutoff
+
+    def transform(b):
+        def covariance(s):
+            return 2 * math.exp(-slow * math.hypot(s, b)) * math.cos(2 * np.pi * n * s)
+
+        return quad(covariance, 0, 80 / slow, limit=2000, epsabs=1e-11)[0]
+
+    assert tracks.coherence(n, width, cutoff) == pytest.approx(transform(width) / transform(0.0), abs=1e-8)
+
+
+def test_coherence_without_cutoff_is_the_published_formula():
+    n = np.geomspace(0.001, 10, 50)
+    np.testing.assert_allclose(paper_road().coherence(n, 1.5), formula(n, 1.5), rtol=1e-12)
+    # the standard's cut-off changes it by less than a thousandth
+    np.testing.assert_allclose(iso_road("C").coherence(n, 1.5), formula(n, 1.5), atol=1e-3)
+    assert paper_road().coherence(0.0, 1.5) == 1.0
+    assert paper_road().coherence(np.zeros((2, 3)), 1.5).shape == (2, 3)
+
+
+def test_stored_poles_are_those_of_the_fit():
+    """Refit and stored numbers reach the same smallest maximum of the relative error of 1 - gamma."""
+    x = np.geomspace(*tracks.FITTED_BAND, 1000)
+
+    def worst(poles, weights):
+        gamma = (weights * poles**2 / (x[:, None] ** 2 + poles**2)).sum(axis=1)
+        return np.abs((1 - gamma) / (1 - x * kv(1, x)) - 1).max()
+
+    stored = worst(np.array(tracks.COHERENCE_POLES), np.array(tracks.COHERENCE_WEIGHTS))
+    assert stored < 0.01
+    assert worst(*tracks.fit_coherence()) == pytest.approx(stored, rel=0.02)
+    assert sum(tracks.COHERENCE_WEIGHTS) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_the_fitted_density_is_positive_at_all_frequencies():
+    n = np.geomspace(1e-7, 1e5, 4000)
+    gamma = tracks.fitted_coherence(n, 1.5)
+    assert gamma.min() > -0.01 and gamma.max() < 1.0
+
+
+# -------------------------------------------------------------------------------------------------- filters
+
+
+@pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
+@pytest.mark.parametrize("speed", [2.0, 20.0, 50.0])
+@pytest.mark.parametrize("step", [1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("width", [0.5, 1.5, 2.5])
+def test_density_of_each_track_is_that_of_the_single_track(ground, speed, step, width):
+    """To rounding: the approximation of the coherence does not touch the tracks' own densities."""
+    n = np.geomspace(1e-4, 0.499 / (speed * step), 300)
+    half_sum, half_difference = responses(ground, width, speed, step, n)
+    gain, pole = ground.noise(speed, step)
+    single = gain**2 / np.abs(1 - pole * np.exp(-2j * np.pi * n * speed * step)) ** 2
+    np.testing.assert_allclose(np.abs(half_sum) ** 2 + np.abs(half_difference) ** 2, single, rtol=1e-9)
+
+
+@pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
+@pytest.mark.parametrize(("speed", "step"), [(10.0, 1e-3), (20.0, 1e-3), (40.0, 5e-4)])
+@pytest.mark.parametrize("width", [1.2, 1.5, 2.0])
+def test_coherence_of_the_filters(ground, speed, step, width):
+    """Within 0.011 of the formula from 0.01 to 10 cycle/m; 1 - gamma, the density of the difference, within 1.5 %."""
+    n = np.geomspace(0.01, 10.0, 400)
+    half_sum, half_difference = (np.abs(h) ** 2 for h in responses(ground, width, speed, step, n))
+    gamma = (half_sum - half_difference) / (half_sum + half_difference)
+    np.testing.assert_allclose(gamma, formula(n, width), atol=0.011)
+    np.testing.assert_allclose(1 - gamma, 1 - ground.coherence(n, width), rtol=0.015)
+
+
+@pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
+@pytest.mark.parametrize("spacing", [1e-4, 0.02, 0.3])
+def test_samples_of_the_difference_have_the_autocovariance_of_the_continuous_process(ground, spacing):
+    width = 1.5
+    poles, gains = (a[SUM_STATES:] for a in ground.track_filters(width, spacing / 1e-3, 1e-3))
+    rates = np.hypot(2 * np.pi * ground.cutoff, np.array(tracks.COHERENCE_POLES) / width)
+    intensity = (2 * np.pi) ** 2 * ground.roughness * 0.01 / 2
+    powers = intensity * np.array(tracks.COHERENCE_WEIGHTS) / 2 / (2 * rates)
+    products = np.outer(gains, gains) / (1 - np.outer(poles, poles))
+    for lag in (0, 1, 7, 100):
+        wanted = (powers * np.exp(-rates * lag * spacing)).sum()
+        got = (products * poles[:, None] ** lag).sum()
+        assert got == pytest.approx(wanted, rel=1e-7, abs=1e-9 * powers.sum())
+
+
+@pytest.mark.parametrize("width", [1.0, 1.5, 3.0])
+def test_variance_between_the_tracks_is_that_of_the_surface(width):
+    """On an isotropic random walk, heights at the distance r differ by the variance intensity times r, in any direction."""
+    ground, step = paper_road(), 1e-3
+    intensity = (2 * np.pi) ** 2 * ground.roughness * 0.01 / 2
+    poles, gains = (a[SUM_STATES:] for a in ground.track_filters(width, 20.0, step))
+    variance = 4 * (np.outer(gains, gains) / (1 - np.outer(poles, poles))).sum()
+    assert variance == pytest.approx(intensity * width, rel=0.02)
+
+
+def test_filters_are_stable_and_cached():
+    poles, gains = paper_road().track_filters(1.5, 20.0, 1e-3)
+    assert poles.shape == gains.shape == (TRACK_STATES,)
+    assert poles[0] == 1.0 and np.all((poles[1:] > 0) & (poles[1:] < 1))
+    with pytest.raises(ValueError, match="read-only"):
+        gains[0] = 0.0
+    poles, gains = road("flat").track_filters(1.5, 20.0, 1e-3)
+    assert not gains.any() and np.all(poles <= 1.0)
+
+
+# ---------------------------------------------------------------------------------------------- realisations
+
+
+def estimates(ground, speed, step, *, roads=24, length=8000.0, metres=500.0):
+    """Frequencies, densities of left and right, and cross-spectral density over distance, averaged over roads.
+
+    Welch's method on the differences between samples, which are nearly white: no leakage from long waves.
+    """
+    rate = 1 / (speed * step)
+    options = {"fs": rate, "nperseg": int(metres * rate), "detrend": False, "window": "hann"}
+    totals = [0.0, 0.0, 0.0]
+    for seed in range(roads):
+        rng = np.random.default_rng(seed)
+        z = ground.wheel_heights(AXLE, length / speed, speed=speed, step=step, rng=rng)
+        left, right = np.diff(z, axis=1)
+        n, p = welch(left, **options)
+        parts = p, welch(right, **options)[1], csd(left, right, **options)[1]
+        totals = [t + part / roads for t, part in zip(totals, parts, strict=True)]
+    whitening = np.abs(1 - np.exp(-2j * np.pi * n[1:] / rate)) ** 2
+    return n[1:], *(t[1:] / whitening for t in totals)
+
+
+@pytest.mark.parametrize("ground", ROADS, ids=lambda g: g.name)
+@pytest.mark.parametrize(("speed", "step"), [(10.0, 2e-3), (30.0, 1e-3)])
+def test_realisations_have_the_density_and_the_coherence(ground, speed, step):
+    """In octave bands of ISO 8608: density of each track within 5 %, gamma within 0.03, no phase between the sides."""
+    n, left, right, cross = estimates(ground, speed, step)
+    target = ground.psd(n)
+    edges = 0.011 * 2.0 ** np.arange(9)
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        band = (n >= low) & (n < min(high, 2.83))
+        for side in (left, right):
+            assert (side / target)[band].mean() == pytest.approx(1.0, abs=0.05), (low, high)
+        gamma = (cross / target)[band].mean() / np.sqrt(
+            (left / target)[band].mean() * (right / target)[band].mean()
+        )
+        assert gamma.real == pytest.approx(formula(n[band], 1.5).mean(), abs=0.03), (low, high)
+        assert abs(gamma.imag) < 0.03, (low, high)
+
+
+def test_drawn_numbers_are_those_of_the_counters():
+    """The compiled recursion equals whole numbers and floats of Python to the last bit, for one track and for two."""
+    ground, speed, step, count = iso_road("B"), 17.0, 1e-3, 40
+    rng = np.random.default_rng(8)
+    seeds = [int(rng.integers(0, 2**64, dtype=np.uint64)) for _ in range(2)]
+    noises = [words(seed, count) for seed in seeds]
+
+    gain, pole = ground.noise(speed, step)
+    height, single = 0.0, [0.0]
+    for xi in noises[0]:
+        height = pole * height + gain * xi
+        single.append(height)
+    got = ground.heights(count * step, speed=speed, step=step, rng=np.random.default_rng(8))
+    assert got.tolist() == single
+
+    poles, gains = (a.tolist() for a in ground.track_filters(1.5, speed, step))
+    states, left, right = [0.0] * TRACK_STATES, [0.0], [0.0]
+    for pair in zip(*noises, strict=True):
+        for i in range(TRACK_STATES):
+            states[i] = poles[i] * states[i] + gains[i] * pair[i >= SUM_STATES]
+        half_sum, half_difference = states[0], states[SUM_STATES]
+        for i in range(1, SUM_STATES):
+            half_sum += states[i]
+        for i in range(SUM_STATES + 1, TRACK_STATES):
+            half_difference += states[i]
+        left.append(half_sum + half_difference)
+        right.append(half_sum - half_difference)
+    got = ground.wheel_heights(AXLE, count * step, speed=speed, step=step, rng=np.random.default_rng(8))
+    assert got.tolist() == [left, right]
+
+
+def test_continued_draws_are_one_draw():
+    from isd_gym.kernel.tracks import track_noise
+
+    poles, gains = iso_road("C").track_filters(1.5, 20.0, 1e-3)
+    whole, parts = np.empty((2, 100)), (np.empty((2, 37)), np.empty((2, 63)))
+    track_noise(np.uint64(5), np.uint64(2**64 - 9), poles, gains, SUM_STATES, np.zeros(TRACK_STATES), whole)
+    states, seeds = np.zeros(TRACK_STATES), (np.uint64(5), np.uint64(2**64 - 9))
+    for part in parts:
+        seeds = track_noise(*seeds, poles, gains, SUM_STATES, states, part)
+    np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
+
+
+def test_same_generator_same_road_and_another_for_another():
+    def draw(seed):
+        return iso_road("C").wheel_heights(CAR, 2.0, rng=np.random.default_rng(seed))
+
+    np.testing.assert_array_equal(draw(1), draw(1))
+    assert not np.array_equal(draw(1), draw(2))
+    assert np.all(draw(1)[:, 0] == 0.0)
+
+
+# ---------------------------------------------------------------------------------------------- wheelbase
+
+
+@pytest.mark.parametrize("name", ["paper", "C", "bump", "C+bump", "sweep"])
+def test_first_wheel_of_a_half_car_passes_the_road_of_a_quarter_car(name):
+    one = road(name).heights(4.0, rng=np.random.default_rng(3))
+    front, rear = road(name).wheel_heights(HALF_CAR, 4.0, rng=np.random.default_rng(3))
+    np.testing.assert_array_equal(front, one)
+    np.testing.assert_array_equal(rear[135:], one[:-135])  # 2.7 m at 20 m/s
+    assert not rear[:136].any()
+
+
+@pytest.mark.parametrize(
+    ("speed", "steps"), [(10.0, 270.0), (20.0, 135.0), (27.0, 100.0), (36.0, 75.0), (8.0, 337.5)]
+)
+def test_delay_is_wheelbase_over_speed(speed, steps):
+    assert HALF_CAR.delays(speed, 1e-3).tolist() == [0.0, steps]
+    assert CAR.delays(speed, 1e-3).tolist() == [0.0, 0.0, steps, steps]
+
+
+@pytest.mark.parametrize("speed", [3.7, 11.3, 20.0, 23.456, 41.0])
+def test_rear_wheel_passes_the_same_road_at_any_speed(speed):
+    """A sine over distance: the rear height is that of the place 2.7 m back, but for the interpolation's error."""
+    x = np.arange(0.0, 200.0, 0.001)
+    ground = Road("sine", abscissa=x, profile=0.01 * np.sin(2 * np.pi * 0.5 * x))
+    _, rear = ground.wheel_heights(HALF_CAR, 4.0, speed=speed, rng=np.random.default_rng(0))
+    place = speed * np.arange(4001) * 1e-3 - 2.7
+    wanted = np.where(place > 0, 0.01 * np.sin(2 * np.pi * 0.5 * place), 0.0)
+    curvature = 0.01 * (2 * np.pi * 0.5 * speed * 1e-3) ** 2
+    away = np.abs(place) > speed * 1e-3  # the kink at the start is met between two steps
+    np.testing.assert_allclose(rear[away], wanted[away], rtol=0, atol=curvature / 8 + 2e-8)
+
+
+@pytest.mark.parametrize("part", [0.25, 0.5, 0.8])
+def test_gain_of_the_interpolation(part):
+    """The documented gain, and a phase of `part` steps at low frequency."""
+    count, step = 4000, 1e-3
+    impulse = np.zeros(count)
+    impulse[10] = 1.0
+    response = np.fft.rfft(tracks.delayed(impulse, 7 + part)) / np.fft.rfft(impulse)
+    F = np.fft.rfftfreq(count, step)
+    gain = np.sqrt(1 - 2 * part * (1 - part) * (1 - np.cos(2 * np.pi * F * step)))
+    np.testing.assert_allclose(np.abs(response), gain, atol=1e-12)
+    assert np.angle(response[4]) == pytest.approx(-2 * np.pi * F[4] * step * (7 + part), abs=1e-6)
+
+
+def test_delay_longer_than_the_drive():
+    assert not tracks.delayed(np.arange(5.0), 9.5).any()
+    np.testing.assert_array_equal(tracks.delayed(np.arange(5.0), 4), [0, 0, 0, 0, 0])
+    np.testing.assert_array_equal(tracks.delayed(np.arange(5.0), 2.5), [0, 0, 0, 0.5, 1.5])
+
+
+def test_rear_wheels_follow_their_own_side():
+    z = road("C").wheel_heights(CAR, 3.0, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(z[2:, 135:], z[:2, :-135])
+    assert np.abs(z[0] - z[1]).max() > 1e-3
+
+
+# ----------------------------------------------------------------------------------------- profiles of one side
+
+
+@pytest.mark.parametrize("shape", [bump, pothole])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_bump_of_one_side(shape, side):
+    name = f"{shape().name}-{side}"
+    z = road(name).wheel_heights(CAR, 2.0, rng=np.random.default_rng(0))
+    one = shape().heights(2.0, rng=np.random.default_rng(0))
+    hit, free = (0, 1) if side == "left" else (1, 0)
+    np.testing.assert_array_equal(z[hit], one)
+    np.testing.assert_array_equal(z[hit + 2, 135:], one[:-135])
+    assert not z[[free, free + 2]].any()
+
+
+@pytest.mark.parametrize("name", ["bump", "pothole", "sweep"])
+def test_axle_meets_profiles_without_a_side(name):
+    z = road(name).wheel_heights(CAR, 2.0, rng=np.random.default_rng(0))
+    one = road(name).heights(2.0, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(z[0], one)
+    np.testing.assert_array_equal(z[1], one)
+
+
+def test_sum_of_class_and_bump_of_one_side():
+    both = road("C+bump-left").wheel_heights(AXLE, 3.0, rng=np.random.default_rng(5))
+    rough = road("C").wheel_heights(AXLE, 3.0, rng=np.random.default_rng(5))
+    single = bump().heights(3.0, rng=np.random.default_rng(0))
+    np.testing.assert_allclose(both - rough, [single, 0 * single], atol=1e-12)
+
+
+def recording(path, header, *heights):
+    x = np.arange(0, 100, 0.1)
+    lines = (",".join([f"{a:.1f}", *(f"{h(a):.9f}" for h in heights)]) for a in x)
+    path.write_text("\n".join([header, *lines]))
+    return path
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "distance [m],height_left [m],height_right [m]",
+        "distance [m],Height Left [m],Height Right [m]",
+        "distance [m],left_height,right_height",
+        "distance [m],road_l,road_r",
+        "distance [m],height_1,height_2",
+        "distance [m],height,height.1",
+    ],
+)
+def test_recorded_profile_of_two_tracks(tmp_path, header):
+    left, right = lambda a: 0.01 * math.sin(a), lambda a: 0.02 * math.cos(0.7 * a)
+    path = recording(tmp_path / "lanes.csv", header, left, right)
+    z = road(path).wheel_heights(AXLE, 2.0, speed=20.0, rng=np.random.default_rng(3))
+    start = np.random.default_rng(3)
+    start.integers(0, 2**64, size=2, dtype=np.uint64)
+    x = start.uniform(0.0, 99.9 - 40.0) + 20.0 * np.arange(2001) * 1e-3
+    expected = np.array([0.01 * np.sin(x), 0.02 * np.cos(0.7 * x)])
+    np.testing.assert_allclose(z, expected - expected[:, :1], atol=3e-5)
+
+
+def test_right_column_before_the_left_one_in_millimetres(tmp_path):
+    right, left = lambda a: 20 * math.cos(0.7 * a), lambda a: 10 * math.sin(a)
+    path = recording(tmp_path / "r.csv", "distance [m],height_right [mm],height_left [mm]", right, left)
+    profile = road(path).profile
+    assert profile.shape == (2, 1000)
+    assert np.abs(profile).max(axis=1) == pytest.approx([0.01, 0.02], rel=1e-3)
+
+
+def test_recorded_profile_of_one_track_on_two_sides(tmp_path):
+    path = recording(tmp_path / "lane.csv", "distance [m],height [m]", lambda a: 0.01 * math.sin(a))
+    left, right = road(path).wheel_heights(AXLE, 2.0, rng=np.random.default_rng(3))
+    np.testing.assert_array_equal(left, right)
+    assert left.std() > 1e-3
+
+
+# ------------------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (
+            "distance,height_1,height_2,height_3",
+            "has three tracks .*: keep one column 'height', or 'height_left'",
+        ),
+        ("distance,height,height_left,height_right", "has three tracks"),
+        ("distance,height_left", "has no left and right in 'height_left'"),
+        ("distance,height,height_right", "has no left and right in"),
+        ("distance,height_left,height_2", "has no left and right in"),
+        ("place,height_left,height_right", "needs a header with 'distance' or 'time'"),
+    ],
+)
+def test_bad_columns(tmp_path, header, message):
+    zeros = [lambda a: 0.0] * header.count(",")
+    with pytest.raises(InputError, match=message) as caught:
+        road(recording(tmp_path / "r.csv", header, *zeros))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("row", "message"), [("2,0,nan", "line 4: not finite"), ("2,x,0", "line 4, column 'height_left': 'x'")]
+)
+def test_bad_values_of_either_track(tmp_path, row, message):
+    (tmp_path / "r.csv").write_text(f"distance,height_left,height_right\n0,0,0\n1,0,0\n{row}\n3,0,0\n")
+    with pytest.raises(InputError, match=message):
+        road(tmp_path / "r.csv")
+
+
+def test_right_track_in_millimetres_without_a_unit(tmp_path):
+    flat, steep = lambda a: 0.0, lambda a: 10 * math.sin(3 * a)
+    path = recording(tmp_path / "r.csv", "distance,height_left,height_right", flat, steep)
+    with pytest.raises(InputError, match="is the height in mm"):
+        road(path)
+
+
+@pytest.mark.parametrize("name", ["bump-left", "pothole-right", "C+bump-right"])
+@pytest.mark.parametrize("wheels", [tracks.ONE_WHEEL, HALF_CAR])
+def test_road_with_sides_needs_a_car_with_two_tracks(name, wheels):
+    message = f"road '{name}'".replace("+", r"\+") + " has a left and a right track, the car has one: choose"
+    with pytest.raises(InputError, match=message) as caught:
+        road(name).wheel_heights(wheels, 1.0, rng=np.random.default_rng(0))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match=message):
+        road(name).heights(1.0, rng=np.random.default_rng(0))
+    road(name).check_tracks(2)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "message"),
+    [
+        ((), (), "0 positions x and 0 positions y"),
+        ((1.0, 2.0), (0.0,), "2 positions x and 1 positions y"),
+        ((0.0, math.nan), (0.0, 0.0), "not finite"),
+        ((0.0, 2700.0), (0.0, 0.0), "a kilometre away; give metres"),
+        ((0.0, 0.0, 0.0), (0.7, 0.0, -0.7), "one track or a left .* '-0.7, 0, 0.7' m"),
+        ((0.0, 0.0), (0.7, 1.7), "one track or a left"),
+        ((0.0, 0.0), (15.0, -15.0), "track width 30 m: give 0.1 to 10 m"),
+    ],
+)
+def test_bad_wheels(x, y, message):
+    with pytest.raises(InputError, match=message):
+        WheelPositions(x, y)
+
+
+def test_bad_widths_sides_and_profiles():
+    with pytest.raises(InputError, match=r"track width 0\.01 m: give 0.1 to 10 m"):
+        paper_road().track_filters(0.01, 20.0, 1e-3)
+    with pytest.raises(InputError, match="no side 'middle': left or right"):
+        on_side(bump(), "middle")
+    with pytest.raises(InputError, match="road 'C' has no profile"):
+        on_side(iso_road("C"), "left")
+    with pytest.raises(InputError, match=r"no road 'bump-middle': paper.*bump-left"):
+        road("bump-middle")
+    with pytest.raises(InputError, match=r"shape \(2,\) or \(2, 2\) for left and right, not \(3, 2\)"):
+        Road("three", abscissa=np.arange(2.0), profile=np.zeros((3, 2)))
+    with pytest.raises(InputError, match="both abscissa and profile"):
+        replace(bump(), abscissa=None)
+
+
+def test_rear_axle_may_be_narrower():
+    wheels = WheelPositions((1.3, 1.3, -1.3, -1.3), (0.76, -0.76, 0.74, -0.74))
+    assert wheels.tracks == 2 and wheels.width == pytest.approx(1.5) and wheels.track == (0, 1, 0, 1)
+    assert wheels.behind == (0.0, 0.0, 2.6, 2.6)
