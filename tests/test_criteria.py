@@ -57,7 +57,11 @@ def test_a_name_passes_every_gate() -> None:
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, contradiction="beyond its reach"),)}, "unknown_effect"),
         ("plausible", {"limits": ("damper.damping",), "beside": ("damper.damping",)}, "unknown_effect"),
-        ("distinguishable", {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0}, "ambiguous"),
+        (
+            "distinguishable",
+            {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0},
+            "ambiguous",
+        ),
         ("lack of fit", {"lack_of_fit": 0.8}, "unknown_effect"),
         ("probable", {"probability": 0.4}, "unknown_effect"),
         ("confirmed", {"test_explained": 0.4}, "unknown_effect"),
@@ -84,7 +88,9 @@ def test_a_limit_that_the_model_stood_at_before_is_no_fault_of_the_name() -> Non
 
 
 def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either() -> None:
-    d = decide(replace(GOOD, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0, probability=0.4))
+    d = decide(
+        replace(GOOD, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0, probability=0.4)
+    )
     assert d.verdict == "ambiguous"
 
 
@@ -99,7 +105,9 @@ def test_what_is_left_is_held_against_what_small_effects_make_of_the_candidate_i
     assert decide(harder).verdict == "unknown_effect"
     assert decide(replace(harder, training_explained=0.99)).verdict == "missing_effect"
     assert decide(replace(harder, training_explained=0.87)).verdict == "unknown_effect"
-    assert decide(replace(harder, training_explained=0.99, envelope_after=(0.03,))).verdict == "unknown_effect"
+    assert (
+        decide(replace(harder, training_explained=0.99, envelope_after=(0.03,))).verdict == "unknown_effect"
+    )
 
 
 def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_narrow_one_is_told() -> None:
@@ -145,9 +153,16 @@ def test_a_channel_that_friction_lets_drift_says_nothing_against_a_name() -> Non
     }
     four |= {
         k: v * 4
-        for k, v in {"noise": (0.02,), "noise_known": (True,), "envelope": (0.03,), "richest": (0.021,)}.items()
+        for k, v in {
+            "noise": (0.02,),
+            "noise_known": (True,),
+            "envelope": (0.03,),
+            "richest": (0.021,),
+        }.items()
     }
-    drifts = replace(GOOD, **four, training_refit=(0.05, 0.05, 0.04, 0.3), training_after=(0.02, 0.02, 0.02, 0.6))
+    drifts = replace(
+        GOOD, **four, training_refit=(0.05, 0.05, 0.04, 0.3), training_after=(0.02, 0.02, 0.02, 0.6)
+    )
     assert decide(drifts).verdict == "missing_effect"
     assert decide(replace(drifts, training_after=(0.06, 0.05, 0.05, 0.6))).verdict == "unknown_effect"
 
@@ -159,7 +174,9 @@ def test_what_noise_may_hide_is_no_finding() -> None:
     assert decide(replace(clean, richest=())).verdict == "parameters_only"
     assert decide(replace(clean, richest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
     # what gains something is looked at whatever the noise
-    small = replace(clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, lack_of_fit=0.7)
+    small = replace(
+        clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, lack_of_fit=0.7
+    )
     assert decide(small).verdict == "unknown_effect"
 
 
@@ -214,8 +231,14 @@ def evidences(draw: st.DrawFn) -> Evidence:
         **{name: draw(rows) for name in ("training_refit", "training_after", "richest")},
         noise_known=draw(st.tuples(*[st.booleans()] * count)),
         effects=tuple(draw(st.lists(EFFECTS, min_size=1, max_size=2))),
-        **{name: draw(NUMBERS) for name in ("elpd_diff", "explained", "rival_loss", "force_loss", "test_explained")},
-        **{name: draw(SHARES) for name in ("elpd_dse", "training_explained", "probability", "lack_of_fit", "test_excess_ratio")},
+        **{
+            name: draw(NUMBERS)
+            for name in ("elpd_diff", "explained", "rival_loss", "force_loss", "test_explained")
+        },
+        **{
+            name: draw(SHARES)
+            for name in ("elpd_dse", "training_explained", "probability", "lack_of_fit", "test_excess_ratio")
+        },
         **{name: draw(PARAMETERS) for name in ("indistinguishable", "limits", "refit_limits", "beside")},
     )
 

@@ -122,7 +122,10 @@ def test_brief_stretches_show_where_a_fit_of_a_slightly_damped_motion_begins() -
     )
     owner = resonator(1.12)
     problem = Problem(owner, [record], ["fit"])
-    structure, fitter = base_structure(owner), Fitter(problem, white_filters(0.01 * record.measured.std(axis=0)))
+    structure, fitter = (
+        base_structure(owner),
+        Fitter(problem, white_filters(0.01 * record.measured.std(axis=0))),
+    )
     lost = fitter.fit(structure, iterations=20)
     there = fit_segments(problem, structure, structure.start, fitter)
     assert there is not None and is_lightly_damped(owner)
@@ -234,7 +237,9 @@ def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
     rng = np.random.default_rng(2)
     x = rng.standard_normal((50000, 1))
     W = whitener([x], np.array([1e-3]))
-    assert noise_after_filters(W, [Noise(1.0, 0.0, 0.0)])[0] == pytest.approx(float(np.mean(W(x) ** 2)), rel=0.03)
+    assert noise_after_filters(W, [Noise(1.0, 0.0, 0.0)])[0] == pytest.approx(
+        float(np.mean(W(x) ** 2)), rel=0.03
+    )
 
 
 def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
@@ -350,14 +355,16 @@ def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends()
     noisy = clean + 16.0 * np.random.default_rng(1).standard_normal(len(clean))
     whole = Problem(net, [replace(record, measured=noisy[:, None])], ["fit"])
     problem = Problem(net, *split_records(whole.records, [], [], whole.time))
-    judge, structure = HeldOutEvaluator(problem), base_structure(net)
-    fit = Fitter(problem, white_filters(judge.floors)).fit(structure, structure.start, iterations=0)
+    evaluator, structure = HeldOutEvaluator(problem), base_structure(net)
+    filters = white_filters(evaluator.least_noise)
+    fit = Fitter(problem, filters).fit(structure, structure.start, iterations=0)
     candidate = Candidate(fit, 0.0)
-    seen = judge.outcome(candidate, judge.weights(candidate))
-    assert seen.nrmse < 0.02  # 0.011 of it noise
+    score = evaluator.score(candidate, evaluator.whitener(candidate))
+    assert score.nrmse < 0.02  # 0.011 of it noise
 
 
-def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_begins() -> None:
+def test_a_score_is_a_function_of_its_arguments() -> None:
+    """Initial states of held-out records come from the scores that are given, whatever was scored before."""
     from isd_gym.discrepancy import CRITERIA
     from isd_gym.discrepancy.records import read_record, split_records
     from isd_gym.discrepancy.selection.forward_backward import Search
@@ -370,23 +377,25 @@ def test_who_came_nearest_to_a_held_out_record_says_to_all_who_follow_where_it_b
         read_record(table(c, n), net, [], ()) for c, n in ((case.estimation, "e"), (case.validation, "v"))
     )
     problem = Problem(net, *split_records([fit], [held], [], fit.pace))
-    search = Search(HeldOutEvaluator(problem), SearchSettings(), CRITERIA, lambda line: None)
-    judge, base = search.judge, search.refitted()
-    best = search.stage(base, [])
-    assert best is not None and not judge.begun(best.fit.structure)
-    judge.own(base)
-    held_out = judge.own(best).held
-    fit_segments = judge.begun(base.fit.structure)  # each in the coordinates of its own states
-    assert set(fit_segments) == set(problem.held)
-    assert {len(x) for x in fit_segments.values()} == {len(next(iter(base.fit.initial.values())))}
-    for i, x in judge.begun(best.fit.structure).items():  # the base errs by far more
-        assert x == pytest.approx(held_out.initial[i], abs=1e-9)
-    # the nearest of those that are worth trying is gone on with, whatever was given
-    far = {i: 3.0 * x for i, x in held_out.initial.items()}
+    evaluator = HeldOutEvaluator(problem)
+    search = Search(evaluator, SearchSettings(), CRITERIA, lambda line: None)
+    refitted = search.fitter.refit_nominal()
+    (_, best), _ = search.add_effects([refitted], most=1)
+    filters = evaluator.whitener(best)
+    alone = HeldOutEvaluator(problem).score(refitted, filters)
+    evaluator.score(best, filters)
+    again = evaluator.score(refitted, filters)
+    np.testing.assert_array_equal(alone.lpd, again.lpd)
+    # the path's last score knows the states of the candidates before it
+    path = evaluator.score_path([refitted, best])
+    assert path[1].nrmse.max() <= 1.01 * evaluator.score(best, filters).nrmse.max()
+    # the cheapest of several initial states is the start of a fit to a held-out record
+    far = {i: 3.0 * x for i, x in path[1].fit.initial.items()}
     structure, x = best.fit.structure, best.fit.x
-    lost = judge.plain.follow(structure, x, problem.held, far, iterations=0)
-    there = judge.plain.follow(structure, x, problem.held, far, [held_out.initial], iterations=0)
-    assert there.cost == pytest.approx(held_out.cost, rel=1e-6) and there.cost < 0.1 * lost.cost
+    fitter, near = evaluator.plain_fitter, path[1].fit
+    lost = fitter.follow(structure, x, problem.held, far, iterations=0)
+    there = fitter.follow(structure, x, problem.held, far, [near.initial], iterations=0)
+    assert there.cost == pytest.approx(near.cost, rel=1e-6) and there.cost < 0.1 * lost.cost
 
 
 def test_play_may_be_in_line_with_one_of_the_elements_that_stand_side_by_side() -> None:
@@ -501,7 +510,9 @@ def test_noise_of_a_moved_node_does_not_rule_its_acceleration() -> None:
         time = step * np.arange(samples)
         x = 0.01 * np.sin(2.0 * math.pi * time)
         for every in (1, 4):
-            seen = splined_input(x + noise * rng.standard_normal(samples), None, step, every, sparse=False)[2][::every]
+            seen = splined_input(x + noise * rng.standard_normal(samples), None, step, every, sparse=False)[
+                2
+            ][::every]
             wrong = (seen + (2.0 * math.pi) ** 2 * x)[5:-5]  # a spline's ends are free
             allowed = most * noise / step**2 + 0.01 * 0.01 * (2.0 * math.pi) ** 2
             assert np.sqrt(np.mean(wrong**2)) < allowed, (step, noise, every)
@@ -693,8 +704,9 @@ def test_the_owner_says_what_the_noise_of_an_output_is(tmp_path: Path) -> None:
     t = 2e-3 * np.arange(2000)
     x = 0.01 * np.sin(12.0 * t)
     record = Record("rig", 2e-3, {net.inputs[0].name: x}, 500.0 * np.sign(np.cos(12.0 * t))[:, None])
-    judge = HeldOutEvaluator(Problem(net, [record, record], ["fit", "choose"]))
-    assert judge.known[0].source == "owner" and judge.known[0].deviation == 12.5
+    evaluator = HeldOutEvaluator(Problem(net, [record, record], ["fit", "choose"]))
+    noise = evaluator.noise_estimates[0]
+    assert noise.source == "owner" and noise.deviation == 12.5
     model["outputs"][0]["noise"] = -1.0
     with pytest.raises(InputError, match="noise"):
         Network.load(model)

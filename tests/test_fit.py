@@ -10,8 +10,8 @@ from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.sensitivities import tangents
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.discrepancy.hypotheses.motion import together
-from isd_gym.discrepancy.hypotheses.score_test import trials
+from isd_gym.discrepancy.hypotheses.motion import simulate_variants
+from isd_gym.discrepancy.hypotheses.score_test import build_starts
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
 from isd_gym.network import Network
@@ -130,10 +130,10 @@ def test_every_place_of_a_law_is_simulated_beside_the_others() -> None:
         base_structure(net), base_structure(net).start, iterations=0
     )
     tried = [h for h in hypotheses(net) if h.effect in ("coulomb_friction", "hysteresis", "linear_damping")]
-    built = [ways[0] for _, _, ways in trials(problem, fit, tried)]
+    built = [ways[0] for _, _, ways in build_starts(problem, fit, tried)]
     seen = {
         k: y
-        for chunk, _, lanes in together(problem, fit, [b.network for b in built])
+        for chunk, _, lanes in simulate_variants(problem, fit, [b.network for b in built])
         for k, y in zip(chunk, np.moveaxis(lanes, 2, 0), strict=True)
     }
     assert len(seen) == len(built) > 10
@@ -159,4 +159,4 @@ def test_one_that_breaks_down_takes_no_other_along(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(Problem, "simulate_all", breaks)
     networks = [shaken(3000.0 + 10 * k) for k in range(5)]
     networks.insert(2, bad)
-    assert sorted(k for chunk, _, _ in together(problem, fit, networks) for k in chunk) == [0, 1, 3, 4, 5]
+    assert sorted(k for chunk, _, _ in simulate_variants(problem, fit, networks) for k in chunk) == [0, 1, 3, 4, 5]

@@ -11,8 +11,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import SearchSettings, diagnose
-from isd_gym.discrepancy.hypotheses.library import library as library
-from isd_gym.discrepancy.selection import screening as race
+from isd_gym.discrepancy.hypotheses import library
+from isd_gym.discrepancy.selection import screening
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
 
@@ -173,5 +173,5 @@ def test_the_name_does_not_depend_on_the_order_of_hypotheses(monkeypatch: pytest
     def backward(network: Network) -> Any:
         return iter(list(forward(network))[::-1])
 
-    monkeypatch.setattr(race, "hypotheses", backward)
+    monkeypatch.setattr(screening, "hypotheses", backward)
     assert stated(measured(hidden=True).diagnose()) == NAMED

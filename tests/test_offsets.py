@@ -179,10 +179,10 @@ def test_the_residual_of_the_score_test_has_no_offset_left() -> None:
 def test_a_held_out_record_has_the_offset_of_the_training_records() -> None:
     """A sensor that moved by 3 mm before the held-out record is an error of 3 mm there."""
     problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
-    judge = HeldOutEvaluator(problem)
+    evaluator = HeldOutEvaluator(problem)
     structure = base_structure(problem.network)
-    fit = judge.plain.fit(structure)
-    held = judge.plain.follow(fit.structure, fit.x, problem.held)
+    fit = evaluator.plain_fitter.fit(structure)
+    held = evaluator.plain_fitter.follow(fit.structure, fit.x, problem.held)
     left = problem.records[2].measured[300:, 0] - held.outputs[2][300:, 0]  # the free motion has died by then
     assert left.mean() == pytest.approx(0.003, abs=2e-4)
     assert held.offset[2][0] == fit.offset[0][0]
@@ -190,7 +190,7 @@ def test_a_held_out_record_has_the_offset_of_the_training_records() -> None:
 
 def test_the_nominal_model_takes_its_offset_from_the_training_records() -> None:
     problem = problem_of(stand(), OFFSET, OFFSET, held=OFFSET + 0.003)
-    fitter = HeldOutEvaluator(problem).plain
+    fitter = HeldOutEvaluator(problem).plain_fitter
     structure = base_structure(problem.network)
     held = fitter.follow(structure, structure.start, problem.held)
     assert held.offset[2][0] == pytest.approx(OFFSET, abs=1e-4)
@@ -198,9 +198,9 @@ def test_the_nominal_model_takes_its_offset_from_the_training_records() -> None:
 
 def test_a_held_out_record_may_have_its_own_offset() -> None:
     problem = problem_of(stand("record"), OFFSET, OFFSET, held=OFFSET + 0.003)
-    judge = HeldOutEvaluator(problem)
-    fit = judge.plain.fit(base_structure(problem.network))
-    held = judge.plain.follow(fit.structure, fit.x, problem.held)
+    evaluator = HeldOutEvaluator(problem)
+    fit = evaluator.plain_fitter.fit(base_structure(problem.network))
+    held = evaluator.plain_fitter.follow(fit.structure, fit.x, problem.held)
     assert held.offset[2][0] == pytest.approx(OFFSET + 0.003, abs=10 * NOISE)
 
 

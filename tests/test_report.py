@@ -163,8 +163,8 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
     gap["noise_floor"] = d.gap["noise_floor"]
     rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
     evidence = Evidence(
-        tuple(gap["refit"]), **rows, floor=tuple(gap["noise_floor"].values()), floor_known=(True,) * len(gap["refit"]),
-        worth=(0.05,) * len(gap["refit"]), effects=(EffectEvidence("hysteresis at piston-joint", 0.3),), explained=0.42,
+        tuple(gap["refit"]), **rows, noise=tuple(gap["noise_floor"].values()), noise_known=(True,) * len(gap["refit"]),
+        envelope=(0.05,) * len(gap["refit"]), effects=(EffectEvidence("hysteresis at piston-joint", 0.3),), explained=0.42,
     )  # fmt: skip
     best = BestCandidate(
         ("hysteresis",), (("piston", "joint"),), ({"level": 120.0},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
@@ -483,7 +483,9 @@ def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, 
     measured = np.stack([trace.measured[c.name] for c in model.outputs], axis=1)
     record = Record("one", float(trace.time[1] - trace.time[0]), trace.inputs, measured)
     problem = Problem(model, [record], ["fit"])
-    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(base_structure(model), frozen=True, iterations=0)
+    fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
+        base_structure(model), frozen=True, iterations=0
+    )
     law = series_law(problem, fit, "own", {shown: q})
     assert law is not None
     view = report.View(replace(diagnosis, model=model, effects=(effect,), laws=(law,)))

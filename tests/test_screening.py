@@ -16,22 +16,22 @@ from isd_gym.network import Network
 
 def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Screening, ScoredStart]:
     structure = base_structure(Network.load("quarter-car-isd"))
-    race = cast("Screening", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
+    stage = cast("Screening", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
     h = next(h for h in hypotheses(structure.network) if h.effect == effect)
-    return race, ScoredStart(h, Start(values, **start), values, 1.0)
+    return stage, ScoredStart(h, Start(values, **start), values, 1.0)
 
 
 def test_a_start_that_no_law_can_have_is_left_out() -> None:
     """The score test may ask for a force without end; a case of it ended a whole diagnosis."""
-    race, much = screened("cogging_force", {"amplitude": 1e12, "pitch": 0.01, "phase": 0.0})
-    assert starts(race, [much]) == []
-    race, little = screened("cogging_force", {"amplitude": 10.0, "pitch": 0.01, "phase": 0.0})
-    assert len(starts(race, [little])) == 1
+    stage, much = screened("cogging_force", {"amplitude": 1e12, "pitch": 0.01, "phase": 0.0})
+    assert starts(stage, [much]) == []
+    stage, little = screened("cogging_force", {"amplitude": 10.0, "pitch": 0.01, "phase": 0.0})
+    assert len(starts(stage, [little])) == 1
 
 
 def test_a_start_grows_in_what_scales_it() -> None:
-    race, s = screened("coulomb_friction", {"level": 100.0}, grows=("level",))
-    levels = [t.network.element(t.names[-1]).level for t in amplified(race, s, (0.5, 5.0, 1e9))]
+    stage, s = screened("coulomb_friction", {"level": 100.0}, grows=("level",))
+    levels = [t.network.element(t.names[-1]).level for t in amplified(stage, s, (0.5, 5.0, 1e9))]
     assert levels == [50.0, 500.0]
 
 
@@ -47,10 +47,10 @@ def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure() -> No
     assert [dict(h.options)["side"] for h in stops(car)] == ["both", "extension", "compression"]
     assert not stops(replace(car, uncertainty={**car.uncertainty, "end_stop.clearance": 0.1}))
     found = add(base_structure(car), stops(car)[0], {"clearance": 0.01, "stiffness": 2e5})
-    race = cast(
+    stage = cast(
         "Screening",
         SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car)),
     )
-    assert not any(Screening.sensible(race, h) for h in stops(found.network))
+    assert not any(Screening.is_sensible(stage, h) for h in stops(found.network))
     # two springs are one spring
     assert not any(h.effect == "linear_stiffness" and h.where == ("body", "wheel") for h in hypotheses(car))

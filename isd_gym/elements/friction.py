@@ -69,7 +69,7 @@ class StribeckFriction(Element):
     stribeck_velocity: float = parameter("m/s", 1e-3, 0.2, open_end=True)
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples below or above the Stribeck velocity, whichever is smaller."""
+        """Return the share of the samples of the motion below or above the Stribeck velocity, whichever is smaller."""
         below = float(np.mean(np.abs(motion.v) < self.stribeck_velocity))
         return min(below, 1.0 - below)
 

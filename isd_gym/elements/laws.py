@@ -364,7 +364,7 @@ class BumpStop(Element):
         return self.clearance
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples in contact."""
+        """Return the share of the samples of the motion in contact."""
         upper, lower, *_ = self.contact()
         return float(np.mean((motion.d > upper) | (motion.d < lower)))
 
@@ -452,7 +452,7 @@ class Hysteresis(Element):
         ]
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples beyond the slip displacement: below it the law is a spring."""
+        """Return the share of the samples of the motion beyond the slip displacement: below it the law is a spring."""
         slip = self.level / max(self.stiffness, 1e-300)
         return float(np.mean(np.abs(motion.d - np.median(motion.d)) > slip))
 
