@@ -34,7 +34,6 @@ from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT, signal_channels
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.files import write_text
-from isd_gym.kernel.layout import CONTACT
 from isd_gym.network import Network
 from isd_gym.road import Road
 from isd_gym.road import road as find_road
@@ -119,7 +118,7 @@ class Episode:
 
     @property
     def _compiled(self) -> Compiled:
-        return compiled(self.single.at.way != CONTACT)
+        return compiled(self.single.at)
 
     def _car(self, plant: Plant, mats: np.ndarray) -> Car:
         return Car(

@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numba as nb
 import numpy as np
 
-from isd_gym.kernel.compiled import kernel, stamp
+from isd_gym.kernel.compiled import Kernel, kernel_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from isd_gym.kernel.layout import Layout
 
 PIECE = 40  # control steps that share a step length
 CAUTION = 0.5  # how much more than its curvature a deviation at the end of a piece is taken to cost
@@ -290,18 +292,21 @@ class Compiled(NamedTuple):
 
 
 @functools.cache
-def _bind(of: int, with_laws: bool) -> Compiled:
-    own = kernel(with_laws)
+def _bind(own: Kernel) -> Compiled:
     names: dict[str, Any] = {**globals(), "advance": own.advance, "measure": own.measure}
+    flavour = own.advance.__qualname__.partition("_")[2]  # its laws are compiled in
     made = []
     for plain in (rollout, jacobian):
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
-        # as the kernel's: its laws are compiled in
-        twin.__qualname__ = f"{plain.__name__}_{'laws' if with_laws else 'closed'}_{of:x}"
+        twin.__qualname__ = f"{plain.__name__}_{flavour}"
         made.append(nb.njit(twin, nogil=True, error_model="numpy", cache=True))
     return Compiled(*made)
 
 
-def compiled(with_laws: bool) -> Compiled:
-    """The descent's functions, compiled when first needed; `with_laws`: as of `kernel`."""
-    return _bind(stamp(), with_laws)
+def compiled(at: Layout) -> Compiled:
+    """Return the descent's functions, compiled when first needed.
+
+    Args:
+        at: Layout of the networks that they serve.
+    """
+    return _bind(kernel_of(at))

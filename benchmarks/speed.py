@@ -55,16 +55,20 @@ def single(steps: int = 20_000) -> float:
     return float(np.median([seconds(balance) / seconds(drive) for _ in range(5)]))
 
 
-def batch(currents: str, count: int = 1024, steps: int = 300, **options: object) -> tuple[float, float]:
+def batch(
+    currents: str, count: int = 1024, steps: int = 300, *, name: str = "ISDSuspension-v0", **options: object
+) -> tuple[float, float]:
     """(ratio to CartPole's own vector environment, million steps per second) of `gymnasium.make_vec`.
 
-    options: of the environment. One thread.
+    name: of the environment. options: of the environment. One thread.
     """
-    cars = gym.make_vec("ISDSuspension-v0", count, threads=1, **options)
+    cars = gym.make_vec(name, count, threads=1, **options)
     poles = gym.make_vec("CartPole-v1", count)
     rng = np.random.default_rng(0)
     draws = [
-        (rng.uniform(-5, 5, (count, 1)) if currents == "random" else np.full((count, 1), float(currents)))
+        rng.uniform(-5, 5, cars.action_space.shape)
+        if currents == "random"
+        else np.full(cars.action_space.shape, float(currents))
         for _ in range(50)
     ]
     draws = [draw.astype(np.float32) for draw in draws]
@@ -183,6 +187,12 @@ def main() -> None:
         )[0],
         "make_vec 1024 with a preview of 0.4 s, over CartPole's": batch(
             "0", observation="preview", preview=0.4
+        )[0],
+        "make_vec 1024 half cars with random currents, over CartPole's": batch(
+            "random", name="ISDHalfCar-v0"
+        )[0],
+        "make_vec 1024 full cars with random currents, over CartPole's": batch(
+            "random", name="ISDFullCar-v0"
         )[0],
         "make_vec 8192, two threads over one (two idle cores)": threads(),
         "first step in a fresh environment [s]": first,

@@ -18,7 +18,7 @@ import numpy as np
 from . import elements as el
 from .errors import InputError
 from .kernel import layout as place
-from .kernel.layout import CONTACT, TOGETHER, WIDTH, aligned
+from .kernel.layout import TOGETHER, WIDTH, aligned
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
@@ -405,9 +405,9 @@ class Batch:
         """The kernel for the types of these arguments, which stay: they need not be looked up at every step."""
         from numba import typeof
 
-        from .kernel.compiled import kernel
+        from .kernel.compiled import kernel_of
 
-        of_car = kernel(self.plant.at.way != CONTACT, self.size)
+        of_car = kernel_of(self.plant.at, self.size)
         self._drive = of_car.drive.compile(tuple(map(typeof, self._calls[0])))  # type: ignore[attr-defined]
         return self._drive
 

@@ -85,23 +85,31 @@ class StageCost:
                 raise InputError(f"the reference of {name} must be > 0, not {shown(reference)}")
 
     @classmethod
-    def of(cls, given: StageCost | Mapping[str, Any] | None, axes: tuple[str, ...] = ()) -> StageCost:
+    def of(
+        cls, given: StageCost | Mapping[str, Any] | None, axes: tuple[str, ...] = (), corners: int = 1
+    ) -> StageCost:
         """Return the stage cost of a car from a stage cost, from some of its attributes, or the usual one.
 
         Args:
             given: Stage cost, or attributes that differ from those of the usual one.
             axes: Axes about which the body turns, of 'pitch' and 'roll'.
+            corners: Number of corners. A car with another number than the usual one has the mean references.
 
         Raises:
             InputError: An attribute does not exist, or the body does not turn about an axis that has a weight.
         """
-        usual = USUAL.get(axes, USUAL[()])
         if not isinstance(given, StageCost):
+            usual = USUAL.get(axes, QUARTER_CAR)
+            means = {
+                name: float(np.mean(value))
+                for name in ("travel_reference", "tyre_load_reference")
+                if isinstance(value := getattr(usual, name), tuple) and len(value) != corners
+            }
             known = [f.name for f in fields(cls)]
             for key in given or {}:
                 if key not in known:
                     raise InputError(f"cost: no {shown(key)}, there are {', '.join(known)}")
-            given = replace(usual, **(given or {}))
+            given = replace(usual, **{**means, **(given or {})})
         for axis in MOTIONS[1:]:
             if getattr(given, axis) > 0.0 and axis not in axes:
                 raise InputError(
@@ -174,6 +182,30 @@ class StageCost:
         return a + l + f + i
 
 
-#: usual stage costs of cars, by the axes about which their body turns
 QUARTER_CAR = StageCost()
-USUAL: dict[tuple[str, ...], StageCost] = {(): QUARTER_CAR}
+#: references: RMS of the passive car of the network half-car-passive on the paper's road at 20 m/s, stationary
+HALF_CAR = StageCost(
+    acceleration=0.3,
+    pitch=0.3,
+    acceleration_reference=0.5903,
+    pitch_reference=0.4431,
+    travel_reference=(7.059e-3, 7.250e-3),
+    tyre_load_reference=(515.1, 516.9),
+)
+#: the same of full-car-passive
+FULL_CAR = StageCost(
+    acceleration=0.2,
+    pitch=0.2,
+    roll=0.2,
+    acceleration_reference=0.4878,
+    pitch_reference=0.3485,
+    roll_reference=0.7455,
+    travel_reference=(6.983e-3, 6.983e-3, 6.924e-3, 6.924e-3),
+    tyre_load_reference=(513.6, 513.6, 515.2, 515.2),
+)
+#: usual stage costs of cars, by the axes about which their body turns
+USUAL: dict[tuple[str, ...], StageCost] = {
+    (): QUARTER_CAR,
+    ("pitch",): HALF_CAR,
+    ("pitch", "roll"): FULL_CAR,
+}

@@ -10,6 +10,7 @@ import numpy as np
 
 from .batch import CURRENT_LIMIT
 from .errors import InputError
+from .vehicle import require_quarter_car
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -154,6 +155,7 @@ def travel(
 
     crew: who drives. env: with as many cars. steps: how many.
     """
+    require_quarter_car(env.network, f"'{crew.name}' is a policy")
     crew.reset()
     obs, _ = env.reset(seed=seed)
     for k in range(steps):

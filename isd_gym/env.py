@@ -35,58 +35,85 @@ STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads)
 
 
 class ISDSuspensionEnv(gym.Env):
-    """A vehicle suspension with a hydraulic electric inerter, driven by its motor's current.
+    """A vehicle suspension with a hydraulic electric inerter at each corner, driven by the currents of the motors.
 
     ## Description
-    The quarter car of Liu, Zhao, Yang, Chen and Shen, "Predictive Control of Vehicle ISD Suspension Based on a
-    Hydraulic Electric Inerter", Shock and Vibration (2019): body and wheel, main spring and tyre, and between body
-    and wheel, in series, a damper and a hydraulic inerter whose fluid drives a linear motor. Dry friction, leakage,
+    The corner of every car is the quarter car of Liu, Zhao, Yang, Chen and Shen, "Predictive Control of Vehicle ISD
+    Suspension Based on a Hydraulic Electric Inerter", Shock and Vibration (2019). Its body and wheel are joined by the main
+    spring and, in series, a damper and a hydraulic inerter whose fluid drives a linear motor. Dry friction, leakage,
     oil elasticity and the end stop are part of the device. The goal is a quiet body on a rough road without using
     up the working space.
 
+    | environment | network | corners |
+    |---|---|---|
+    | `ISDSuspension-v0` | quarter-car-isd | one |
+    | `ISDSuspensionEq8-v0` | quarter-car-eq8, equation (8) as printed | one |
+    | `ISDHalfCar-v0` | half-car-isd: the body heaves and pitches | front, rear |
+    | `ISDFullCar-v0` | full-car-isd: the body heaves, pitches and rolls | front left, front right, rear left, rear right |
+
+    The rear wheels meet the road of the front wheels after wheelbase / speed, 0.135 s at 20 m/s. The two tracks of
+    the full car are those of an isotropic surface (`isd_gym.tracks`). Corners, signals and currents follow from the network:
+    `network` may be any with a rigid body, a wheel on each road input and at most one motor at each wheel.
+
     ## Action space
-    `Box(-5, 5, (1,), float32)`: commanded motor current [A]. The drive slews the current by at most 0.5 A per
-    control step of 5 ms (Table 5). A value that is not finite, or of another shape, raises `InputError`.
+    `Box(-5, 5, (currents,), float32)`: commanded motor currents [A]. Each drive slews its current by at most 0.5 A per
+    control step of 5 ms (Table 5). A value that is not finite, or an action of another shape, raises `InputError`.
+
+    | # | quarter car | half car | full car | unit |
+    |---|---|---|---|---|
+    | 0 | current | front | front left | A |
+    | 1 | | rear | front right | A |
+    | 2 | | | rear left | A |
+    | 3 | | | rear right | A |
+
+    A network without motors has a current for each corner, which acts on nothing.
 
     ## Observation space
-    `Box(-high, high, (6,), float32)`, what a car can measure:
+    `Box(-high, high, (signals,), float32)`, what a car can measure. Corners are in the order of the actions.
 
-    | # | signal | unit | bound |
-    |---|---|---|---|
-    | 0 | body acceleration | m/s² | 200 |
-    | 1 | suspension travel, body over wheel | m | 1 |
-    | 2 | its rate | m/s | 50 |
-    | 3 | device travel (the motor's encoder) | m | 1 |
-    | 4 | its rate | m/s | 50 |
-    | 5 | present current | A | 5 |
+    | quarter car | half car | full car | signal | unit | bound |
+    |---|---|---|---|---|---|
+    | 0 | 0 | 0 | vertical acceleration of the body at its centre of gravity | m/s² | 200 |
+    | | 1 | 1 | pitch acceleration, nose down positive | rad/s² | 200 |
+    | | | 2 | roll acceleration, right side down positive | rad/s² | 200 |
+    | 1 | 2, 6 | 3, 7, 11, 15 | suspension travel, body over wheel, of each corner | m | 1 |
+    | 2 | 3, 7 | 4, 8, 12, 16 | its rate | m/s | 50 |
+    | 3 | 4, 8 | 5, 9, 13, 17 | device travel (the motor's encoder) of each corner | m | 1 |
+    | 4 | 5, 9 | 6, 10, 14, 18 | its rate | m/s | 50 |
+    | 5 | 10, 11 | 19 to 22 | present current of each motor | A | 5 |
 
-    `observation="full"` appends displacement above the road [m] and velocity [m/s] of every node;
-    `observation="preview"` appends the road ahead, relative to the height under the wheel [m], one point per control
-    step over `preview` seconds.
+    `observation="full"` appends displacement and velocity of every node with a motion of its own: wheels, body, its angles
+    [rad, rad/s], terminals of the devices. Displacements [m] count from the road, nodes of a corner from its own road
+    and the body from the mean of all. `observation="preview"` appends the road ahead of the first axle, relative to the
+    height under its wheel [m]: one point per control step over `preview` seconds, the left track before the right one.
 
     ## Reward
-    `-[0.6 (a / 0.8306 m/s²)² + 0.3 (l / 7.6 mm)²]` per step, of body acceleration a and suspension travel l at the
-    end of the step: section 4.2's weights over Table 7's passive row, about -0.9 for the passive car. Dynamic tyre load
-    and current can be given weights (`cost={"tyre_load": ..., "current": ...}`).
+    Minus a stage cost of signals at the end of the step, see `StageCost`. For the quarter car it is
+    `0.6 (a / 0.8306 m/s²)² + 0.3 (l / 7.6 mm)²` of body acceleration a and suspension travel l: section 4.2's weights over
+    Table 7's passive row. The half car has the weights 0.3 and 0.3 for vertical and pitch acceleration, the full car
+    three times 0.2 with roll acceleration, and both share 0.3 equally among the travels of the corners. Each signal is taken
+    over its RMS in the passive car, which costs about 0.9 in all three. Dynamic tyre load and current can be given
+    weights (`cost={"tyre_load": ..., "current": ...}`).
 
     ## Episode
     Starts at rest at the beginning of a new road. Truncated after 4000 steps (20 s). Terminated only if the state leaves
     the bounds of the observation, which does not happen by itself.
 
     ## Info
-    Of `reset` and of `step`: `speed` [m/s], `tyre_load` [N] (dynamic, positive in compression) and the terms of the
-    cost, `cost_acceleration`, `cost_travel`, `cost_tyre_load`, `cost_current`.
+    Of `reset` and of `step`: `speed` [m/s], the terms of the cost, `cost_acceleration`, `cost_pitch` and `cost_roll` where
+    the body turns, `cost_travel`, `cost_tyre_load`, `cost_current`, and the dynamic tyre load [N], positive in
+    compression: `tyre_load` of a quarter car, else `tyre_load_front`, `tyre_load_rear_left` and so on.
 
     ## Arguments
     `network`: a built-in name, a file (`isd-model/1`) or a `Network`. `road`: paper, A-H, bump, pothole, sweep, a CSV
     file, `C+bump`. `speed` [m/s]. `observation`: measured, full, preview. `preview` [s]. `cost`: a `StageCost` or its
     weights. `randomize`: {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}, factors on parameters of
-    the network, drawn at every reset. `control_step` [s]. `render_mode`: human, rgb_array.
+    the network, drawn at every reset. `control_step` [s]. `render_mode`: human, rgb_array, of a quarter car.
     `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`. `sensors`: how imperfect
     they are, see `isd_gym.sensors.Sensors`, e.g. {"noise": 1.0, "road_error": 0.001}.
 
     ## Versions
-    v0: first release. `ISDSuspensionEq8-v0` is the same with the paper's equation (8) as printed.
+    `ISDSuspension-v0`, `ISDSuspensionEq8-v0`: v0, first release. `ISDHalfCar-v0`, `ISDFullCar-v0`: v0, first release.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
@@ -238,7 +265,7 @@ def _currents(actions: Any) -> np.ndarray:
 
 
 class ISDSuspensionVectorEnv(VectorEnv):
-    """Many cars at once, natively: `gymnasium.make_vec("ISDSuspension-v0", 1024)`.
+    """Many cars at once, natively: `gymnasium.make_vec("ISDSuspension-v0", 1024)`, or half and full cars likewise.
 
     Car i is exactly the single environment seeded with ``seed + i``. Arguments as `ISDSuspensionEnv`'s, and
     `num_envs`, `max_episode_steps` [control steps], `autoreset_mode`: next_step (Gymnasium's default), same_step (`final_obs` and `final_info` in `info`), disabled

@@ -9,12 +9,12 @@ import os
 from difflib import get_close_matches
 from typing import Any
 
-from .batch import signal_channels
 from .cost import StageCost
 from .driving import Entry, Idle
 from .errors import InputError, shown
 from .network import Network
 from .plugins import POLICIES, plugins
+from .vehicle import require_quarter_car
 
 __all__ = ["Entry", "Idle", "conventional", "find", "passive"]
 
@@ -22,9 +22,10 @@ __all__ = ["Entry", "Idle", "conventional", "find", "passive"]
 def conventional(network: Network) -> Network:
     """The conventional passive car (spring and damper in parallel) with the network's own masses and coefficients.
 
-    The first two masses are body and wheel, whatever they are called. Raises `InputError` for a network that is no car.
+    The first two masses are body and wheel, whatever they are called. Raises `InputError` for a network that is no
+    quarter car.
     """
-    signal_channels(network)  # says what is missing if this is no car
+    require_quarter_car(network, "the conventional passive car is that")
     car = Network.load("quarter-car-passive")
     own = network.parameters
     shared = {k: own[k] for k in car.parameters if k in own}
@@ -62,6 +63,7 @@ def find(
             f"{shown(name, 200)} is an archive with pickles in it: convert it once with `isd-gym convert`, "
             "or say --trust-zip if it is your own"
         )
+    require_quarter_car(network, f"{shown(name, 200)} is a policy")
     if name == "passive":
         return passive(network)
     if name == "isd-passive":

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-ENVIRONMENTS = {"ISDSuspension-v0": "quarter-car-isd", "ISDSuspensionEq8-v0": "quarter-car-eq8"}
+ENVIRONMENTS = {
+    "ISDSuspension-v0": "quarter-car-isd",
+    "ISDSuspensionEq8-v0": "quarter-car-eq8",
+    "ISDHalfCar-v0": "half-car-isd",
+    "ISDFullCar-v0": "full-car-isd",
+}
 EPISODE_STEPS = 4000  # 20 s at 5 ms
 
 

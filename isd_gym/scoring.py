@@ -17,6 +17,7 @@ from .network import Network
 from .policies import find, passive
 from .road import road as find_road
 from .sensors import Sensors
+from .vehicle import require_quarter_car
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -358,6 +359,7 @@ def score(
     if not duration > 0:
         raise InputError(f"duration must be positive, not {duration}")
     network = Network.load(network)
+    require_quarter_car(network, "a score is that")
     cost = cost or StageCost()
     named = [policies] if isinstance(policies, str | Entry) else policies
     entries = [find(p, network, cost=cost) if isinstance(p, str) else p for p in named]

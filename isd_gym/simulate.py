@@ -17,7 +17,7 @@ from scipy.linalg import expm
 
 from . import elements as el
 from .errors import InputError
-from .kernel.layout import CONTACT, GENERAL, QUIET, WIDTH, Layout, aligned, layout
+from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
 from .units import HELD, convert
 
@@ -28,6 +28,9 @@ PHYSICS_STEP = 1e-3  # s
 #: parts of the base vector that are the motion of a node, each the derivative of the one before
 PARTS = ("r", "v", "alpha")
 TOLD = dict(zip(MOTIONS, PARTS, strict=True))
+SEPARATE = (
+    1e-6  # devices that move one another less, of what each moves by its own forces, have a closed form
+)
 AT_ONCE = 1e-12  # m/s per N or A: below is rounding; a damper of 1e12 N s/m
 WAY = Layout._fields.index("way")
 
@@ -188,31 +191,70 @@ def _law_numbers(
     parameters = np.zeros((len(laws), max(map(len, lists), default=0)))
     for row, numbers in zip(parameters, lists, strict=True):
         row[: len(numbers)] = numbers
-    rubs = len(laws) > ns
-    # beyond the general way: at most one constant friction that the motion yields to, and stops that nothing touches
+    nl = len(laws)
+    devices = max(ns, nl - ns, 1)
+    # beyond the general way: constant frictions that the motion yields to, and stops that nothing touches
     constant = all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
-    level = parameters[ns, 0] if rubs and constant else 0.0
-    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]).sum(axis=1) * level
+    levels = parameters[ns:, 0] if constant and nl > ns else np.zeros(nl - ns)
+    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]) @ levels
+    stops = [e.contact() for e in laws[:ns]]
+    several = devices > 1 and None not in stops and _are_separate(ns, GD, GS)
+    found = [
+        _closed_form(stops[p] if p < ns and (several or ns == 1) else None, ns, GD, GS, p, levels)
+        for p in range(devices)
+    ]
+    closes = all(ok for _, ok in (found if several else found[:1]))
     way = CONTACT
-    own = GS[ns, ns] if rubs else -1.0
-    closed = np.array([np.inf, -np.inf, 0.0, 0.0, 0.0, level, -1.0 / own if own < 0 else 0.0, 0.0])
-    contact = laws[0].contact() if ns == 1 else None
-    if differ or len(laws) - ns > 1 or not constant or own >= 0 or (instant and ns):
+    if (
+        differ
+        or not constant
+        or not closes
+        or (instant and (ns or devices > 1))
+        or (nl - ns > 1 and not several)
+    ):
         way = GENERAL
-    elif contact is not None:
-        upper, lower, stiffness, damping = contact
-        rest = 1.0 - stiffness * GD[0, 0] - damping * GS[0, 0]
-        by_friction, slip = 0.0, own
-        if rubs:
-            by_friction = (stiffness * GD[0, 1] + damping * GS[0, 1]) / rest
-            slip = own + GS[1, 0] * by_friction
-        closed[:5] = upper, lower, stiffness / rest, damping / rest, by_friction
-        closed[7] = -1.0 / slip if slip < 0 else 0.0
-        if rest <= 0 or slip >= 0:
-            way = GENERAL
-    elif ns:
+    elif ns and not several and (ns > 1 or stops[0] is None):
         way = QUIET if (spans > 0).all() else GENERAL
+    closed = np.concatenate([numbers for numbers, _ in found])
     return way, np.concatenate([np.maximum(spans, 0.0), closed]), parameters
+
+
+def _are_separate(ns: int, GD: np.ndarray, GS: np.ndarray) -> bool:
+    """Return whether the forces of each device, stop p and friction p, hardly move another one within a step."""
+    device = np.concatenate([np.arange(ns), np.arange(len(GD) - ns)])
+    across = device[:, None] != device
+    for yields in (GD, GS):
+        own = np.abs(np.diag(yields))
+        if (np.abs(yields) > SEPARATE * np.sqrt(own[:, None] * own))[across].any():
+            return False
+    return True
+
+
+def _closed_form(
+    stop: tuple[float, float, float, float] | None,
+    ns: int,
+    GD: np.ndarray,
+    GS: np.ndarray,
+    p: int,
+    levels: np.ndarray,
+) -> tuple[np.ndarray, bool]:
+    """Numbers of device p for the closed form (`layout`), and whether there is one: its stop, if any, and its friction."""
+    dry = ns + p
+    rubs = dry < len(GD)
+    own = GS[dry, dry] if rubs else -1.0
+    level = levels[p] if rubs else 0.0
+    closed = np.array([np.inf, -np.inf, 0.0, 0.0, 0.0, level, -1.0 / own if own < 0 else 0.0, 0.0])
+    if own >= 0 or stop is None:
+        return closed, bool(own < 0)
+    upper, lower, stiffness, damping = stop
+    rest = 1.0 - stiffness * GD[p, p] - damping * GS[p, p]
+    by_friction, slip = 0.0, own
+    if rubs:
+        by_friction = (stiffness * GD[p, dry] + damping * GS[p, dry]) / rest
+        slip = own + GS[dry, p] * by_friction
+    closed[:5] = upper, lower, stiffness / rest, damping / rest, by_friction
+    closed[7] = -1.0 / slip if slip < 0 else 0.0
+    return closed, bool(rest > 0 and slip < 0)
 
 
 def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
@@ -320,7 +362,7 @@ class Plant:
         self._pack([whole[id(asm)] for asm in self.assemblies], several)
 
     def _pack(self, parts: Sequence[Discrete], several: bool) -> None:
-        from .kernel.compiled import kernel
+        from .kernel.compiled import kernel_of
 
         first = parts[0]
         for other in parts[1:]:
@@ -339,7 +381,7 @@ class Plant:
                 self.place(self.mats, lane, part)
         else:
             self.mats = first.numbers[:, None].copy()
-        self.kernel = kernel(bool(self.at.way != CONTACT))
+        self.kernel = kernel_of(self.at)
 
     def place(self, mats: np.ndarray, lane: int, part: Discrete) -> None:
         """Put the numbers of a lane into `mats` (groups, numbers, 8), where every lane has its own."""
@@ -353,10 +395,10 @@ class Plant:
         return {k: v for k, v in self.__dict__.items() if k != "kernel"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from .kernel.compiled import kernel
+        from .kernel.compiled import kernel_of
 
         self.__dict__.update(state)
-        self.kernel = kernel(bool(self.at.way != CONTACT))
+        self.kernel = kernel_of(self.at)
 
     def state(
         self,
@@ -398,13 +440,12 @@ class Plant:
             own = at.gains + j * at.rows + at.states + j
             with np.errstate(divide="ignore", invalid="ignore"):
                 # what the stop adds to the yielding of the friction on it stays as it is
-                through = np.where(
-                    numbers[at.give_stopped] > 0, -1.0 / numbers[at.give_stopped] - numbers[own], 0.0
-                )
+                give, stopped = (k + CLOSED * (j - at.smooth) for k in (at.give, at.give_stopped))
+                through = np.where(numbers[stopped] > 0, -1.0 / numbers[stopped] - numbers[own], 0.0)
                 numbers[own] *= 1.0 + softness
                 yields = -(numbers[own] + through)
-                numbers[at.give] = np.where(numbers[own] < 0, -1.0 / numbers[own], 0.0)
-                numbers[at.give_stopped] = np.where(yields > 0, 1.0 / yields, 0.0)
+                numbers[give] = np.where(numbers[own] < 0, -1.0 / numbers[own], 0.0)
+                numbers[stopped] = np.where(yields > 0, 1.0 / yields, 0.0)
         return mats
 
     def _start_laws(self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None) -> None:

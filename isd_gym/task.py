@@ -75,7 +75,8 @@ class Options:
         put = object.__setattr__
         put(self, "network", network)
         put(self, "road", road(self.road))
-        put(self, "cost", StageCost.of(self.cost, vehicle(network).axes))
+        car = vehicle(network)
+        put(self, "cost", StageCost.of(self.cost, car.axes, len(car.corners)))
         put(self, "sensors", Sensors.of(self.sensors))
 
     @classmethod

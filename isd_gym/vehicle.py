@@ -291,6 +291,24 @@ def _nearest(
     return None
 
 
+def require_quarter_car(network: Network, what: str) -> None:
+    """Check that a network is a quarter car, for what serves no other car.
+
+    Args:
+        network: Network of a car.
+        what: What needs the quarter car, as the message begins: "'lqg' is a policy".
+
+    Raises:
+        InputError: The network is no car, or has several corners.
+    """
+    corners = len(vehicle(network).corners)
+    if corners > 1:
+        kind = {2: "half car", 4: "full car"}.get(corners, f"car with {corners} corners")
+        raise InputError(
+            f"{what} of a quarter car, but network '{network.name}' is a {kind}: choose a network with one corner"
+        )
+
+
 def signal_channels(network: Network) -> list[Channel]:
     """Return the signals of a car as channels of its network, see `Vehicle.channels`.
 

@@ -8,7 +8,7 @@ import numba as nb
 import numpy as np
 
 from ..cost import square
-from .lanes import bits, load, noise, select, spread, store
+from .lanes import bits, load, noise, select, some, spread, store
 from .layout import (
     AHEAD,
     ALL,
@@ -81,7 +81,7 @@ def drive(
     """
     at = layout(ints)
     setup = ints[at.differs + at.laws :]
-    together = 1 if mats.shape[0] != at.size else TOGETHER  # numbers of their own fill the processor's cache
+    together = 1 if mats.shape[0] != at.size else TOGETHER
     broken = 0
     for group in range(begin, stop, together):
         broken += control(
@@ -241,19 +241,18 @@ def wheels(setup, inputs, cars, history, u, tracks_at, h, wide, group, count):
         met_at = tracks_at + track * substeps
         if setup[CAR.behind + c]:
             met_at = tracks_at + CAR.tracks * substeps
-            passed = (group * CAR.tracks + track) * kept * WIDTH
-            for l in range(count):
-                late = cars[(CAR.late + c) * wide + first + l]
-                back = int(late)
-                part = late - back
-                place = now - back
-                for k in range(substeps):
-                    newer = place + k if place + k >= 0 else place + k + kept
-                    newer = newer if newer < kept else newer - kept
-                    older = newer - 1 if newer > 0 else kept - 1
-                    u[(met_at + k) * WIDTH + l] = (1.0 - part) * history[
-                        passed + newer * WIDTH + l
-                    ] + part * history[passed + older * WIDTH + l]
+            meet_again(
+                history,
+                cars,
+                (CAR.late + c) * wide + first,
+                (group * CAR.tracks + track) * kept,
+                kept,
+                now,
+                u,
+                met_at,
+                substeps,
+                count,
+            )
         height = load(cars, (CAR.height + c) * wide + first)
         rate = load(cars, (CAR.height_rate + c) * wide + first)
         if col_r >= 0:
@@ -277,6 +276,34 @@ def wheels(setup, inputs, cars, history, u, tracks_at, h, wide, group, count):
             height = new
         store(cars, (CAR.height + c) * wide + first, height)
         store(cars, (CAR.height_rate + c) * wide + first, rate)
+
+
+def meet_again(history, cars, late_at, passed, kept, now, u, met_at, substeps, count):
+    """Heights that a wheel behind the first axle meets in the physics steps of a control step, into u from row `met_at` on."""
+    late = load(cars, late_at)
+    first = cars[late_at]
+    if count == WIDTH and not some(late != first):  # all lanes at once
+        back = int(first)
+        part = first - back
+        place = now - back if now >= back else now - back + kept
+        older = load(history, (passed + (place - 1 if place > 0 else kept - 1)) * WIDTH)
+        for k in range(substeps):
+            newer = load(history, (passed + place) * WIDTH)
+            store(u, (met_at + k) * WIDTH, (1.0 - part) * newer + part * older)
+            older = newer
+            place = place + 1 if place + 1 < kept else 0
+    else:
+        for l in range(count):
+            lane = cars[late_at + l]
+            back = int(lane)
+            part = lane - back
+            place = now - back if now >= back else now - back + kept
+            older = history[(passed + (place - 1 if place > 0 else kept - 1)) * WIDTH + l]
+            for k in range(substeps):
+                newer = history[(passed + place) * WIDTH + l]
+                u[(met_at + k) * WIDTH + l] = (1.0 - part) * newer + part * older
+                older = newer
+                place = place + 1 if place + 1 < kept else 0
 
 
 def show_state(at, state, cars, settings, wide, first, count, seen_out):

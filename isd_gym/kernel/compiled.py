@@ -74,15 +74,20 @@ class Kernel(NamedTuple):
     drive: Callable[..., Any]
 
 
-_CLOSED = (
-    layout.layout, linear.sums, linear.pooled, linear.number, linear.clip, linear.take, contact.apply, contact.touch
-)  # fmt: skip
+_CLOSED = (layout.layout, linear.sums, linear.pooled, linear.number, linear.clip, linear.take)
+_ALONE = (contact.beside, contact.touch, contact.apply, contact.contact)
+_SEVERAL = (contact.among_others, contact.beside_others, contact.touch, contact.apply, contact.contacts)
 _LAWS = (
     laws.parameters, laws.held, laws.seen, laws.ask, laws.rub, laws.push,
     newton.eliminate, newton.resting, newton.answers, newton.excess, newton.bracketed, newton.newton,
     solve.settle, solve.busy, solve.finish, solve.solved, solve.yields, solve.lacks, solve.between, solve.at_once,
 )  # fmt: skip
-_INSTEAD = {solve.unsolved: "solved", solve.as_it_is: "at_once"}
+_INSTEAD = {
+    solve.unsolved: "solved",
+    solve.as_it_is: "at_once",
+    contact.beside_others: "beside",
+    contact.contacts: "contact",
+}
 _STEPS = (
     cost.square,
     steps.march,
@@ -90,6 +95,7 @@ _STEPS = (
     steps.pool_of,
     cars.driven,
     cars.ground,
+    cars.meet_again,
     cars.wheels,
     cars.show_state,
     cars.look,
@@ -102,6 +108,7 @@ _MODULES = (
     layout,
     lanes,
     linear,
+    contact,
     laws,
     newton,
     solve,
@@ -124,8 +131,12 @@ _INLINE = (
 _CLOSE = (
     linear.take,
     linear.sums,
+    contact.beside,
+    contact.among_others,
     contact.touch,
     contact.apply,
+    contact.contact,
+    contact.contacts,
     cars.control,
     cars.ground,
     cars.wheels,
@@ -142,15 +153,16 @@ if hasattr(
 
 
 @functools.cache
-def _bind(of: int, with_laws: bool, car: layout.CarSize) -> Kernel:
+def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kernel:
     smooth, dry = _laws() if with_laws else ([], [])
     names: dict[str, Any] = {k: v for module in _MODULES for k, v in vars(module).items()}
     names["CAR"] = layout.cars_layout(car)
-    flavour = f"{'laws' if with_laws else 'closed'}_{'_'.join(map(str, car))}"
+    flavour = "_".join(map(str, ("laws" if with_laws else "several" if several else "closed", *car)))
     if with_laws:
         names["law_force"] = _dispatch([c.law for c in smooth], laws.law_force)  # type: ignore[misc]
         names["law_bound"] = _dispatch([c.bound for c in dry], laws.law_bound)  # type: ignore[misc]
-    for plain in (*_CLOSED, *(_LAWS if with_laws else tuple(_INSTEAD)), *_STEPS, *_ENTRIES):
+    laws_ = _LAWS if with_laws else (solve.unsolved, solve.as_it_is)
+    for plain in (*_CLOSED, *(_SEVERAL if several else _ALONE), *laws_, *_STEPS, *_ENTRIES):
         # compiled functions read constants and one another from `names`; the name of a function is part of its key
         # in numba's cache on disk: the stamp keeps old laws out
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
@@ -161,11 +173,23 @@ def _bind(of: int, with_laws: bool, car: layout.CarSize) -> Kernel:
     return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
 
 
-def kernel(with_laws: bool = True, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
+def kernel(with_laws: bool = True, several: bool = False, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
     """Return the compiled kernel.
 
     Args:
         with_laws: Whether it has every law that is registered now; without any it serves networks of the way `CONTACT`.
+        several: Whether, without laws, it serves networks with several devices.
         car: Numbers of parts of the cars that `drive` is compiled for.
     """
-    return _bind(stamp(), with_laws, car)
+    return _bind(stamp(), with_laws, several, car)
+
+
+def kernel_of(at: layout.Layout, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
+    """Return the compiled kernel that serves networks.
+
+    Args:
+        at: Layout of the networks.
+        car: Numbers of parts of the cars that `drive` is compiled for.
+    """
+    closed = at.way == layout.CONTACT
+    return kernel(not closed, closed and at.devices > 1, car)

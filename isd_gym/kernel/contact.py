@@ -1,50 +1,149 @@
-"""A step in closed form and without branches: at most one stop (or play) and one constant friction, the car's case."""
+"""A step in closed form and without branches: devices of at most one stop (or play) and one constant friction each.
+
+A car has one device at each corner. The devices hardly feel one another within a step: what the force of one does to
+another is below a millionth of what it does to its own, and enters with the forces that are known so far.
+"""
 
 from __future__ import annotations
 
 from .lanes import fused, load, select, some, spread, store
-from .layout import CONTACT, WIDTH
-from .linear import U, clip, pooled
+from .layout import CLOSED, CONTACT, WIDTH
+from .linear import U, clip, pooled, sums
 
 
-def touch(mats, own, at, state):
-    """End a step of at most one stop (or play) and one constant friction, which may stick.
+def contact(mats, own, at, state):
+    """A step of one device at most."""
+    sums(mats, own, at.matrix, at.rows, at.step_columns, state, at.step, at.rows)
+    push, friction = touch(mats, own, at, state, 0)
+    apply(mats, own, at, state, push, friction)
+
+
+def contacts(mats, own, at, state):
+    """A step of several devices, in the place of `contact`.
+
+    Columns of stops that do not push, and rows that only a stop that is met asks for, are left out of the linear part. Each
+    device sees the others with their forces of the last step, the states see all forces of this one.
+    """
+    n, nl, ns = at.states, at.laws, at.smooth
+    pushes = False
+    for j in range(ns):
+        pushes = pushes or some(load(state, (at.force + j) * WIDTH) != 0.0)
+    columns = at.step_columns if pushes else at.step_columns - ns
+    sums(mats, own, at.matrix, at.rows, columns, state, at.step, (n + nl + 3) // 4 * 4)
+    for i in range(nl):
+        store(
+            state,
+            (at.first + i) * WIDTH,
+            among_others(mats, own, at, state, n + i, i if i < ns else i - ns, pushes),
+        )
+    for p in range(at.devices):
+        push, friction = touch(mats, own, at, state, p)
+        if p < ns:
+            store(state, (at.acting + p) * WIDTH, push)
+            pushes = pushes or some(push != 0.0)
+        if ns + p < nl:
+            store(state, (at.acting + ns + p) * WIDTH, friction)
+    begin, i = 0 if pushes else ns, 0
+    while i + 4 <= n:
+        a, b = load(state, (at.step + i) * WIDTH), load(state, (at.step + i + 1) * WIDTH)
+        c, d = load(state, (at.step + i + 2) * WIDTH), load(state, (at.step + i + 3) * WIDTH)
+        k = at.gains + begin * at.rows + i
+        for j in range(begin, nl):
+            x = load(state, (at.acting + j) * WIDTH)
+            a = fused(pooled(mats, own, k), x, a)
+            b = fused(pooled(mats, own, k + 1), x, b)
+            c = fused(pooled(mats, own, k + 2), x, c)
+            d = fused(pooled(mats, own, k + 3), x, d)
+            k += at.rows
+        store(state, i * WIDTH, a)
+        store(state, (i + 1) * WIDTH, b)
+        store(state, (i + 2) * WIDTH, c)
+        store(state, (i + 3) * WIDTH, d)
+        i += 4
+    while i < n:
+        x = load(state, (at.step + i) * WIDTH)
+        for j in range(begin, nl):
+            x = fused(pooled(mats, own, at.gains + j * at.rows + i), load(state, (at.acting + j) * WIDTH), x)
+        store(state, i * WIDTH, x)
+        i += 1
+    for i in range(nl):
+        p = i if i < ns else i - ns
+        x = load(state, (at.first + i) * WIDTH)
+        if ns + p < nl:
+            gain = pooled(mats, own, at.gains + (ns + p) * at.rows + n + i)
+            x = fused(gain, load(state, (at.acting + ns + p) * WIDTH), x)
+        if pushes and p < ns:
+            x = fused(
+                pooled(mats, own, at.gains + p * at.rows + n + i), load(state, (at.acting + p) * WIDTH), x
+            )
+        store(state, ((at.elongation if i < ns else at.rate) + i) * WIDTH, x)
+
+
+def among_others(mats, own, at, state, row, p, pushes):
+    """A row of the step with the forces of all devices but p in the last step."""
+    ns = at.smooth
+    x = load(state, (at.step + row) * WIDTH)
+    for j in range(0 if pushes else ns, at.laws):
+        if j != p and j != ns + p:
+            x = fused(pooled(mats, own, at.gains + j * at.rows + row), load(state, (at.force + j) * WIDTH), x)
+    return x
+
+
+def beside(mats, own, at, state, p):
+    """The other of what stop p sees, its rate, without the forces of its device."""
+    return load(state, (at.other + p) * WIDTH)
+
+
+def beside_others(mats, own, at, state, p):
+    """In the place of `beside` where `contacts` has left it out."""
+    row, x = at.states + at.laws + p, spread(0.0)
+    for j in range(at.step_columns):
+        x = fused(pooled(mats, own, at.matrix + j * at.rows + row), load(state, j * WIDTH), x)
+    store(state, (at.step + row) * WIDTH, x)
+    return among_others(mats, own, at, state, row, p, True)
+
+
+def touch(mats, own, at, state, p):
+    """Forces of the stop and of the friction of device p, at most one stop (or play) and one constant friction, which may stick.
 
     Clear of the stop the friction is ``clip(-r / g)``. On it, the force of the stop is linear in the friction; with it
     put in, so is the rate, and the friction a clip again. A stop that would pull is not touched.
     """
     n, nl, ns = at.states, at.laws, at.smooth
+    closed, stop, dry = CLOSED * p, p, ns + p
     friction, push = spread(0.0), spread(0.0)
     level, rate = spread(0.0), spread(0.0)
-    rubs = nl > ns
+    rubs = nl > dry
     if rubs:
-        level = pooled(mats, own, at.level)
-        rate = load(state, (at.first + ns) * WIDTH)
-        friction = clip(rate * pooled(mats, own, at.give), level)
-    if ns > 0:
-        upper, lower = pooled(mats, own, at.upper), pooled(mats, own, at.lower)
-        free, yields = load(state, at.first * WIDTH), spread(0.0)
+        level = pooled(mats, own, at.level + closed)
+        rate = load(state, (at.first + dry) * WIDTH)
+        friction = clip(rate * pooled(mats, own, at.give + closed), level)
+    if ns > stop:
+        upper, lower = pooled(mats, own, at.upper + closed), pooled(mats, own, at.lower + closed)
+        free, yields = load(state, (at.first + stop) * WIDTH), spread(0.0)
         if rubs:
-            yields = pooled(mats, own, at.gains + ns * at.rows + n)
+            yields = pooled(mats, own, at.gains + dry * at.rows + n + stop)
         place = fused(yields, friction, free)
         meets = (place > upper) | (place < lower)
         if some(meets):
             extended = place > 0.0
             beyond = free - select(extended, upper, lower)
-            alone = beyond * pooled(mats, own, at.per_elongation)
-            alone = fused(load(state, at.other * WIDTH), pooled(mats, own, at.per_rate), alone)
-            shared = pooled(mats, own, at.per_friction)
+            alone = beyond * pooled(mats, own, at.per_elongation + closed)
+            alone = fused(beside(mats, own, at, state, p), pooled(mats, own, at.per_rate + closed), alone)
+            shared = pooled(mats, own, at.per_friction + closed)
             held, slip, own_slip = friction, spread(0.0), spread(0.0)
             if rubs:
-                slip = pooled(mats, own, at.gains + n + ns)  # what the stop does to the sliding
-                own_slip = pooled(mats, own, at.gains + ns * at.rows + n + ns)
-                held = clip(fused(slip, alone, rate) * pooled(mats, own, at.give_stopped), level)
+                slip = pooled(
+                    mats, own, at.gains + stop * at.rows + n + dry
+                )  # what the stop does to the sliding
+                own_slip = pooled(mats, own, at.gains + dry * at.rows + n + dry)
+                held = clip(fused(slip, alone, rate) * pooled(mats, own, at.give_stopped + closed), level)
             force = fused(shared, held, alone)
             touches = meets & (select(extended, force, -force) > 0.0)
             friction = select(touches, held, friction)
             push = select(touches, force, push)
             # a damped stop pushes from the instant it is met: one that would at once push clear is met, and no more
-            own_yield = pooled(mats, own, at.gains + n)
+            own_yield = pooled(mats, own, at.gains + stop * at.rows + n + stop)
             limit = select(extended, upper, lower)
             rest = fused(yields, friction, free) - limit
             gap = fused(own_yield, push, rest)
@@ -53,7 +152,7 @@ def touch(mats, own, at, state):
                 push = select(short, -rest / own_yield, push)
             if rubs:
                 # where the sliding reverses within the step, friction has the old sign up to that instant
-                was = load(state, (at.rate + ns) * WIDTH)
+                was = load(state, (at.rate + dry) * WIDTH)
                 end = fused(own_slip, friction, fused(slip, push, rate))
                 turns = touches & ~short & (abs(friction) >= level) & (was * end < 0.0)
                 if some(turns):
@@ -66,15 +165,15 @@ def touch(mats, own, at, state):
                         end = fused(own_slip, friction, fused(slip, push, rate))
                     # what acted was a mean over the step; what outputs see is the force at its end
                     seen = select(end > 0.0, level, -level)
-                    store(state, (at.force + ns) * WIDTH, select(turns & (abs(end) > 1e-9), seen, friction))
+                    store(state, (at.force + dry) * WIDTH, select(turns & (abs(end) > 1e-9), seen, friction))
                 else:
-                    store(state, (at.force + ns) * WIDTH, friction)
+                    store(state, (at.force + dry) * WIDTH, friction)
         elif rubs:
-            store(state, (at.force + ns) * WIDTH, friction)
-        store(state, at.force * WIDTH, push)
+            store(state, (at.force + dry) * WIDTH, friction)
+        store(state, (at.force + stop) * WIDTH, push)
     elif rubs:
-        store(state, at.force * WIDTH, friction)
-    apply(mats, own, at, state, push, friction)
+        store(state, (at.force + dry) * WIDTH, friction)
+    return push, friction
 
 
 def apply(mats, own, at, state, push, friction):

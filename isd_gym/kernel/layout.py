@@ -22,6 +22,7 @@ import numpy as np
 from ..tracks import SUM_STATES, TRACK_STATES
 
 WIDTH = 8  # lanes of a group
+CLOSED = 8  # numbers of a device whose contact has a closed form
 TOGETHER = 4  # groups of cars that take turns step by step
 #: ways through a step: every law is solved for; only those of lanes in which a smooth one acts; in closed form
 GENERAL, QUIET, CONTACT = 0, 1, 2
@@ -191,7 +192,8 @@ class Layout(NamedTuple):
     step_columns: int
     gains: int  # what the force of a law at the end of the step adds to the rows
     spans: int  # |elongation| below which a smooth law rests
-    upper: int  # contact in closed form: elongations at which the stop is met
+    devices: int  # contact in closed form: stops and frictions that share terminals; for each of them `CLOSED` numbers:
+    upper: int  # elongations at which the stop is met
     lower: int
     per_elongation: int  # its force, by what the elongation is beyond them, by the rate, by the friction
     per_rate: int
@@ -223,7 +225,8 @@ def layout(ints: Any) -> Layout:
     gains = 1 + rows * step_columns
     spans = gains + nl * rows
     upper = spans + ns
-    out = upper + 8
+    devices = max(ns, nl - ns, 1)
+    out = upper + CLOSED * devices
     own = out + out_rows * columns
     return Layout(
         n, m, nc, nl, ns, ints[5], ny, rows, columns, differ, parameters, instant,
@@ -232,7 +235,7 @@ def layout(ints: Any) -> Layout:
         step, step + n, step + n + nl,
         acting, acting + nl, acting + 2 * nl, acting + 3 * nl, acting + 4 * nl, acting + 5 * nl, acting + 6 * nl,
         acting + 7 * nl, acting + 8 * nl, failed, scratch, outcome, outcome + out_rows,
-        1, step_columns, gains, spans, upper, upper + 1, upper + 2, upper + 3, upper + 4, upper + 5, upper + 6, upper + 7,
+        1, step_columns, gains, spans, devices, upper, upper + 1, upper + 2, upper + 3, upper + 4, upper + 5, upper + 6, upper + 7,
         out, out_rows, own, own + nl * parameters,
     )  # fmt: skip
 

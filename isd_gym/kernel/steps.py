@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contact import touch
+from .contact import contact
 from .lanes import fused, load, select, spread, store
 from .layout import CONTACT, WIDTH, layout
 from .linear import U, clip, pooled, sums, take
@@ -25,10 +25,10 @@ def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, cou
             take(state, at.current + j, c, (c_at + k) * nc + j, width, first, count)
         for j in range(nl * at.differ):
             store(state, (at.last + j) * WIDTH, load(state, (at.elongation + j) * WIDTH))
-        sums(mats, own, at.matrix, at.rows, at.step_columns, state, at.step, at.rows)
         if at.way == CONTACT:
-            touch(mats, own, at, state)
+            contact(mats, own, at, state)
         else:
+            sums(mats, own, at.matrix, at.rows, at.step_columns, state, at.step, at.rows)
             solved(mats, own, ints, state, count, now + k)
 
 
