@@ -395,6 +395,14 @@ class Element:
         """
         return 1.0
 
+    def differs_from_limit(self, motion: Motion) -> bool:
+        """Return whether a motion distinguishes the law from a limit of the law that has another name.
+
+        Args:
+            motion: Motion of the terminals.
+        """
+        return True
+
     def fault(self, time: float) -> float:
         """How large a sensor's fault is: of a gain, or of the `time` [s] in which the motion changes; 0 for a force."""
         return 0.0

@@ -199,6 +199,10 @@ class QuadraticDamping(Element):
         return [Start({"damping": at.small / rms(at.moves.v**2)}, grows=("damping",))]
 
 
+#: knee of degressive damping, as a share of the RMS rate, below which the law is dry friction
+DRY = 0.05
+
+
 @register
 class DegressiveDamping(Element):
     type = "degressive_damping"
@@ -242,6 +246,10 @@ class DegressiveDamping(Element):
         rate = rms(motion.v) if motion is not None else values["knee"]
         slope = values["damping"] / (1.0 + rate / values["knee"])
         return {"level": slope * rate} if simple == "coulomb_friction" else {"damping": slope}
+
+    def differs_from_limit(self, motion: Motion) -> bool:
+        """Return False where the knee lies so far below the rates of the motion that the law is dry friction."""
+        return self.knee > DRY * rms(motion.v)
 
 
 @register

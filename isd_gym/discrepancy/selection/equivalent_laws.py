@@ -120,17 +120,30 @@ def repeats(element: el.Element, motion: el.Motion) -> bool:
 
 
 def is_sound(problem: Problem, candidate: Candidate) -> bool:
-    """Return whether the values of a candidate's effects agree with the effects' names, and periodic laws repeat.
+    """Return whether the values of a candidate's effects agree with the effects' names.
+
+    A periodic law must repeat within the travel, and a law must differ from a limit that has another name.
 
     Args:
         problem: Model and records.
         candidate: The fitted candidate.
     """
-    periodic = [e for e in candidate.elements if e.periodic and e.place == "between"]
-    if not periodic or not candidate.well_formed():
-        return candidate.well_formed()
+    if not candidate.well_formed():
+        return False
+    default = el.Element.differs_from_limit
+    asked = [
+        e
+        for e in candidate.elements
+        if e.place == "between" and (e.periodic or type(e).differs_from_limit is not default)
+    ]
+    if not asked:
+        return True
     motion = motions(problem, candidate.fit)  # a simulation
-    return all(e.between not in motion or repeats(e, motion[e.between]) for e in periodic)
+    return all(
+        repeats(e, motion[e.between]) and e.differs_from_limit(motion[e.between])
+        for e in asked
+        if e.between in motion
+    )
 
 
 def force_difference(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:

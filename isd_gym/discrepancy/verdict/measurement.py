@@ -185,6 +185,8 @@ def find_contradiction(problem: Problem, fit: Fit, element: el.Element) -> str:
         return ""
     if not repeats(element, motion):
         return "the travel covers too little of a period for the law to repeat"
+    if not element.differs_from_limit(motion):
+        return "on this motion the law is the limit of another law"
     scales = {"m": motion.reach, "m/s": float(np.abs(motion.v).max())}
     for f in el.parameter_fields(type(element)):
         scale = scales.get(f.metadata["unit"])
