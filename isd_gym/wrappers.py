@@ -14,39 +14,59 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from .batch import SLEW_LIMIT
-from .env import CONTROL_STEP, N_MEASURED
+from .env import CONTROL_STEP, MEASURED
 from .errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-#: RMS of each measured signal on the paper's road, rounded, and of its change in one control step, in SI units
-SCALE = np.array([1.0, 0.01, 0.2, 0.01, 0.05, 2.5], np.float32)
-CHANGE = np.array([0.25, 0.001, 0.06, 0.0005, 0.012, 0.45], np.float32)
-VELOCITY = 0.07  # of the body [m/s], the same
-FADES = 1.0  # s in which its integral forgets
+#: RMS of each kind of measured signal on the paper's road, rounded, and of its change in one control step, in SI units
+SIZES = {
+    "body_acceleration": (1.0, 0.25),
+    "pitch_acceleration": (0.4, 0.1),
+    "roll_acceleration": (0.75, 0.25),
+    "suspension_travel": (0.01, 0.001),
+    "suspension_travel_rate": (0.2, 0.06),
+    "device_travel": (0.01, 0.0005),
+    "device_travel_rate": (0.05, 0.012),
+    "current": (2.5, 0.45),
+}
+#: the same for the signals of a quarter car
+SCALE, CHANGE = (np.array([SIZES[name][i] for name, _, _ in MEASURED], np.float32) for i in (0, 1))
+#: of the body's velocity [m/s], pitch and roll rate [rad/s], the same
+VELOCITIES = {"vertical": 0.07, "pitch": 0.025, "roll": 0.027}
+FADES = 1.0  # s in which their integrals forget
 REWARD = 0.1  # of what a car gains on the others
 
 
 class SharedRoads(VectorWrapper):
     """Groups of `each` cars on one road; what a car is rewarded for is how much better it does than its group.
 
-    What the road does to all of a group is no noise any more: one action changes a thousandth of it. Observations (cars, 13): six
-    measured signals over their size, their changes over theirs, and the body's velocity as a leaky integral of its
-    acceleration (`features`: its space). Actions (cars, 1) in [-1, 1] (`increments`): by which share of what the drive allows in a step the current changes. Group k has the
+    What the road does to all of a group is no noise any more: one action changes a thousandth of it. Observations (cars,
+    `features`): the measured signals over their size, their changes over theirs, and the velocities of the body, as leaky
+    integrals of its accelerations: 13 numbers of a quarter car, 26 of a half car, 49 of a full car. Actions (cars,
+    `increments`) in [-1, 1]: by which share of what the drive allows in a step each current changes. Group k has the
     road of seed ``seed + k``, and then that seed's next ones. `cost`: mean stage cost of the last step, whose mean is J.
     """
-
-    features = spaces.Box(-np.inf, np.inf, (2 * N_MEASURED + 1,), np.float32)
-    increments = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *, each: int = 8, seed: int = 1_000_000) -> None:
         """env: of measured observations."""
         super().__init__(env)
         if env.num_envs % each:
             raise InputError(f"{env.num_envs} cars are no groups of {each}")
-        if env.single_observation_space.shape != (N_MEASURED,):
-            raise InputError("SharedRoads wants the measured observation, six signals")
+        task: Any = env.unwrapped.task  # type: ignore[attr-defined]
+        signals = [signal.kind for signal in task.measured]
+        if env.single_observation_space.shape != (len(signals),):
+            raise InputError(f"SharedRoads wants the measured observation, {len(signals)} signals")
+        self._motions, self._currents = task.batch.of.accelerations, task.batch.of.currents
+        self._scale, self._change = (
+            np.array([SIZES[kind][i] for kind in signals], np.float32) for i in (0, 1)
+        )
+        motions = ("vertical", *task.vehicle.axes)
+        self._velocity_scale = np.array([VELOCITIES[motion] for motion in motions], np.float32)
+        width = 2 * len(signals) + self._motions
+        self.features = spaces.Box(-np.inf, np.inf, (width,), np.float32)
+        self.increments = spaces.Box(-1.0, 1.0, (self._currents,), np.float32)
         self.single_observation_space, self.single_action_space = self.features, self.increments
         self.observation_space = batch_space(self.features, env.num_envs)
         self.action_space = batch_space(self.increments, env.num_envs)
@@ -58,23 +78,23 @@ class SharedRoads(VectorWrapper):
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
         """All groups at the start of their first roads, whatever `seed`."""
         self._seen, info = self.env.reset(seed=self.seeds, options=options)
-        self._velocity = np.zeros((self.num_envs, 1), np.float32)
+        self._velocity = np.zeros((self.num_envs, self._motions), np.float32)
         self._ended = np.zeros(self.num_envs, bool)
         return self._told(self._seen), info
 
     def _told(self, last: np.ndarray) -> np.ndarray:
         return self._features(self._seen, last, self._velocity)
 
-    @staticmethod
-    def _features(seen: np.ndarray, last: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        return np.hstack([seen / SCALE, (seen - last) / CHANGE, velocity / VELOCITY]).astype(np.float32)
+    def _features(self, seen: np.ndarray, last: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        parts = [seen / self._scale, (seen - last) / self._change, velocity / self._velocity_scale]
+        return np.hstack(parts).astype(np.float32)
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step; the rewards sum up to zero in every group."""
         last = self._seen
-        currents = last[:, -1:] + SLEW_LIMIT * np.clip(actions, -1.0, 1.0)
+        currents = last[:, -self._currents :] + SLEW_LIMIT * np.clip(actions, -1.0, 1.0)
         self._seen, reward, terminated, truncated, info = self.env.step(currents)
         ended = np.flatnonzero(info.get("_final_obs", np.zeros(0)))
         for i in ended:  # the last of a road, in the features' terms, too
@@ -94,17 +114,30 @@ class SharedRoads(VectorWrapper):
 
 
 def _faded(velocity: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """The body's velocity [m/s] a control step later: the leaky integral of its acceleration, the first signal."""
-    faded: np.ndarray = velocity + CONTROL_STEP * (seen[:, :1] - velocity / FADES)
+    """The body's velocities (cars, motions) a control step later: the leaky integrals of its accelerations, the first signals."""
+    motions = velocity.shape[-1]
+    faded: np.ndarray = velocity + CONTROL_STEP * (seen[:, :motions] - velocity / FADES)
     return faded
 
 
-def cost_of(act: Callable[[np.ndarray], np.ndarray], *, roads: int = 32, steps: int = 4000) -> float:
-    """J of ``act(features (roads, 13)) -> actions (roads, 1)`` on the score's roads, which nothing should be trained on.
+def cost_of(
+    act: Callable[[np.ndarray], np.ndarray],
+    *,
+    roads: int = 32,
+    steps: int = 4000,
+    name: str = "ISDSuspension-v0",
+) -> float:
+    """Return J of ``act(features (roads, n)) -> actions (roads, currents)`` on the score's roads.
 
-    steps: of each road, 20 s unless given.
+    Nothing should be trained on these roads.
+
+    Args:
+        act: Actions for features, see `SharedRoads`.
+        roads: Number of roads.
+        steps: Control steps on each road, 20 s unless given.
+        name: Name of the environment.
     """
-    env = SharedRoads(gym.make_vec("ISDSuspension-v0", roads, autoreset_mode="disabled"), each=1, seed=0)
+    env = SharedRoads(gym.make_vec(name, roads, autoreset_mode="disabled"), each=1, seed=0)
     features, _ = env.reset()
     costs = []
     for _ in range(steps):

@@ -77,3 +77,27 @@ def test_refusals():
         SharedRoads(made(), each=3)
     with pytest.raises(InputError, match="measured observation"):
         SharedRoads(made(observation="full"), each=4)
+
+
+@pytest.mark.parametrize(("name", "motions", "currents"), [("ISDHalfCar-v0", 2, 2), ("ISDFullCar-v0", 3, 4)])
+def test_cars_with_several_corners(name, motions, currents):
+    cars = gymnasium.make_vec(name, 4, autoreset_mode="same_step", max_episode_steps=30)
+    wrapped, bare = SharedRoads(cars, each=2, seed=5), gymnasium.make_vec(name, 4)
+    features, _ = wrapped.reset()
+    signals = motions + 5 * currents
+    assert features.shape == (4, 2 * signals + motions) and wrapped.increments.shape == (currents,)
+    seen, _ = bare.reset(seed=[5, 5, 6, 6])
+    rng = np.random.default_rng(0)
+    velocity = np.zeros((4, motions))
+    for _ in range(29):
+        actions = rng.uniform(-1, 1, (4, currents)).astype(np.float32)
+        features, reward, *_ = wrapped.step(actions)
+        seen, own, *_ = bare.step(seen[:, -currents:] + 0.5 * actions)
+        velocity += 5e-3 * (seen[:, :motions] - velocity)
+        sizes = np.array([0.07, 0.025, 0.027])[:motions]
+        np.testing.assert_allclose(features[:, -motions:], velocity / sizes, rtol=1e-3, atol=1e-6)
+        np.testing.assert_allclose(features[:, 0], seen[:, 0], rtol=1e-6)
+        assert reward[0] == pytest.approx(0.05 * (own[0] - own[1]), rel=1e-4, abs=1e-9)
+    *_, info = wrapped.step(actions)  # the last of a road, in the features' terms
+    final = bare.step(seen[:, -currents:] + 0.5 * actions)[0]
+    np.testing.assert_allclose(np.stack(info["final_obs"])[:, 1], final[:, 1] / 0.4, rtol=1e-5)

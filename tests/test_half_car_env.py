@@ -1,0 +1,561 @@
+"""Half and full cars as environments: spaces, seeds, roads of the wheels, costs, and the quarter car as their limit."""
+
+import pickle
+import warnings
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from isd_gym.cost import FULL_CAR, HALF_CAR, StageCost
+from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+from isd_gym.network import Network, linearise
+from isd_gym.road import Road, paper_road
+from isd_gym.vehicle import vehicle
+
+CARS = {"ISDHalfCar-v0": 2, "ISDFullCar-v0": 4}
+NETWORKS = {"ISDHalfCar-v0": "half-car-isd", "ISDFullCar-v0": "full-car-isd"}
+CORNERS = {
+    "ISDHalfCar-v0": ["front", "rear"],
+    "ISDFullCar-v0": ["front_left", "front_right", "rear_left", "rear_right"],
+}
+both = pytest.mark.parametrize("name", CARS)
+
+
+def rollout(env, seed, steps=200):
+    rng = np.random.default_rng(seed)
+    obs, _ = env.reset(seed=seed)
+    out = [obs]
+    for _ in range(steps):
+        obs, reward, *_ = env.step(rng.uniform(-5, 5, env.action_space.shape).astype(np.float32))
+        out.append(np.append(obs, reward))
+    return out
+
+
+def decoupled():
+    """The half car with the pitch inertia m a b: no coupling between the axles."""
+    return Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
+
+
+# ------------------------------------------------------------------------------------- interfaces
+
+
+@both
+@pytest.mark.parametrize("observation", ["measured", "full", "preview"])
+def test_gymnasium_check_env(name, observation):
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        check_env(gym.make(name, observation=observation).unwrapped, skip_render_check=True)
+    # the action is a current in ampere by contract
+    assert all("range=[-1, 1]" in str(w.message) for w in seen), [str(w.message) for w in seen]
+
+
+@both
+def test_stable_baselines_check_env(name):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(gym.wrappers.RescaleAction(gym.make(name), np.float32(-1), np.float32(1)))
+
+
+@both
+def test_spaces_follow_from_the_network(name):
+    env = gym.make(f"isd_gym:{name}").unwrapped
+    corners, turns = CARS[name], CARS[name] // 2
+    assert env.action_space == gym.spaces.Box(-5, 5, (corners,), np.float32)
+    signals = [signal.name for signal in env.task.measured]
+    assert (
+        signals[: 1 + turns] == ["body_acceleration", "pitch_acceleration", "roll_acceleration"][: 1 + turns]
+    )
+    each = ["suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate"]
+    expected = [f"{signal}_{corner}" for corner in CORNERS[name] for signal in each]
+    expected += [f"current_{corner}" for corner in CORNERS[name]]
+    assert signals[1 + turns :] == expected
+    assert env.observation_space.shape == (1 + turns + 5 * corners,) and len(env.task.labels) == len(signals)
+    motions = env.task.vehicle.costs
+    _, info = env.reset(seed=0)
+    loads = [f"tyre_load_{corner}" for corner in CORNERS[name]]
+    assert set(info) == {"speed", *motions, *loads}
+    _, reward, _, _, info = env.step(np.ones(corners, np.float32))
+    assert set(info) == {"speed", *motions, *loads}
+    assert reward == pytest.approx(-sum(info[k] for k in motions), rel=1e-12)
+    wide = gym.make(name, observation="full").unwrapped
+    # position and velocity of the body's motions, and of wheel, piston and joint at each corner
+    assert wide.observation_space.shape[0] - len(signals) == 2 * (1 + turns + 3 * corners)
+    ahead = gym.make(name, observation="preview", preview=0.1).unwrapped
+    assert ahead.observation_space.shape[0] - len(signals) == 20 * (2 if corners == 4 else 1)
+
+
+@both
+def test_twin_rollouts_and_pickling_in_mid_episode(name):
+    a, b = (rollout(gym.make(name), 5) for _ in range(2))
+    for x, y in zip(a, b, strict=True):
+        np.testing.assert_array_equal(x, y)
+    env = ISDSuspensionEnv(NETWORKS[name], observation="preview")
+    rollout(env, 1, 60)
+    copy = pickle.loads(pickle.dumps(env))
+    push = np.full(CARS[name], 2.0, np.float32)
+    for _ in range(60):
+        (x, r, _, _, i), (y, s, _, _, j) = env.step(push), copy.step(push)
+        np.testing.assert_array_equal(x, y)
+        assert r == s and i == j
+
+
+@both
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (lambda n: np.zeros(1, np.float32), "must have shape"),
+        (lambda n: np.zeros(n + 1, np.float32), "must have shape"),
+        (lambda n: np.zeros((n, 1), np.float32), "must have shape"),
+        (lambda n: ["1"] * n, "must have shape"),
+        (lambda n: np.r_[np.zeros(n - 1), np.nan], "must be finite"),
+        (lambda n: [0.0] * (n - 1) + [np.inf], "must be finite"),
+    ],
+)
+def test_bad_actions_change_nothing(name, action, message):
+    env, twin = (ISDSuspensionEnv(NETWORKS[name]) for _ in range(2))
+    env.reset(seed=0), twin.reset(seed=0)
+    with pytest.raises(InputError, match=message):
+        env.step(action(CARS[name]))
+    ones = np.ones(CARS[name], np.float32)
+    np.testing.assert_array_equal(env.step(ones)[0], twin.step(ones)[0])
+
+
+def test_batch_refuses_bad_actions():
+    env = ISDSuspensionVectorEnv(3, "half-car-isd")
+    env.reset(seed=0)
+    bad = np.zeros((3, 2))
+    bad[1, 1] = np.nan
+    with pytest.raises(InputError, match="action 1 is not finite"):
+        env.step(bad)
+    with pytest.raises(InputError, match=r"shape \(3, 2\)"):
+        env.step(np.zeros((3, 1)))
+
+
+def without(net, *names):
+    kept = tuple(e for e in net.elements if e.name not in names)
+    return replace(net, elements=kept, outputs=(), uncertainty={})
+
+
+def hung_up(net, node):
+    """The elements at a node of the body are tied to the ground instead."""
+    tied = tuple(
+        replace(e, where=tuple("ground" if n == node else n for n in e.where)) if e.place == "between" else e
+        for e in net.elements
+    )
+    return replace(net, elements=tied, outputs=(), uncertainty={})
+
+
+HALF = Network.load("half-car-isd")
+NO_CARS = {
+    "does not carry the body": hung_up(HALF, "body_front"),
+    "stands on the road 'road_front'": without(HALF, "tyre_front"),
+    "is not the only one of a wheel": HALF.with_element(
+        {"name": "twin", "type": "motor", "between": ["piston_front", "joint_front"], "thrust_constant": 60.0, "ratio": 1.0}
+    ),
+    "has no input": replace(
+        HALF, inputs=tuple(c for c in HALF.inputs if c.name != "current_rear"), uncertainty={}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("message", NO_CARS)
+def test_networks_that_are_no_cars(message):
+    with pytest.raises(InputError, match=message) as caught:
+        ISDSuspensionEnv(NO_CARS[message])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"render_mode": "rgb_array"}, "leave render_mode out"),
+        ({"cost": {"roll": 0.1}}, "does not roll"),
+        ({"cost": {"yaw": 0.1}}, "no 'yaw'"),
+        ({"cost": StageCost(travel_reference=(1e-3, 2e-3, 3e-3))}, "3 values for 2 corners"),
+        ({"cost": {"travel_reference": (1e-3, 0.0)}}, "must be > 0"),
+        ({"randomize": {"wheel.mass": (0.8, 1.2)}}, "no parameter 'wheel.mass'"),
+    ],
+)
+def test_bad_options(options, message):
+    with pytest.raises(InputError, match=message):
+        ISDSuspensionEnv("half-car-isd", **options)
+
+
+def test_an_unknown_option_is_refused_as_python_does():
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        gym.make("ISDHalfCar-v0", frameskip=2)
+
+
+# ----------------------------------------------------------------------------------- one and many
+
+SPREAD = {
+    "body.mass": (0.8, 1.2),
+    "body.inertia.pitch": (0.9, 1.1),
+    "seal_rear.level": (0.5, 1.5),
+    "speed": (10, 30),
+}
+OPTIONS = [
+    ("half-car-isd", {}),
+    ("half-car-isd", {"randomize": {**SPREAD, "road": ["A", "C+bump", "bump"]}}),
+    ("half-car-isd", {"observation": "preview", "preview": 0.1, "road": "C+bump", "speed": 13.7}),
+    ("half-car-isd", {"observation": "full", "sensors": {"noise": 1.0, "delay": 1}}),
+    ("half-car-passive", {}),
+    ("full-car-isd", {"road": "D"}),
+    ("full-car-isd", {"observation": "preview", "preview": 0.1, "randomize": {"speed": (15, 25), "road": ["paper", "C"]}}),
+    ("full-car-isd", {"observation": "preview", "preview": 0.1, "sensors": {"road_error": 1e-3, "road_range": 1.0}}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("network", "options"), OPTIONS)
+def test_env_i_of_a_batch_is_the_single_env_of_its_seed(network, options):
+    """To the last bit, over the end of an episode, whatever the neighbours do: a full and a partial group of cars."""
+    count, steps, watched = 11, 300, (0, 4, 9)
+    batch = ISDSuspensionVectorEnv(
+        count, network, max_episode_steps=220, autoreset_mode="same_step", **options
+    )
+    singles = {i: ISDSuspensionEnv(network, **options) for i in watched}
+    obs, _ = batch.reset(seed=10)
+    for i, env in singles.items():
+        np.testing.assert_array_equal(obs[i], env.reset(seed=10 + i)[0])
+    rng = np.random.default_rng(0)
+    for k in range(steps):
+        actions = rng.uniform(-5, 5, batch.action_space.shape).astype(np.float32)
+        actions[0] = 5.0  # the first car is driven onto its end stops
+        obs, rewards, _, truncated, info = batch.step(actions)
+        for i, env in singles.items():
+            one, reward, _, _, own = env.step(actions[i])
+            assert reward == rewards[i] and truncated[i] == (k == 219)
+            if truncated[i]:
+                np.testing.assert_array_equal(one, info["final_obs"][i])
+                one, own = env.reset()
+            np.testing.assert_array_equal(one, obs[i])
+            assert all(info[key][i] == value for key, value in own.items())
+
+
+@pytest.mark.parametrize("spread", [None, {"wheel_front.mass": (0.8, 1.2), "speed": (12, 28)}])
+def test_threads_change_nothing(spread):
+    fleets = [
+        ISDSuspensionVectorEnv(43, "half-car-isd", road="E", randomize=spread, threads=n) for n in (1, 2, 3)
+    ]
+    for cars in fleets:
+        cars.reset(seed=5)
+    rng = np.random.default_rng(2)
+    for _ in range(60):
+        currents = rng.uniform(-5, 5, (43, 2)).astype(np.float32)
+        one, *others = [cars.step(currents) for cars in fleets]
+        for other in others:
+            np.testing.assert_array_equal(one[0], other[0])
+            np.testing.assert_array_equal(one[1], other[1])
+            np.testing.assert_array_equal(one[4]["tyre_load_rear"], other[4]["tyre_load_rear"])
+    assert np.ptp(one[1]) > 0.0
+
+
+def test_reset_mask_forgets_the_road_that_lies_behind():
+    """A car that starts again has even road under its rear wheel, its neighbours go on."""
+    env = ISDSuspensionVectorEnv(3, "half-car-isd", autoreset_mode="disabled", road="bump", speed=20.0)
+    env.reset(seed=0)
+    for _ in range(210):  # the front wheel is over the bump, the rear one is not yet
+        env.step(np.zeros((3, 2)))
+    env.reset(options={"reset_mask": np.array([True, False, True])})
+    rear = []
+    for _ in range(40):
+        env.step(np.zeros((3, 2)))
+        rear.append(env.task.batch.road_heights[1].copy())
+    rear = np.array(rear)
+    assert not rear[:, [0, 2]].any() and rear[:, 1].max() > 0.04
+
+
+@both
+def test_a_bad_car_ends_alone_and_with_finite_numbers(name):
+    net = Network.load(NETWORKS[name]).with_element(
+        {
+            "name": "driver",
+            "type": "asymmetric_damping",
+            "between": ["body_front" if CARS[name] == 2 else "body_front_left", "ground"],
+            "extension": -60000.0,
+            "compression": -60000.0,
+        }
+    )
+    env = ISDSuspensionEnv(net)
+    env.reset(seed=4)
+    for _ in range(1000):
+        obs, reward, terminated, _, info = env.step(np.zeros(CARS[name], np.float32))
+        assert np.isfinite(obs).all() and np.isfinite(reward) and np.isfinite(list(info.values())).all()
+        if terminated:
+            break
+    assert terminated and obs in env.observation_space
+
+
+# ------------------------------------------------------------------------------------ the road
+
+
+@pytest.mark.parametrize("speed", [20.0, 13.7, 31.3])
+@pytest.mark.parametrize("preview", [0.0, 0.05])
+@both
+def test_wheels_meet_the_road_of_their_track_one_after_the_other(name, speed, preview):
+    """The heights under the wheels are `Road.wheel_heights` of the same generator, bit for bit."""
+    ground = {"road": "C+bump", "speed": speed}
+    see = {"observation": "preview", "preview": preview} if preview else {}
+    env = ISDSuspensionEnv(NETWORKS[name], **ground, **see)
+    env.reset(seed=3)
+    met = [env.task.batch.road_heights[:, 0].copy()]
+    for _ in range(300):
+        env.step(np.zeros(CARS[name], np.float32))
+        met.append(env.task.batch.road_heights[:, 0].copy())
+    wheels = env.task.vehicle.wheels
+    rng = gym.utils.seeding.np_random(3)[0]
+    # the environment knows the whole duration before it starts: a profile is as long
+    heights = env.task.batch.road.wheel_heights(wheels, 20.0, speed=speed, rng=rng)
+    np.testing.assert_array_equal(np.array(met).T, heights[:, : 5 * 300 + 1 : 5])
+    front, rear = np.array(met).T[[0, -1]]
+    assert np.abs(front).max() > 0.02 and not rear[: int(2.7 / speed / 5e-3)].any()
+
+
+def test_a_randomised_speed_changes_the_delay():
+    env = ISDSuspensionVectorEnv(8, "half-car-isd", randomize={"speed": (10.0, 30.0)}, road="bump")
+    _, info = env.reset(seed=0)
+    heights = []
+    for _ in range(700):
+        env.step(np.zeros((8, 2)))
+        heights.append(env.task.batch.road_heights.copy())
+    peaks = np.argmax(np.array(heights), axis=0) * 5e-3  # (corners, cars)
+    np.testing.assert_allclose(peaks[1] - peaks[0], 2.7 / info["speed"], atol=6e-3)
+    assert np.ptp(2.7 / info["speed"]) > 0.05
+
+
+@both
+def test_preview_is_what_the_wheels_meet_later(name):
+    """The first axle after the time of each point, the rear axle after the delay more; each track its own wheel."""
+    tracks = 2 if CARS[name] == 4 else 1
+    env = ISDSuspensionEnv(NETWORKS[name], observation="preview", preview=0.1, road="D")
+    env.reset(seed=0)
+    heights, views, signals = [], [], len(env.task.measured)
+    for _ in range(120):
+        obs, *_ = env.step(np.zeros(CARS[name], np.float32))
+        heights.append(env.task.batch.road_heights[:, 0].copy())
+        views.append(obs[signals:].reshape(tracks, 20) + heights[-1][:tracks, None])
+    heights = np.array(heights)  # the corners of the first axle come first
+    late = round(2.7 / 20.0 / 5e-3)
+    for k in range(60):
+        np.testing.assert_allclose(views[k], heights[k + 1 : k + 21, :tracks].T, atol=1e-6)
+        np.testing.assert_allclose(views[k], heights[k + 1 + late : k + 21 + late, -tracks:].T, atol=1e-6)
+    if tracks == 2:
+        assert np.abs(heights[:, 0] - heights[:, 1]).max() > 1e-3
+
+
+def test_a_one_sided_bump_rolls_the_full_car():
+    x = np.array([0.0, 5.0, 5.5, 6.0, 8.0])
+    hump = np.array([0.0, 0.0, 0.05, 0.0, 0.0])
+    side = Road("left", abscissa=x, profile=np.array([hump, 0 * hump]))
+    even = Road("both", abscissa=x, profile=hump)
+    peaks = {}
+    for ground in (side, even):
+        env = ISDSuspensionEnv("full-car-isd", road=ground)
+        env.reset(seed=0)
+        seen = np.array([env.step(np.zeros(4, np.float32))[0][:3] for _ in range(200)])
+        peaks[ground.name] = np.abs(seen).max(axis=0)
+    assert peaks["left"][2] > 1.0 and peaks["both"][2] < 1e-6 * peaks["left"][2]
+    assert peaks["both"][0] > peaks["left"][0]
+    with pytest.raises(InputError, match="left and a right track"):
+        ISDSuspensionEnv("half-car-isd", road=side).reset(seed=0)
+
+
+# ------------------------------------------------------------------------------- physics and cost
+
+
+def stationary_rms(name):
+    """RMS of the signals of a passive car on the paper's road at 20 m/s, from its frequency response."""
+    net = Network.load(name)
+    car = vehicle(net)
+    space = linearise(replace(net, outputs=car.channels, uncertainty={}))
+    f = np.concatenate([[1e-4], np.geomspace(1e-3, 2e4, 20_000)])
+    columns = [space.inputs.index(c.road_input) for c in car.corners]
+    late = np.exp(-2j * np.pi * f[:, None, None] * np.array(car.wheels.behind) / 20.0)
+    response = space.response(f)[:, :, columns] * late
+    ground, track = paper_road(), np.array(car.wheels.track)
+    left, right = response[:, :, track == 0].sum(axis=2), response[:, :, track == 1].sum(axis=2)
+    power = np.abs(left) ** 2 + np.abs(right) ** 2
+    if car.wheels.tracks == 2:
+        power += 2 * ground.coherence(f / 20.0, car.wheels.width)[:, None] * np.real(left * right.conj())
+    power *= ground.psd(f / 20.0)[:, None] / 20.0
+    return dict(zip([c.name for c in car.channels], np.sqrt(np.trapezoid(power, f, axis=0)), strict=True))
+
+
+@pytest.mark.parametrize(("name", "cost"), [("half-car-passive", HALF_CAR), ("full-car-passive", FULL_CAR)])
+def test_references_are_the_rms_of_the_passive_car(name, cost):
+    rms, corners = stationary_rms(name), [c.name for c in vehicle(Network.load(name)).corners]
+    assert cost.acceleration_reference == pytest.approx(rms["body_acceleration"], rel=1e-3)
+    assert cost.pitch_reference == pytest.approx(rms["pitch_acceleration"], rel=1e-3)
+    if len(corners) == 4:
+        assert cost.roll_reference == pytest.approx(rms["roll_acceleration"], rel=1e-3)
+    for reference, kind in (
+        (cost.travel_reference, "suspension_travel"),
+        (cost.tyre_load_reference, "tyre_load"),
+    ):
+        assert reference == pytest.approx([rms[f"{kind}_{c}"] for c in corners], rel=1e-3)
+    motions = cost.acceleration + cost.pitch + cost.roll
+    assert motions == pytest.approx(0.6) and cost.travel == 0.3
+
+
+@pytest.mark.parametrize("name", ["half-car-passive", "full-car-passive"])
+def test_passive_car_costs_about_0_9(name):
+    env = ISDSuspensionVectorEnv(64, name)
+    env.reset(seed=0)
+    idle = np.zeros(env.action_space.shape)
+    cost = -np.mean([env.step(idle)[1].mean() for _ in range(4000)])
+    assert cost == pytest.approx(0.9, abs=0.03)
+
+
+def test_reward_is_the_stage_cost_of_the_signals():
+    weights = {"tyre_load": 0.2, "current": 0.1}
+    env = ISDSuspensionEnv("half-car-isd", cost=weights)
+    cost = replace(HALF_CAR, **weights)
+    env.reset(seed=0)
+    for _ in range(100):
+        obs, reward, _, _, info = env.step(np.array([2.0, -4.0], np.float32))
+    signals = [
+        obs[0],
+        obs[1],
+        obs[2],
+        obs[6],
+        info["tyre_load_front"],
+        info["tyre_load_rear"],
+        obs[10],
+        obs[11],
+    ]
+    by_hand = np.dot(cost.factors(("pitch",), 2, 2), np.square(np.array(signals, float)))
+    assert reward == pytest.approx(-by_hand, rel=1e-5)
+    a, p = 0.3 * (obs[0] / 0.5903) ** 2, 0.3 * (obs[1] / 0.4431) ** 2
+    travel = 0.15 * (obs[2] / 7.059e-3) ** 2 + 0.15 * (obs[6] / 7.250e-3) ** 2
+    assert (info["cost_acceleration"], info["cost_pitch"]) == pytest.approx((a, p), rel=1e-5)
+    assert info["cost_travel"] == pytest.approx(travel, rel=1e-5)
+    assert info["cost_current"] == pytest.approx(0.05 * (4.0 + 16.0) / 25.0)
+
+
+def test_currents_are_slewed_each_by_itself():
+    env = gym.make("ISDHalfCar-v0")
+    env.reset(seed=0)
+    seen = np.array([env.step(np.array([5.0, -1.2], np.float32))[0][10:] for _ in range(12)])
+    np.testing.assert_allclose(seen[:, 0], np.minimum(0.5 * np.arange(1, 13), 5.0), rtol=1e-6)
+    np.testing.assert_allclose(seen[:, 1], np.maximum(-0.5 * np.arange(1, 13), -1.2), rtol=1e-6)
+
+
+def test_the_drive_of_one_motor_is_its_own():
+    """Lag, delay and saturation of the rear motor: the front current acts as before, the rear one as in its own quarter car."""
+    net = decoupled()
+    effects = (
+        {"name": "lag", "type": "actuator_lag", "time_constant": 0.01},
+        {"name": "late", "type": "actuator_delay", "delay": 0.0073},
+        {"name": "soft", "type": "thrust_saturation", "current": 3.0},
+    )
+    quarter = Network.load("quarter-car-isd")
+    for effect in effects:
+        net = net.with_element({**effect, "element": "motor_rear"})
+        quarter = quarter.with_element({**effect, "element": "motor"})
+    half = ISDSuspensionEnv(net, road="flat")
+    front, rear = ISDSuspensionEnv(road="flat"), ISDSuspensionEnv(quarter, road="flat")
+    for env in (half, front, rear):
+        env.reset(seed=0)
+    for k in range(300):
+        ahead, behind = 5.0 * np.sin(0.05 * k), 5.0 * np.cos(0.03 * k)
+        obs = half.step(np.array([ahead, behind]))[0]
+        a, b = front.step(np.array([ahead]))[0], rear.step(np.array([behind]))[0]
+        np.testing.assert_allclose(obs[2:6], a[1:5], atol=2e-7)
+        np.testing.assert_allclose(obs[6:10], b[1:5], atol=2e-7)
+    assert np.abs(a[3]) > 1e-4 and np.abs(b[3]) > 1e-4
+
+
+@pytest.mark.parametrize("stops", [False, True])
+def test_a_decoupled_half_car_is_two_quarter_cars(stops):
+    """Pitch inertia m a b, one track: each axle is the quarter car on its road, to 1e-9 of the signals' size."""
+    half = ISDSuspensionVectorEnv(1, decoupled(), road="E" if stops else "B", autoreset_mode="disabled")
+    half.reset(seed=7)
+    wheels = half.task.vehicle.wheels
+    rng = gym.utils.seeding.np_random(7)[0]
+    heights = half.task.batch.road.wheel_heights(wheels, 6.0, rng=rng)
+    steps = 1200
+    rng = np.random.default_rng(1)
+    currents = np.full((steps, 2), [5.0, -5.0]) if stops else rng.uniform(-5, 5, (steps, 2))
+    out = []
+    for current in currents:
+        half.step(current[None])
+        out.append(half.task.batch.out[:, 0].copy())
+    out = np.array(out)
+    time = np.arange(heights.shape[1]) * 1e-3
+    corners = []
+    for i in range(2):
+        own = Road("own", abscissa=time, profile=heights[i], over_time=True)
+        quarter = ISDSuspensionVectorEnv(1, road=own, duration=6.0, autoreset_mode="disabled")
+        quarter.reset(seed=0)
+        rows = []
+        for current in currents[:, i]:
+            quarter.step(np.full((1, 1), current))
+            rows.append(quarter.task.batch.out[:, 0].copy())
+        corners.append(np.array(rows))
+    front, rear = corners
+    for i, corner in enumerate(corners):
+        size = np.sqrt(np.mean(corner**2, axis=0))
+        assert (np.abs(out[:, 2 + 4 * i : 6 + 4 * i] - corner[:, 1:5]).max(axis=0) < 1e-9 * size[1:5]).all()
+        assert np.abs(out[:, 10 + i] - corner[:, 5]).max() < 1e-9 * size[5]
+    # the body between its points: z = (front + rear) / 2, pitch = (rear - front) / 2.7
+    middle, turn = (front[:, 0] + rear[:, 0]) / 2, (rear[:, 0] - front[:, 0]) / 2.7
+    np.testing.assert_allclose(out[:, 0], middle, atol=1e-9 * np.sqrt(np.mean(middle**2)))
+    np.testing.assert_allclose(out[:, 1], turn, atol=1e-9 * np.sqrt(np.mean(turn**2)))
+    assert (np.abs(front[:, 3]).max() > 0.02465) == stops  # the end stop is met
+
+
+def test_a_symmetric_full_car_on_equal_tracks_is_a_half_car():
+    """Half the masses and inertias of the full car per side; equal currents left and right."""
+    heights = paper_road(5e-6).heights(4.0, rng=np.random.default_rng(0))
+    ground = Road("equal", abscissa=np.arange(len(heights)) * 1e-3, profile=heights, over_time=True)
+    half = ISDSuspensionVectorEnv(1, "half-car-isd", road=ground, duration=4.0, autoreset_mode="disabled")
+    full = ISDSuspensionVectorEnv(1, "full-car-isd", road=ground, duration=4.0, autoreset_mode="disabled")
+    half.reset(seed=0), full.reset(seed=0)
+    rng = np.random.default_rng(3)
+    one, two = [], []
+    for _ in range(800):
+        a, b = rng.uniform(-5, 5, 2)
+        half.step(np.array([[a, b]]))
+        full.step(np.array([[a, a, b, b]]))
+        one.append(half.task.batch.out[:, 0].copy()), two.append(full.task.batch.out[:, 0].copy())
+    one, two = np.array(one), np.array(two)
+    size = np.sqrt(np.mean(one**2, axis=0))
+    pairs = [(0, 0), (1, 1)]
+    pairs += [(2 + j, 3 + 4 * side + j) for side in (0, 1) for j in range(4)]
+    pairs += [(6 + j, 11 + 4 * side + j) for side in (0, 1) for j in range(4)]
+    pairs += [(10, 19), (10, 20), (11, 21), (11, 22)]
+    for i, j in pairs:
+        assert np.abs(one[:, i] - two[:, j]).max() < 1e-8 * size[i]
+    assert np.abs(two[:, 2]).max() < 1e-8 * np.abs(two[:, 1]).max()  # it does not roll
+
+
+def test_full_observation_is_above_the_road():
+    """Behind a step of the road all displacements come to rest at zero above its new height."""
+    x = np.array([0.0, 1.0, 2.0, 200.0])
+    step = Road("step", abscissa=x, profile=np.array([0.0, 0.0, 0.05, 0.05]))
+    net = without(HALF, "seal_front", "seal_rear")  # friction would hold the devices away from their rest
+    env = ISDSuspensionEnv(net, road=step, observation="full", speed=20.0)
+    env.reset(seed=0)
+    for _ in range(2000):
+        obs, *_ = env.step(np.zeros(2, np.float32))
+    places = [i for i, label in enumerate(env.task.labels) if "displacement" in label]
+    assert len(places) == 8  # two wheels, pistons and joints, the body and its pitch
+    np.testing.assert_allclose(obs[places], 0.0, atol=5e-5)  # a thousandth of the step
+    assert env.task.batch.road_heights[:, 0] == pytest.approx([0.05, 0.05])
+
+
+def test_stable_baselines_learns_on_the_batch():
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+
+    from isd_gym.sb3 import make_vec_env
+
+    cars = make_vec_env(4, env_id="ISDHalfCar-v0")
+    model = PPO("MlpPolicy", cars, n_steps=16, batch_size=64, n_epochs=1, seed=0).learn(64)
+    actions, _ = model.predict(cars.reset())
+    assert actions.shape == (4, 2)
