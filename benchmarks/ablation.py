@@ -26,7 +26,7 @@ import grading
 from grading import Row
 
 from isd_gym.discrepancy.selection.criteria import Criteria
-from isd_gym.discrepancy.verdict import criteria as rules
+from isd_gym.discrepancy.verdict import gates as rules
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 
 if TYPE_CHECKING:

@@ -58,14 +58,11 @@ class NoiseFreeResidual:
         self.samples = sum(map(len, training))
         self.training_power = np.mean(np.concatenate(training) ** 2, axis=0)  # (channels,)
         self.validation_power = np.mean(np.concatenate(validation) ** 2, axis=0)  # (channels,)
-        blocks = []
-        for r in validation:
-            square = np.mean((r / bench.weighting_noise) ** 2, axis=1)
-            edges = np.linspace(0, len(square), BLOCKS + 1).astype(int)
-            blocks += [(float(square[a:b].mean()), b - a) for a, b in pairwise(edges) if b > a]
-        self._scores = np.array([score for score, _ in blocks])
-        self._sizes = np.array([n for _, n in blocks]) * len(bench.weighting_noise)
-        self._repeated = 1.0 + self.samples / sum(map(len, validation))
+        weight = bench.weighting_noise
+        #: mean whitened square of each validation block, at the simulated size
+        self._scores, _ = _blocks(validation, weight)
+        #: the same of validation and training blocks, and their numbers of squares
+        self._all_scores, self._all_sizes = _blocks([*validation, *training], weight)
 
     def excess_deviance(self, scale: float) -> float:
         """Return the deviance of noise plus residual minus the deviance of noise, at a multiple of the size."""
@@ -83,8 +80,7 @@ class NoiseFreeResidual:
     def compare_with_truth(self, scale: float, noise: float, parameters: int) -> Comparison:
         """Return the expected comparison of the true structure with this fit, at a multiple of the size.
 
-        The log predictive density of a block is that of `comparison.log_density`. Training blocks are taken to be like the validation
-        blocks; each parameter costs one nat.
+        The log predictive density of a block is that of `comparison.log_density`; each parameter costs one nat.
 
         Args:
             scale: Multiple of the simulated size.
@@ -94,15 +90,33 @@ class NoiseFreeResidual:
         Returns:
             The difference of the log predictive density and its standard error.
         """
-        excess = scale * scale * self._scores
-        lead = self._sizes * np.log1p(excess / (1.0 + noise))
-        random = 4.0 * self._sizes * excess * noise / (1.0 + noise + excess) ** 2
-        repeated = self.bench.length_factor * self._repeated
+        excess = scale * scale * self._all_scores
+        lead = self._all_sizes * np.log1p(excess / (1.0 + noise))
+        random = 4.0 * self._all_sizes * excess * noise / (1.0 + noise + excess) ** 2
+        repeated = self.bench.length_factor
         spread = len(lead) * float(lead.var(ddof=1)) if len(lead) > 1 else math.inf
         return Comparison(
             repeated * float(lead.sum()) + self.parameters - parameters,
             math.sqrt(max(repeated * (spread + float(random.sum())), 1e-300)),
         )
+
+
+def _blocks(residuals: Sequence[Array], weight: Array) -> tuple[Array, Array]:
+    """Return the mean whitened square of each block (blocks,) and its number of squares (blocks,).
+
+    Args:
+        residuals: Residuals of records (samples, channels).
+        weight: Noise of each channel (channels,).
+    """
+    scores, sizes = [], []
+    for r in residuals:
+        square = np.mean((r / weight) ** 2, axis=1)
+        edges = np.linspace(0, len(square), BLOCKS + 1).astype(int)
+        for a, b in pairwise(edges):
+            if b > a:
+                scores.append(float(square[a:b].mean()))
+                sizes.append((b - a) * len(weight))
+    return np.array(scores), np.array(sizes, float)
 
 
 @dataclass(frozen=True, eq=False)
