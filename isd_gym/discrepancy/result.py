@@ -1,4 +1,4 @@
-"""What a diagnosis says: `Diagnosis`, its JSON (`isd-diagnosis/1`) and the model with what was found."""
+"""The result of a diagnosis, its JSON document (`isd-diagnosis/1`) and the new model."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Quantity:
     prior: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As the contract has it."""
+        """Return the entry of the JSON document."""
         head = {} if self.prior is None else {"prior": self.prior}
         return head | {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
 
@@ -75,7 +75,7 @@ class Effect:
     behind: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """As the contract has it."""
+        """Return the entry of the JSON document."""
         out: dict[str, Any] = {"effect": self.effect}
         if self.channel is not None:
             out["channel"] = self.channel
@@ -105,7 +105,7 @@ class Contender:
     options: tuple[dict[str, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As the contract has it."""
+        """Return the entry of the JSON document."""
         return {
             "effects": list(self.effects),
             "where": [list(w) for w in self.where],
@@ -129,7 +129,7 @@ class Place:
     when: str
 
     def to_dict(self) -> dict[str, Any]:
-        """As the contract has it."""
+        """Return the entry of the JSON document."""
         return {
             "channel": self.channel,
             "share": self.share,
@@ -159,7 +159,7 @@ class Trace:
 
     @property
     def use(self) -> str:
-        """What the record was for, in words."""
+        """Use of the record in words."""
         if self.held_from is None:
             return "held out" if self.held_out else "fitted"
         return f"fitted up to {self.held_from:.4g} s, then held out"
@@ -205,7 +205,7 @@ class Tabulated:
     shares: tuple[tuple[str, float], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As the JSON of a diagnosis has it."""
+        """Return the entry of the JSON document."""
         axes = {k: list(v) for k, v in (("elongation", self.elongation), ("rate", self.rate)) if v}
         return {
             "between": list(self.between),
@@ -236,11 +236,11 @@ class BestTable:
 
     @property
     def accepted(self) -> bool:
-        """Whether every condition holds."""
+        """Whether the table passes every gate."""
         return all(g.passed for g in self.gates)
 
     def to_dict(self) -> dict[str, Any]:
-        """As the JSON of a diagnosis has it."""
+        """Return the entry of the JSON document."""
         return {
             "between": list(self.between),
             "over": self.over,
@@ -265,7 +265,7 @@ class BestCandidate:
     failed_gates: tuple[Gate, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """As the JSON of a diagnosis has it."""
+        """Return the entry of the JSON document."""
         return {
             "effects": list(self.effects),
             "where": [list(w) for w in self.where],
@@ -293,7 +293,7 @@ class Remainder:
     error: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """As the JSON of a diagnosis has it."""
+        """Return the entry of the JSON document."""
         addition = {
             "effects": list(self.effects),
             "where": [list(w) for w in self.where],
@@ -385,7 +385,7 @@ class Diagnosis:
         return f"Diagnosis({self.verdict!r}, found={found}{closed}, {len(self.traces)} record(s))"
 
     def _repr_html_(self) -> str:
-        """Verdict, effects and gap as a notebook shows them."""
+        """Return verdict, effects and gap as HTML for notebooks."""
         stages = [s for s in ("before", "refit", "after", "noise_floor") if s in self.gap]
         rows = [
             [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
@@ -399,7 +399,7 @@ class Diagnosis:
         return out + _table(["error on held-out data", *stages], gap)
 
     def to_dict(self) -> dict[str, Any]:
-        """As the contract has it (`isd-diagnosis/1`)."""
+        """Return the JSON document (`isd-diagnosis/1`)."""
         return _plain(
             {
                 "schema": SCHEMA,
@@ -460,12 +460,12 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries without the numbers that are infinite, as the lead over a rival is where there is none."""
+    """Return the entries without infinite numbers, such as the loss ratio without a rival."""
     return {k: v for k, v in values.items() if not (isinstance(v, float) and math.isinf(v))}
 
 
 def _plain(value: Any) -> Any:
-    """JSON types only; what is not finite becomes null."""
+    """Return JSON types; a number that is not finite becomes null."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

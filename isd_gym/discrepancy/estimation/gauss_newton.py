@@ -28,18 +28,19 @@ if TYPE_CHECKING:
 
     from .structure import Structure
 
-#: steps that a slope is used for again
+#: further steps with the same derivatives
 CHORDS = 2
-#: how much dearer a sample than usual a record must be for what its forerunner says of its beginning to be tried, in how
-#: many rounds; and by which factor that may be dearer, as it stands, than what was fitted
+#: ratio of the cost per sample above which a record is restarted from the final state of the preceding record; largest number of rounds;
+#: largest cost of such a start, as a multiple of the cost of the fit
 UNUSUAL, ROUNDS, NEAR = 1.5, 2, 30.0
-#: the same for a record to begin anew about where it does, of how many records at least; at which multiples of their spread
+#: ratio of the cost per sample above which a record is restarted near its initial state; smallest number of records; distances of these
+#: starts, as multiples of the deviation over records
 ASTRAY, FEW, ABOUT = 100.0, 5, (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
 
 
 @dataclass
 class Fit:
-    """What a structure says when fitted: `x` (free parameters, transformed), initial states, offsets and outputs of each record.
+    """A fitted structure: free parameters `x` (transformed), initial states, offsets and outputs of each record.
 
     `structure` holds the estimate of the offsets that all records share.
     """
@@ -59,7 +60,7 @@ class Fit:
 
 
 class Fitter(Objective):
-    """The way down to the least cost: parameters and initial states, or initial states alone."""
+    """Gauss-Newton fits of parameters and initial states, or of initial states alone."""
 
     def begin(
         self,
@@ -169,7 +170,7 @@ class Fitter(Objective):
         return self._result(structure, at, hessian)
 
     def _hessian(self, slopes: Mapping[int, Slope]) -> Array:
-        """Of half the cost by the parameters and shared offsets, the records' nuisances eliminated; no prior."""
+        """Return the Hessian of half the cost by parameters and shared offsets, nuisances eliminated, without prior."""
         total: Array | float = 0.0
         for s in slopes.values():
             p = len(s.gram) - len(s.own)
@@ -189,7 +190,7 @@ class Fitter(Objective):
         damping: float,
         chord: bool,
     ) -> tuple[Point | None, float]:
-        """(a cheaper point or None, the damping from there on).
+        """Return a point with a smaller cost, or None, and the next damping.
 
         chord: the slopes are those of an earlier point, and one try is enough.
         """
@@ -227,7 +228,7 @@ class Fitter(Objective):
     def _states(
         self, structure: Structure, at: Point, records: Sequence[int], iterations: int, tolerance: float
     ) -> Point:
-        """Initial states and offsets of each record for itself, the parameters and shared offsets as they are."""
+        """Fit initial states and offsets of each record; parameters and shared offsets stay."""
         left = list(records)
         for turn in range(max(iterations, 1)):
             slopes = self.slopes(structure, at, left, False)
@@ -293,7 +294,7 @@ class Fitter(Objective):
         *,
         iterations: int = 4,
     ) -> Fit:
-        """Initial states and offsets of `records` with the parameters as they are.
+        """Fit initial states and offsets of records; the parameters stay.
 
         Offsets that all records share are those of the structure, or are estimated on the records to fit by.
         `initial`: where to begin, else a guess; or the cheapest of that and of those `about`. Without `initial`, a record that goes on
@@ -332,8 +333,10 @@ class Fitter(Objective):
         return self._result(structure, at)
 
     def _recover(self, structure: Structure, at: Point, iterations: int) -> None:
-        """Records that err far more than most begin anew about where they do, by as much as records differ in it: where there is
-        play, or friction holds, one start in many ends in a place of its own."""
+        """Restart the records with far larger errors than the others near their initial states.
+
+        With play or sticking friction, a few of many starts end in a local optimum.
+        """
         each = {i: cost / len(self.problem.records[i]) for i, cost in at.costs.items()}
         if len(each) < FEW:
             return
@@ -348,7 +351,7 @@ class Fitter(Objective):
     def _again(
         self, structure: Structure, at: Point, begun: Mapping[int, Sequence[Array]], iterations: int
     ) -> list[int]:
-        """Records begun anew from the cheapest of several initial states each; those that end cheaper stay there and are returned."""
+        """Restart records from the cheapest of several initial states; return the records whose fit has a smaller cost."""
         there = self._cheapest(structure, at.x, begun)
         near = [j for j in begun if there.costs[j] < NEAR * at.costs[j]]
         if not near:
@@ -361,7 +364,7 @@ class Fitter(Objective):
         return better
 
     def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
-        """Of several initial states a record, the one that errs least as it stands, whatever the offsets of each record."""
+        """Return the point with the cheapest of several initial states for each record, offsets at zero."""
         best = Point(x.copy(), {}, {})
         for k in range(max(map(len, begun.values()), default=0)):
             those = {i: s[k] for i, s in begun.items() if k < len(s)}
@@ -374,7 +377,7 @@ class Fitter(Objective):
         return best
 
     def refit(self, fit: Fit, responses: dict[int, Array]) -> tuple[Array, dict[int, Array]]:
-        """What a fit would make of `responses` (n, channels, m) in the records, to first order.
+        """Return how a fit would absorb responses (samples, channels, m) in the records, to first order.
 
         By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
         """
@@ -437,12 +440,12 @@ def _goes_on(problem: Problem, first: int, second: int) -> bool:
 
 
 def residuals(problem: Problem, fit: Fit) -> list[Array]:
-    """What the fit leaves of each of its records (n, channels)."""
+    """Return the residuals of each record of a fit (samples, channels)."""
     return [problem.records[i].measured - y for i, y in fit.outputs.items()]
 
 
 def gap(problem: Problem, fit: Fit) -> float:
-    """Geometric mean over channels of the residual's power over the signal's: how wide the gap is, whatever its spectrum.
+    """Return the geometric mean over channels of the residual's power over the signal's power.
 
     One channel that drifts does not drown the others.
     """

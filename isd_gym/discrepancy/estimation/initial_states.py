@@ -1,4 +1,4 @@
-"""Initial states: what is known of them beforehand, a first guess from the first samples, and how they carry over."""
+"""Initial states: prior, first guess from the first samples, and transfer between structures."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 def motion_rows(problem: Problem, network: Network) -> Array:
-    """What an initial state means physically: displacements, and velocities times the rig's time, over the states."""
+    """Return the rows from states to displacements, and to velocities times the time scale."""
     return motion_rows_of(assemble(bare(network)), problem.time)
 
 
 def led(network: Network, record: Record) -> tuple[Array, Array]:
-    """Displacement and velocity (samples, moved nodes) of the moved nodes; where they are not told, zero: the frame's own."""
+    """Return displacement and velocity of the moved nodes (samples, moved nodes); zero where the inputs do not tell."""
     still = np.zeros(record.samples)
     r, v = [], []
     for c in network.moving:
@@ -42,7 +42,7 @@ def guess(
     about: Array | None = None,
     offsets: Sequence[float] | None = None,
 ) -> Array:
-    """An initial state from the first samples: displacements and their slopes as measured, the rest small.
+    """Guess an initial state from the first samples: displacements and slopes as measured, the rest small.
 
     Where the motion has several resting places (detents, friction), a fit from rest ends in the wrong one.
     `about` (states,): where a simulation of what came before ended; it is believed to a tenth of the motion.
@@ -86,7 +86,7 @@ def guess(
 def states_along(
     problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], at: Sequence[int]
 ) -> dict[int, list[Array]]:
-    """States (states,) that the simulation of each record from its `initial` has at the compared samples `at`.
+    """Return the states (states,) of each record's simulation at compared samples.
 
     Negative ones count from the record's end. They are read off the motion of the nodes, so that records can be cut and
     joined anywhere.
@@ -123,7 +123,7 @@ def states_along(
 
 
 def _seen(network: Network, node: str) -> Channel:
-    """The displacement of a node in its own frame: against the ground, or the moved node whose place nobody knows."""
+    """Return the output for a node's displacement in its frame: the ground, or a moved node of unknown position."""
     riding = frames(network)
     name = f"_{node}"
     if node in riding:
@@ -134,7 +134,7 @@ def _seen(network: Network, node: str) -> Channel:
 def next_states(
     problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array]
 ) -> dict[int, Array]:
-    """The state (states,) one sample after the end of each record's simulation from its `initial`."""
+    """Return the state (states,) one sample after the end of each record's simulation."""
     ends = states_along(problem, structure, x, initial, (-2, -1))
     return {i: 2 * last - before for i, (before, last) in ends.items()}
 
@@ -142,7 +142,7 @@ def next_states(
 def transfer_states(
     problem: Problem, network: Network, initial: dict[int, Array], structure: Structure
 ) -> dict[int, Array]:
-    """Initial states of `network` in the coordinates of another structure: nodes move as they did.
+    """Transfer initial states of a network to the coordinates of another structure; the motion of the nodes stays.
 
     A node that came in between moves like the terminal it was split from.
     """

@@ -1,4 +1,4 @@
-"""Multiple shooting: a fit over brief stretches, each from a state of its own, shows where a fit to whole records begins.
+"""Multiple shooting: a fit to brief segments, each with its own initial state, gives the start of a fit to whole records.
 
 A slightly damped motion remembers for many periods. Parameters that are a little off lose its phase, and the error over a whole
 record then has valleys that do not lead to its least; over brief stretches it has one (Bock, Springer Series in Chemical
@@ -28,7 +28,7 @@ LEAST = 60  # samples of one
 
 
 def is_lightly_damped(network: Network) -> bool:
-    """Whether a mode of the network goes on for many periods by itself."""
+    """Return whether a mode of the network lasts for many periods."""
     asm = assemble(bare(network))
     if not asm.size[0]:
         return False
@@ -38,7 +38,7 @@ def is_lightly_damped(network: Network) -> bool:
 
 
 def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitter) -> Array | None:
-    """Parameters fitted from `x` over brief stretches of the records to fit by; None where that breaks down.
+    """Fit parameters to brief segments of the training records; None where the fit breaks down.
 
     weights: a fitter of the same channels, whose weights are used.
     """

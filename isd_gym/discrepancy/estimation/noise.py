@@ -1,4 +1,4 @@
-"""Noise: what is known of it beforehand, how residuals are weighed by it, and the likelihood under it."""
+"""Noise: estimates from the signal, filters that whiten residuals, and the likelihood under coloured noise."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Whitener:
-    """Autoregressive filters, one a channel: residual -> innovations of unit variance. `taps` (channels, order+1)."""
+    """Autoregressive filters that turn the residuals of each channel into innovations of unit variance."""
 
     taps: tuple[Array, ...]
 
     def __call__(self, residual: Array) -> Array:
-        """residual (n, channels, ...) -> same shape, whitened along time."""
+        """Return residuals (samples, channels, ...), whitened along time."""
         wide = residual.reshape(*residual.shape[:2], -1)
         out = np.empty(wide.shape)
         for j, a in enumerate(self.taps):
@@ -43,7 +43,7 @@ def _filter(taps: Array, x: Array, out: Array) -> None:
 
 
 def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> tuple[Array, float]:
-    """Least-squares AR taps (1, -a1, ...) and innovation standard deviation of several stretches of one series.
+    """Return least-squares AR taps (1, -a1, ...) and the innovation standard deviation of segments of a series.
 
     White noise of deviation `least` is added in thought: bands where a record happens to be quieter than any model
     can be trusted to be are not weighed by how quiet they are.
@@ -52,7 +52,7 @@ def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> t
 
 
 def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, int]:
-    """(Gram matrix of the lags (order, order), their products with the present (order,), its power, how many samples)."""
+    """Return the Gram matrix of the lags (order, order), their products with the present (order,), its power, and the number of samples."""
     gram: Array = np.zeros((order, order))
     rhs: Array = np.zeros(order)
     count, total = 0, 0.0
@@ -66,7 +66,7 @@ def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, in
 
 
 def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -> tuple[Array, float]:
-    """Taps and innovation deviation of what `lagged` gives, white noise of deviation `least` added in thought."""
+    """Return AR taps and the innovation deviation from the moments of `lagged`, with white noise of deviation `least` added."""
     order = len(rhs)
     total += count * least**2
     gram = gram + count * least**2 * np.eye(order)
@@ -77,7 +77,7 @@ def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -
 
 
 def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> Whitener:
-    """Filters from residuals [(n, channels), ...] of the best model at hand; `floor` (channels,): noise to reckon with."""
+    """Return filters that whiten residuals [(samples, channels), ...], with white noise `floor` (channels,) added."""
     taps = []
     for j in range(residuals[0].shape[1]):
         series = [r[:, j] - r[:, j].mean() for r in residuals]
@@ -87,7 +87,7 @@ def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> White
 
 
 def innovations(residuals: Sequence[Array], floor: Array, order: int = 20) -> float:
-    """Sum over channels of n log(innovation variance): minus twice the log likelihood under own coloured noise."""
+    """Return -2 log L of residuals under coloured noise: the sum over channels of n log(innovation variance)."""
     total = 0.0
     for j in range(residuals[0].shape[1]):
         series = [r[:, j] - r[:, j].mean() for r in residuals]
@@ -97,7 +97,7 @@ def innovations(residuals: Sequence[Array], floor: Array, order: int = 20) -> fl
 
 
 def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool = False) -> Noise:
-    """Coloured noise in residuals (n,): white plus AR(1), fitted to the spectrum above the motion.
+    """Estimate coloured noise in residuals (samples,): white plus AR(1), fitted to the spectrum above the motion.
 
     `time` [s]: in which the motion changes. Up to some three of its frequencies signal and model error cover the
     noise, so its level there is that of the law found above. It is never more than the series itself. `white`: what a
@@ -113,7 +113,7 @@ def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool =
 
 
 def _density(series: Sequence[Array], step: float, length: int) -> tuple[Array, Array, float]:
-    """(frequencies [Hz], mean power density, how many independent spectra it is the mean of)."""
+    """Return frequencies [Hz], mean power density, and the number of averaged spectra."""
     density, frequency, averages = [], np.zeros(0), 0.0
     for x in series:
         n = min(length, len(x))
@@ -129,7 +129,7 @@ def _density(series: Sequence[Array], step: float, length: int) -> tuple[Array, 
 def _noise_above(
     frequency: Array, s: Array, step: float, low: float, high: float, white: bool
 ) -> tuple[Noise, float]:
-    """White plus AR(1) noise that fits a spectrum between two frequencies [Hz], and the mean distance of its logarithm."""
+    """Fit white plus AR(1) noise to a spectrum between two frequencies [Hz]; return the noise and the mean log distance."""
     w = 2 * np.pi * frequency * step
     pick = (frequency > low) & (frequency < high)
     if np.sum(pick) < 4:
@@ -166,7 +166,7 @@ class Noise:
 
 
 def noise_after_filters(W: Whitener, noise: Sequence[Noise]) -> Array:
-    """Mean square per channel that pure noise leaves behind the filters."""
+    """Return the mean square of pure noise after the filters (channels,)."""
     w = np.linspace(0, math.pi, 2048)
     out = []
     for a, n in zip(W.taps, noise, strict=True):
@@ -180,7 +180,7 @@ def noise_after_filters(W: Whitener, noise: Sequence[Noise]) -> Array:
 
 @dataclass(frozen=True)
 class Floor:
-    """What is known of a channel's noise before any model is fitted.
+    """Noise of a channel, estimated before any model is fitted.
 
     `deviation` [the channel's unit]; `known`: whether the measured signal (or the owner) tells it, or only bounds it.
     `source`: 'owner', 'spectrum' (above the band of the motion) or 'bound'.
@@ -192,7 +192,7 @@ class Floor:
 
 
 def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Floor:
-    """The noise of a measured channel (stretches of it (n,)), from where its own spectrum holds noise and nothing else.
+    """Estimate the noise of a measured channel (segments (samples,)) from the part of the spectrum without signal.
 
     The band of the motion is the rig's own: the lowest frequency is sought above which the spectrum looks like white or
     AR(1) noise. Where there is none the motion may reach up to the sampling rate, and the top of the spectrum is a bound.
@@ -213,7 +213,7 @@ def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Fl
 
 
 def resolution(series: Sequence[Array]) -> float:
-    """Deviation that the resolution of a sensor makes by itself: its step over the root of twelve."""
+    """Return the deviation by the resolution of a sensor: its step over the root of twelve."""
     levels = np.unique(np.concatenate(series))
     steps = np.diff(levels)
     steps = steps[steps > 1e-9 * max(float(np.ptp(levels)), 1e-300)]
@@ -243,12 +243,12 @@ def floors_of(problem: Problem) -> list[Floor]:
 
 
 def white_filters(floors: Array) -> Whitener:
-    """Weights that take the noise as white."""
+    """Return filters for white noise of given deviations (channels,)."""
     return Whitener(tuple(np.array([1 / max(h, 1e-300)]) for h in floors))
 
 
 def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
-    """White noise to reckon with when a residual is to be whitened (channels,): the measurement's, or what is unexplained.
+    """Return the white noise for whitening a residual (channels,): that of the measurement, or a part of the residual.
 
     Only noise may be weighed by its spectrum. Missing physics counts as white noise of ten times its power, so that even
     what is crowded in a tenth of the band is not weighed down against what is small and elsewhere.
@@ -258,5 +258,5 @@ def trusted_noise(residuals: Sequence[Array], floors: Array) -> Array:
 
 
 def refined_noise(least: Array, floors: Array) -> Array:
-    """White noise to reckon with when fits are compared (channels,), a tenth of what their weights reckon with."""
+    """Return the white noise for comparing fits (channels,): a tenth of the noise of their weights."""
     return np.asarray(np.maximum(floors, 0.1 * least), dtype=np.float64)

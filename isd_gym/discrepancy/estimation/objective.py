@@ -1,4 +1,4 @@
-"""What a point of a fit costs, and which way is down: residuals, whitened, and the stated uncertainty as a prior."""
+"""Cost of a fit and its derivatives: whitened residuals, and the stated uncertainty as a prior."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Point:
-    """Where a fit is: parameters, initial states, offsets; what that says of each record, and what it costs."""
+    """A point of a fit: parameters, initial states and offsets, with the outputs and the cost of each record."""
 
     x: Array
     initial: dict[int, Array]
@@ -42,7 +42,7 @@ class Point:
 
 @dataclass
 class Slope:
-    """A record's whitened derivatives (rows, parameters + shared offsets + nuisances), and what of the normal equations they give."""
+    """Whitened derivatives of a record (rows, parameters + shared offsets + nuisances), with their normal equations."""
 
     by: Array
     gram: Array
@@ -51,7 +51,7 @@ class Slope:
 
 
 class Objective:
-    """The cost of a structure at a point, over records of `problem`, and its slopes."""
+    """Cost of a structure over records, with derivatives."""
 
     def __init__(self, problem: Problem, weights: Whitener):
         self.problem = problem
@@ -64,7 +64,7 @@ class Objective:
 
     # -- costs ------------------------------------------------------------------------------------------
     def _information(self, structure: Structure, index: int) -> Array:
-        """Of the initial state beforehand (states, states); that of the start values will do."""
+        """Return the inverse prior covariance of the initial state (states, states), at the start values."""
         key = id(structure.network)
         if key not in self._rows:
             rows = motion_rows(self.problem, structure.network)
@@ -72,7 +72,7 @@ class Objective:
         return self._rows[key][1] / self.problem.span(index) ** 2
 
     def price(self, structure: Structure, at: Point, outputs: Mapping[int, Array]) -> Point:
-        """The same point with what it says of each record, and its costs; infinite where it breaks down."""
+        """Return the point with outputs and costs; the cost is infinite where the simulation breaks down."""
         for i, y in outputs.items():
             at.outputs[i] = self.problem.shifted(i, y, at.offset[i])
             square = math.inf
@@ -83,7 +83,7 @@ class Objective:
         return at
 
     def seen(self, structure: Structure, at: Point, records: Sequence[int]) -> Point:
-        """The same, simulated."""
+        """Simulate the records."""
         net = structure.at(at.x)
         try:
             begun = {i: at.initial[i][:, None] for i in records}
@@ -139,7 +139,7 @@ class Objective:
         return out
 
     def _downhill(self, at: Point, i: int, slope: Slope) -> Array:
-        """Half the cost's descent by all numbers of a record (parameters, shared offsets, nuisances)."""
+        """Return the negative gradient of half the cost (parameters, shared offsets, nuisances)."""
         left = self.weights(self.problem.records[i].measured - at.outputs[i]).ravel()
         down = slope.by.T @ left
         p, n0 = len(down) - len(slope.own), len(slope.known)
@@ -149,7 +149,7 @@ class Objective:
     def _moved(
         self, at: Point, x: Array, moves: Mapping[int, NDArray[np.floating]], common: Array | None = None
     ) -> Point:
-        """Another point: parameters `x`, each record's nuisances moved, and the shared offsets by `common`."""
+        """Return a point with parameters `x`, moved nuisances, and shared offsets moved by `common`."""
         initial, offset = dict(at.initial), {i: o.copy() for i, o in at.offset.items()}
         for i, move in moves.items():
             n0 = len(at.initial[i])

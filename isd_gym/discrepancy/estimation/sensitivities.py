@@ -1,4 +1,4 @@
-"""A simulation and how it changes with what is fitted: the base point and one variant a number run as lanes of one call."""
+"""Sensitivities: a simulation and its derivatives by finite differences, one variant per parameter and state in one call."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Tangent:
 def tangents(
     problem: Problem, structure: Structure, x: Array, initial: Mapping[int, Array], *, moves: bool = True
 ) -> dict[int, Tangent]:
-    """The simulation of each record from its `initial` state, and its derivatives by what is free.
+    """Return the simulation of each record from its initial state, with derivatives by free parameters and states.
 
     `moves`: by the parameters, too. What was asked for last is not simulated again: fits go on where others ended,
     with other weights.

@@ -1,4 +1,4 @@
-"""Surgery on networks: a hypothesis built into the owner's model, and the numbers that may move then."""
+"""Structures: effects inserted into a network, and the free parameters of a fit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SURE = 1e-4
 
 @dataclass(frozen=True)
 class Free:
-    """A number to be fitted: `path` in the network, its transform, prior and limits (in transformed units)."""
+    """A free parameter: path in the network, transform, prior and limits (in transformed units)."""
 
     path: str
     log: bool
@@ -65,11 +65,11 @@ class Hypothesis:
 
     @property
     def choices(self) -> dict[str, str]:
-        """What is not a number: its options, and what it is put in series with."""
+        """Choices that are not numbers: options, and the partner in series."""
         return dict(self.options) | ({"behind": self.behind} if self.behind else {})
 
     def stands(self, network: Network) -> bool:
-        """Whether it makes sense there, and is more than another value of a parameter of `network`."""
+        """Return whether the effect makes sense at the place, and is no other value of a known parameter."""
         if not self.behind:
             return self.kind.stands(network, self.where)
         here = [e.name for e in el.beside(network, self.where)]
@@ -84,7 +84,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Structure:
-    """A network with hypotheses built in, and the numbers that may move."""
+    """A network with inserted effects, and the free parameters."""
 
     network: Network
     free: tuple[Free, ...]
@@ -138,7 +138,7 @@ def _signed(network: Network, path: str) -> bool:
 
 
 def usual(network: Network, path: str) -> float:
-    """What a parameter that starts at zero is measured by: of a damping the critical one, of others the largest of its kind.
+    """Return the scale of a parameter that starts at zero: critical damping, or the largest value of the same kind.
 
     network: the owner's model; path: of the parameter. Raises `InputError` where nothing in the network tells.
     """
@@ -163,7 +163,7 @@ def usual(network: Network, path: str) -> float:
 
 
 def free_of(element: el.Element, owner: int) -> list[Free]:
-    """The free numbers of a new element, with wide priors about the size at which it starts: a rig may have any scale."""
+    """Return the free parameters of a new element, with wide priors around the start values: a rig may have any scale."""
     out = []
     for f in el.parameter_fields(type(element)):
         meta = f.metadata
@@ -201,7 +201,7 @@ def _plausible(cls: type[el.Element], values: Mapping[str, float]) -> dict[str, 
 
 
 def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Structure:
-    """The structure with one more effect built in at start `values`. Raises `InputError` where it cannot stand."""
+    """Return the structure with one more effect at start values; raise InputError where the effect cannot be inserted."""
     network, cls, where = structure.network, h.kind, h.where
     name = network.free_name(h.effect)
     free, ties = list(structure.free), list(structure.ties)
@@ -228,7 +228,7 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
 
 
 def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, float]]]) -> Structure:
-    """The owner's model with `effects` added one after the other; nodes that are not there any more are their twins."""
+    """Return the nominal model with effects inserted in order; a node that a split removed stands for its origin."""
     structure = base_structure(network)
     for h, values in effects:
         known = {
@@ -242,7 +242,7 @@ def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, f
 
 
 def _cells(network: Network, element: el.Element) -> tuple[Channel, ...]:
-    """The outputs, a force cell reading what was put side by side with its element, too."""
+    """Return the outputs; a load cell also reads an element in parallel with its own element."""
     out = []
     for c in network.outputs:
         cell = [network.element(n) for n in c.elements]
@@ -289,7 +289,7 @@ def split(
 
 
 def _opened(network: Network, moved: tuple[el.Element, ...]) -> Network:
-    """A network is checked on construction; this one is only whole once the series element closes the gap."""
+    """Return an unchecked network: the element in series closes the gap later."""
     out = object.__new__(Network)
     for f in fields(Network):
         object.__setattr__(out, f.name, getattr(network, f.name))
@@ -298,14 +298,14 @@ def _opened(network: Network, moved: tuple[el.Element, ...]) -> Network:
 
 
 def twin(node: str, known: Collection[str]) -> str:
-    """The node of `known` that one which `split` put in was split from; a known one is its own."""
+    """Return the known node from which a node was split; a known node is its own origin."""
     while node not in known and "_" in node:
         node = node.rpartition("_")[0]
     return node
 
 
 def owner_pair(network: Network, h: Hypothesis) -> tuple[str, str] | None:
-    """The terminals of an effect in the owner's words: a motor's, and a node that was put in by the one it split off."""
+    """Return the terminals of an effect in nodes of the nominal model; a motor's terminals for an effect of a drive."""
     if h.place == "channel":
         return None
     if h.place == "element":
@@ -316,7 +316,7 @@ def owner_pair(network: Network, h: Hypothesis) -> tuple[str, str] | None:
 
 
 def in_line(network: Network, first: tuple[str, ...], second: tuple[str, ...]) -> bool:
-    """Whether one force passes through both pairs: they are links of a chain whose inner nodes have no mass."""
+    """Return whether two pairs carry the same force: links of a chain without masses between."""
     links = {frozenset(e.where) for e in network.elements if e.place == "between"}
     ends = {GROUND, *network.masses, *network.moved_nodes}
     chain, grown = {frozenset(first)}, True

@@ -123,7 +123,7 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
 
 
 def _measured_force(problem: Problem) -> float:
-    """Largest deviation of a force that the records hold [N]; 0 where they hold none."""
+    """Return the largest deviation of a measured force [N]; 0 where no force is measured."""
     net, spread = problem.network, problem.deviation() / problem.factors
     mass = max(net.masses.values(), default=0.0)
     found = 0.0
@@ -149,7 +149,7 @@ def _simulate(problem: Problem, fit: Fit, watched: Network) -> Array:
 
 
 def _simulated(problem: Problem, fit: Fit, watched: Network) -> list[Array]:
-    """Outputs of `watched`, one array over all records to fit by per output; zero where the simulation breaks down."""
+    """Return the outputs of a network over all training records, one array per output; zero where the simulation breaks down."""
     if not watched.outputs:
         return []
     try:
@@ -160,7 +160,7 @@ def _simulated(problem: Problem, fit: Fit, watched: Network) -> list[Array]:
 
 
 def _lost_motion(problem: Problem, fit: Fit) -> float:
-    """Ratio of measured to simulated output deviation, pooled over the channels, and no less than 1."""
+    """Return the ratio of measured to simulated output deviation, pooled over channels, at least 1."""
     spread, names = problem.deviation(), [problem.records[i].name for i in problem.estimation]
     simulated = deviation_within([fit.outputs[i] for i in problem.estimation], names)
     known = (spread > 1e-300) & np.isfinite(simulated)
@@ -169,7 +169,7 @@ def _lost_motion(problem: Problem, fit: Fit) -> float:
 
 
 def _inertia_of_data(problem: Problem) -> dict[str, float]:
-    """Inertia force by mass that the measured motion suggests, for a model that stands still."""
+    """Return the inertia force of each mass by the measured motion, for a model that stands still."""
     acceleration, time = 0.0, problem.time
     rate = {"acceleration": 1.0, "velocity": 1.0 / time, "displacement": 1.0 / time**2}
     for j, c in enumerate(problem.network.outputs):

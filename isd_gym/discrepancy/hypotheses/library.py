@@ -1,4 +1,4 @@
-"""What could be missing, and where: every effect of the registry at every place where it makes physical sense."""
+"""The library of hypotheses: every registered effect at every place where the effect makes physical sense."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Hypothesis", "hypotheses", "pairs"]
 
 
 def pairs(network: Network) -> list[tuple[str, str]]:
-    """Pairs of nodes that can carry a force: those joined already, and every mass with every other and with the ground.
+    """Return the pairs of nodes that can carry a force: joined pairs, pairs of masses, and each mass with the ground.
 
     A pair of which the inputs tell neither distance nor rate (`frames.order_told`) is none of them.
     """
@@ -42,7 +42,7 @@ def pairs(network: Network) -> list[tuple[str, str]]:
 
 
 def places(network: Network, kind: type[el.Element]) -> list[tuple[str, ...]]:
-    """Where an element of that kind could be: pairs of nodes, motors, or channels."""
+    """Return the places of an element class: pairs of nodes, motors, or channels."""
     if kind.place == "element":
         return [(e.name,) for e in network.elements if isinstance(e, el.Motor)]
     if kind.place == "channel":
@@ -53,7 +53,7 @@ def places(network: Network, kind: type[el.Element]) -> list[tuple[str, ...]]:
 
 
 def hypotheses(network: Network) -> Iterator[Hypothesis]:
-    """Every registered effect at every place where it is not a mere change of a parameter that is there already."""
+    """Yield every registered effect at every place, unless the effect is another value of a known parameter."""
     el.discover()
     for kind in el.TYPES.values():
         for where in places(network, kind):
@@ -65,6 +65,6 @@ def hypotheses(network: Network) -> Iterator[Hypothesis]:
 
 
 def series_partners(network: Network, kind: type[el.Element], where: tuple[str, ...]) -> list[str]:
-    """What an element could be put in series with: all that stands there (""), and each of several side by side alone."""
+    """Return the partners of an element in series: all elements of the place (""), and each of several parallel elements."""
     here = [e.name for e in el.beside(network, where) if not e.series] if kind.series else []
     return ["", *here] if len(here) > 1 else [""]

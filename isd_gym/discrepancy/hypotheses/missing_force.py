@@ -1,4 +1,4 @@
-"""The force that is missing between two nodes, as the residuals of the outputs tell it: followed through time."""
+"""The missing force between two nodes over time, from the residuals of the outputs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Signals(Protocol):
 
 @dataclass(frozen=True)
 class Deconvolution:
-    """How the outputs of a model answer to a force between two of its nodes, and back."""
+    """Response of the outputs of a model to a force between two nodes, and its inverse."""
 
     names: list[str]
     frequency: Array  # [Hz] of the band that is used
@@ -151,7 +151,7 @@ def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str
 
 
 def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array, Array]:
-    """Travel [m] and rate [m/s] between two nodes in a model that is started as the record begins."""
+    """Return travel [m] and rate [m/s] between two nodes in a model that starts like the record."""
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)

@@ -62,7 +62,7 @@ def motions(
 
 
 def with_outputs(net: Network, outputs: tuple[Channel, ...]) -> Network:
-    """The network with other outputs, and so without what its sensors do."""
+    """Return the network with other outputs, without effects of sensors."""
     kept = tuple(e for e in net.elements if e.place != "channel")
     return replace(net, outputs=outputs, elements=kept)
 
@@ -75,7 +75,7 @@ def setting(
     force: float,
     pitches: tuple[float, ...] = (),
 ) -> Setting:
-    """What the effect of a hypothesis may look at when it says from which values its fit begins."""
+    """Return the setting from which an effect derives the start values of its fit."""
     signal, time, samples = 1.0, problem.time, None
     if h.place == "element":
         name = next(c.name for c in network.inputs if c.quantity == "current" and c.element == h.where[0])
@@ -97,7 +97,7 @@ def setting(
 def simulate_variants(
     problem: Problem, fit: Fit, networks: Sequence[Network]
 ) -> Iterator[tuple[list[int], int, Array]]:
-    """Outputs of many networks over every record to fit by: (which networks, record, outputs (n, channels, lanes)).
+    """Yield the outputs of many networks over the training records: network indices, record, outputs (samples, channels, lanes).
 
     Lanes of one structure run together; what breaks down is left out.
     """

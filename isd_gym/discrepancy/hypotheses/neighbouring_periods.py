@@ -1,4 +1,4 @@
-"""What repeats over travel has one optimum a period: neighbouring periods are tried."""
+"""Fits of periodic laws at neighbouring periods: a periodic law has one optimum per period."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The score test: which effects would take something off the residual that the model's own parameters cannot."""
+"""The score test: the expected decrease of the cost by each effect, beyond the parameters of the model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ScoredStart:
-    """A start of a hypothesis: values at the amplitude that the score test gives, and the sum of squares it expects off."""
+    """A start of a hypothesis: values at the amplitude of the score test, and the expected decrease of the cost."""
 
     hypothesis: Hypothesis
     start: Start
@@ -35,7 +35,7 @@ class ScoredStart:
 
 
 def with_fitted_effects(fit: Fit) -> Structure:
-    """The structure with the effects found so far at their fitted values, the base at its prior."""
+    """Return the structure with fitted values of the effects and nominal values of the model."""
     free = fit.structure.free
     found = {f.path: f.back(float(v)) for f, v in zip(free, fit.x, strict=True) if f.owner >= 0}
     if not found:
@@ -45,7 +45,7 @@ def with_fitted_effects(fit: Fit) -> Structure:
 
 @dataclass(frozen=True)
 class Residual:
-    """What a fit leaves, whitened, with what its parameters, initial states and offsets can make of it taken out.
+    """Whitened residual of a fit, orthogonal to the derivatives by parameters, initial states and offsets.
 
     `left` (rows,); `basis` (rows, directions); `spans`: record -> (first row, last row, outputs of the fit).
     """
@@ -93,7 +93,7 @@ def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
 def score_hypotheses(
     problem: Problem, fitter: Fitter, fit: Fit, candidates: Sequence[Hypothesis], lost: bool = False
 ) -> list[ScoredStart]:
-    """Every candidate at every start with the gain that the score test expects of it, best first.
+    """Return every hypothesis at every start with its expected gain, largest gain first.
 
     `lost`: the simulation has lost its phase, so that small effects say nothing about large ones, and nobody is left out.
     """
@@ -112,7 +112,7 @@ def score_hypotheses(
 def build_starts(
     problem: Problem, fit: Fit, candidates: Sequence[Hypothesis]
 ) -> list[tuple[Hypothesis, Start, list[Structure]]]:
-    """Every start of every candidate, built into the fitted model in each of its ways."""
+    """Return every start of every hypothesis, built into the fitted model in each of its ways."""
     motion, forces = motions(problem, fit), place_forces(problem, fit)
     fitted = replace(fit.structure, network=fit.network)
     out = []
@@ -136,7 +136,7 @@ def build_starts(
 def _responses(
     problem: Problem, fitter: Fitter, fit: Fit, residual: Residual, built: Sequence[Sequence[Structure]]
 ) -> list[Array]:
-    """What each trial changes in the whitened outputs (rows, ways)."""
+    """Return the change of the whitened outputs by each start (rows, ways)."""
     out = [np.zeros((len(residual.left), len(ways))) for ways in built]
     members = [(k, way) for k, ways in enumerate(built) for way in range(len(ways))]
     networks = [built[k][way].network for k, way in members]

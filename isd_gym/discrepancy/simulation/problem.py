@@ -1,4 +1,4 @@
-"""Records against a model: what was measured, and what a network says about it.
+"""Records and a model: measured outputs, and simulations of a network over the same inputs.
 
 `Problem` holds the records in the units of the model's channels and simulates many variants of one network structure
 in a single call of the kernel (one lane each).
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ...loggers.recording import Recording
     from ..records.multirate import OutputSampler
 
-#: what a record is for: to fit by, to choose among candidates by, to report by
+#: use of a record: training (fit), validation (choose) or test (report)
 Role = Literal["fit", "choose", "report"]
 
 
@@ -48,33 +48,33 @@ class Record:
     measured: Array
     slopes: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     start: float = 0.0  # [s] time of the first sample
-    taps: Array | None = None  # low-pass that model and data both pass, where derivatives need one
-    thin: int = 1  # of the filtered outputs every `thin`-th sample is compared
-    margin: int = (
-        0  # compared samples left out at either end, where the low-pass had to guess; inputs reach over them
+    taps: Array | None = (
+        None  # low-pass filter of simulated and measured outputs, where derivatives need a filter
     )
-    lead: int = 0  # compared samples' worth of inputs before the first: what remembers has forgotten its beginning by then
-    reading: OutputSampler | None = (
-        None  # of channels with stamps of their own: how the simulation is read at them
+    thin: int = 1  # every `thin`-th sample of the filtered outputs is compared
+    margin: int = 0  # compared samples left out at either end, where the filter extrapolates; inputs cover these samples
+    lead: int = (
+        0  # compared samples of inputs before the first compared sample: laws with memory forget their start
     )
+    reading: OutputSampler | None = None  # sampler of simulated outputs at the time stamps of each channel
     clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
-    late: tuple[Array, ...] = ()  # (channels,) of each: whether a channel has its stamps
-    lags: Mapping[str, float] = field(default_factory=dict)  # [s] what is taken for it, clock by clock
-    size: int = 0  # samples of the grid, where the compared ones do not tell
+    late: tuple[Array, ...] = ()  # (channels,) for each clock: whether a channel has its stamps
+    lags: Mapping[str, float] = field(default_factory=dict)  # [s] assumed lag of each clock
+    size: int = 0  # samples of the grid, where the compared samples do not tell the number
     source: Recording | None = None
 
     def __len__(self) -> int:
-        """Samples of the outputs that are compared."""
+        """Number of compared samples of the outputs."""
         return len(self.measured)
 
     @property
     def samples(self) -> int:
-        """Samples of the inputs."""
+        """Number of samples of the inputs."""
         return self.size or (len(next(iter(self.inputs.values()))) if self.inputs else len(self.measured))
 
     @property
     def rate(self) -> float:
-        """Interval of the outputs that are compared [s]."""
+        """Interval of the compared samples [s]."""
         return self.step * self.thin
 
     @property
@@ -83,42 +83,42 @@ class Record:
 
     @property
     def before(self) -> int:
-        """Compared samples' worth of inputs before the first one that is compared."""
+        """Number of compared intervals of inputs before the first compared sample."""
         return self.lead + self.margin
 
     @cached_property
     def pace(self) -> float:
-        """The time [s] in which the motion changes: one over the circular frequency that halves the outputs' power."""
+        """Time scale of the motion [s]: the inverse of the circular frequency that halves the power of the outputs."""
         return min(pace(self.measured[:, j], self.rate) for j in range(self.measured.shape[1]))
 
     @property
     def filtered(self) -> bool:
-        """Whether what is compared passed a low-pass."""
+        """Whether the compared outputs are low-pass filtered."""
         return self.taps is not None or (self.reading is not None and self.reading.filtered)
 
     def unread(self) -> Record:
-        """The same, so that a simulation is seen at every sample of the inputs."""
+        """Return the record without filter and sampler: a simulation is compared at every sample of the inputs."""
         return replace(self, taps=None, thin=1, lead=0, reading=None, clocks=(), late=())
 
     def seen(self, values: Array) -> Array:
-        """Those of `values` (samples, ...) at the inputs' samples that are compared."""
+        """Return the values (samples, ...) at the compared samples."""
         return values[self.before * self.thin :: self.thin][: len(self)]
 
     def follows(self, other: Record) -> bool:
-        """Whether this record is the stretch right after `other`."""
+        """Return whether this record starts where another record ends."""
         begin, end = self.start + self.lead * self.rate, other.start + (other.lead + len(other)) * other.rate
         return self.name == other.name and abs(begin - end) < 0.5 * self.rate
 
     def read(self, values: Array) -> Array:
-        """What is compared of simulated outputs at every sample of the inputs."""
+        """Return the compared samples of simulated outputs, filtered like the measurement."""
         if self.taps is None and not self.lead:
             return values
         return self.seen(values if self.taps is None else low_pass(values, self.taps))
 
     def part(self, first: int, stop: int, name: str, lead: int = 0) -> Record:
-        """Compared samples first..stop-1 as a record of their own; `lead`: how many of those before at most lead it in."""
+        """Return compared samples first to stop - 1 as a record; at most `lead` samples before the first lead in."""
         back = 0 if self.reading else min(max(lead, self.lead), self.lead + first)
-        back -= back % WHOLE  # so that it can be thinned
+        back -= back % WHOLE  # a record can be thinned by each factor up to `MOST`
         begin = self.lead + first - back
         cut = slice(begin * self.thin, (self.lead + stop - 1 + 2 * self.margin) * self.thin + 1)
         return replace(
@@ -135,8 +135,8 @@ class Record:
 
 
 def thinned(record: Record, by: int, held: Collection[str]) -> Record:
-    """A record with every `by`-th sample, inputs passing a low-pass before (of those that are `held`, means are held)."""
-    if record.taps is not None:  # its inputs have passed one
+    """Return a record with every `by`-th sample; inputs are low-pass filtered, or averaged where they are held."""
+    if record.taps is not None:  # the inputs are filtered already
         taps = record.taps[(len(record.taps) // 2) % by :: by]
         return replace(
             record,
@@ -157,7 +157,7 @@ def thinned(record: Record, by: int, held: Collection[str]) -> Record:
 
 
 def pace(values: Array, step: float) -> float:
-    """One over the circular frequency [s] below which half of the power of `values` (n,) lies."""
+    """Return the inverse of the circular frequency below which half of the power of values (n,) lies [s]."""
     f, s = welch(values - values.mean(), 1.0 / step, nperseg=min(len(values), 4096))
     total = np.cumsum(s)
     middle = float(np.interp(0.5 * total[-1], total, f)) if total[-1] > 0 else 0.0
@@ -196,7 +196,7 @@ def deviation_within(series: Sequence[Array], groups: Sequence[object]) -> Array
 
 
 def bare(network: Network) -> Network:
-    """The network without its motor and sensor effects, which act outside the kernel."""
+    """Return the network without motor and sensor effects, which act outside the kernel."""
     kept = tuple(e for e in network.elements if e.place == "between")
     return network if len(kept) == len(network.elements) else replace(network, elements=kept)
 
@@ -204,17 +204,20 @@ def bare(network: Network) -> Network:
 #: exceptions of a simulation or a fit that breaks down
 BROKEN = (InputError, np.linalg.LinAlgError)
 
-#: steps of the physics, in the time in which the motion changes, in fits and in searches: 126 and 21 a period. Dry friction is
-#: of first order in them: where it rules the motion, outputs are off by about 1 % of their deviation in fits
+#: physics steps over the time scale of the motion, in fits and in screening: 126 and 21 steps per period. The error by dry friction is
+#: of first order: where friction dominates, outputs are off by about 1 % of their deviation in fits
 FINE, COARSE = 0.05, 0.3
-FINEST = 60  # physics steps a sample at most
-MOST, LEAST = 4, 500  # by how much a record is thinned at most, and how many samples it keeps
+#: largest number of physics steps per sample
+FINEST = 60
+#: largest factor by which a record is thinned, and smallest number of samples of a thinned record
+MOST, LEAST = 4, 500
 WHOLE = math.lcm(*range(1, MOST + 1))
-LARGEST = 2_000_000  # samples of all lanes that run side by side
+#: largest number of samples of all lanes in one call
+LARGEST = 2_000_000
 
 
 class Problem:
-    """A base model and records to judge it by.
+    """A nominal model and measured records.
 
     network: the owner's model. records: with the `roles` that they have, those to fit by first. step: the largest of the
     physics, in the time in which the motion changes. time [s]: the rig's own, where it is known from other records.
@@ -251,7 +254,7 @@ class Problem:
 
     @property
     def held(self) -> list[int]:
-        """Records that take no part in fitting."""
+        """Validation and test records."""
         return self._of("choose", "report")
 
     @property
@@ -260,28 +263,28 @@ class Problem:
 
     @property
     def reporting(self) -> list[int]:
-        """Records that take no part in choosing either; the choosing ones where there are not enough for both."""
+        """Test records; the validation records where there are not enough records for both."""
         return self._of("report") or self.choosing
 
     @cached_property
     def time(self) -> float:
-        """The rig's own time scale [s]."""
+        """Time scale of the rig [s]."""
         return self._time or float(np.median([r.pace for r in self.records]))
 
     def scale(self, record: Record) -> float:
-        """The time in which the motion of a record changes [s], and no more than the rig's own."""
+        """Return the time scale of a record's motion [s], at most that of the rig."""
         return min(self.time, record.pace)
 
     def every(self, record: Record) -> int:
-        """Steps of the physics between two samples of the inputs."""
+        """Return the number of physics steps per sample of the inputs."""
         return min(max(1, math.ceil(record.step / (self.step * self.scale(record)) - 1e-9)), FINEST)
 
     def _sparse(self, record: Record) -> bool:
-        """Whether there are so few samples that lines between them would lack a part of the amplitude."""
+        """Return whether samples are so sparse that linear interpolation reduces the amplitude."""
         return self.every(record) > 1 and record.step > COARSE * self.scale(record)
 
     def span(self, index: int) -> float:
-        """One sigma of what is known beforehand of a record's first motion [m]: wide, from its own motion."""
+        """Return the prior standard deviation of a record's initial motion [m], from the range of the record."""
         if index not in self._spans:
             record, spans = self.records[index], [0.0]
             lengths = {"displacement": 1.0, "velocity": self.time, "acceleration": self.time**2}
@@ -295,18 +298,18 @@ class Problem:
         return self._spans[index]
 
     def measured(self, records: Sequence[int] | None = None) -> Array:
-        """Outputs (samples, channels) of the records (those to fit by), one after the other."""
+        """Return the measured outputs of records (samples, channels), one after the other; of the training records by default."""
         return np.concatenate(
             [self.records[i].measured for i in (self.estimation if records is None else records)]
         )
 
     def with_records(self, records: Sequence[Record]) -> Problem:
-        """The same with other records, cut from these, in the same roles."""
+        """Return the problem with other records in the same roles."""
         return Problem(self.network, records, self.roles, self.step, self.time)
 
     @cached_property
     def rough(self) -> Problem:
-        """The same with no more samples than the motion needs, to search by; itself where there are not more."""
+        """The problem with as few samples as the motion needs; the problem itself where no sample can be spared."""
         by = [self._spare(r) for r in self.records]
         if max(by, default=1) < 2:
             return self
@@ -315,7 +318,7 @@ class Problem:
         return Problem(self.network, records, self.roles, 1.01 * COARSE, self.time)
 
     def _spare(self, record: Record) -> int:
-        """By how much a record may be thinned."""
+        """Return the factor by which a record may be thinned."""
         most = int(min(COARSE * self.scale(record) / record.step, record.samples / LEAST, MOST))
         if record.reading is not None:
             return 1
@@ -324,7 +327,7 @@ class Problem:
         return max((k for k in range(1, most + 1) if record.thin % k == 0), default=1)
 
     def watching(self, network: Network) -> Problem:
-        """The same motion seen by other outputs, those of `network`, at every sample of the inputs."""
+        """Return the problem with the outputs of another network, at every sample of the inputs."""
         raw = [r.unread() for r in self.records]
         return Problem(network, raw, self.roles, self.step, self.time)
 
@@ -335,7 +338,7 @@ class Problem:
 
     @cached_property
     def loose(self) -> Problem:
-        """The same with an offset for each record in place of an offset for all records."""
+        """Return the problem with one offset per record in place of one offset for all records."""
         outputs = tuple(replace(c, offset="record" if c.offset else None) for c in self.network.outputs)
         network = replace(self.network, outputs=outputs)
         return Problem(network, self.records, self.roles, self.step, self.time)
@@ -380,11 +383,11 @@ class Problem:
         return out
 
     def moves(self, index: int) -> NDArray[np.bool_]:
-        """Which of these may move in a single record: offsets of each record, and every lag."""
+        """Return which nuisances may move in a single record: offsets per record, and every lag."""
         return np.concatenate([self.record_offset, np.ones(len(self.records[index].clocks), bool)])
 
     def nuisances(self, index: int, outputs: Array) -> Array:
-        """What each of those does to the `outputs` (samples, channels) of record `index`: (samples, channels, those)."""
+        """Return the derivatives of the outputs of a record by its nuisances (samples, channels, nuisances)."""
         record, free = self.records[index], np.flatnonzero(self.record_offset)
         out = np.zeros((*outputs.shape, len(free) + len(record.clocks)))
         out[:, free, np.arange(len(free))] = 1.0
@@ -395,7 +398,7 @@ class Problem:
         return out
 
     def shifted(self, index: int, outputs: Array, nuisance: Array) -> Array:
-        """`outputs` (samples, channels, ...) with offsets and further lags."""
+        """Return outputs (samples, channels, ...) with offsets and lags."""
         record, ny = self.records[index], len(self.channels)
         out = outputs + nuisance[:ny].reshape(ny, *[1] * (outputs.ndim - 2))
         if record.clocks and np.any(nuisance[ny:]):

@@ -1,4 +1,4 @@
-"""Where the gap lives, in plain words; and the law that was found, drawn."""
+"""Where the error is: channels, bands and conditions; and curves of the laws for drawings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def bands(residual: Array, floor: float, step: float) -> list[tuple[float, float]]:
-    """Bands [Hz] that together hold 80 % of what the residual's spectrum has above white noise of deviation `floor`."""
+    """Return the bands [Hz] with 80 % of the residual's power above white noise of deviation `floor`."""
     f, s = welch(residual - residual.mean(), 1 / step, nperseg=min(2048, len(residual)))
     s = np.maximum(np.asarray(s, float) - 2 * floor**2 * step, 0.0)
     if s.sum() <= 0:
@@ -112,7 +112,7 @@ def conditions(
 
 
 def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:
-    """Every channel's share of the refitted model's excess error, in units of its noise; where in frequency and motion."""
+    """Return each channel's share of the excess error, with its bands and the condition of the motion, largest share first."""
     try:
         motion = motions(problem, fit)
     except (InputError, np.linalg.LinAlgError):
@@ -137,7 +137,7 @@ def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]
 
 
 def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quantity]) -> Law | None:
-    """The force of a found two-terminal effect over travel or rate, with the band of its parameters' intervals."""
+    """Return the force of an effect over travel or rate, with a band from the intervals of its parameters."""
     e = fit.network.element(name)
     if e.place != "between" or e.plane == "time":
         return None
@@ -170,7 +170,7 @@ def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quanti
 
 
 def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
-    """A tabulated force drawn over rate or elongation; over elongation at no rate, where it is of both."""
+    """Return a tabulated force over rate or elongation; a force of both over elongation at zero rate."""
     motion = motions(problem, fit, (t.between,))[t.between]
     rate = t.over == "rate"
     still = int(np.argmin(np.abs(t.rate))) if t.over == "both" else slice(None)
