@@ -16,7 +16,9 @@ from isd_gym.network import Network
 
 def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Screening, ScoredStart]:
     structure = base_structure(Network.load("quarter-car-isd"))
-    stage = cast("Screening", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start)))
+    stage = cast(
+        "Screening", SimpleNamespace(current=SimpleNamespace(structure=structure, x=structure.start))
+    )
     h = next(h for h in hypotheses(structure.network) if h.effect == effect)
     return stage, ScoredStart(h, Start(values, **start), values, 1.0)
 
