@@ -309,7 +309,7 @@ def test_ambiguous_with_the_test_that_would_decide(
     d = o.document
     assert d["verdict"] == "ambiguous", d["summary"]
     assert {tuple(a["effects"]) for a in d["alternatives"]} == {("inertance",), ("series_compliance",)}
-    assert [g["gate"] for g in d["best_candidate"]["failed_gates"]] == ["ahead"]
+    assert [g["gate"] for g in d["best_candidate"]["failed_gates"]] == ["distinguishable"]
     assert (
         "which of 2 explanations is right: inertance between" in d["summary"]
         or "or inertance" in d["summary"]

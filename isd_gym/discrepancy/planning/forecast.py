@@ -199,8 +199,12 @@ def _limits(effect: SimulatedEffect, scale: float, *, with_rivals: bool) -> tupl
     """Return the gates that an effect fails at a multiple of the simulated size, and rivals that are too close."""
     evidence = effect.evidence(scale, with_rivals=with_rivals)
     failed = [g.name for g in decide(evidence, effect.bench.criteria).gates if not g.passed]
-    rivals = f"ahead: {', '.join(evidence.indistinguishable)}" if evidence.indistinguishable else "ahead"
-    return tuple(rivals if name == "ahead" else name for name in failed) or (
+    rivals = (
+        f"distinguishable: {', '.join(evidence.indistinguishable)}"
+        if evidence.indistinguishable
+        else "distinguishable"
+    )
+    return tuple(rivals if name == "distinguishable" else name for name in failed) or (
         "agrees within what is material",
     )
 
