@@ -347,6 +347,8 @@ def test_a_degressive_damper_takes_the_place_of_the_linear_one():
     net = with_effects()
     assert el.DegressiveDamping.stands(net, ("cart", "ground"))
     assert not el.DegressiveDamping.stands(net.without_element("guide"), ("cart", "ground"))
+    guess = Network.load({**MOTOR, "uncertainty": {"guide.damping": 1.0}})
+    assert not el.DegressiveDamping.stands(guess, ("cart", "ground"))
     v = 0.4 * np.sin(np.arange(2000) * 0.01)
     at = el.Setting(net, ("cart", "ground"), el.Motion(v, v, v), 1.0)
     for start in el.DegressiveDamping.starts(at):
@@ -359,6 +361,11 @@ def test_a_degressive_damper_takes_the_place_of_the_linear_one():
         assert linear * el.rms(v) == pytest.approx(level)
         assert level == pytest.approx(law.curve(np.array([el.rms(v)]))[0])
     built = add(base_structure(net), Hypothesis("degressive_damping", ("cart", "ground")), start.values)
+    # a knee far below the typical rate would be dry friction with round corners
+    (knee,) = (f for f in built.free if f.path == "degressive_damping.knee")
+    assert knee.back(knee.low) == pytest.approx(el.rms(v)) and knee.back(knee.high) == pytest.approx(
+        9 * el.rms(v)
+    )
     assert "guide" not in {e.name for e in built.network.elements}
     # the only element of a rig may be replaced, too, and a force cell then reads what stands there
     alone = {

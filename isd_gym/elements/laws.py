@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 TURN = 2.0 * math.pi  # [rad]
 #: periods over the travel up to which every pitch is tried; of finer ones, those that the spectrum over position shows
 PERIODS = 60
+#: relative sigma of a damping up to which its owner knows that there is a damper
+SURE_DAMPER = 0.5
 #: periods a turn up to which every whole number is tried
 WHOLE_PERIODS = 120
 
@@ -219,27 +221,24 @@ class DegressiveDamping(Element):
     shaped_by = "knee"
     law = staticmethod(_degressive)
     damping: float = parameter("N s/m", 10.0, 1e5)
-    # beyond twenty times the start it is a linear damper, below a twentieth of it dry friction
-    knee: float = plausible(parameter("m/s", 1e-3, 1.0, open_end=True), reach=20.0)
+    # from the typical rate to nine times as much: below, the force is nearer to dry friction, above, to a linear damper
+    knee: float = plausible(parameter("m/s", 1e-3, 1.0, open_end=True), reach=3.0)
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        damped = any(e.type == "linear_damping" for e in beside(network, where))
-        return damped and super().stands(network, where)
+        # where nobody knows whether there is a damper, dry friction with round corners would pass for one
+        dampers = [e.name for e in beside(network, where) if e.type == "linear_damping"]
+        known = any(network.uncertainty.get(f"{name}.damping", 0.0) <= SURE_DAMPER for name in dampers)
+        return known and super().stands(network, where)
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         linear = sum(e.linear()[1] for e in at.beside if e.type == "linear_damping")
         force = linear * rms(at.moves.v) or at.small
-        knees = [share * rms(at.moves.v) for share in (0.3, 1.0, 3.0)]
+        knee = 3.0 * rms(at.moves.v)
         # of the same force as the linear damper, from which it may differ either way
-        return [
-            Start(
-                {"damping": force / rms(at.moves.v / (1.0 + np.abs(at.moves.v) / knee)), "knee": knee},
-                signed=True,
-            )
-            for knee in knees
-        ]
+        damping = force / rms(at.moves.v / (1.0 + np.abs(at.moves.v) / knee))
+        return [Start({"damping": damping, "knee": knee}, signed=True)]
 
     @classmethod
     def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
