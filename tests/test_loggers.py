@@ -9,7 +9,8 @@ from test_inspection import CAR, drive
 
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.records import align_clocks, build_record, read_record
+from isd_gym.discrepancy.estimation.clock_lag import align_clocks
+from isd_gym.discrepancy.records import build_record, read_record
 from isd_gym.discrepancy.simulation.problem import Problem
 from isd_gym.errors import InputError
 from isd_gym.inspection import inspect, lines
