@@ -147,7 +147,7 @@ def test_a_law_that_nobody_wrote_down_is_a_table_and_not_a_sum_of_known_ones() -
     # a spring that saturates; cubic stiffness and cogging together would close 99 % of the gap
     d = of_family("shaken.unknown_tanh", 305)
     assert d.verdict == "unknown_effect"
-    assert [g.name for g in d.gates if not g.passed] == ["shape"]
+    assert [g.name for g in d.gates if not g.passed] == ["lack of fit"]
     assert d.tabulated is not None and set(d.tabulated.between) == {"mass", "base"}
 
 
@@ -461,9 +461,9 @@ def test_laws_of_friction_are_told_apart_where_the_steps_are_fine_enough(kind, s
 def test_one_law_for_several_at_one_place_begins_where_it_gives_their_sum() -> None:
     """The level of a falling friction was found first, as an asymmetric one, then the rest: the law itself, begun from the rest, was lost."""
     # the law itself, which the score test puts far behind, must come by way of its parts
-    d, case = run("stribeck_device", 312, SearchSettings(cheap=0))
+    d, case = run("stribeck_device", 312, SearchSettings(cheap_samples=0))
     assert named(d) == {(effect, frozenset(place)) for effect, place in case.answer}
-    assert any("explains as much as asymmetric_friction" in note for note in d.notes)
+    assert any("predicts as well as asymmetric_friction" in note for note in d.notes)
 
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() -> None:
