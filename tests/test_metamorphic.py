@@ -55,7 +55,7 @@ class Rig:
             self.training,
             self.model,
             validate=self.validation,
-            settings=SearchSettings(heats=4, finals=2, turns=0),
+            settings=SearchSettings(first_round=4, finals=2, turns=0),
         )
 
     def with_tables(self, change: Any) -> Rig:
