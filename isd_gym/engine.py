@@ -205,7 +205,7 @@ def _deaf() -> Iterator[None]:
 
 
 class _Worker:
-    """A process that does one task after another, and what it does now."""
+    """A worker process and the task that runs in it."""
 
     def __init__(self, context: Any) -> None:
         self.pipe, other = context.Pipe()

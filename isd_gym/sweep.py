@@ -341,7 +341,7 @@ def _print(merged: Mapping[str, Any]) -> None:
 
     names, lines = rows(merged)
     console = printer()
-    # a figure is never cut: its interval goes below it where there is no room beside it
+    # a figure is never cut: in a narrow console the interval goes on the line below the figure
     wide = [max((len(line[k + 1]) for line in lines), default=0) for k in range(len(names))]
     room = 34 + sum(w + 4 for w in wide) <= console.width
     made = Table(box=box.SIMPLE_HEAD, title="change of J against passive [%]", title_justify="left")

@@ -76,7 +76,7 @@ ALIKE = 30.0  # a channel within this factor of what the model says of it has th
 SLIP = (600.0, 1600.0)  # factors from it that a wrong unit makes
 #: the checks by name; one that refuses a record may be accepted by its name
 CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies")
-#: those of them without which there is nothing to compare
+#: checks that no name accepts: a record that fails one cannot be compared
 UNACCEPTABLE = ("time", "finite", "constant")
 _MAX_SPEED = 15.0  # [m/s] RMS that a displacement may imply; wheels and rods stay below 5
 

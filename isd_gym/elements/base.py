@@ -221,7 +221,7 @@ class Element:
     series: ClassVar[bool] = False
     #: types that it holds as a special case
     contains: ClassVar[tuple[str, ...]] = ()
-    #: types whose place it takes where they stand
+    #: types that a candidate of this type replaces at the same place
     replaces: ClassVar[tuple[str, ...]] = ()
     #: the parameter that shapes it, for which fits may have several optima
     shaped_by: ClassVar[str | None] = None

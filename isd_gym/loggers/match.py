@@ -31,7 +31,7 @@ SAMPLES = 6000  # of the stretch that is compared
 LAG = 0.5  # [s] between loggers
 NOTHING = -3.0  # a score below which a channel rather has no column
 PHYSICS = 9.0  # what a simulation that follows a column to the last bit is worth
-DERIVATIVE = 2.0  # what it is worth that one column is the derivative of another
+DERIVATIVE = 2.0  # score of a column that is the derivative of another
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 

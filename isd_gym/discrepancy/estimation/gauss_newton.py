@@ -313,7 +313,7 @@ class Fitter(Objective):
                     begun[i].append(v)
         at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
         before = {j: i for i in records for j in records if j not in given and _goes_on(problem, i, j)}
-        # one that fits like the others is where it belongs
+        # a record with a residual like the others' has a good initial state
         each = [at.costs[i] / len(problem.records[i]) for i in records]
         usual = min(UNUSUAL * float(np.median(each)), NEAR * min(each))  # most of them may be astray
         before = {j: i for j, i in before.items() if at.costs[j] > usual * len(problem.records[j])}
