@@ -15,10 +15,11 @@ from .estimation.structure import base_structure, owner_pair
 from .hypotheses.library import hypotheses
 from .planning import next_experiment, played
 from .result import BestCandidate, Contender, Diagnosis, Effect, Quantity, Remainder, Stretches, Trace
-from .selection.candidate import BROKEN, Candidate, parameter_values
+from .selection.candidate import Candidate, parameter_values
 from .selection.free_force import FreeForce, fit_free_force
 from .selection.uncertainty import intervals
 from .selection.weights import weigh_candidates
+from .simulation.problem import BROKEN
 from .verdict.explanation import draw_law, draw_table, locate_errors
 from .verdict.findings import find
 from .verdict.gates import Decision, confidence, table_gates, with_findings

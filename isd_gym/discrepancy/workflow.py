@@ -32,12 +32,12 @@ from .records import (
 )
 from .result import Diagnosis, Stretches
 from .result_builder import ResultBuilder
-from .selection.candidate import BROKEN, Candidate, white_noise
+from .selection.candidate import Candidate, white_noise
 from .selection.criteria import CRITERIA, Criteria
 from .selection.forward_backward import Search
 from .selection.held_out import HeldOutEvaluator
 from .selection.settings import SearchSettings
-from .simulation.problem import Problem, Record, Role, bare, pace
+from .simulation.problem import BROKEN, Problem, Record, Role, bare, pace
 from .verdict.closed_loop import decide_under_feedback
 from .verdict.gates import decide
 from .verdict.measurement import Measurements, collect_evidence

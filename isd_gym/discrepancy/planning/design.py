@@ -19,9 +19,8 @@ from ..estimation.gauss_newton import Fitter, residuals
 from ..estimation.noise import innovations, white_filters
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.library import hypotheses
-from ..selection.candidate import BROKEN, Candidate
 from ..selection.held_out import LEAST_NOISE
-from ..simulation.problem import Array, Problem, Record, bare
+from ..simulation.problem import BROKEN, Array, Problem, Record, bare
 from .excitation import Excitation, Rig, infer_rig, list_excitations, make_excitation, make_record, make_table
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from ...network import Network
+    from ..selection.candidate import Candidate
     from .plan_result import Progress
 
 FINALISTS = 5  # tests for which rivals are refitted in full

@@ -15,10 +15,11 @@ from ..estimation.initial_states import transfer_states
 from ..estimation.noise import lagged, predicted, white_filters
 from ..estimation.structure import Hypothesis, Structure, add
 from ..result import Quantity
-from ..selection.candidate import BROKEN, is_special_case
+from ..selection.candidate import is_special_case
 from ..selection.comparison import Comparison
 from ..selection.held_out import BLOCKS, effect_size
 from ..selection.uncertainty import differing_part, relative_uncertainty
+from ..simulation.problem import BROKEN
 from ..verdict.evidence import EffectEvidence, Evidence, as_numbers
 from ..verdict.gates import decide
 from ..verdict.measurement import find_contradiction

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...elements import parameter_fields
 from ..estimation.structure import owner_pair
-from ..selection.candidate import BROKEN
+from ..simulation.problem import BROKEN
 from ..verdict.gates import decide
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
 from .plan_result import Amount, EffectForecast

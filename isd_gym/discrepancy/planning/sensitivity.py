@@ -20,9 +20,9 @@ from ..estimation.sensitivities import tangents
 from ..estimation.structure import Hypothesis, Structure, add, in_line, twin
 from ..hypotheses.library import hypotheses
 from ..hypotheses.motion import setting, simulate_variants
-from ..selection.candidate import BROKEN, is_special_case
+from ..selection.candidate import is_special_case
 from ..selection.held_out import LEAST_NOISE
-from ..simulation.problem import Array, Problem, bare, deviation_within
+from ..simulation.problem import BROKEN, Array, Problem, bare, deviation_within
 from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...network import Channel, Network, assemble
-from ..selection.candidate import BROKEN
-from ..simulation.problem import bare
+from ..simulation.problem import BROKEN, bare
 from .plan_result import SensorGain
 from .sensitivity import FARTHEST
 

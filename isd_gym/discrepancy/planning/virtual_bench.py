@@ -22,10 +22,10 @@ from ..hypotheses.forces import PlaceForces, place_forces
 from ..hypotheses.motion import motions
 from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from ..records import differentiate_inputs, split_records
-from ..selection.candidate import BROKEN, Candidate
+from ..selection.candidate import Candidate
 from ..selection.criteria import CRITERIA, Criteria
 from ..selection.held_out import LEAST_NOISE, SMALL, HeldOutEvaluator
-from ..simulation.problem import Array, Problem, Record, bare
+from ..simulation.problem import BROKEN, Array, Problem, Record, bare
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -11,7 +11,7 @@ from ..estimation.gauss_newton import Fit, Fitter, residuals
 from ..estimation.noise import innovations, refined_noise, trusted_noise, white_filters, whitener
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.motion import motions
-from ..simulation.problem import BROKEN as BROKEN
+from ..simulation.problem import BROKEN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

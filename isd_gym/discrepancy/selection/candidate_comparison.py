@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .candidate import BROKEN, Candidate
+from ..simulation.problem import BROKEN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..simulation.problem import Array
+    from .candidate import Candidate
     from .held_out import HeldOutEvaluator, HeldOutScore
 
 #: candidates of a stage that are compared with the best

@@ -14,7 +14,8 @@ from ..estimation.initial_states import transfer_states
 from ..estimation.multiple_shooting import fit_segments, is_lightly_damped
 from ..estimation.noise import white_filters, whitener
 from ..estimation.structure import Structure, base_structure
-from .candidate import BROKEN, Candidate, deviance_with_noise_of, settle, transfer, white_noise
+from ..simulation.problem import BROKEN
+from .candidate import Candidate, deviance_with_noise_of, settle, transfer, white_noise
 from .screening import beginning
 
 if TYPE_CHECKING:

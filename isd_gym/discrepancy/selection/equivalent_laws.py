@@ -13,7 +13,8 @@ from ..hypotheses.curve_matching import match_law
 from ..hypotheses.forces import place_forces
 from ..hypotheses.library import hypotheses
 from ..hypotheses.motion import motions, setting
-from .candidate import BROKEN, Candidate, parameter_values
+from ..simulation.problem import BROKEN
+from .candidate import Candidate, parameter_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..estimation.gauss_newton import gap
+from ..simulation.problem import BROKEN
 from .candidate import (
-    BROKEN,
     Candidate,
     deviance_with_noise_of,
     is_special_case,

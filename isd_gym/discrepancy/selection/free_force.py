@@ -28,8 +28,8 @@ from ..hypotheses.forces import PlaceForces, place_forces
 from ..hypotheses.library import hypotheses, pairs
 from ..hypotheses.motion import motions, setting
 from ..result import BestTable, Over, Tabulated
-from ..simulation.problem import Array, Problem, bare
-from .candidate import BROKEN, Candidate, settle, transfer, white_noise, with_fit
+from ..simulation.problem import BROKEN, Array, Problem, bare
+from .candidate import Candidate, settle, transfer, white_noise, with_fit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -27,7 +27,8 @@ from ..estimation.noise import (
 from ..estimation.structure import Structure, base_structure
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
-from .candidate import BROKEN, Candidate, white_noise
+from ..simulation.problem import BROKEN
+from .candidate import Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from ..hypotheses.library import Hypothesis, hypotheses
 from ..hypotheses.neighbouring_periods import try_neighbouring_periods
 from ..hypotheses.position_spectrum import thinning_loses
 from ..hypotheses.score_test import ScoredStart, score_hypotheses, with_fitted_effects
+from ..simulation.problem import BROKEN
 from .candidate import (
-    BROKEN,
     Candidate,
     deviance,
     refit_with_other_shape,

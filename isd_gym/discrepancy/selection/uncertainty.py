@@ -11,7 +11,8 @@ from ... import elements as el
 from ..estimation.gauss_newton import Fitter, residuals
 from ..estimation.noise import whitener
 from ..result import Quantity
-from .candidate import BROKEN, Candidate, white_noise
+from ..simulation.problem import BROKEN
+from .candidate import Candidate, white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

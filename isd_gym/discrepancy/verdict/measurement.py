@@ -13,7 +13,7 @@ from ...errors import InputError
 from ..estimation.structure import owner_pair
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.motion import motions
-from ..selection.candidate import BROKEN, Candidate, simpler_structures
+from ..selection.candidate import Candidate, simpler_structures
 from ..selection.equivalent_laws import repeats
 from ..selection.free_force import fit_in_place_of
 from ..selection.uncertainty import (
@@ -25,6 +25,7 @@ from ..selection.uncertainty import (
     relative_uncertainty,
 )
 from ..selection.weights import WeightedCandidate, weigh_candidates, weight_of_all
+from ..simulation.problem import BROKEN
 from .evidence import EffectEvidence, Evidence, as_numbers
 
 if TYPE_CHECKING:
