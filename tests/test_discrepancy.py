@@ -457,13 +457,45 @@ def test_laws_of_friction_are_told_apart_where_the_steps_are_fine_enough(kind, s
     assert named(d) == {(effect, frozenset(place)) for effect, place in case.answer}
 
 
-@pytest.mark.slow
-def test_one_law_for_several_at_one_place_begins_where_it_gives_their_sum() -> None:
-    """The level of a falling friction was found first, as an asymmetric one, then the rest: the law itself, begun from the rest, was lost."""
-    # the law itself, which the score test puts far behind, must come by way of its parts
-    d, case = run("stribeck_device", 312, SearchSettings(cheap_samples=0))
-    assert named(d) == {(effect, frozenset(place)) for effect, place in case.answer}
-    assert any("predicts as well as asymmetric_friction" in note for note in d.notes)
+def test_one_law_replaces_two_laws_at_one_place_and_begins_near_their_sum() -> None:
+    """A falling friction that was found in two parts: the level, and a negative damping."""
+    from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+    from isd_gym.discrepancy.estimation.noise import white_filters
+    from isd_gym.discrepancy.estimation.structure import rebuilt
+    from isd_gym.discrepancy.hypotheses.library import hypotheses
+    from isd_gym.discrepancy.hypotheses.motion import motions
+    from isd_gym.discrepancy.records import read_record, split_records
+    from isd_gym.discrepancy.selection.candidate import Candidate
+    from isd_gym.discrepancy.selection.equivalent_laws import joint_structures
+    from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
+    from isd_gym.discrepancy.simulation.problem import Problem
+
+    case = families.make_case("shaken.stribeck", 305)
+    net = Network.load(case.model)
+    record = read_record(table(case.estimation, "e"), net, [], ())
+    problem = Problem(net, *split_records([record], [], [], record.pace))
+    fastest = np.abs(np.gradient(case.estimation["mass_displacement"], case.estimation["time"])).max()
+    pair = frozenset({"mass", "base"})
+    friction, drag = (
+        next(h for h in hypotheses(net) if h.effect == effect and frozenset(h.where) == pair)
+        for effect in ("coulomb_friction", "asymmetric_damping")
+    )
+    # at the largest rate of the records, the second law takes half of the first
+    falling = -40.0 / fastest
+    structure = rebuilt(
+        net, [(friction, {"level": 80.0}), (drag, {"extension": falling, "compression": falling})]
+    )
+    filters = white_filters(HeldOutEvaluator(problem).least_noise)
+    fit = Fitter(problem, filters).fit(structure, structure.start, iterations=0)
+    parts = [fit.network.element(name) for name in structure.names]
+    v = motions(problem, fit)[parts[0].between].v
+    total = sum(e.curve(v) for e in parts)
+    joint = list(joint_structures(problem, Candidate(fit, 0.0)))
+    assert joint and all(len(s.hypotheses) == 1 for s in joint)
+    assert "stribeck_friction" in [s.hypotheses[0].effect for s in joint]
+    for s in joint:
+        law = s.network.element(s.names[0])
+        assert np.std(law.curve(v) - total) < 0.5 * np.std(total), law
 
 
 def test_what_acts_through_a_moved_nodes_acceleration_is_seen_between_samples() -> None:

@@ -58,11 +58,16 @@ class InclusionTests:
         c, now, then = self.criteria, scores.score(chosen), scores.score(other)
         if self.law_difference(chosen, other) < c.small:
             return False
-        change = np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0))
         problem = self.evaluator.problem
         on_training = 1.0 - gap(problem, chosen.fit) / gap(problem, other.fit)
         removed = max(scores.explained_fraction(then, now), on_training)
-        return bool(np.any(change > self.unmodelled_envelope(other))) or removed >= c.half
+        return self.exceeds_envelope(scores, chosen, other) or removed >= c.half
+
+    def exceeds_envelope(self, scores: CandidateComparison, chosen: Candidate, other: Candidate) -> bool:
+        """Return whether the error of a channel falls by more than the envelope of unmodelled effects."""
+        now, then = scores.score(chosen), scores.score(other)
+        change = np.sqrt(np.maximum(then.nrmse**2 - now.nrmse**2, 0.0))
+        return bool(np.any(change > self.unmodelled_envelope(other)))
 
     def law_difference(self, chosen: Candidate, other: Candidate) -> float:
         """Return the RMS difference of the forces of the law that differs, as a share of the force at the place.

@@ -115,7 +115,8 @@ def weigh_candidates(
     """Weigh the candidates of a search on the blocks of validation and training records.
 
     A candidate takes part if its values agree with its names. A candidate with more parameters than the foremost one takes part only
-    if it predicts better by more than unmodelled effects make.
+    if it predicts better by more than unmodelled effects make. Further effects that close a gap within the envelope of unmodelled
+    effects are unmodelled effects themselves: such a candidate makes no statement of its own.
 
     Args:
         search: The search.
@@ -134,6 +135,10 @@ def weigh_candidates(
         if any(r is q for q in taking_part) or not scores.can_score(r) or not is_sound(search.problem, r):
             continue
         if len(r.fit.x) > len(best.fit.x) and not search.tests.is_worth_more_parameters(scores, r, best):
+            continue
+        if len(r.hypotheses) > len(best.hypotheses) > 0 and not search.tests.exceeds_envelope(
+            scores, r, best
+        ):
             continue
         taking_part.append(r)
     for r in extra:

@@ -14,7 +14,7 @@ from ..estimation.structure import owner_pair
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.motion import motions
 from ..selection.candidate import Candidate, simpler_structures
-from ..selection.equivalent_laws import repeats
+from ..selection.equivalent_laws import is_sound, repeats
 from ..selection.free_force import fit_in_place_of
 from ..selection.uncertainty import (
     covariance,
@@ -220,8 +220,8 @@ def find_support(problem: Problem, fit: Fit, element: el.Element) -> float:
 def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     """Return the share of the remaining excess error that a free curve in the place of the foremost effect removes.
 
-    A single effect is tested where its error is larger than unmodelled effects make; otherwise the share is 0. Several effects at one
-    place are 1 if they are as many as the bends of a curve. Effects over one plane count with the model's own laws there at their limits. So are as
+    A single effect is tested where its error is larger than unmodelled effects make; otherwise the share is 0. Fitted laws whose values
+    contradict their names, such as a part of one period of a periodic law, are free curves as well. Several effects at one place are 1 if they are as many as the bends of a curve. Effects over one plane count with the model's own laws there at their limits. So are as
     many effects anywhere, if one free curve explains the gap: one force without a name stands for all of them.
     """
     c, best = search.criteria, scores.foremost
@@ -239,12 +239,26 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     after = scores.score(best)
     if after.excess(scores.noise).max() < c.misses and search.tests.leaves_unmodelled_only(scores, best):
         return 0.0
-    found = 0.0
+    found = _removed_by_unsound_laws(search, scores, after)
+    if found >= c.half:
+        return found
     for share in _removed_by_curves(search, scores, after, best.elements[0]):
         found = max(found, share)
         if found >= c.half:
             break
     return found
+
+
+def _removed_by_unsound_laws(search: Search, scores: CandidateComparison, without: HeldOutScore) -> float:
+    """Return the largest share of an error that a force law removes whose values contradict its name."""
+    shares = [0.0]
+    for r in scores.rivals():
+        is_force = all(e.place == "between" for e in r.elements)
+        if is_force and not is_sound(search.problem, r):
+            now = scores.score(r)
+            if now.compare_with(without).is_better(search.criteria):
+                shares.append(scores.explained_fraction(without, now))
+    return max(shares)
 
 
 def _removed_by_curves(
