@@ -16,6 +16,7 @@ from ..loggers.recording import Recording
 from ..network import Network, assemble, rejoin
 from ..network import cut as network_cut
 from .estimation.clock_lag import align_clocks
+from .estimation.direct_problem import prefer_direct_problem
 from .estimation.gauss_newton import Fitter, residuals
 from .estimation.noise import whitener
 from .hypotheses.library import hypotheses
@@ -107,6 +108,10 @@ def diagnose(
     for record in (*fit, *held):
         check_sampling_rates(record, network)
     loose, lags = align_clocks([*fit, *held], network, steps.max_lag)
+    direct = prefer_direct_problem(loose, network, len(fit), steps.input_noise, steps.swapped_error)
+    if direct is not None:
+        loose, network, note = direct
+        notes.append(note)
     feedback = find_feedback(loose, network)
     notes += map(str, feedback)
     filtered = differentiate_inputs(loose, network)

@@ -345,7 +345,9 @@ class Network:
                     f"node '{node}' floats: it has no mass and no input and hangs on one element "
                     f"(give it a mass, an input, or call it 'ground')"
                 )
-        reached, frontier = set(), [*self.inertial_nodes, *self.moved_nodes, GROUND]
+        # an inerter to the ground is an inertia: a force may drive its node
+        inert = [n for e in self.elements if GROUND in e.where and e.linear()[2] > 0 for n in e.where]
+        reached, frontier = set(), [*self.inertial_nodes, *inert, *self.moved_nodes, GROUND]
         while frontier:
             node = frontier.pop()
             if node not in reached:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numba as nb
 import numpy as np
 from scipy.signal import welch
+
+from .input_noise import propagate_input_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -183,7 +185,7 @@ class Floor:
     """Noise of a channel, estimated before any model is fitted.
 
     `deviation` [the channel's unit]; `known`: whether the measured signal (or the owner) tells it, or only bounds it.
-    `source`: 'owner', 'spectrum' (above the band of the motion) or 'bound'.
+    `source`: 'owner', 'spectrum' (above the band of the motion), 'bound', or 'input' (a motion that is differentiated twice).
     """
 
     deviation: float
@@ -197,7 +199,8 @@ def floor_of(series: Sequence[Array], step: float, *, white: bool = False) -> Fl
     The band of the motion is the rig's own: the lowest frequency is sought above which the spectrum looks like white or
     AR(1) noise. Where there is none the motion may reach up to the sampling rate, and the top of the spectrum is a bound.
     """
-    length = min(1024, max(64, min(map(len, series)) // 2))
+    shortest = min(map(len, series))
+    length = min(1024, max(64, shortest // 2), shortest)
     frequency, s, averages = _density(series, step, length)
     top = frequency[-1]
     chance = 0.8 / math.sqrt(
@@ -221,7 +224,9 @@ def resolution(series: Sequence[Array]) -> float:
 
 
 def floors_of(problem: Problem) -> list[Floor]:
-    """Estimate every channel's noise: the owner's statement, or the signal of the training and validation records.
+    """Estimate every channel's noise: that of the sensor, and that of a motion from which a force is computed.
+
+    The sensor's noise is the owner's statement, or follows from the signal of the training and validation records.
 
     Args:
         problem: Records and channels.
@@ -229,17 +234,26 @@ def floors_of(problem: Problem) -> list[Floor]:
     Returns:
         One noise estimate per output. Test records take no part.
     """
-    out, records = [], [problem.records[i] for i in dict.fromkeys((*problem.estimation, *problem.choosing))]
-    for j, c in enumerate(problem.network.outputs):
-        if c.noise is not None:
-            out.append(Floor(c.noise, True, "owner"))
-            continue
-        series = [r.measured[:, j] for r in records]
-        first = records[0]
-        seen = floor_of(series, first.rate, white=first.filtered)
-        grain = resolution(series) if not first.filtered else 0.0
-        out.append(Floor(max(seen.deviation, grain), seen.known, seen.source))
+    out = []
+    for j, propagated in enumerate(propagate_input_noise(problem)):
+        floor = _floor_of_sensor(problem, j)
+        total = math.hypot(floor.deviation, propagated)
+        out.append(
+            Floor(total, True, "input") if propagated > floor.deviation else replace(floor, deviation=total)
+        )
     return out
+
+
+def _floor_of_sensor(problem: Problem, channel: int) -> Floor:
+    """Estimate the noise of a sensor."""
+    c = problem.network.outputs[channel]
+    if c.noise is not None:
+        return Floor(c.noise, True, "owner")
+    records = [problem.records[i] for i in dict.fromkeys((*problem.estimation, *problem.choosing))]
+    series, first = [r.measured[:, channel] for r in records], records[0]
+    seen = floor_of(series, first.rate, white=first.filtered)
+    grain = resolution(series) if not first.filtered else 0.0
+    return replace(seen, deviation=max(seen.deviation, grain))
 
 
 def white_filters(floors: Array) -> Whitener:

@@ -5,7 +5,13 @@ and test records.
 """
 
 from .feedback import Feedback, find_feedback
-from .filtering import choose_decimation, count_derivatives, differentiate_inputs
+from .filtering import (
+    choose_decimation,
+    count_derivatives,
+    differentiate_inputs,
+    estimate_white_noise,
+    find_computed_forces,
+)
 from .multirate import build_record, check_sampling_rates
 from .reading import read_record
 from .splitting import LEAD_IN, cut_segments, split_records
@@ -19,6 +25,8 @@ __all__ = [
     "count_derivatives",
     "cut_segments",
     "differentiate_inputs",
+    "estimate_white_noise",
+    "find_computed_forces",
     "find_feedback",
     "read_record",
     "split_records",

@@ -34,7 +34,7 @@ LEVELS = 12  # most values of an input that switches
 BLOCKS = 20  # blocks in time, alternately for the fit and for the test of a prediction
 #: Least share of the unpredicted part of an input that past outputs explain, and significance level of the sign test over blocks:
 #: of a linear law, and of levels of the outputs at which an input switches (weaker, since a switch is rare).
-LINEAR, RELAY = (0.02, 1e-4), (0.1, 1e-3)
+LINEAR, RELAY = (0.05, 1e-4), (0.1, 1e-3)
 #: Share of an input's power below which its unpredicted part is rounding rather than an answer to anything.
 ROUNDING = 1e-7
 CYCLES = 6  # earlier intervals from which the next switch is foreseen

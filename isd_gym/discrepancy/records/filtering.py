@@ -16,6 +16,7 @@ from scipy.signal import firwin, welch
 
 from ...errors import InputError
 from ...network import MOTIONS, natural_frequencies, transfer
+from ...units import convert
 from ..simulation.interpolation import differences
 from ..simulation.problem import low_pass
 from .multirate import build_record
@@ -45,6 +46,8 @@ NEAR = 1.25
 #: Least number of independent periodogram values in a smoothed power density, for a standard error of about 12 %.
 AVERAGES = 64
 LENGTH = 2048  # largest number of samples of a periodogram
+ORDERS = range(2, 7)  # differences from which white noise is estimated
+LEAST_COMPARED = 60  # least number of compared samples of a record behind a low-pass
 
 
 def differentiate_inputs(records: list[Record], network: Network) -> list[Record]:
@@ -82,7 +85,8 @@ def differentiate_inputs(records: list[Record], network: Network) -> list[Record
             filtered = replace(r, measured=measured, taps=taps, margin=margin, thin=thin)
         inputs = dict(filtered.inputs) | {n: low_pass(filtered.inputs[n], taps) for n in moved}
         slopes = {n: differences(inputs[n], filtered.step) for n in moved}
-        out.append(replace(filtered, inputs=inputs, slopes=slopes))
+        noise = {n: estimate_white_noise(r.inputs[n]) for n in moved}
+        out.append(replace(filtered, inputs=inputs, slopes=slopes, input_noise=noise))
     return out
 
 
@@ -131,12 +135,83 @@ def choose_decimation(records: Sequence[Record], network: Network) -> int:
         for c in network.moving
         if c.name in orders
     ]
-    end = min(bands, default=math.inf)
+    noisy = find_noise_band(records, network)
+    end = min([*bands, noisy])
     if end > WIDE * nyquist:
         return 1
-    keep = max(find_signal_band(r, network) for r in records)
+    # the measured force above that frequency cannot be compared
+    keep = min(max(find_signal_band(r, network) for r in records), noisy)
     most = FILLED * PASSED * nyquist / max(keep, 1e-300)
+    most = min(most, min(map(len, records)) / LEAST_COMPARED)
     return max(min(math.ceil(nyquist / end), math.floor(most)), 1)
+
+
+def find_noise_band(records: Sequence[Record], network: Network) -> float:
+    """Return the frequency [Hz] from which on a force computed from a twice differentiated motion is noise.
+
+    White noise of the motion makes noise of the computed force that grows with the square of the frequency. From the returned
+    frequency on, this noise has more power than the measured force, at that frequency and in sum over all higher frequencies.
+
+    Args:
+        records: Records of one sampling interval.
+        network: The nominal model.
+
+    Returns:
+        The lowest frequency over all computed forces; infinite without such a frequency.
+    """
+    step, lowest = records[0].step, math.inf
+    usable = [r for r in records if r.reading is None and len(r) == r.samples >= 64]
+    length = min([LENGTH, *(len(r) // 4 for r in usable)])
+    for motion, force in find_computed_forces(network) if usable else ():
+        j, k = network.outputs.index(force), network.inputs.index(motion)
+        noise = float(np.median([estimate_white_noise(r.inputs[motion.name]) for r in usable]))
+        measured = [r.measured[:, j] - r.measured[:, j].mean() for r in usable]
+        spectra = [welch(y, 1 / step, nperseg=length) for y in measured]
+        frequency, seen = spectra[0][0], np.mean([s for _, s in spectra], axis=0)
+        try:
+            gain = transfer(network, frequency)[:, j, k] * convert(1.0, force.si, force.unit)
+        except (InputError, np.linalg.LinAlgError):
+            continue
+        made = np.abs(gain) ** 2 * 2 * noise**2 * step
+        above = np.flatnonzero((made > seen) & (np.cumsum((made - seen)[::-1])[::-1] > 0))
+        lowest = min([lowest, *frequency[above[:1]].tolist()])
+    return lowest
+
+
+def find_computed_forces(network: Network) -> list[tuple[Channel, Channel]]:
+    """Return the measured displacements that are differentiated twice, each with the force measured at the same node.
+
+    Args:
+        network: The nominal model.
+
+    Returns:
+        Pairs of an input (displacement) and an output (force).
+    """
+    orders = count_derivatives(network)
+    return [
+        (c, o)
+        for c in network.moving
+        for o in network.outputs
+        if c.quantity == "displacement" and orders.get(c.name) == 2 and o.quantity == "force" and o.at == c.at
+    ]
+
+
+def estimate_white_noise(x: Array) -> float:
+    """Estimate the white noise of a smooth signal from its differences.
+
+    Differences of high order suppress a smooth motion, and have the variance of the noise times a binomial coefficient.
+
+    Args:
+        x: The signal (n,).
+
+    Returns:
+        RMS noise in the unit of the signal: the least over the orders.
+
+    References:
+        Hall, Kay and Titterington, Asymptotically optimal difference-based estimation of variance, Biometrika 77 (1990) 521.
+    """
+    variances = [np.mean(np.diff(x, m) ** 2) / math.comb(2 * m, m) for m in ORDERS if len(x) > 2 * m]
+    return math.sqrt(float(min(variances, default=0.0)))
 
 
 def find_derivative_band(record: Record, network: Network, channel: Channel, order: int) -> float:

@@ -271,7 +271,7 @@ class HeldOutEvaluator:
             series = [p.records[i].measured[:, j] - score.fit.outputs[i][:, j] for i in p.choosing]
             left = noise_of(series, first.rate, time=p.time, white=first.filtered)
             share = 1.0
-            if known.source == "owner" or left.deviation > known.deviation:
+            if known.source in ("owner", "input") or left.deviation > known.deviation:
                 share = (known.deviation / max(left.deviation, 1e-300)) ** 2
             out.append(Noise(left.white * share, left.drive * share, left.phi))
         return out

@@ -60,6 +60,8 @@ class Record:
     clocks: tuple[str, ...] = ()  # clocks whose stamps are late by an unknown lag
     late: tuple[Array, ...] = ()  # (channels,) for each clock: whether a channel has its stamps
     lags: Mapping[str, float] = field(default_factory=dict)  # [s] assumed lag of each clock
+    #: RMS white noise of moved nodes' displacements before the low-pass [SI]; without an entry it is estimated
+    input_noise: Mapping[str, float] = field(default_factory=dict)
     size: int = 0  # samples of the grid, where the compared samples do not tell the number
     source: Recording | None = None
 
