@@ -244,7 +244,7 @@ class Search:
     def _take_simplest(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
         """Return the simplest of the chosen candidate, its rivals, and other laws for the same force."""
         stage = scores.stages[len(chosen.hypotheses) - 1]
-        for structure in equivalent_structures(self.problem, chosen):
+        for structure in equivalent_structures(self.problem, chosen, self.criteria):
             r = self.fitter.refit(structure, chosen, self.settings.worst_equivalent)
             if r is not None and scores.can_score(r):
                 stage.insert(1, r)
