@@ -183,7 +183,10 @@ class Search:
         if not count:
             return scores
         chosen = self._merge_laws(scores, self._eliminate(scores, path[count]))
-        scores.chosen = scores.foremost = self._take_simplest(scores, chosen)
+        simplest = self._take_simplest(scores, chosen)
+        if simplest is not chosen:  # a rival has not been simplified yet
+            simplest = self._eliminate(scores, simplest)
+        scores.chosen = scores.foremost = simplest
         return scores
 
     def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
