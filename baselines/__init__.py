@@ -15,6 +15,7 @@ from isd_gym.cost import StageCost
 from isd_gym.driving import Idle
 from isd_gym.errors import InputError
 from isd_gym.network import Network
+from isd_gym.vehicle import require_quarter_car, vehicle
 
 from .controller import Controller
 
@@ -145,6 +146,12 @@ ABOUT = {
 }
 #: the plant of a controller that has its own
 PLANTS = {"passive": "quarter-car-passive"}
+#: no current
+IDLE = ("passive", "isd-passive")
+
+
+#: controllers of a quarter car that drive a car with several corners as one at each corner
+AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
 
 
 def make(
@@ -156,15 +163,26 @@ def make(
 ) -> Controller | Idle:
     """The controller of that name, believing in `model` (by default the car it is scored on).
 
+    On a car with several corners a controller of a quarter car drives each corner by itself (`Decentralised`).
+
     `options` replace single settings (``make("mpc", solver="daqp", horizon=30)``). Raises `InputError` for a name or an
-    option that is not there.
+    option that is not there, and for a model of another kind of car.
 
     name: a key of `CONTROLLERS`. cost: what it minimises, the environment's stage cost by default. control_step [s].
     """
     if name not in CONTROLLERS:
         raise InputError(f"no controller '{name}': there are {', '.join(CONTROLLERS)}")
+    factory = CONTROLLERS[name]
     network = Network.load(PLANTS.get(name, "quarter-car-isd") if model is None else model)
-    return CONTROLLERS[name](network, cost or StageCost(), control_step, **options)
+    car = vehicle(network)
+    cost = StageCost.of(cost, car.axes, len(car.corners))
+    if len(car.corners) > 1 and name in AT_EACH_CORNER:
+        from .decentralised import Decentralised
+
+        return Decentralised(name, network, cost, lambda one, own: factory(one, own, control_step, **options))
+    if name not in (*IDLE, *AT_EACH_CORNER):
+        require_quarter_car(network, f"'{name}' is a controller")
+    return factory(network, cost, control_step, **options)
 
 
 __all__ = ["CONTROLLERS", "PLANTS", "Controller", "make"]

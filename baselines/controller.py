@@ -20,7 +20,7 @@ CURRENT = 5  # place of the present current in the observation
 
 
 class Controller(ABC):
-    """Observation (6,) in, commanded current [A] out.
+    """Observation (6,) in, commanded current [A] out; of a car with several motors (signals,) in and (currents,) out.
 
     `name`; `model`: the network it believes in, whatever the plant is; `fallbacks`: how often it could not do what it is
     meant to and did something safe instead. Whatever comes in, the command is finite, at most 5 A, and at most 0.5 A
@@ -39,8 +39,8 @@ class Controller(ABC):
         """Forget everything: a new road begins at rest. The count of fallbacks stays."""
 
     @abstractmethod
-    def act(self, observation: np.ndarray) -> float:
-        """Commanded current [A] for one observation (6,)."""
+    def act(self, observation: np.ndarray) -> float | np.ndarray:
+        """Commanded current [A] for one observation (6,), or currents (currents,)."""
 
 
 class BatchController(Controller):

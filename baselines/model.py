@@ -19,6 +19,7 @@ from isd_gym.batch import signal_channels, state_channels
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble
 from isd_gym.road import paper_road
+from isd_gym.vehicle import require_quarter_car
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -142,6 +143,7 @@ def prediction_model(
     A and C. Every other law counts by its slope at rest. Raises `InputError` for a network that is no car.
     """
     damping = dict(damping or {})
+    require_quarter_car(network, "the prediction model is that")
     bare = Network(
         network.name,
         network.masses,
