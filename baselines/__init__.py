@@ -89,6 +89,12 @@ def _friction(
     return FrictionMpc(model, cost, control_step, **_settings("friction", base, options), name=name)
 
 
+def _lqg_wheelbase(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .wheelbase import WheelbaseLqg, WheelbaseSettings
+
+    return WheelbaseLqg(model, cost, control_step, **_settings("wheelbase", WheelbaseSettings(), options))
+
+
 def noisy(share: float) -> Any:
     """What an estimate is to take sensors for that have `share` of the robust track's noise (`isd_gym.sensors.NOISE`)."""
     from isd_gym.sensors import NOISE
@@ -128,6 +134,7 @@ CONTROLLERS: dict[str, Factory] = {
     "mpc-friction": _friction,
     "mpc-friction-preview": partial(_friction, ahead=True),
     "mpc-robust": partial(_friction, robust=True),
+    "lqg-wheelbase": _lqg_wheelbase,
 }
 #: what they are, in a line each
 ABOUT = {
@@ -143,6 +150,7 @@ ABOUT = {
     "mpc-friction": "predictive control that knows of the seal's friction (differential dynamic programming)",
     "mpc-friction-preview": "the same with the road ahead in sight",
     "mpc-robust": "mpc-friction for the robust track: its estimate reckons with noisy sensors",
+    "lqg-wheelbase": "the LQG of a half or full car that knows the rear road from the front, without a sensor for it",
 }
 #: the plant of a controller that has its own
 PLANTS = {"passive": "quarter-car-passive"}
@@ -152,6 +160,9 @@ IDLE = ("passive", "isd-passive")
 
 #: controllers of a quarter car that drive a car with several corners as one at each corner
 AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
+
+#: controllers of a car with a front and a rear axle
+WHOLE_CAR = ("lqg-wheelbase",)
 
 
 def make(
@@ -173,14 +184,15 @@ def make(
     if name not in CONTROLLERS:
         raise InputError(f"no controller '{name}': there are {', '.join(CONTROLLERS)}")
     factory = CONTROLLERS[name]
-    network = Network.load(PLANTS.get(name, "quarter-car-isd") if model is None else model)
+    usual = PLANTS.get(name, "half-car-isd" if name in WHOLE_CAR else "quarter-car-isd")
+    network = Network.load(usual if model is None else model)
     car = vehicle(network)
     cost = StageCost.of(cost, car.axes, len(car.corners))
     if len(car.corners) > 1 and name in AT_EACH_CORNER:
         from .decentralised import Decentralised
 
         return Decentralised(name, network, cost, lambda one, own: factory(one, own, control_step, **options))
-    if name not in (*IDLE, *AT_EACH_CORNER):
+    if name not in (*IDLE, *AT_EACH_CORNER, *WHOLE_CAR):
         require_quarter_car(network, f"'{name}' is a controller")
     return factory(network, cost, control_step, **options)
 

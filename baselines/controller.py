@@ -11,6 +11,7 @@ import numpy as np
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.env import MEASURED
 from isd_gym.errors import InputError
+from isd_gym.vehicle import vehicle
 
 if TYPE_CHECKING:
     from isd_gym.network import Network
@@ -77,6 +78,52 @@ class BatchController(Controller):
         return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
 
 
+class WholeCarController(BatchController):
+    """A controller that commands all currents of a car from all of its signals.
+
+    Subclasses give `_start` and `_command`, with signals (signals, cars) in and wanted currents (currents, cars) out.
+
+    Attributes:
+        car: Car that is believed in.
+        currents: Places of the present currents in an observation.
+    """
+
+    def __init__(self, name: str, model: Network) -> None:
+        """Prepare for the observations of a car.
+
+        Args:
+            name: Name under which it is scored.
+            model: Network of the car that is believed in.
+        """
+        super().__init__(name, model)
+        self.car = vehicle(model)
+        signals = self.car.measured
+        self._bounds = np.array([[signal.bound] for signal in signals])
+        self.currents = slice(len(signals) - len(self.car.driven), len(signals))
+
+    def reset_batch(self, count: int) -> None:
+        """Forget everything and drive `count` cars.
+
+        Args:
+            count: Number of cars.
+        """
+        self._last = np.zeros((len(self.car.driven), count))
+        self._start(count)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:  # type: ignore[override]
+        return self.act_batch(np.asarray(observation)[None])[0]
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Return commanded currents [A] (cars, currents) for observations (cars, signals), car i with its own memory.
+
+        Args:
+            observations: As the environment gives them.
+        """
+        obs = clean(observations, self._last, self._bounds, self.currents)
+        self._last = limit(self._command(obs), obs[self.currents])
+        return self._last.T
+
+
 def steps_ahead(preview: float, control_step: float) -> int:
     """Control steps of road in `preview` [s]; `InputError` unless it is a whole number of them, or 0.
 
@@ -102,18 +149,24 @@ def rises(obs: np.ndarray, points: int) -> np.ndarray:
     return np.diff(obs[len(_BOUNDS) : len(_BOUNDS) + points], axis=0, prepend=0.0)
 
 
-def clean(observations: np.ndarray, last: np.ndarray) -> np.ndarray:
+def clean(
+    observations: np.ndarray,
+    last: np.ndarray,
+    bounds: np.ndarray = _BOUNDS,
+    currents: int | slice = CURRENT,
+) -> np.ndarray:
     """Observations (n, 6+) as columns (6+, n) float64; a broken number becomes 0, a broken current the last command.
 
-    observations: as the environment gives them.
+    observations: as the environment gives them. bounds (signals, 1): of the measured signals; currents: places of the present
+    currents among them, those of a quarter car by default.
     """
     obs = np.array(np.asarray(observations).T, float)
     if not np.isfinite(obs.sum()):
         broken = ~np.isfinite(obs)
         obs[broken] = 0.0
-        obs[CURRENT] = np.where(broken[CURRENT], last, obs[CURRENT])
-    six = obs[:6]  # minimum and maximum: np.clip costs a single car several times as much
-    np.minimum(np.maximum(six, -_BOUNDS, out=six), _BOUNDS, out=six)
+        obs[currents] = np.where(broken[currents], last, obs[currents])
+    signals = obs[: len(bounds)]  # minimum and maximum: np.clip costs a single car several times as much
+    np.minimum(np.maximum(signals, -bounds, out=signals), bounds, out=signals)
     return obs
 
 
