@@ -95,6 +95,16 @@ def _lqg_wheelbase(model: Network, cost: StageCost, control_step: float, **optio
     return WheelbaseLqg(model, cost, control_step, **_settings("wheelbase", WheelbaseSettings(), options))
 
 
+def _mpc_wheelbase(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .friction import FrictionMpcSettings
+    from .wheelbase import WheelbaseMpc
+
+    speed = {"speed": float(options.pop("speed"))} if "speed" in options else {}
+    return WheelbaseMpc(
+        model, cost, control_step, **_settings("friction", FrictionMpcSettings(), options), **speed
+    )
+
+
 def noisy(share: float) -> Any:
     """What an estimate is to take sensors for that have `share` of the robust track's noise (`isd_gym.sensors.NOISE`)."""
     from isd_gym.sensors import NOISE
@@ -135,6 +145,7 @@ CONTROLLERS: dict[str, Factory] = {
     "mpc-friction-preview": partial(_friction, ahead=True),
     "mpc-robust": partial(_friction, robust=True),
     "lqg-wheelbase": _lqg_wheelbase,
+    "mpc-wheelbase": _mpc_wheelbase,
 }
 #: what they are, in a line each
 ABOUT = {
@@ -151,6 +162,7 @@ ABOUT = {
     "mpc-friction-preview": "the same with the road ahead in sight",
     "mpc-robust": "mpc-friction for the robust track: its estimate reckons with noisy sensors",
     "lqg-wheelbase": "the LQG of a half or full car that knows the rear road from the front, without a sensor for it",
+    "mpc-wheelbase": "mpc-friction at each corner of a half or full car, the rear road known from the front",
 }
 #: the plant of a controller that has its own
 PLANTS = {"passive": "quarter-car-passive"}
@@ -162,7 +174,7 @@ IDLE = ("passive", "isd-passive")
 AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
 
 #: controllers of a car with a front and a rear axle
-WHOLE_CAR = ("lqg-wheelbase",)
+WHOLE_CAR = ("lqg-wheelbase", "mpc-wheelbase")
 
 
 def make(
@@ -189,9 +201,10 @@ def make(
     car = vehicle(network)
     cost = StageCost.of(cost, car.axes, len(car.corners))
     if len(car.corners) > 1 and name in AT_EACH_CORNER:
-        from .decentralised import Decentralised
+        from .decentralised import Decentralised, at_each_corner
 
-        return Decentralised(name, network, cost, lambda one, own: factory(one, own, control_step, **options))
+        corners = at_each_corner(network, cost, lambda one, own: factory(one, own, control_step, **options))  # type: ignore[arg-type, return-value]
+        return Decentralised(name, network, corners)
     if name not in (*IDLE, *AT_EACH_CORNER, *WHOLE_CAR):
         require_quarter_car(network, f"'{name}' is a controller")
     return factory(network, cost, control_step, **options)

@@ -67,6 +67,7 @@ class CarModel:
         motion: Number of states of the car's motion; the delay line follows.
         delays: Delay of each corner behind the foremost wheel of its track [steps].
         heights: Height of each corner over the foremost wheel of its track, by the delay line (corners, line).
+        rises: Rise of each corner over the next step, by the delay line (corners, line).
         lift: Shift of the motion when a track rises by 1 m (motion, tracks).
         drifts: States (n, motions) of a car whose body moves at constant speed, each wheel with it.
         road_intensity: Two-sided intensity of the road's velocity [m^2/s].
@@ -88,6 +89,7 @@ class CarModel:
     motion: int
     delays: np.ndarray
     heights: np.ndarray
+    rises: np.ndarray
     lift: np.ndarray
     drifts: np.ndarray
     road_intensity: float
@@ -140,6 +142,23 @@ class CarModel:
         """
         names = [c.name for c in self.car.channels]
         return [names.index(c.named(kind)) for c in self.car.corners]
+
+    def rises_ahead(self, corner: int) -> np.ndarray:
+        """Return the rises of the road under a wheel in the next control steps, as far as the delay line knows them.
+
+        Args:
+            corner: Number of the corner.
+
+        Returns:
+            Matrix (points, line) on the delay line; no points for a foremost wheel.
+        """
+        points = int(self.delays[corner])
+        size = self.n - self.motion
+        rows, line = np.zeros((points, size)), self.rises[corner]
+        for k in range(points):  # the line moves on, and nothing known enters
+            rows[k] = line
+            line = line @ self.A[self.motion :, self.motion :]
+        return rows
 
     def kalman_gain(self, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
         """Return the steady gain (n, measured) of a Kalman filter on the measured signals.
@@ -347,6 +366,7 @@ def car_model(
         motion=n,
         delays=delays,
         heights=line.heights,
+        rises=line.rises,
         lift=T,
         drifts=_drifts(car, parts.out[:, x], total),
         road_intensity=road_intensity,

@@ -15,6 +15,7 @@ from isd_gym.vehicle import vehicle
 
 if TYPE_CHECKING:
     from isd_gym.network import Network
+    from isd_gym.vehicle import Vehicle
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
 CURRENT = 5  # place of the present current in the observation
@@ -78,6 +79,33 @@ class BatchController(Controller):
         return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
 
 
+class Signals:
+    """Places and bounds of the signals in the observation of a car.
+
+    Attributes:
+        bounds: Bounds (signals, 1) of the measured signals.
+        currents: Places of the present currents.
+    """
+
+    def __init__(self, car: Vehicle) -> None:
+        """Find the places.
+
+        Args:
+            car: Car.
+        """
+        self.bounds = np.array([[signal.bound] for signal in car.measured])
+        self.currents = slice(len(car.measured) - len(car.driven), len(car.measured))
+
+    def clean(self, observations: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Return observations as clean columns, see `clean`.
+
+        Args:
+            observations: As the environment gives them (cars, signals).
+            last: Last commands [A] (currents, cars).
+        """
+        return clean(observations, last, self.bounds, self.currents)
+
+
 class WholeCarController(BatchController):
     """A controller that commands all currents of a car from all of its signals.
 
@@ -85,7 +113,7 @@ class WholeCarController(BatchController):
 
     Attributes:
         car: Car that is believed in.
-        currents: Places of the present currents in an observation.
+        signals: Its signals in an observation.
     """
 
     def __init__(self, name: str, model: Network) -> None:
@@ -97,9 +125,7 @@ class WholeCarController(BatchController):
         """
         super().__init__(name, model)
         self.car = vehicle(model)
-        signals = self.car.measured
-        self._bounds = np.array([[signal.bound] for signal in signals])
-        self.currents = slice(len(signals) - len(self.car.driven), len(signals))
+        self.signals = Signals(self.car)
 
     def reset_batch(self, count: int) -> None:
         """Forget everything and drive `count` cars.
@@ -119,8 +145,8 @@ class WholeCarController(BatchController):
         Args:
             observations: As the environment gives them.
         """
-        obs = clean(observations, self._last, self._bounds, self.currents)
-        self._last = limit(self._command(obs), obs[self.currents])
+        obs = self.signals.clean(observations, self._last)
+        self._last = limit(self._command(obs), obs[self.signals.currents])
         return self._last.T
 
 

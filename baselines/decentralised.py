@@ -6,17 +6,17 @@ and rates, and its own current. It believes in the quarter car that `Vehicle.qua
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym.cost import StageCost
 from isd_gym.vehicle import vehicle
 
-from .controller import BatchController, Controller
+from .controller import Controller
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from isd_gym.network import Network
     from isd_gym.vehicle import Vehicle
@@ -61,6 +61,20 @@ def corner_view(car: Vehicle) -> np.ndarray:
     return view
 
 
+def at_each_corner(
+    model: Network, cost: StageCost, make: Callable[[Network, StageCost], Controller]
+) -> list[Controller]:
+    """Return a controller for each corner with a current.
+
+    Args:
+        model: Network of the car that is believed in.
+        cost: Stage cost of the car.
+        make: Function that makes the controller of a quarter car from its network and its stage cost.
+    """
+    car = vehicle(model)
+    return [make(car.quarter_car(corner), corner_cost(cost)) for corner in car.driven]
+
+
 class Decentralised(Controller):
     """A controller at each corner, which knows nothing of the others.
 
@@ -68,25 +82,17 @@ class Decentralised(Controller):
         corners: Controllers of quarter cars, in the order of the currents.
     """
 
-    def __init__(
-        self,
-        name: str,
-        model: Network,
-        cost: StageCost,
-        make: Callable[[Network, StageCost], BatchController],
-    ) -> None:
-        """Make a controller for each corner.
+    def __init__(self, name: str, model: Network, corners: Sequence[Any]) -> None:
+        """Put the controllers at their corners.
 
         Args:
             name: Name under which it is scored.
             model: Network of the car that is believed in.
-            cost: Stage cost of the car.
-            make: Function that makes the controller of a quarter car from its network and its stage cost.
+            corners: Controllers of quarter cars that drive many cars at once, as `at_each_corner` makes them.
         """
         super().__init__(name, model)
-        car = vehicle(model)
-        self.corners = [make(car.quarter_car(corner), corner_cost(cost)) for corner in car.driven]
-        self._view = corner_view(car)
+        self.car, self.corners = vehicle(model), list(corners)
+        self._view = corner_view(self.car)
         self.reset()
 
     def reset(self) -> None:

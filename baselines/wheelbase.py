@@ -19,8 +19,10 @@ from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 
 from .car import CarWeights, car_model, car_regulator
-from .controller import WholeCarController
+from .controller import Signals, WholeCarController
+from .decentralised import Decentralised, corner_cost
 from .estimator import Estimator
+from .friction import FrictionMpc, FrictionMpcSettings, with_preview
 from .lqg import LawSettings
 from .model import prediction_model
 
@@ -115,6 +117,93 @@ class WheelbaseLqg(WholeCarController):
             x: States (n, cars).
         """
         return self._law @ x - self._forces * np.tanh(self._rates @ x / self.settings.width)
+
+
+class WheelbaseMpc(Decentralised):
+    """The friction-aware MPC at each corner, with the road of the rear wheels as its preview.
+
+    A Kalman filter of the whole car reads the road off the motion of the front wheels. Each corner plans for the quarter car
+    that the network has there; the coupling of the corners by the body is left to the feedback.
+
+    Attributes:
+        prediction: Model of the car.
+        estimator: Kalman filter of the car's motion and of the delay line.
+    """
+
+    def __init__(
+        self,
+        model: Network,
+        cost: StageCost | None = None,
+        control_step: float = 5e-3,
+        settings: FrictionMpcSettings | None = None,
+        speed: float = DESIGN_SPEED,
+        name: str = "mpc-wheelbase",
+    ) -> None:
+        """Make the planners of the corners.
+
+        Args:
+            model: Network of the car that is believed in.
+            cost: Stage cost of the car.
+            control_step: Control step [s].
+            settings: Settings of each corner's planner, the defaults without. The previews follow from the speed.
+            speed: Speed [m/s] at which the car drives.
+            name: Name under which it is scored.
+
+        Raises:
+            InputError: The network has a single corner.
+        """
+        base = settings or FrictionMpcSettings()
+        own = WheelbaseSettings(
+            speed=speed,
+            sensors=base.sensors,
+            friction_noise=base.friction_noise,
+            road_intensity=base.road_intensity,
+        )
+        self.prediction = m = wheelbase_model(name, model, control_step, own)
+        car = m.car
+        self.estimator = Estimator(m, own.sensors, own.friction_noise)
+        cost = corner_cost(StageCost.of(cost, car.axes, len(car.corners)))
+        base = replace(base, road_intensity=m.road_intensity)
+        self._ahead = [m.rises_ahead(car.corners.index(corner)) for corner in car.driven]
+        corners = []
+        for corner, ahead in zip(car.driven, self._ahead, strict=True):
+            known = len(ahead) * control_step
+            planned = with_preview(base, known, control_step) if known else base
+            corners.append(FrictionMpc(car.quarter_car(corner), cost, control_step, planned, name))
+        self._signals = Signals(car)
+        super().__init__(name, model, corners)
+
+    def reset_batch(self, count: int) -> None:
+        """Forget everything and drive `count` cars.
+
+        Args:
+            count: Number of cars.
+        """
+        super().reset_batch(count)
+        self.estimator.reset(count)
+        self._last = np.zeros((len(self.corners), count))
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Return commanded currents [A] (cars, currents) for observations (cars, signals), car i with its own memory.
+
+        Args:
+            observations: As the environment gives them.
+        """
+        found = super().act_batch(observations)
+        self._last = found.T
+        return found
+
+    def observed(self, observations: np.ndarray) -> list[np.ndarray]:
+        """Return what each corner sees (cars, 6 + points): its signals, and the known road over its present height [m].
+
+        Args:
+            observations: As the environment gives them, in float64.
+        """
+        state = self.estimator.update(self._signals.clean(observations, self._last))
+        line = state[self.prediction.motion :]
+        ahead = [np.cumsum(rows @ line, axis=0).T for rows in self._ahead]
+        seen = super().observed(observations)
+        return [np.hstack([own, heights]) for own, heights in zip(seen, ahead, strict=True)]
 
 
 def wheelbase_model(
