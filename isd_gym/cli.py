@@ -946,6 +946,8 @@ def show(
 ) -> None:
     """Watch a policy drive, alone or beside another, live or as a film.
 
+    Half and full cars (--network half-car-isd) are shown from the side, full cars also from behind.
+
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
     from .network import Network
@@ -958,6 +960,8 @@ def show(
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    if plant.bodies:
+        ahead["speed"] = speed
     names = [name for name in (policy, against) if name is not None]
     entries = [find(name, plant, trust_zip=trust_zip, **ahead) for name in names]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import elements as el
+from .errors import InputError
 from .network import GROUND
 from .task import PICTURE_WINDOW
 from .vehicle import CURRENT_LIMIT
 
 if TYPE_CHECKING:
-    from .network import Body, Network
+    from .network import Network
     from .rendering import CarSnapshot, CornerSnapshot, Snapshot
     from .task import Task
     from .vehicle import Corner, Vehicle
@@ -40,7 +41,7 @@ class Onlooker:
         self._trail: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(window / (task.slowest * step)))
         #: time [s] and the values of the curves [SI], one row a control step
         self._past: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(PAST / step))
-        self._static = static_tyre_loads(task.network, task.vehicle)
+        self._static = _static_tyre_loads(task.network, task.vehicle)
         self.start()
 
     def start(self) -> None:
@@ -147,13 +148,13 @@ class Onlooker:
     def _rigid_car(self) -> CarSnapshot:
         from .rendering import CarSnapshot
 
-        batch, car, body = self.task.batch, self.task.vehicle, self.task.network.bodies[0]
+        batch, car = self.task.batch, self.task.vehicle
         places = self._places()
         motions = ("vertical", *car.axes)
         accelerations = dict(zip(motions, batch.out[: len(motions), self.car].tolist(), strict=True))
         heave = places[car.body]
         angles = {axis: places[node] for axis, node in car.angles.items()}
-        corners = []
+        corners, carried = [], {car.body, *(corner.body for corner in car.corners)}
         for number, corner in enumerate(car.corners):
             above = heave - corner.x * angles.get("pitch", 0.0) + corner.y * angles.get("roll", 0.0)
             corners.append(self._corner(number, corner, places, above))
@@ -165,7 +166,7 @@ class Onlooker:
             pitch=angles.get("pitch"),
             roll=angles.get("roll"),
             corners=tuple(corners),
-            points=_other_points(body, car),
+            points={name: place for name, place in car.points.items() if name not in carried},
             road_profiles=np.array([self._road(track) for track in range(batch.of.tracks)]),
             road_step=step,
             road_behind=(len(self._trail) - 1) * step,
@@ -179,28 +180,15 @@ class Onlooker:
         )
 
 
-def _other_points(body: Body, car: Vehicle) -> dict[str, tuple[float, float]]:
-    """Points of the body that carry no corner: driver, sensors, ..."""
-    carried = {corner.body for corner in car.corners}
-    return {point.name: (point.x, point.y) for point in body.points if point.name not in carried}
-
-
-def static_tyre_loads(network: Network, car: Vehicle) -> list[float]:
-    """Return the static tyre load of each corner [N].
-
-    The body's weight rests on the corners in equilibrium of forces and moments; where that leaves a choice, with more than
-    three corners, the loads are as equal as they can be.
-
-    Args:
-        network: Network.
-        car: The network as a car.
-    """
+def _static_tyre_loads(network: Network, car: Vehicle) -> list[float | None]:
+    """Static tyre load of each corner [N]; None where the body does not rest on the wheels."""
     if not network.bodies:
         return [GRAVITY * sum(network.masses.values())]
-    mass = network.bodies[0].mass
-    balance = np.array([[1.0, c.x, c.y] for c in car.corners]).T
-    shares = np.linalg.lstsq(balance, np.array([mass, 0.0, 0.0]), rcond=None)[0]
+    try:
+        resting = car.resting_masses
+    except InputError:
+        return [None] * len(car.corners)
     return [
-        GRAVITY * (float(share) + network.masses[corner.wheel])
-        for share, corner in zip(shares, car.corners, strict=True)
+        GRAVITY * (mass + network.masses[corner.wheel])
+        for mass, corner in zip(resting, car.corners, strict=True)
     ]

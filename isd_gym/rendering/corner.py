@@ -24,6 +24,8 @@ OIL_STROKE = 10.0
 LEFT, RIGHT = 73.0, 92.0
 CYLINDER = 0.05  # stroke of the main cylinder (Table 1) [m], as drawn where no stop ends the travel before
 Words = Literal["all", "nodes", ""]
+#: alone as in a quarter car; beside others, seen from the side; beside others, seen from behind without the motor's cylinder
+Setting = Literal["alone", "side", "rear"]
 
 
 def demands(corner: CornerSnapshot) -> list[tuple[float, float]]:
@@ -53,7 +55,7 @@ class Suspension:
         unit: float,
         scale: float,
         words: Words = "",
-        has_motor_view: bool = True,
+        setting: Setting = "alone",
     ) -> None:
         """Take the place and the size of the suspension.
 
@@ -64,17 +66,17 @@ class Suspension:
             unit: Unit of the layout [px].
             scale: Length of a metre of motion [px].
             words: Which names are written: of elements and nodes, of nodes, or none.
-            has_motor_view: Whether there is room for the motor's cylinder at the right.
+            setting: What it stands beside.
         """
         self.canvas, self.corner, self.x, self.u, self.scale = canvas, corner, x, unit, scale
-        self.words, self.has_motor_view = words, has_motor_view
+        self.words, self.setting = words, setting
 
     @property
     def spring_place(self) -> float:
         """Distance of the main spring to the left of the wheel [units of the layout]."""
-        if self.corner.joint is None:
+        if self.corner.joint is None and self.setting == "alone":
             return 40.0
-        return 58.0 if self.has_motor_view else 36.0
+        return 36.0 if self.setting == "rear" else 58.0
 
     def paint(self, seat: float, carrier: float, spring_seat: float | None = None) -> None:
         """Draw the suspension.
@@ -86,14 +88,14 @@ class Suspension:
         """
         spring_seat = seat if spring_seat is None else spring_seat
         c, u, corner = self.canvas, self.u, self.corner
+        coil(c, self.x - self.spring_place * u, spring_seat, carrier, 15 * u, 8, 3.0 * u)
         if corner.joint is None:
-            coil(c, self.x - self.spring_place * u, spring_seat, carrier, 15 * u, 8, 3.0 * u)
-            dashpot(c, self.x + 40 * u, seat, carrier, LENGTH * u, LONE_DAMPER_STROKE * u, u)
+            aside = 40 if self.setting == "alone" else 0
+            dashpot(c, self.x + aside * u, seat, carrier, LENGTH * u, LONE_DAMPER_STROKE * u, u)
             if self.words == "all":
                 self._tag("main spring", self.x - 64 * u, (seat + carrier) / 2, "right")
                 self._tag("damper", self.x + 62 * u, (seat + carrier) / 2, "left")
             return
-        coil(c, self.x - self.spring_place * u, spring_seat, carrier, 15 * u, 8, 3.0 * u)
         if self.words == "all":
             self._tag("main spring", self.x - 79 * u, (seat + carrier) / 2, "right")
         joint = carrier - DAMPER * u - (corner.joint - corner.wheel) * self.scale
@@ -132,7 +134,7 @@ class Suspension:
         c.rect(STEEL, x - 2 * u, node, 4 * u, piston - node)
         c.rect(INK, x - 11.4 * u, piston - 2.5 * u, 22.8 * u, 5 * u)
 
-        if self.has_motor_view:
+        if self.setting != "rear":
             self._motor(top, bore, travel)
         c.circle(INK, x, node, 3 * u)
         c.circle(INK, x, joint, 3 * u)
@@ -140,7 +142,7 @@ class Suspension:
             self._name("piston", x + 7 * u, node)
             self._name("joint", x + 7 * u, joint)
         if corner.current_limit is not None:
-            aside = -25 if self.has_motor_view else 25
+            aside = 25 if self.setting == "rear" else -25
             self._thrust(x + aside * u, (node + joint) / 2)
 
     def _motor(self, top: float, bore: float, travel: float) -> None:

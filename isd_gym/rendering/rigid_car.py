@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .canvas import Canvas, Point
+    from .corner import Setting
     from .snapshots import CarSnapshot, CornerSnapshot
 
 BEHIND, AHEAD, ASIDE = 1.3, 2.1, 0.65  # road beyond the outermost wheels [m]
@@ -267,9 +268,8 @@ class RigidCarScene:
                 wheel.side_rim(c, x, hub, self.wheel_unit, turn)
             reach = (34 if view.is_rear else 66) * self.unit
             wheel.carrier(c, x, hub, carrier, reach, self.unit, self.wheel_unit)
-            drawn = Suspension(
-                c, corner, x, unit=self.unit, scale=self.scale, has_motor_view=not view.is_rear
-            )
+            setting: Setting = "rear" if view.is_rear else "side"
+            drawn = Suspension(c, corner, x, unit=self.unit, scale=self.scale, setting=setting)
             seat = self._down(corner.body, self._rest)
             is_right = view.along(corner.x, corner.y) > middle
             # from the side the springs are outside and the motors between the axles, from behind the springs are inside
