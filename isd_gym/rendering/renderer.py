@@ -78,6 +78,8 @@ class Renderer:
             raise InputError(
                 f"this renderer draws {self.cars} car(s) and was given {len(snapshots)} snapshot(s)"
             )
+        if len({tuple(trace.title for trace, _ in shot.traces) for shot in snapshots}) > 1:
+            raise InputError("cars side by side must be of one kind: two quarter, two half or two full cars")
         now = snapshots[0].time
         if now < self._now:
             self._restart()
