@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 #: [pixel] by number of cars
 SIZE = {1: (960, 600), 2: (1200, 640)}
-#: of two cars with several axles, and of two cars with a left and a right track: their views are wider
-LONG, WIDE = (1200, 560), (1400, 600)
+WIDE = (1400, 600)  # of two cars with a left and a right track, which have two views each
 GIF = 0.75  # of that size, and half the frames: a GIF holds every one of its pixels
 
 
@@ -82,10 +81,7 @@ def _check_length(seconds: float) -> None:
 
 def _size(network: Network, cars: int) -> tuple[int, int]:
     """Width and height of a picture [px]."""
-    car = vehicle(network)
-    if cars == 1 or len(car.corners) == 1:
-        return SIZE[cars]
-    return WIDE if car.wheels.tracks == 2 else LONG
+    return WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
 
 
 @contextmanager

@@ -355,7 +355,7 @@ def test_a_snapshot_without_a_picture_is_refused_in_one_line() -> None:
 @pytest.mark.parametrize(
     ("places", "cars", "size"),
     [
-        (HALF, 1, (640, 400)), (HALF, 1, (960, 600)), (HALF, 1, (700, 800)), (HALF, 2, (1200, 560)),
+        (HALF, 1, (640, 400)), (HALF, 1, (960, 600)), (HALF, 1, (700, 800)), (HALF, 2, (1200, 640)),
         (PLACES, 1, (640, 400)), (PLACES, 1, (960, 600)), (PLACES, 1, (1280, 500)), (PLACES, 2, (1400, 600)),
     ],
 )  # fmt: skip
@@ -436,7 +436,7 @@ def test_two_half_cars_drive_over_the_same_road() -> None:
     assert any(c.current for c in left.corners)
 
 
-@pytest.mark.parametrize(("network", "size"), [("half-car-isd", (1200, 560)), ("full-car-isd", (1400, 600))])
+@pytest.mark.parametrize(("network", "size"), [("half-car-isd", (1200, 640)), ("full-car-isd", (1400, 600))])
 def test_show_films_cars(tmp_path: Path, network: str, size: tuple[int, int]) -> None:
     from PIL import Image
 
