@@ -34,6 +34,8 @@ NETWORKS = {"ISDHalfCar-v0": "half-car-isd", "ISDFullCar-v0": "full-car-isd"}
 both = pytest.mark.parametrize("name", NETWORKS)
 PLACES = {"front_left": (1.35, 0.76), "front_right": (1.35, -0.76), "rear_left": (-1.35, 0.76), "rear_right": (-1.35, -0.76)}  # fmt: skip
 HALF = {"front": (1.2, 0.0), "rear": (-1.5, 0.0)}
+#: three axles, two of them close to each other
+LORRY = {f"{axle}_{side}": (x, y) for axle, x in (("front", 3.0), ("middle", -1.0), ("rear", -2.4)) for side, y in (("left", 1.0), ("right", -1.0))}  # fmt: skip
 LIMIT = 0.02465
 
 
@@ -263,8 +265,7 @@ def test_the_side_that_meets_a_bump_rises(scenes: list[RigidCarScene]) -> None:
 def test_the_views_follow_from_the_corners(scenes: list[RigidCarScene]) -> None:
     """An axle alone is seen from behind, three axles from both sides, and a body on one wheel from the side."""
     axle = {"left": (0.0, 0.7), "right": (0.0, -0.7)}
-    lorry = {f"{axle}_{side}": (x, y) for axle, x in (("a", 3.0), ("b", -1.0), ("c", -2.4)) for side, y in (("l", 1.0), ("r", -1.0))}  # fmt: skip
-    for places, views in ((axle, [True]), (lorry, [False, True]), ({"": (0.0, 0.0)}, [False])):
+    for places, views in ((axle, [True]), (LORRY, [False, True]), ({"": (0.0, 0.0)}, [False])):
         scenes.clear()
         picture = frame(car(places, pitch=0.0))
         assert [view.is_rear for view in scenes[0].views] == views
@@ -357,6 +358,7 @@ def test_a_snapshot_without_a_picture_is_refused_in_one_line() -> None:
     [
         (HALF, 1, (640, 400)), (HALF, 1, (960, 600)), (HALF, 1, (700, 800)), (HALF, 2, (1200, 640)),
         (PLACES, 1, (640, 400)), (PLACES, 1, (960, 600)), (PLACES, 1, (1280, 500)), (PLACES, 2, (1400, 600)),
+        (LORRY, 1, (960, 600)),
     ],
 )  # fmt: skip
 def test_words_never_touch_nor_leave_the_picture(
@@ -377,7 +379,9 @@ def test_words_never_touch_nor_leave_the_picture(
         car(places, pitch=0.02, each=heavy),
         car(places, pitch=-0.02, each={"current": 5.0, "joint": -LIMIT}, cost=804.86, speed=100.0),
         car(places, each={"piston": None, "joint": None, "current_limit": None, "device_travel_limit": None}),
-        car(places, heave=0.3),
+        car(
+            places, heave=0.3, points={"driver": (0.1, 0.3), "passenger": (0.1, -0.3), "far_away": (9.0, 4.0)}
+        ),
     ]
     for pose in poses:
         frame(*[pose] * cars, width=size[0], height=size[1])

@@ -15,6 +15,7 @@ from .road import Window, ground, reference_height
 
 if TYPE_CHECKING:
     from .canvas import Canvas
+    from .corner import Words
     from .snapshots import Snapshot
 
 # Lengths in units of the layout (a pixel at 640x400), at static equilibrium.
@@ -100,7 +101,7 @@ class QuarterCarScene:
             "wheel", self.x + reach, carrier + 10 * u,
             size=9.5, colour=MUTED, face="Oblique", anchor="right",
         )  # fmt: skip
-        words = "all" if self.roomy else "nodes"
+        words: Words = "all" if self.roomy else "nodes"
         Suspension(c, shot.corner, self.x, unit=u, scale=scale, words=words).paint(seat, carrier)
         self._body(seat)
         c.clip()

@@ -318,43 +318,50 @@ class RigidCarScene:
     # --- words ------------------------------------------------------------------------------------
 
     def _words(self, view: View) -> None:
-        c, u, shot = self.canvas, self.u, self.shot
-        window, bar = view.window, BAR * u
+        c, u, window = self.canvas, self.u, view.window
         if len(self.views) > 1:
             titles = (
                 ("from behind", "front axle pale") if view.is_rear else ("from the right", "left side pale")
             )
             for title, down in zip(titles, (16, 29), strict=True):
-                middle = (window.left + window.right) / 2
-                c.text(title, middle, down * u, size=9.5, colour=MUTED, anchor="center")
+                self._small(title, (window.left + window.right) / 2, down * u)
         if view is self.views[0]:
-            left, right = (self._edge(view, share, bar)[0] for share in (0.22, 0.6))
-            x, y = self._edge(view, 0.41, bar + 0.7 * CABIN * u)
-            c.text(shot.label, x, y, size=12, face="Bold", anchor="center", room=right - left)
-        taken = -np.inf
-        for name, (x, y) in sorted(shot.points.items(), key=lambda item: view.along(*item[1])):
-            at = view.window.origin + view.along(x, y) * self.metre
-            down = self._down(shot.height(x, y), self._rest + bar + 9 * u)
-            words = name.replace("_", " ")
-            if at - 3 * len(words) * u > taken:
-                width = c.text(words, at, down, size=9.5, colour=MUTED, face="Oblique", anchor="center")
-                taken = at + width / 2
-        for corner in view.near:
-            x = view.place(corner)
-            c.text(
-                corner.name.replace("_", " "),
-                x,
-                self.height - 42 * u,
-                size=9.5,
-                colour=MUTED,
-                anchor="center",
-            )
-            load = f"{number(corner.tyre_load / 1e3, 2)} kN"
-            c.text(load, x, self.height - 29 * u, size=9.5, anchor="center")
+            left, right = (self._edge(view, share, BAR * u)[0] for share in (0.22, 0.6))
+            x, y = self._edge(view, 0.41, BAR * u + 0.7 * CABIN * u)
+            c.text(self.shot.label, x, y, size=12, face="Bold", anchor="center", room=right - left)
+        self._names_of_points(view)
+        self._tyre_loads(view)
+
+    def _small(self, words: str, x: float, y: float, *, colour: Colour = MUTED, face: str = "") -> float:
+        return self.canvas.text(words, x, y, size=9.5, colour=colour, face=face, anchor="center")
+
+    def _names_of_points(self, view: View) -> None:
+        """The names of the body's points, as far as they stand beside each other."""
+        window, taken = view.window, view.window.left
+        for name, (x, y) in sorted(self.shot.points.items(), key=lambda item: view.along(*item[1])):
+            words, at = name.replace("_", " "), window.origin + view.along(x, y) * self.metre
+            half = 3 * len(words) * self.u
+            if at - half > taken and at + half < window.right:
+                height = self._down(self.shot.height(x, y), self._rest + (BAR + 9) * self.u)
+                taken = at + self._small(words, at, height, face="Oblique") / 2
+
+    def _tyre_loads(self, view: View) -> None:
+        """Name and tyre load of each corner below its wheel, where wheels are not too close."""
+        upper, lower = self.height - 42 * self.u, self.height - 29 * self.u
+        names = [(corner, corner.name.replace("_", " ")) for corner in view.near]
+        loads = [(corner, f"{number(corner.tyre_load / 1e3, 2)} kN") for corner in view.near]
+        for row, y, colour in ((names, upper, MUTED), (loads, lower, INK)):
+            free = view.window.left
+            for corner, words in row:
+                half = 2.9 * len(words) * self.u
+                x = min(max(view.place(corner), view.window.left + half), view.window.right - half)
+                if x - half >= free:
+                    free = x + self._small(words, x, y, colour=colour) / 2
         if not view.is_rear and len(view.near) == 2:
-            x = sum(view.place(corner) for corner in view.near) / 2
-            for words, up in (("dynamic", 42), ("tyre load", 29)):
-                c.text(words, x, self.height - up * u, size=9.5, colour=MUTED, anchor="center")
+            rear, front = (view.place(corner) for corner in view.near)
+            if front - rear > 100 * self.u:
+                self._small("dynamic", (rear + front) / 2, upper)
+                self._small("tyre load", (rear + front) / 2, lower)
 
 
 def _centre_of_gravity(c: Canvas, x: float, y: float, radius: float) -> None:
