@@ -1,4 +1,4 @@
-"""The drawing library and its display: pygame where it is there, one line of advice where it is not."""
+"""The drawing library pygame and its display; a missing library or display is an `InputError` of one line."""
 
 from __future__ import annotations
 
@@ -14,14 +14,28 @@ NO_WINDOW = "cannot open a window: {}; use render_mode='rgb_array', or write a f
 
 
 def check_display() -> None:
-    """Raise `InputError` where no window can be opened, or pygame is missing: before long work, not after it."""
+    """Check, before long work, that a window can be opened.
+
+    Raises:
+        InputError: No window can be opened, or pygame is missing.
+    """
     pg = pygame()
     start_display(pg)
     pg.display.quit()
 
 
 def start_display(pg: Any) -> None:
-    """Without a display SDL may take a driver that shows nothing; only who asks for one should get it."""
+    """Start the display.
+
+    Without a display SDL may choose a driver that shows nothing. Such a driver is used only where the environment variable
+    SDL_VIDEODRIVER names it.
+
+    Args:
+        pg: The module pygame.
+
+    Raises:
+        InputError: There is no display.
+    """
     name = "SDL_VIDEODRIVER"
     choose = sys.platform.startswith("linux") and not os.environ.get(name)
     if choose:

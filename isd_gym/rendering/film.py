@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Write frames, each of shape (height, width, 3), as an MP4 or a GIF, by the suffix of `path`.
+    """Write a film as an MP4 or a GIF, whole or not at all.
 
-    The file appears whole or not at all. Raises `InputError` for another suffix, no frames, frames of unequal
-    size, more than 50 frames per second in a GIF (viewers play none faster), and an MP4 without
-    imageio-ffmpeg.
+    Args:
+        path: File; its suffix decides, .mp4 or .gif.
+        frames: Frames, uint8 of shape (height, width, 3), all of one size.
+        fps: Frames per second; at most 50 in a GIF, since viewers play none faster.
 
-    fps: frames a second.
+    Raises:
+        InputError: The suffix, the frames or `fps` are not as above, or an MP4 is asked for without imageio-ffmpeg.
     """
     path = Path(path)
     kind = path.suffix.lower()

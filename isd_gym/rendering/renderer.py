@@ -27,18 +27,27 @@ SMALLEST = (640, 400)  # [px]
 
 
 class Renderer:
-    """Draws the car corner (`cars=1`) or two of them side by side (`cars=2`).
+    """Frames of one car, or of two cars of one kind side by side.
 
-    In mode "rgb_array" `draw` returns the frame and needs no display. In mode "human" it shows the frame in a
-    window and keeps the pace of the simulated time; calls that come faster than `fps` (at most 60) per
-    simulated second enter the plots but are not painted, so a 5 ms control loop may call it at every step.
-    `closed` turns True when the viewer shuts the window (its button, Escape or q).
+    In mode "rgb_array" `draw` returns the frame and needs no display. In mode "human" `draw` shows the frame in a window and keeps
+    the pace of the simulated time. Calls that come faster than `fps` (at most 60) per simulated second enter the curves but
+    are not painted, so a control loop of 5 ms may call `draw` at every step.
 
-    The scales stand still while time runs and only ever widen, when the motion leaves them; a snapshot that
-    is earlier than the last one starts afresh. Raises `InputError` where pygame is missing, where a window
-    finds no display, and for a size [px] below 640x400.
+    The scales only widen while time runs, where the motion leaves them. A snapshot that is earlier than the last one starts
+    afresh.
 
-    width, height [px].
+    Args:
+        mode: "human" or "rgb_array".
+        width: Width [px], at least 640.
+        height: Height [px], at least 400.
+        cars: Number of cars, 1 or 2.
+        fps: Largest number of painted frames per simulated second in a window.
+
+    Attributes:
+        closed: Whether the viewer has shut the window (its button, Escape or q).
+
+    Raises:
+        InputError: An argument is out of range, pygame is missing, or a window finds no display.
     """
 
     def __init__(
@@ -73,7 +82,17 @@ class Renderer:
         self._restart()
 
     def draw(self, *snapshots: AnySnapshot) -> NDArray[np.uint8] | None:
-        """Paint one snapshot per car; returns the frame, shape (height, width, 3), in mode "rgb_array"."""
+        """Paint the cars.
+
+        Args:
+            snapshots: Snapshot of each car.
+
+        Returns:
+            The frame, uint8 of shape (height, width, 3), in mode "rgb_array"; None in mode "human".
+
+        Raises:
+            InputError: The number of snapshots is wrong, or the cars are of different kinds.
+        """
         if len(snapshots) != self.cars:
             raise InputError(
                 f"this renderer draws {self.cars} car(s) and was given {len(snapshots)} snapshot(s)"
@@ -149,7 +168,7 @@ class Renderer:
                 views.append(RigidCarScene(canvas, snapshot, *place))
             else:
                 views.append(QuarterCarScene(canvas, snapshot, *place, self.cars == 1))
-        # One road and one scale for both cars, or they could not be compared.
+        # both cars have the road and the scale of the first, so that they can be compared
         needed = max(view.needed(views[0].reference) for view in views)
         room = min(views[0].most, 1.0 / needed if needed else math.inf)
         while self._factor < len(EXAGGERATION) - 1 and EXAGGERATION[self._factor] > room:

@@ -83,7 +83,7 @@ def ground(
         y: Heights of the road at the columns of the window [px] (n,).
         travelled: Distance that the car has driven [m]; None for a section across the road.
         u: Unit of the layout [px].
-        is_behind: Whether another road will stand before this one, which then is pale.
+        is_behind: Whether the road is pale, behind another road that is drawn later.
     """
     x = window.columns()
     surface = np.column_stack([x, y])
