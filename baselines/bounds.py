@@ -25,6 +25,7 @@ from isd_gym.errors import InputError
 from isd_gym.network import Channel, Network, linearise
 from isd_gym.road import REFERENCE_FREQUENCY, Road
 from isd_gym.road import road as find_road
+from isd_gym.vehicle import require_quarter_car
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -87,7 +88,7 @@ def ideal(network: Network | str | Path) -> Network:
     network: a car, by name, file or itself.
     """
     network = Network.load(network)
-    signal_channels(network)  # complains if it is no car
+    require_quarter_car(network, "the causal bound is that")
     if len(network.masses) != 2:
         raise InputError(
             f"network '{network.name}': the causal bound is that of two masses, not {len(network.masses)}"
@@ -130,6 +131,7 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     speed [m/s].
     """
     network = Network.load(network)
+    require_quarter_car(network, "the causal bound is that")
     ground = find_road(road)
     if not ground.roughness > 0:
         raise InputError(f"road '{ground.name}' is not random: the causal bound needs a rough road")

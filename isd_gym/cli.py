@@ -196,6 +196,12 @@ def score(
         typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
     ] = "quarter-car-isd",
     model: Annotated[str | None, typer.Option(help="The controllers' model; the plant unless given.")] = None,
+    point: Annotated[
+        str | None,
+        typer.Option(
+            help="Point of the body at which ISO 2631-1 is evaluated; the driver unless given, if the network has one."
+        ),
+    ] = None,
     report: Annotated[
         Path | None, typer.Option("--report", help="Write plots and a page to this folder.", metavar="DIR")
     ] = None,
@@ -205,7 +211,7 @@ def score(
     """Score policies on the same roads, paired, against the conventional passive car.
 
     Prints RMS of body acceleration, suspension travel and dynamic tyre load with the change against passive and its
-    95 % interval, and the cost J. The paper's tables and the bounds follow where their conditions hold: they belong to
+    95 % interval, and the cost J; of a half or full car also pitch and roll acceleration, and each corner. The paper's tables and the bounds follow where their conditions hold: they belong to
     means over random roads, which 32 x 20 s give.
 
     Example: isd-gym score passive isd-passive mpc
@@ -229,6 +235,8 @@ def score(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    if plant.bodies:
+        ahead["speed"] = speed
     entries = [find(name, plant, model=belief, trust_zip=trust_zip, **ahead) for name in policies]
     drives: dict[str, Any] = {
         "road": ground,
@@ -252,6 +260,7 @@ def score(
             entries,
             plant,
             reference=passive(plant),
+            point=point,
             clairvoyant=None if known is None else known["value"],
             ceiling=ceilings,
             progress=update,
@@ -326,10 +335,8 @@ def _optimum(result: Any, known: dict[str, Any]) -> dict[str, Any]:
     """The clairvoyant optimum in a line, and its place on the trade-off: changes of RMS against passive, over all episodes."""
     import numpy as np
 
-    from .cost import StageCost
-
     own = result.runs["passive"]
-    cost, least, proven = (float(v.mean()) for v in (own.cost(StageCost()), known["value"], known["lower"]))
+    cost, least, proven = (float(v.mean()) for v in (own.cost(result.cost), known["value"], known["lower"]))
     line = (
         f"Clairvoyant optimum, these very roads known in advance (searched): cost J {least:.3f} "
         f"({100 * (least / cost - 1):+.1f} %)"
@@ -377,7 +384,7 @@ def _print_score(result: Any) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from .scoring import PAPER
+    from .scoring import PAPER, corner_measures
 
     console = printer()
     narrow = console.width < 106
@@ -411,7 +418,9 @@ def _print_score(result: Any) -> None:
             "" if r["share_of_causal_gain"] is None else f"{round(100 * r['share_of_causal_gain'])} %"
         )
     motion: dict[str, Callable[[Any], str]] = {
-        "W_k\nm/s²": lambda r: f"{r['weighted_acceleration_rms']['value']:.3f}",
+        (f"W_k, {plain(result.comfort)}" if result.comfort else "W_k") + "\nm/s²": lambda r: (
+            f"{r['weighted_acceleration_rms']['value']:.3f}"
+        ),
         "peak acc.\nm/s²": lambda r: f"{r['peak_body_acceleration']['value']:.2f}",
         "peak travel\nmm": lambda r: f"{1e3 * r['peak_suspension_travel']['value']:.1f}",
         "current\nA": lambda r: f"{r['current_rms']['value']:.2f}",
@@ -423,6 +432,13 @@ def _print_score(result: Any) -> None:
         "processor ms\nper step": lambda r: f"{1e3 * r['control_time']['median']:.3f}",
         "\n99.9 %": lambda r: f"{1e3 * r['control_time']['p99_9']:.3f}",
     }
+    corners: list[dict[str, Callable[[Any], str]]] = [
+        {
+            head: lambda r, name=name, digits=digits, scale=scale: cell(r[name], digits, scale)  # type: ignore[misc]
+            for name, (head, digits, scale) in group.items()
+        }
+        for group in corner_measures(result.policies[0])
+    ]
     ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
     sight = f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
     interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
@@ -431,6 +447,7 @@ def _print_score(result: Any) -> None:
         f"seeds {result.seed} to {result.seed + result.episodes - 1}{sight}; RMS, change against passive{interval}"
     )
     groups = [main, motion, share | work] if narrow else [main | share, motion | work]
+    groups += corners
     console.print(title)
     for group in groups:
         made = table("policy", *group)
@@ -929,6 +946,8 @@ def show(
 ) -> None:
     """Watch a policy drive, alone or beside another, live or as a film.
 
+    Half and full cars (--network half-car-isd) are shown from the side, full cars also from behind.
+
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
     from .network import Network
@@ -941,6 +960,8 @@ def show(
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    if plant.bodies:
+        ahead["speed"] = speed
     names = [name for name in (policy, against) if name is not None]
     entries = [find(name, plant, trust_zip=trust_zip, **ahead) for name in names]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}

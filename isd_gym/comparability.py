@@ -94,6 +94,8 @@ def comparable(
         few = f"{episodes} x {duration:g} s is too small a sample: {EPISODES} x {DURATION:g} s at least"
     rough = ground.roughness > 0 and ground.profile is None
     mean = few if rough else "the road is not a random one"
+    if network.bodies:
+        mean = "those are of quarter cars"
     return Comparable(_tables(network, ground, speed, sensors) or few, mean, mean)
 
 

@@ -61,7 +61,7 @@ def drive_item(
         sensors=c.sensors,
         timed=0,
     )
-    found = measures(run, StageCost())
+    found = measures(run, StageCost.of(None, run.car.axes, len(run.car.corners)))
     return {
         "measures": {name: [float(v) for v in values] for name, (values, _) in found.items()},
         "units": {name: unit for name, (_, unit) in found.items()},
