@@ -43,6 +43,8 @@ class WheelbaseSettings(LawSettings):
         is_known: Whether the estimator knows that the rear wheels meet the road of the front wheels.
     """
 
+    # J against passive on roads 1000-1007 of the half car: 0.01 -28.99 %, 0.02 -30.09, 0.03 -30.22, 0.04 -30.05
+    effort: float = 0.03
     speed: float = DESIGN_SPEED
     is_known: bool = True
 
