@@ -235,9 +235,7 @@ def score(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    if plant.bodies:
-        ahead["speed"] = speed
-    entries = [find(name, plant, model=belief, trust_zip=trust_zip, **ahead) for name in policies]
+    entries = [find(name, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead) for name in policies]
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,
@@ -980,7 +978,7 @@ def show(
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     names = [name for name in (policy, against) if name is not None]
-    entries = [find(name, plant, trust_zip=trust_zip, **ahead) for name in names]
+    entries = [find(name, plant, speed=speed, trust_zip=trust_zip, **ahead) for name in names]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()

@@ -531,9 +531,8 @@ def score(
         raise InputError(
             f"no point {shown(point)} on the body of network '{network.name}': there are {', '.join(car.points)}"
         )
-    ahead = {} if len(car.corners) == 1 else {"speed": speed}
     named = [policies] if isinstance(policies, str | Entry) else policies
-    entries = [find(p, network, cost=cost, **ahead) if isinstance(p, str) else p for p in named]
+    entries = [find(p, network, cost=cost, speed=speed) if isinstance(p, str) else p for p in named]
     reference = reference or passive(network)
     ground = find_road(road)
     allowed = comparable(

@@ -11,6 +11,7 @@ from isd_gym.driving import Crew, Entry, travel
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
 from isd_gym.network import Network
+from isd_gym.policies import find
 from isd_gym.road import Road
 from isd_gym.vehicle import vehicle
 
@@ -105,6 +106,20 @@ def test_the_estimate_sees_the_rear_road_come():
     for rises in (slice(0, 10), slice(None)):  # over 50 ms, and over the wheelbase
         seen, true = line[rises].sum(axis=0), met[rises].sum(axis=0)
         assert np.mean((seen - true) ** 2) < 0.08 * np.mean(true**2)
+
+
+def test_controllers_are_told_the_speed():
+    """27 control steps between the axles at 20 m/s, 54 at 10 m/s; the MPC plans with as much road under the rear wheel."""
+    net = Network.load("half-car-isd")
+    for speed, steps in ((20.0, 27), (10.0, 54), (30.0, 18)):
+        law, plan = (find(f"{name}-wheelbase", net, speed=speed).make() for name in ("lqg", "mpc"))
+        assert (
+            np.round(law.prediction.delays).tolist()
+            == np.round(plan.prediction.delays).tolist()
+            == [0, steps]
+        )
+        assert [c.preview for c in plan.corners] == pytest.approx([0.0, STEP * steps])
+    assert find("skyhook", net, speed=10.0).make()
 
 
 def test_a_quarter_car_has_no_wheelbase():
