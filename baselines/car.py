@@ -300,8 +300,8 @@ def car_model(
     moving = [c.name for c in network.moving]
     order = [moving.index(c.road_input) for c in car.corners]
     roads = np.zeros((len(moving), max(tracks) + 1))
-    for place, t in zip(order, tracks, strict=True):
-        roads[place, t] = 1.0
+    for road, t in zip(order, tracks, strict=True):
+        roads[road, t] = 1.0
     T = lift(network, parts, roads, count)
     leader = [
         next(c for c in range(corners) if tracks[c] == t and delays[c] == 0.0) for t in range(max(tracks) + 1)

@@ -133,7 +133,10 @@ class Run:
                 f"{', '.join(self.car.points)}"
             )
         motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
-        return sum(arm * motion for arm, motion in zip(self.car.arms(*where), motions, strict=True) if arm)
+        total = np.zeros_like(self.body_acceleration)
+        for arm, motion in zip(self.car.arms(*where), motions, strict=True):
+            total += arm * motion
+        return total
 
     def cost(self, cost: StageCost) -> np.ndarray:
         """Return the mean stage cost of each episode (episodes,).

@@ -101,7 +101,10 @@ class Shown:
         from ..scoring import corner_measures
 
         return [
-            {name: (*head.split("\n"), digits, scale) for name, (head, digits, scale) in group.items()}
+            {
+                name: (head.split("\n")[0], head.split("\n")[1], digits, scale)
+                for name, (head, digits, scale) in group.items()
+            }
             for group in corner_measures(self.score.policies[0])
         ]
 
