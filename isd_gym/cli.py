@@ -235,7 +235,9 @@ def score(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    entries = [find(name, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead) for name in policies]
+    entries = [
+        find(name, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead) for name in policies
+    ]
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,

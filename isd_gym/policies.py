@@ -46,9 +46,7 @@ def conventional(network: Network) -> Network:
     parameters = network.parameters
     shared = {k: parameters[k] for k in car.parameters if k in parameters}
     if count == 1:
-        masses = {
-            f"{k}.mass": network.masses[o] for k, o in zip(car.masses, network.masses, strict=False)
-        }
+        masses = {f"{k}.mass": network.masses[o] for k, o in zip(car.masses, network.masses, strict=False)}
         return car.with_parameters(shared | masses)
     corners = list(zip(vehicle(car).corners, own.corners, strict=True))
     masses = {f"{one.wheel}.mass": network.masses[other.wheel] for one, other in corners}

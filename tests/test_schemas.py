@@ -152,7 +152,6 @@ def test_score_json_of_a_half_car_is_valid(tmp_path):
     assert not valid("isd-score/1", score)
 
 
-
 def test_a_verdict_and_its_effects_agree():
     diagnosis = json.loads(DIAGNOSIS)
     assert not valid("isd-diagnosis/1", diagnosis | {"effects": []})
