@@ -23,7 +23,7 @@ from .controller import Signals, WholeCarController
 from .decentralised import Decentralised, corner_cost
 from .estimator import Estimator
 from .friction import FrictionMpc, FrictionMpcSettings, with_preview
-from .lqg import LawSettings
+from .lqg import STEEPEST, LawSettings
 from .model import prediction_model
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ class WheelbaseMpc(Decentralised):
         """
         state = self.estimator.update(self._signals.clean(observations, self._last))
         line = state[self.prediction.motion :]
-        ahead = [np.cumsum(rows @ line, axis=0).T for rows in self._ahead]
+        ahead = [np.cumsum(np.clip(rows @ line, -STEEPEST, STEEPEST), axis=0).T for rows in self._ahead]
         seen = super().observed(observations)
         return [np.hstack([own, heights]) for own, heights in zip(seen, ahead, strict=True)]
 

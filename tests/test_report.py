@@ -602,7 +602,7 @@ def test_the_page_of_a_half_car_shows_both_axles(tmp_path):
     for words in ("pitch acc.", "RMS, front, mm", "RMS, rear, N", "RMS, m/s², driver"):
         assert words in page.text
     chart = score_page.histories(score_page.Shown(made))
-    heads = [panel.y.text.replace("\n", " ") for panel in chart.panels]
+    heads = [panel.y.label.replace("\n", " ") for panel in chart.panels]
     assert [h for h in heads if "travel" in h or "current" in h] == [
         "front travel",
         "rear travel",
@@ -610,7 +610,7 @@ def test_the_page_of_a_half_car_shows_both_axles(tmp_path):
         "rear motor current",
     ]
     run = made.runs["lqg-wheelbase"]
-    rear = next(p for p in chart.panels if p.y.text.replace("\n", " ") == "rear travel")
+    rear = next(p for p in chart.panels if p.y.label.replace("\n", " ") == "rear travel")
     line = next(i for i in rear.items if getattr(i, "name", "") == "lqg-wheelbase")
     assert np.abs(line.y).max() <= 1e3 * np.abs(run.signals["suspension_travel_rear"]).max() + 1e-9
 
