@@ -97,12 +97,11 @@ def _lqg_wheelbase(model: Network, cost: StageCost, control_step: float, **optio
 
 def _mpc_wheelbase(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
     from .friction import FrictionMpcSettings
-    from .wheelbase import WheelbaseMpc
+    from .wheelbase import DESIGN_SPEED, WheelbaseMpc
 
-    speed = {"speed": float(options.pop("speed"))} if "speed" in options else {}
-    return WheelbaseMpc(
-        model, cost, control_step, **_settings("friction", FrictionMpcSettings(), options), **speed
-    )
+    speed = float(options.pop("speed", DESIGN_SPEED))
+    settings = _settings("friction", FrictionMpcSettings(), options)
+    return WheelbaseMpc(model, cost, control_step, speed=speed, **settings)
 
 
 def noisy(share: float) -> Any:

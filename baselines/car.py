@@ -300,8 +300,8 @@ def car_model(
     moving = [c.name for c in network.moving]
     order = [moving.index(c.road_input) for c in car.corners]
     roads = np.zeros((len(moving), max(tracks) + 1))
-    for place, t in zip(order, tracks, strict=True):
-        roads[place, t] = 1.0
+    for road, t in zip(order, tracks, strict=True):
+        roads[road, t] = 1.0
     T = lift(network, parts, roads, count)
     leader = [
         next(c for c in range(corners) if tracks[c] == t and delays[c] == 0.0) for t in range(max(tracks) + 1)
@@ -408,6 +408,9 @@ def _drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
 def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, float]:
     """Return the linear-quadratic regulator of a car without friction, and what it costs on a white road.
 
+    The currents do not change the delay line, so the value of the motion alone is that of a car on even road. A line of d
+    states is empty after d steps: as many steps of the Riccati recursion add the value of what is in the line, exactly.
+
     Args:
         model: Model of the car.
         weights: Weights of the design, on the channels at the end of each step.
@@ -416,12 +419,16 @@ def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, flo
         Gain K (currents, n) of ``I = -K x``, and the mean cost per step under it, by the Riccati equation.
     """
     q, r = weights.of(model)
-    C, D = model.C @ model.A, model.C @ model.inputs + model.feedthrough
-    Q, N = C.T @ (q[:, None] * C), C.T @ (q[:, None] * D)
-    R = D.T @ (q[:, None] * D) + np.diag(r)
-    V = _riccati(model, model.A, model.inputs, Q, R, N)
-    B = model.inputs
-    K = np.linalg.solve(R + B.T @ V @ B, B.T @ V @ model.A + N.T)
+    A, B, k = model.A, model.inputs, model.motion
+    C, D = model.C @ A, model.C @ B + model.feedthrough
+    Q, N, R = C.T @ (q[:, None] * C), C.T @ (q[:, None] * D), D.T @ (q[:, None] * D) + np.diag(r)
+    V = np.zeros((model.n, model.n))
+    V[:k, :k] = _riccati(model, A[:k, :k], B[:k], Q[:k, :k], R, N[:k])
+    for _ in range(model.n - k + 1):
+        across = B.T @ V @ A + N.T
+        K = np.linalg.solve(R + B.T @ V @ B, across)
+        V = Q + A.T @ V @ A - across.T @ K
+        V = 0.5 * (V + V.T)
     worth = V + model.C.T @ (q[:, None] * model.C)
     return K, float(np.trace(worth @ model.W))
 

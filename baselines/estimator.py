@@ -71,6 +71,7 @@ class Estimator:
         currents = obs[self._currents]
         free = m.A @ self.x + self._inputs @ currents
         if road is not None:
+            assert isinstance(m, Model)
             free += m.P[:, None] * road
         self.f = self.friction(free)
         x = free + m.G @ self.f

@@ -235,9 +235,9 @@ def score(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    if plant.bodies:
-        ahead["speed"] = speed
-    entries = [find(name, plant, model=belief, trust_zip=trust_zip, **ahead) for name in policies]
+    entries = [
+        find(name, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead) for name in policies
+    ]
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,
@@ -319,7 +319,7 @@ def _references(
         allowed = replace(allowed, clairvoyant=allowed.clairvoyant or not_computed)
     else:
         lines |= _optimum(result, known)
-    if not allowed.lq_bound and (line := _lq_bound(result)):
+    if not allowed.lq_bound and (line := _wheelbase_bound(result) or _lq_bound(result)):
         lines["causal_bound"] = line
     if not allowed.ceiling:
         found = {s: ceilings(s) for s in sorted({row["preview"]["value"] for row in result.policies})}
@@ -349,6 +349,25 @@ def _optimum(result: Any, known: dict[str, Any]) -> dict[str, Any]:
         for n in ("body_acceleration", "suspension_travel", "tyre_load")
     }
     return {"clairvoyant": line, "clairvoyant_point": changes}
+
+
+def _wheelbase_bound(result: Any) -> str | None:
+    """The linear-quadratic bound of a car with two axles; every policy is given its share of that gain (`share_of_lq_gain`)."""
+    if not result.plant.bodies:
+        return None
+    for point in plugins(REFERENCES, "wheelbase_bound"):
+        try:
+            bound = point.load()(result.plant, speed=result.speed, road=result.ground, cost=result.cost)
+        except InputError:  # a road or a car for which there is no such bound
+            continue
+        for row in result.policies:
+            row["share_of_lq_gain"] = row["cost"]["change"] / bound.change + 0.0
+        return (
+            "LQ bound with the rear road known from the front (any force, full state, no friction, no limits; the mean over "
+            f"roads): cost J {100 * bound.change:+.1f} % at best; {100 * bound.blind_change:+.1f} % for a controller that "
+            "takes the rear road for a new one."
+        )
+    return None
 
 
 def _lq_bound(result: Any) -> str | None:
@@ -417,6 +436,8 @@ def _print_score(result: Any) -> None:
         share["of the causal\ngain"] = lambda r: (
             "" if r["share_of_causal_gain"] is None else f"{round(100 * r['share_of_causal_gain'])} %"
         )
+    if any("share_of_lq_gain" in row for row in result.policies):
+        share["of the LQ\nbound's gain"] = lambda r: f"{round(100 * r['share_of_lq_gain'])} %"
     motion: dict[str, Callable[[Any], str]] = {
         (f"W_k, {plain(result.comfort)}" if result.comfort else "W_k") + "\nm/s²": lambda r: (
             f"{r['weighted_acceleration_rms']['value']:.3f}"
@@ -963,7 +984,7 @@ def show(
     if plant.bodies:
         ahead["speed"] = speed
     names = [name for name in (policy, against) if name is not None]
-    entries = [find(name, plant, trust_zip=trust_zip, **ahead) for name in names]
+    entries = [find(name, plant, speed=speed, trust_zip=trust_zip, **ahead) for name in names]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()

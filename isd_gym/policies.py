@@ -79,6 +79,7 @@ def find(
     model: Network | None = None,
     cost: StageCost | None = None,
     control_step: float = 5e-3,
+    speed: float | None = None,
     trust_zip: bool = False,
     **options: Any,
 ) -> Entry:
@@ -87,7 +88,8 @@ def find(
     `model` is what a controller believes in, by default the plant `network`. A .zip holds pickles and is opened only with
     `trust_zip`. Raises `InputError` listing what there is.
 
-    name: one that `available` lists, or a path. network: the plant that it will drive. cost: what it minimises. control_step [s].
+    name: one that `available` lists, or a path. network: the plant that it will drive. cost: what it minimises. control_step [s]. speed [m/s]:
+    at which it will drive; controllers of a car with two axles are told it as the option `speed`.
     """
     if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
         raise InputError(
@@ -104,6 +106,8 @@ def find(
         raise InputError(
             f"the controllers' model '{belief.name}' is a {kind(belief)}, but the plant '{network.name}' is a {kind(network)}"
         )
+    if speed is not None and len(car.corners) > 1:
+        options["speed"] = speed
     known = ["passive", "isd-passive"]
     for point in plugins(POLICIES):
         opener = point.load()

@@ -133,7 +133,10 @@ class Run:
                 f"{', '.join(self.car.points)}"
             )
         motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
-        return sum(arm * motion for arm, motion in zip(self.car.arms(*where), motions, strict=True) if arm)
+        total = np.zeros_like(self.body_acceleration)
+        for arm, motion in zip(self.car.arms(*where), motions, strict=True):
+            total += arm * motion
+        return total
 
     def cost(self, cost: StageCost) -> np.ndarray:
         """Return the mean stage cost of each episode (episodes,).
@@ -531,9 +534,8 @@ def score(
         raise InputError(
             f"no point {shown(point)} on the body of network '{network.name}': there are {', '.join(car.points)}"
         )
-    ahead = {} if len(car.corners) == 1 else {"speed": speed}
     named = [policies] if isinstance(policies, str | Entry) else policies
-    entries = [find(p, network, cost=cost, **ahead) if isinstance(p, str) else p for p in named]
+    entries = [find(p, network, cost=cost, speed=speed) if isinstance(p, str) else p for p in named]
     reference = reference or passive(network)
     ground = find_road(road)
     allowed = comparable(

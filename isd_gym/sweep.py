@@ -48,7 +48,7 @@ def drive_item(
     c = Condition(**condition)
     plant = c.plant()
     ahead: dict[str, Any] = {} if c.preview is None else {"preview": c.preview}
-    entry = find(policy, plant, model=Network.load(c.model or c.network), **ahead)
+    entry = find(policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead)
     counts: Counter[str] = Counter()
     run = drive(
         _watched(entry, counts),

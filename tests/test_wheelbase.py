@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 import baselines
+from baselines.bounds import ideal_car, lq_bound, reference, wheelbase_bound
 from baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
 from isd_gym.cost import StageCost
 from isd_gym.driving import Crew, Entry, travel
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
 from isd_gym.network import Network
+from isd_gym.policies import find
 from isd_gym.road import Road
 from isd_gym.vehicle import vehicle
 
@@ -106,6 +108,20 @@ def test_the_estimate_sees_the_rear_road_come():
         assert np.mean((seen - true) ** 2) < 0.08 * np.mean(true**2)
 
 
+def test_controllers_are_told_the_speed():
+    """27 control steps between the axles at 20 m/s, 54 at 10 m/s; the MPC plans with as much road under the rear wheel."""
+    net = Network.load("half-car-isd")
+    for speed, steps in ((20.0, 27), (10.0, 54), (30.0, 18)):
+        law, plan = (find(f"{name}-wheelbase", net, speed=speed).make() for name in ("lqg", "mpc"))
+        assert (
+            np.round(law.prediction.delays).tolist()
+            == np.round(plan.prediction.delays).tolist()
+            == [0, steps]
+        )
+        assert [c.preview for c in plan.corners] == pytest.approx([0.0, STEP * steps])
+    assert find("skyhook", net, speed=10.0).make()
+
+
 def test_a_quarter_car_has_no_wheelbase():
     with pytest.raises(
         InputError, match="of a car with two axles, but network 'quarter-car-isd' is a quarter car"
@@ -114,3 +130,50 @@ def test_a_quarter_car_has_no_wheelbase():
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="speed must be a positive number"):
         baselines.make("lqg-wheelbase", speed=0.0)
+
+
+# ------------------------------------------------------------------------------------- the bound
+
+
+def test_the_bound_of_a_decoupled_half_car_is_that_of_its_quarter_cars():
+    """Weights under which heave and pitch cost what the accelerations of the axles cost, and no knowledge of the rear road."""
+    net = Network.load("half-car-isd").with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
+    quarter = lq_bound("quarter-car-isd", weights=(0.6, 0.3, 0.0))
+    a, l, _ = reference("quarter-car-isd")
+    # (a_front^2 + a_rear^2) / 2 = heave^2 + (1.35 pitch)^2
+    cost = StageCost(
+        acceleration=0.6, acceleration_reference=a, pitch=0.6, pitch_reference=a / 1.35,
+        travel=0.3, travel_reference=float(l),
+    )  # fmt: skip
+    found = wheelbase_bound(net, cost=cost)
+    assert found.blind == pytest.approx(quarter.cost, rel=3e-3)
+    assert found.passive == pytest.approx(0.9, rel=2e-3)
+    assert found.cost < 0.9 * found.blind
+
+
+def test_no_device_is_better_than_any_force():
+    forces, device = wheelbase_bound(step=STEP), wheelbase_bound(effort=1e-3, step=STEP)
+    assert forces.change < device.change < 0 and forces.blind_change < device.blind_change
+    assert forces.change < forces.blind_change
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"network": "full-car-isd"}, "axles in one track"),
+        ({"network": "quarter-car-isd"}, "axles in one track"),
+        ({"road": "bump"}, "needs a rough road"),
+    ],
+)
+def test_what_has_no_bound(options, message):
+    with pytest.raises(InputError, match=message) as caught:
+        wheelbase_bound(**options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mass_inside_the_suspension_has_no_bound():
+    data = Network.load("half-car-isd").to_dict()
+    data["masses"]["piston_front"] = 1.0
+    data["uncertainty"] = {}
+    with pytest.raises(InputError, match="wheels without other masses"):
+        ideal_car(Network.load(data))
