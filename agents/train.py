@@ -30,10 +30,11 @@ from isd_gym.policies import find, passive
 from isd_gym.road import road as find_road
 from isd_gym.scoring import Entry, drive, score
 from isd_gym.sensors import Sensors
+from isd_gym.vehicle import vehicle
 
 from . import checkpoint
-from .policy import Policy
-from .settings import SETTINGS, PPOSettings, SACSettings, robust, with_preview
+from .policy import Head, Policy
+from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, memory_of, robust, tuned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -47,12 +48,15 @@ FOLDER = (
     "run.json",
     ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"),
 )
-ENV_ID = "ISDSuspension-v0"
+#: environment, and ending of the names of policies, by number of corners
+CARS = {1: ("ISDSuspension-v0", ""), 2: ("ISDHalfCar-v0", "-half-car"), 4: ("ISDFullCar-v0", "-full-car")}
 #: validation roads, seen neither in training (seeds from 2e6) nor in scoring (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
-BASELINES = ("lqg", "mpc-friction")  # shown beside the progress, where they exist
+#: shown beside the progress, where they exist: for quarter cars, and for cars with several corners
+BASELINES = ("lqg", "mpc-friction")
+CAR_BASELINES = ("lqg", "lqg-wheelbase")
 #: their costs, for a process that trains several seeds
 _REFERENCES: dict[str, dict[str, float]] = {}
 
@@ -73,26 +77,49 @@ def train(
     say: Callable[[str], None] = print,
     progress: Callable[[str, float], None] = lambda task, share: None,
 ) -> dict[str, Any]:
-    """Train `algorithm` (ppo, sac) in folder `out`, or go on where the run in it stopped; returns the report.
+    """Train a policy in a folder, or continue the run in that folder; Ctrl-C saves the run first.
 
-    `say` is given lines of progress, `progress` (task, share of it done); Ctrl-C saves where it is before it leaves.
+    The policy kept is the one of least cost on the validation roads.
 
-    `preview` [s]: how much of the road ahead the policy sees. `randomize`: True for the cars, roads and
-    sensors of the robust track, or ranges as the environment takes them. `sensors`: what it sees by. The policy kept is the one of
-    least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
+    Args:
+        algorithm: ppo or sac.
+        out: Folder of the run.
+        seed: Seed of the training.
+        steps: Control steps of all cars together.
+        network: Network of the car: a quarter, half or full car.
+        road: Road of the training.
+        speed: Speed [m/s].
+        randomize: True for the cars, roads and sensors of the robust track (quarter cars), or ranges as the environment takes them.
+        preview: Road ahead that the policy of a quarter car sees [s].
+        sensors: Imperfections of the sensors.
+        settings: Settings of the algorithm; the tuned ones unless given.
+        say: Function that is given lines of progress.
+        progress: Function that is given a task and the finished share of that task.
 
-    seed: of everything that is drawn. steps: of all cars together. network, road, speed [m/s]: what it is trained on.
-    settings: those of the algorithm; the tuned ones unless given.
+    Returns:
+        Report (`isd-training/1`): the policy's folder, its training and its score.
+
+    Raises:
+        InputError: A value is not valid, or the folder holds another run.
     """
     if not (find_spec("stable_baselines3") and find_spec("torch")):
         raise InputError(f"training needs Stable-Baselines3 and torch: {how_to_install('agents')}")
     if algorithm not in SETTINGS:
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
+    plant = Network.load(network)
+    corners = len(vehicle(plant).corners)
+    if corners not in CARS:
+        raise InputError(f"network '{plant.name}' has {corners} corners: policies are trained for 1, 2 or 4")
+    if preview and corners > 1:
+        raise InputError(
+            f"network '{plant.name}' has {corners} corners: its front wheels tell the road before the rear ones; leave the "
+            "preview out"
+        )
     if settings is None:
-        settings = with_preview(SETTINGS[algorithm](), preview)
+        settings = tuned(algorithm, vehicle(plant), preview)
     elif preview:
         settings = replace(settings, ahead=preview)
-    steps_ahead(preview, settings.memory.step)
+    steps_ahead(preview, CONTROL_STEP)
     if steps is not None:
         if steps < 1:
             raise InputError(f"steps must be at least 1, not {steps}")
@@ -105,11 +132,15 @@ def train(
             say(
                 f"the critic learns alone for {settings.alone} steps: with {steps} the policy stays the imitation"
             )
-    plant = Network.load(network)
     find_road(road)
     senses = Sensors.of(sensors)
     spread: dict[str, Any] | None
     if randomize is True:
+        if corners > 1:
+            raise InputError(
+                f"network '{plant.name}' has {corners} corners, and the ranges of the robust track are those of a quarter car: "
+                'give ranges to agents.train.train, such as randomize={"body.mass": (0.8, 1.2)}'
+            )
         spread, seen = robust()
         senses = seen if senses.perfect else senses
     else:
@@ -138,6 +169,7 @@ class Run:
         self.out, self.algorithm, self.seed, self.plant = out, algorithm, seed, plant
         self.road, self.speed, self.spread, self.settings, self.say = road, speed, spread, settings, say
         self.progress, self.sensors = progress, sensors
+        self.car = vehicle(plant)
         self.memory = self._memory()
         self.asked = {
             "schema": SCHEMA,
@@ -162,6 +194,7 @@ class Run:
         """What the policy is called."""
         ahead = self.settings.ahead
         name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
+        name += CARS[len(self.car.corners)][1]
         return f"{name}-robust" if self.spread else name
 
     @property
@@ -173,10 +206,16 @@ class Run:
     def _memory(self) -> Memory:
         """What the policy sees: the settings' memory, with the filter of this network if it is asked for and exists."""
         s = self.settings
-        memory = replace(s.memory, ahead=steps_ahead(s.ahead, s.memory.step))
+        memory = s.memory or memory_of(self.car)
+        memory = replace(memory, ahead=steps_ahead(s.ahead, memory.step))
         if not s.filter:
             return memory
         try:
+            if len(self.car.corners) > 1:
+                from .wheelbase import car_filter
+
+                known, echo = car_filter(self.plant, self.speed, memory.step, self._noise)
+                return replace(memory, filter=known, echo=echo)
             from .estimate import lqg_filter
 
             return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead, self._noise))
@@ -311,7 +350,7 @@ class Run:
             return find(f"{name}-preview", self.plant, preview=self.settings.ahead)
         if self.spread and name == "mpc-friction":
             name = "mpc-robust"
-        return find(name, self.plant)
+        return find(name, self.plant, speed=self.speed)
 
     def _imitate(self, model: Any) -> None:
         """Start from the teacher, if there is one for this network."""
@@ -319,7 +358,7 @@ class Run:
 
         begin = time.perf_counter()
         try:
-            entry = self._rival(str(self.settings.teacher))
+            entry = self._law() if self.settings.teacher == "law" else self._rival(str(self.settings.teacher))
         except (InputError, ImportError) as error:
             self.say(f"no teacher, training starts from nothing: {error}")
             return
@@ -336,6 +375,15 @@ class Run:
         )
         env.close()
         self.state["seconds"] += time.perf_counter() - begin
+
+    def _law(self) -> Entry:
+        """Return the law of the memory's filter as a policy."""
+        if self.memory.filter is None:
+            raise InputError("the memory has no filter, and so no law")
+        signals = len(self.car.measured)
+        layer = (np.zeros((len(self.car.driven), self.memory.width(signals))), np.zeros(len(self.car.driven)))
+        policy = Policy([layer], memory=self.memory, head=Head("residual"), name="law", network=self.plant)
+        return Entry("the law of the estimate", policy.copy)
 
     def _seed(self, done: int) -> int:
         return 2_000_000 + (self.seed * 1_000_003 + done) % 4_000_000_000
@@ -387,18 +435,19 @@ class Run:
             seed=VALIDATION_SEED,
             timed=0,
         )
-        return run.cost(StageCost())
+        return run.cost(StageCost.of(None, self.car.axes, len(self.car.corners)))
 
     def _references(self) -> dict[str, float]:
         """Cost of the passive car and of the baselines there are, on the validation roads, once in a process."""
         same = [self.asked[k] for k in ("network", "road", "speed", "randomize", "sensors")]
-        key = json.dumps([same, self.settings.ahead, VALIDATION_EPISODES, BASELINES], sort_keys=True)
+        names = BASELINES if len(self.car.corners) == 1 else CAR_BASELINES
+        key = json.dumps([same, self.settings.ahead, VALIDATION_EPISODES, names], sort_keys=True)
         if key in _REFERENCES:
             return dict(_REFERENCES[key])
         # on a spread of cars the same cars without current: the conventional car has no such parameters to spread
         idle = find("isd-passive", self.plant) if self.spread else passive(self.plant)
         out = {idle.name: self.cost(idle)}
-        for name in BASELINES:
+        for name in names:
             try:
                 rival = self._rival(name)
                 out[rival.name] = self.cost(rival)
@@ -432,7 +481,7 @@ class Run:
 
     def command(self, out: Path | str = "DIR") -> str:
         """What to type for this run, or how it differs from what can be typed."""
-        s, usual = self.settings, with_preview(SETTINGS[self.algorithm](), self.settings.ahead)
+        s, usual = self.settings, tuned(self.algorithm, self.car, self.settings.ahead)
         if describe(replace(s, steps=usual.steps)) != describe(usual):
             return "agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
@@ -461,7 +510,7 @@ class Run:
         policy.info = {
             "algorithm": self.algorithm,
             "env": {
-                "id": ENV_ID,
+                "id": CARS[len(self.car.corners)][0],
                 "road": self.road,
                 "speed": {"value": self.speed, "unit": "m/s"},
                 "randomize": self.asked["randomize"],

@@ -15,6 +15,7 @@ from isd_gym.cost import StageCost
 from isd_gym.driving import Idle
 from isd_gym.errors import InputError
 from isd_gym.network import Network
+from isd_gym.vehicle import require_quarter_car, vehicle
 
 from .controller import Controller
 
@@ -88,6 +89,21 @@ def _friction(
     return FrictionMpc(model, cost, control_step, **_settings("friction", base, options), name=name)
 
 
+def _lqg_wheelbase(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .wheelbase import WheelbaseLqg, WheelbaseSettings
+
+    return WheelbaseLqg(model, cost, control_step, **_settings("wheelbase", WheelbaseSettings(), options))
+
+
+def _mpc_wheelbase(model: Network, cost: StageCost, control_step: float, **options: Any) -> Controller:
+    from .friction import FrictionMpcSettings
+    from .wheelbase import DESIGN_SPEED, WheelbaseMpc
+
+    speed = float(options.pop("speed", DESIGN_SPEED))
+    settings = _settings("friction", FrictionMpcSettings(), options)
+    return WheelbaseMpc(model, cost, control_step, speed=speed, **settings)
+
+
 def noisy(share: float) -> Any:
     """What an estimate is to take sensors for that have `share` of the robust track's noise (`isd_gym.sensors.NOISE`)."""
     from isd_gym.sensors import NOISE
@@ -127,6 +143,8 @@ CONTROLLERS: dict[str, Factory] = {
     "mpc-friction": _friction,
     "mpc-friction-preview": partial(_friction, ahead=True),
     "mpc-robust": partial(_friction, robust=True),
+    "lqg-wheelbase": _lqg_wheelbase,
+    "mpc-wheelbase": _mpc_wheelbase,
 }
 #: what they are, in a line each
 ABOUT = {
@@ -142,9 +160,20 @@ ABOUT = {
     "mpc-friction": "predictive control that knows of the seal's friction (differential dynamic programming)",
     "mpc-friction-preview": "the same with the road ahead in sight",
     "mpc-robust": "mpc-friction for the robust track: its estimate reckons with noisy sensors",
+    "lqg-wheelbase": "the LQG of a half or full car that knows the rear road from the front, without a sensor for it",
+    "mpc-wheelbase": "mpc-friction at each corner of a half or full car, the rear road known from the front",
 }
 #: the plant of a controller that has its own
 PLANTS = {"passive": "quarter-car-passive"}
+#: no current
+IDLE = ("passive", "isd-passive")
+
+
+#: controllers of a quarter car that drive a car with several corners as one at each corner
+AT_EACH_CORNER = ("skyhook", "add", "lqg", "mpc-paper", "mpc", "mpc-friction", "mpc-robust")
+
+#: controllers of a car with a front and a rear axle
+WHOLE_CAR = ("lqg-wheelbase", "mpc-wheelbase")
 
 
 def make(
@@ -156,15 +185,28 @@ def make(
 ) -> Controller | Idle:
     """The controller of that name, believing in `model` (by default the car it is scored on).
 
+    On a car with several corners a controller of a quarter car drives each corner by itself (`Decentralised`).
+
     `options` replace single settings (``make("mpc", solver="daqp", horizon=30)``). Raises `InputError` for a name or an
-    option that is not there.
+    option that is not there, and for a model of another kind of car.
 
     name: a key of `CONTROLLERS`. cost: what it minimises, the environment's stage cost by default. control_step [s].
     """
     if name not in CONTROLLERS:
         raise InputError(f"no controller '{name}': there are {', '.join(CONTROLLERS)}")
-    network = Network.load(PLANTS.get(name, "quarter-car-isd") if model is None else model)
-    return CONTROLLERS[name](network, cost or StageCost(), control_step, **options)
+    factory = CONTROLLERS[name]
+    usual = PLANTS.get(name, "half-car-isd" if name in WHOLE_CAR else "quarter-car-isd")
+    network = Network.load(usual if model is None else model)
+    car = vehicle(network)
+    cost = StageCost.of(cost, car.axes, len(car.corners))
+    if len(car.corners) > 1 and name in AT_EACH_CORNER:
+        from .decentralised import Decentralised, at_each_corner
+
+        corners = at_each_corner(network, cost, lambda one, own: factory(one, own, control_step, **options))  # type: ignore[arg-type, return-value]
+        return Decentralised(name, network, corners)
+    if name not in (*IDLE, *AT_EACH_CORNER, *WHOLE_CAR):
+        require_quarter_car(network, f"'{name}' is a controller")
+    return factory(network, cost, control_step, **options)
 
 
 __all__ = ["CONTROLLERS", "PLANTS", "Controller", "make"]

@@ -11,16 +11,18 @@ import numpy as np
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.env import MEASURED
 from isd_gym.errors import InputError
+from isd_gym.vehicle import vehicle
 
 if TYPE_CHECKING:
     from isd_gym.network import Network
+    from isd_gym.vehicle import Vehicle
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
 CURRENT = 5  # place of the present current in the observation
 
 
 class Controller(ABC):
-    """Observation (6,) in, commanded current [A] out.
+    """Observation (6,) in, commanded current [A] out; of a car with several motors (signals,) in and (currents,) out.
 
     `name`; `model`: the network it believes in, whatever the plant is; `fallbacks`: how often it could not do what it is
     meant to and did something safe instead. Whatever comes in, the command is finite, at most 5 A, and at most 0.5 A
@@ -39,8 +41,8 @@ class Controller(ABC):
         """Forget everything: a new road begins at rest. The count of fallbacks stays."""
 
     @abstractmethod
-    def act(self, observation: np.ndarray) -> float:
-        """Commanded current [A] for one observation (6,)."""
+    def act(self, observation: np.ndarray) -> float | np.ndarray:
+        """Commanded current [A] for one observation (6,), or currents (currents,)."""
 
 
 class BatchController(Controller):
@@ -77,6 +79,77 @@ class BatchController(Controller):
         return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
 
 
+class Signals:
+    """Places and bounds of the signals in the observation of a car.
+
+    Attributes:
+        bounds: Bounds (signals, 1) of the measured signals.
+        currents: Places of the present currents.
+    """
+
+    def __init__(self, car: Vehicle) -> None:
+        """Find the places.
+
+        Args:
+            car: Car.
+        """
+        self.bounds = np.array([[signal.bound] for signal in car.measured])
+        self.currents = slice(len(car.measured) - len(car.driven), len(car.measured))
+
+    def clean(self, observations: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Return observations as clean columns, see `clean`.
+
+        Args:
+            observations: As the environment gives them (cars, signals).
+            last: Last commands [A] (currents, cars).
+        """
+        return clean(observations, last, self.bounds, self.currents)
+
+
+class WholeCarController(BatchController):
+    """A controller that commands all currents of a car from all of its signals.
+
+    Subclasses give `_start` and `_command`, with signals (signals, cars) in and wanted currents (currents, cars) out.
+
+    Attributes:
+        car: Car that is believed in.
+        signals: Its signals in an observation.
+    """
+
+    def __init__(self, name: str, model: Network) -> None:
+        """Prepare for the observations of a car.
+
+        Args:
+            name: Name under which it is scored.
+            model: Network of the car that is believed in.
+        """
+        super().__init__(name, model)
+        self.car = vehicle(model)
+        self.signals = Signals(self.car)
+
+    def reset_batch(self, count: int) -> None:
+        """Forget everything and drive `count` cars.
+
+        Args:
+            count: Number of cars.
+        """
+        self._last = np.zeros((len(self.car.driven), count))
+        self._start(count)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:  # type: ignore[override]
+        return self.act_batch(np.asarray(observation)[None])[0]
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Return commanded currents [A] (cars, currents) for observations (cars, signals), car i with its own memory.
+
+        Args:
+            observations: As the environment gives them.
+        """
+        obs = self.signals.clean(observations, self._last)
+        self._last = limit(self._command(obs), obs[self.signals.currents])
+        return self._last.T
+
+
 def steps_ahead(preview: float, control_step: float) -> int:
     """Control steps of road in `preview` [s]; `InputError` unless it is a whole number of them, or 0.
 
@@ -102,18 +175,24 @@ def rises(obs: np.ndarray, points: int) -> np.ndarray:
     return np.diff(obs[len(_BOUNDS) : len(_BOUNDS) + points], axis=0, prepend=0.0)
 
 
-def clean(observations: np.ndarray, last: np.ndarray) -> np.ndarray:
+def clean(
+    observations: np.ndarray,
+    last: np.ndarray,
+    bounds: np.ndarray = _BOUNDS,
+    currents: int | slice = CURRENT,
+) -> np.ndarray:
     """Observations (n, 6+) as columns (6+, n) float64; a broken number becomes 0, a broken current the last command.
 
-    observations: as the environment gives them.
+    observations: as the environment gives them. bounds (signals, 1): of the measured signals; currents: places of the present
+    currents among them, those of a quarter car by default.
     """
     obs = np.array(np.asarray(observations).T, float)
     if not np.isfinite(obs.sum()):
         broken = ~np.isfinite(obs)
         obs[broken] = 0.0
-        obs[CURRENT] = np.where(broken[CURRENT], last, obs[CURRENT])
-    six = obs[:6]  # minimum and maximum: np.clip costs a single car several times as much
-    np.minimum(np.maximum(six, -_BOUNDS, out=six), _BOUNDS, out=six)
+        obs[currents] = np.where(broken[currents], last, obs[currents])
+    signals = obs[: len(bounds)]  # minimum and maximum: np.clip costs a single car several times as much
+    np.minimum(np.maximum(signals, -bounds, out=signals), bounds, out=signals)
     return obs
 
 

@@ -14,13 +14,17 @@ if TYPE_CHECKING:
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """The baseline called `name`, or None. The option `preview` [s] is for those that look at the road ahead."""
+    """The baseline called `name`, or None.
+
+    The option `preview` [s] is for those that look at the road ahead, `speed` [m/s] for those that know the rear road.
+    """
     from . import CONTROLLERS, make
 
     if name not in CONTROLLERS:
         return None
-    if not name.endswith("-preview"):
-        options = {k: v for k, v in options.items() if k != "preview"}
+    for option, ending in (("preview", "-preview"), ("speed", "-wheelbase")):
+        if not name.endswith(ending):
+            options = {k: v for k, v in options.items() if k != option}
     return Entry(name, lambda: make(name, model=model, cost=cost, control_step=control_step, **options))
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from .controller import CURRENT
-from .model import N_SENSORS, Model, Sensors, kalman_gain
+from .model import Model, Sensors, kalman_gain
+
+if TYPE_CHECKING:
+    from .car import CarModel
 
 
 class Estimator:
@@ -20,14 +25,23 @@ class Estimator:
     """
 
     def __init__(
-        self, model: Model, sensors: Sensors, friction_noise: float, noise: np.ndarray | None = None
+        self,
+        model: Model | CarModel,
+        sensors: Sensors,
+        friction_noise: float,
+        noise: np.ndarray | None = None,
     ) -> None:
         self.model = model
         noise = sum(
             (friction_noise**2 * np.outer(model.G[:, j], model.G[:, j]) for j in model.friction),
             np.zeros((model.n, model.n)) if noise is None else noise,
         )
-        self.gain = kalman_gain(model, sensors, noise)
+        if isinstance(model, Model):
+            self.gain, self._currents = kalman_gain(model, sensors, noise), slice(CURRENT, CURRENT + 1)
+        else:
+            self.gain, self._currents = model.kalman_gain(sensors, noise), model.current_places
+        self._measured = self.gain.shape[1]
+        self._inputs, self._feedthrough = model.inputs, model.feedthrough[: self._measured]
         self.levels = model.levels()
         self._dry = model.friction
         self._implicit = model.S @ model.G + model.SF  # rate of a law at the end of the step, by its force
@@ -53,13 +67,14 @@ class Estimator:
 
         `road` (cars,) [m]: how much the road rose over that step, where it is known.
         """
-        m = self.model
-        current = obs[CURRENT]
-        free = m.A @ self.x + m.B[:, None] * current
+        m, measured = self.model, self._measured
+        currents = obs[self._currents]
+        free = m.A @ self.x + self._inputs @ currents
         if road is not None:
+            assert isinstance(m, Model)
             free += m.P[:, None] * road
         self.f = self.friction(free)
         x = free + m.G @ self.f
-        seen = m.C[:N_SENSORS] @ x + m.D[:N_SENSORS, None] * current + m.F[:N_SENSORS] @ self.f
-        self.x = x + self.gain @ (obs[:N_SENSORS] - seen)
+        seen = m.C[:measured] @ x + self._feedthrough @ currents + m.F[:measured] @ self.f
+        self.x = x + self.gain @ (obs[:measured] - seen)
         return self.x

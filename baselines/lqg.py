@@ -28,7 +28,7 @@ STEEPEST = 0.1  # [m] that a road rises in a control step at most
 
 
 @dataclass(frozen=True)
-class LqgSettings:
+class LawSettings:
     """effort [1/A^2], tyre_load [-], centring [-]: weights beside the stage cost. compensation [-]: share of the friction
     made up for. lead [s], foresight [s]: how far ahead the law and the sign of the device's rate are read, for the
     drive slews. width [m/s]: the sign is smoothed below it.
@@ -45,9 +45,15 @@ class LqgSettings:
     foresight: float = 0.025
     width: float = 0.02
     friction_noise: float = 300.0  # N, per step: how little the estimate trusts its friction
-    preview: float = 0.0  # s of road ahead that is seen and planned with
     sensors: Sensors = field(default_factory=Sensors)
     road_intensity: float = ROAD_INTENSITY
+
+
+@dataclass(frozen=True)
+class LqgSettings(LawSettings):
+    """preview [s]: road ahead that is seen and planned with. The others are those of `LawSettings`."""
+
+    preview: float = 0.0
 
 
 class Lqg(BatchController):

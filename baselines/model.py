@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,11 +19,15 @@ from isd_gym.batch import signal_channels, state_channels
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble
 from isd_gym.road import paper_road
+from isd_gym.vehicle import require_quarter_car
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from isd_gym.cost import StageCost
+    from isd_gym.network import Channel
+
+    from .car import CarModel
 
 PAPER_CAR = "quarter-car-isd"
 SLIDING = 0.05  # m/s, a rate of the device on the paper's road: where a friction's level is read
@@ -108,17 +112,46 @@ class Model:
         return len(self.A)
 
     @property
+    def inputs(self) -> np.ndarray:
+        """Effect (n, 1) of the current on the state."""
+        return self.B[:, None]
+
+    @property
+    def feedthrough(self) -> np.ndarray:
+        """Effect (6, 1) of the current on the signals."""
+        return self.D[:, None]
+
+    @property
     def friction(self) -> list[int]:
         """Which of the laws are dry friction."""
-        return [j for j, e in enumerate(self.laws) if e.bound is not None]
+        return dry(self.laws)
 
     def levels(self, rate: float = SLIDING) -> np.ndarray:
         """Friction level [N] of each law at a sliding rate [m/s]; 0 for laws that are not dry friction."""
-        out = np.zeros(len(self.laws))
-        for j in self.friction:
-            e = self.laws[j]
-            out[j] = e.bound(np.array(e.law_parameters()), 0.0, rate)  # type: ignore[misc]
-        return out
+        return friction_levels(self.laws, rate)
+
+
+def dry(laws: Sequence[el.Element]) -> list[int]:
+    """Return which of the laws are dry friction.
+
+    Args:
+        laws: Laws that are kept apart.
+    """
+    return [j for j, e in enumerate(laws) if e.bound is not None]
+
+
+def friction_levels(laws: Sequence[el.Element], rate: float = SLIDING) -> np.ndarray:
+    """Return the friction level [N] of each law; 0 for laws that are not dry friction.
+
+    Args:
+        laws: Laws that are kept apart.
+        rate: Sliding rate [m/s].
+    """
+    out = np.zeros(len(laws))
+    for j in dry(laws):
+        e = laws[j]
+        out[j] = e.bound(np.array(e.law_parameters()), 0.0, rate)  # type: ignore[misc]
+    return out
 
 
 def equivalent_damping(level: float, rate_rms: float) -> float:
@@ -129,30 +162,47 @@ def equivalent_damping(level: float, rate_rms: float) -> float:
     return level * math.sqrt(2 / math.pi) / rate_rms
 
 
-def prediction_model(
-    network: Network,
-    step: float,
-    *,
-    damping: Mapping[str, float] | None = None,
-    road_intensity: float = ROAD_INTENSITY,
-) -> Model:
-    """The model of a car network at a control `step` [s].
+@dataclass(frozen=True)
+class Equations:
+    """Linear equations of a car whose dry friction and stops are inputs, and whose other laws count by their slope at rest.
 
-    Dry friction and stops are kept as laws, unless `damping` [N s/m] names them: then they are linear dampers, inside
-    A and C. Every other law counts by its slope at rest. Raises `InputError` for a network that is no car.
+    Columns of all matrices are the base vector of `Assembly`; the columns of the laws inside are zero.
+
+    Attributes:
+        rate: Derivative of the state.
+        out: Channels.
+        E: Elongations [m] of the laws.
+        R: Rates [m/s] of the laws.
+        columns: Columns of the states 'x', displacements 'r' [m] and velocities 'v' [m/s] of the roads, and currents 'I' [A].
+        apart: Columns of the forces of the laws.
+        laws: Laws that are kept apart.
     """
-    damping = dict(damping or {})
-    bare = Network(
-        network.name,
-        network.masses,
-        tuple(e for e in network.elements if e.place == "between"),
-        network.inputs,
+
+    rate: np.ndarray
+    out: np.ndarray
+    E: np.ndarray
+    R: np.ndarray
+    columns: dict[str, slice]
+    apart: list[int]
+    laws: tuple[el.Element, ...]
+
+
+def equations(network: Network, channels: Sequence[Channel], damping: Mapping[str, float]) -> Equations:
+    """Return the linear equations of a car.
+
+    Args:
+        network: Network of the car.
+        channels: Outputs.
+        damping: Dry frictions and stops that become linear dampers [N s/m], by name.
+    """
+    bare = replace(
+        network,
+        elements=tuple(e for e in network.elements if e.place == "between"),
+        outputs=(),
+        uncertainty={},
     )
-    channels = [*signal_channels(network), *state_channels(network)]
     asm = assemble(bare, channels)
     cols = {part: asm.columns(part) for part in ("x", "r", "v", "I", "f")}
-    if cols["r"].stop - cols["r"].start != 1:
-        raise InputError(f"network '{network.name}': a controller's car stands on one road")
     kept, slopes_k, slopes_c = [], np.zeros(len(asm.laws)), np.zeros(len(asm.laws))
     for j, e in enumerate(asm.laws):
         if e.name in damping:
@@ -176,27 +226,67 @@ def prediction_model(
     def close(block: np.ndarray) -> np.ndarray:
         return block + block[:, f_all] @ gain
 
-    rate, out = close(asm.rate), close(asm.outputs)
-    E, R = close(asm.elongation)[kept], close(asm.elongation_rate)[kept]
-    x, r, v = cols["x"], cols["r"], cols["v"]
-    # the shift of the state when road and car rise together by 1 m: nothing changes, nothing is felt
-    left = np.vstack([rate[:, x], out[:6, x], E[:, x], R[:, x]])
-    right = np.vstack([rate[:, r], out[:6, r], E[:, r], R[:, r]])
+    return Equations(
+        rate=close(asm.rate),
+        out=close(asm.outputs),
+        E=close(asm.elongation)[kept],
+        R=close(asm.elongation_rate)[kept],
+        columns=cols,
+        apart=apart,
+        laws=tuple(asm.laws[j] for j in kept),
+    )
+
+
+def lift(network: Network, parts: Equations, roads: np.ndarray, outputs: int) -> np.ndarray:
+    """Return the shift of the state when the roads rise by 1 m and nothing changes, nothing is felt: (n, rises).
+
+    Args:
+        network: Network of the car, for the message.
+        parts: Equations of the car.
+        roads: How much each road rises (roads, rises) [m].
+        outputs: Number of channels that feel nothing.
+
+    Raises:
+        InputError: The car feels the rise: something ties the car to the ground.
+    """
+    x, r = parts.columns["x"], parts.columns["r"]
+    blocks = (parts.rate, parts.out[:outputs], parts.E, parts.R)
+    left = np.vstack([block[:, x] for block in blocks])
+    right = np.vstack([block[:, r] for block in blocks]) @ roads
     T = np.linalg.lstsq(left, -right, rcond=None)[0]
     if np.abs(left @ T + right).max() > 1e-6 * np.abs(right).max():
         raise InputError(f"network '{network.name}' is tied to the ground: a controller's car moves freely")
+    return T
+
+
+def prediction_model(
+    network: Network,
+    step: float,
+    *,
+    damping: Mapping[str, float] | None = None,
+    road_intensity: float = ROAD_INTENSITY,
+) -> Model:
+    """The model of a quarter car at a control `step` [s].
+
+    Dry friction and stops are kept as laws, unless `damping` [N s/m] names them: then they are linear dampers, inside
+    A and C. Every other law counts by its slope at rest. Raises `InputError` for a network that is no quarter car.
+    """
+    require_quarter_car(network, "the prediction model is that")
+    parts = equations(network, [*signal_channels(network), *state_channels(network)], dict(damping or {}))
+    rate, out, R, cols, apart = parts.rate, parts.out, parts.R, parts.columns, parts.apart
+    if cols["r"].stop - cols["r"].start != 1:
+        raise InputError(f"network '{network.name}': a controller's car stands on one road")
+    T = lift(network, parts, np.eye(1), 6)
+    x, v = cols["x"], cols["v"]
     A = rate[:, x]
     white = rate[:, v] - T
-    motor = next((e for e in bare.elements if isinstance(e, el.Motor)), None)
+    motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
     current = rate[:, cols["I"]] if motor is not None else np.zeros((len(A), 1))
-    n, k = len(A), len(kept)
+    n, k = len(A), len(parts.laws)
     inputs = np.hstack([current, rate[:, apart], white])
     big = np.zeros((n + inputs.shape[1],) * 2)
     big[:n, :n], big[:n, n:] = A * step, inputs * step
     phi = expm(big)
-    # covariance of the road's white velocity over one step (Van Loan)
-    loan = expm(np.block([[-A, road_intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * step)
-    W = loan[n:, n:].T @ loan[:n, n:]
 
     def through(block: np.ndarray) -> np.ndarray:
         return block[:, cols["I"]][:, :1] if motor is not None else np.zeros((len(block), 1))
@@ -207,7 +297,7 @@ def prediction_model(
         A=phi[:n, :n],
         B=phi[:n, n],
         G=phi[:n, n + 1 : n + 1 + k],
-        W=0.5 * (W + W.T),
+        W=white_covariance(A, white, road_intensity, step),
         P=phi[:n, n + 1 + k] / step,
         C=out[:6, x],
         D=through(out)[:6, 0],
@@ -215,14 +305,29 @@ def prediction_model(
         S=R[:, x],
         SI=through(R)[:, 0],
         SF=R[:, apart],
-        E=E[:, x],
-        laws=tuple(asm.laws[j] for j in kept),
+        E=parts.E[:, x],
+        laws=parts.laws,
         thrust=motor.thrust_constant * motor.ratio if motor is not None else 0.0,
         motor_rate=out[4, x],
         road_intensity=road_intensity,
         nodes=out[6:, x],
         lift=T[:, 0],
     )
+
+
+def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: float) -> np.ndarray:
+    """Return the covariance (n, n) that white velocity of the road causes over one step (Van Loan, 1978).
+
+    Args:
+        A: Continuous system matrix (n, n).
+        white: Inputs (n, k) of independent white velocities.
+        intensity: Two-sided intensity of each [m^2/s].
+        step: Step [s].
+    """
+    n = len(A)
+    loan = expm(np.block([[-A, intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * step)
+    W = loan[n:, n:].T @ loan[:n, n:]
+    return 0.5 * (W + W.T)
 
 
 # ------------------------------------------------------------------------------------ linear-quadratic
@@ -267,7 +372,7 @@ class Weights:
         return self.cost.quadratic[3] + self.effort
 
 
-def _riccati(model: Model, *matrices: np.ndarray) -> np.ndarray:
+def _riccati(model: Model | CarModel, *matrices: np.ndarray) -> np.ndarray:
     try:
         return solve_discrete_are(*matrices[:4], s=matrices[4] if len(matrices) > 4 else None)
     except np.linalg.LinAlgError:
@@ -334,14 +439,34 @@ def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarr
 
 def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
     """Steady gain L (n, 5) of ``x += L (y - C x - D I)`` on the measured signals; `noise`: added to the road's."""
-    C = model.C[:N_SENSORS]
+    return steady_gain(model, sensors.covariance, sensors.memory, model.heave[:, None], noise)
+
+
+def steady_gain(
+    model: Model | CarModel,
+    covariance: np.ndarray,
+    memory: float,
+    drifts: np.ndarray,
+    noise: np.ndarray | None,
+) -> np.ndarray:
+    """Return the steady gain L (n, signals) of a Kalman filter, ``x += L (y - C x - D I)``.
+
+    Args:
+        model: Model of a car.
+        covariance: Covariance of the errors of the measured signals, the first rows of the model's C.
+        memory: Time constant [s] of the absolute speeds, which nothing measures.
+        drifts: States (n, k) of a car that moves with the roads at constant speed, nothing moving against anything.
+        noise: Covariance of the state per step, added to the road's.
+    """
+    C = model.C[: len(covariance)]
     W = model.W + (0.0 if noise is None else noise)
     # rounding may leave W indefinite by a hair; a whisper of noise on every state keeps the equation well posed
     W = W + 1e-12 * np.eye(model.n) * max(np.trace(W), 1e-12)
     # a random walk of the absolute speed whose filter, against white road velocity, has this time constant
-    W = W + model.road_intensity * model.step / sensors.memory**2 * np.outer(model.heave, model.heave)
-    V = _riccati(model, model.A.T, C.T, W, sensors.covariance)
-    return np.linalg.solve(C @ V @ C.T + sensors.covariance, C @ V).T
+    for drift in drifts.T:
+        W = W + model.road_intensity * model.step / memory**2 * np.outer(drift, drift)
+    V = _riccati(model, model.A.T, C.T, W, covariance)
+    return np.linalg.solve(C @ V @ C.T + covariance, C @ V).T
 
 
 def closed_loop_spread(model: Model, K: np.ndarray, noise: np.ndarray | None = None) -> np.ndarray:

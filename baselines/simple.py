@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym import elements as el
-from isd_gym.batch import signal_channels
+from isd_gym.vehicle import require_quarter_car
 
 from .controller import BatchController
 from .model import SLIDING
@@ -41,7 +41,7 @@ class Strut:
 
     @classmethod
     def of(cls, network: Network) -> Strut:
-        signal_channels(network)  # says what is missing if this is no car
+        require_quarter_car(network, "the strut is that")
         body, wheel = list(network.masses)[:2]
         between = [e for e in network.elements if e.place == "between"]
         motor = next((e for e in between if isinstance(e, el.Motor)), None)

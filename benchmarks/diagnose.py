@@ -115,17 +115,27 @@ def in_suite(wanted: list[str], seeds: list[int]) -> Iterator[Job]:
 class Case:
     """The files of a case, as the command takes them: records to fit by, the model, records held out."""
 
-    records: list[Path]
+    records: list[str]
     model: Path
-    held: list[Path]
+    held: list[str]
+    #: which column is which channel, where two loggers wrote the record
+    mapping: Path | None = None
 
 
 def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
     """The files of a case (written to `place` where they are made), its answer and its truth."""
     if job.folder:
         folder = Path(job.folder)
-        records, held = (sorted(folder.glob(f"{which}*.csv")) for which in ("estimation", "validation"))
-        return Case(records, folder / "model.json", held), job.answer, job.truth
+        said = job.answer if isinstance(job.answer, dict) else {}
+        records, held = (
+            # "a.csv+b": the files of two loggers
+            ["+".join(str(folder / part) for part in f"{n}.csv".split("+")) for n in said[key]]
+            if key in said
+            else [str(path) for path in sorted(folder.glob(f"{which}*.csv"))]
+            for key, which in (("records", "estimation"), ("validate", "validation"))
+        )
+        mapping = folder / f"{said['map']}.json" if "map" in said else None
+        return Case(records, folder / "model.json", held, mapping), job.answer, job.truth
     import families
     import hidden
 
@@ -134,12 +144,12 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
 
     case = (hidden if job.suite == "home" else families).make_case(job.kind, job.seed)
 
-    def tables(which: str) -> list[Path]:
+    def tables(which: str) -> list[str]:
         columns = dict(getattr(case, which) or {})
         if not columns:
             return []
         write_table(place / f"{which}.csv", Table(columns.pop("time"), columns, which))
-        return [place / f"{which}.csv"]
+        return [str(place / f"{which}.csv")]
 
     Network.load(case.model).save(place / "model.json")
     truth = {**case.record()["truth"], "base": base_values(case)}
@@ -197,7 +207,8 @@ def command(files: Case, out: Path) -> Any:
     from isd_gym.cli import app
 
     held = ["--validate", *files.held] if files.held else []
-    words = ["diagnose", *files.records, "--model", files.model, "--out", out, *held]
+    mapping = ["--map", files.mapping] if files.mapping else []
+    words = ["diagnose", *files.records, "--model", files.model, "--out", out, *held, *mapping]
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         status = app([str(w) for w in words], standalone_mode=False)
@@ -254,31 +265,30 @@ def said(rows: list[Row]) -> list[Row]:
 
 # ------------------------------------------------------------------------------------------------------------ output
 def draw(rows: list[Row], path: Path) -> None:
-    """The reliability curve: stated confidence against the share that was right, with 95 % intervals."""
+    """Draw the reliability curves: stated probability against the share of true statements, with 95 % intervals, by level."""
     import matplotlib.pyplot as plt
     import numpy as np
 
-    curve = grading.reliability(rows)
-    # confidence is told by how far it is from certainty: 0.9, 0.99 and 0.999 stand at equal distances
-    x = np.array([-np.log10(max(1.0 - b["stated"], 1e-4)) for b in curve])
-    y = np.array([b["right"] for b in curve])
-    spans = np.abs(np.array([[b["right"] - b["least"], b["most"] - b["right"]] for b in curve]).T)
-    figure, axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
-    fine = np.linspace(0.0, 4.0, 200)
-    axes.plot(fine, 1.0 - 10.0**-fine, color="0.6", lw=1.0, label="as stated")
-    axes.errorbar(x, y, yerr=spans, fmt="o", color="C0", capsize=3, label="observed, 95 % interval")
-    for b, xi, yi in zip(curve, x, y, strict=True):
-        axes.annotate(
-            f"{b['names']}", (xi, yi), xytext=(6, -12), textcoords="offset points", fontsize=8, color="0.3"
-        )
-    axes.set_xticks([0.0, 0.301, 1.0, 2.0, 3.0, 4.0], ["0", "0.5", "0.9", "0.99", "0.999", "0.9999"])
-    axes.set(
-        xlabel="confidence stated",
-        ylabel="share of names that are right",
-        ylim=(-0.03, 1.03),
-        xlim=(-0.1, 4.1),
-    )
-    axes.legend(loc="lower right", frameon=False)
+    figure, panels = plt.subplots(1, 3, figsize=(9.0, 3.4), layout="constrained", sharey=True)
+    for axes, level in zip(panels, grading.LEVELS, strict=True):
+        curve = grading.reliability(rows, level)
+        x = np.array([b["stated"] for b in curve])
+        y = np.array([b["right"] for b in curve])
+        spans = np.abs(np.array([[b["right"] - b["least"], b["most"] - b["right"]] for b in curve]).T)
+        axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", lw=1.0, label="as stated")
+        axes.errorbar(x, y, yerr=spans, fmt="o", color="C0", capsize=3, label="observed, 95 % interval")
+        for b, xi, yi in zip(curve, x, y, strict=True):
+            axes.annotate(
+                f"{b['names']}",
+                (xi, yi),
+                xytext=(5, -11),
+                textcoords="offset points",
+                fontsize=8,
+                color="0.3",
+            )
+        axes.set(title=level, xlabel="stated probability", ylim=(-0.03, 1.03), xlim=(-0.03, 1.03))
+    panels[0].set_ylabel("share of true statements")
+    panels[0].legend(loc="upper left", frameon=False, fontsize=8)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 

@@ -1,4 +1,4 @@
-"""What a diagnosis said against what was hidden: grades, the table by family, reliability, values, time.
+"""Results of a diagnosis against the hidden truth: grades, the table by family, calibration by level, values, time.
 
 Everything here reads `Diagnosis.to_dict()` and the truth beside it; nothing of the workflow's inside.
 """
@@ -12,6 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
+from isd_gym.elements import TYPES
 
 Row = dict[str, Any]
 Name = tuple[str, frozenset[str]]
@@ -62,12 +64,15 @@ def grade(verdict: str, found: Sequence[tuple[str, Any]], answer: Any, allowed: 
 
 
 def _measured(found: Sequence[tuple[str, Any]], expected: Mapping[str, Any]) -> str:
-    """A measured rig: all that it `needs` (lists: one of them), perhaps what it `allows`, nothing else."""
+    """Grade a measured rig: names of all that it `needs` (lists: one of them), perhaps of what it `allows`, and of nothing else.
+
+    `silent`: no name is right as well.
+    """
     names = {f[0] for f in found}
     choices = [{n} if isinstance(n, str) else set(n) for n in expected["needs"]]
     if names - set(expected.get("allows", ())) - set().union(*choices):
         return "wrong"
-    if all(names & c for c in choices):
+    if all(names & c for c in choices) or (not names and expected.get("silent")):
         return "right"
     return "wrong" if names else "missed"
 
@@ -154,19 +159,87 @@ def values(rows: Iterable[Row]) -> tuple[list[float], list[bool], list[bool]]:
 
 
 # ------------------------------------------------------------------------------------------------------- reliability
+#: levels of an answer, from coarse to fine
+LEVELS = ("place", "kind", "law")
+#: smallest probability of a kind that counts as an answer; `Criteria.certain`
+CERTAIN = 0.8
+
+
+def kind_of(effect: str) -> str | None:
+    """Return the kind of an effect; None for a law that is not in the library."""
+    return TYPES[effect].mechanism if effect in TYPES else None
+
+
+def statements(row: Row, level: str) -> list[tuple[float, bool]]:
+    """Return the statements of a diagnosis at a level: stated probability, and whether the statement is true.
+
+    Kinds and laws of a hidden law that is not in the library are left out: only its place can be right or wrong.
+
+    Args:
+        row: The row of a case.
+        level: One of `LEVELS`.
+    """
+    answer, findings = row["answer"], row.get("diagnosis", {}).get("findings", [])
+    if isinstance(answer, Mapping):
+        places: set[Any] = {pair(p) for p in answer["places"]}
+        kinds = {(p, k) for p in places for k in answer["kinds"]}
+        names = [n for need in answer["needs"] for n in ([need] if isinstance(need, str) else need)]
+        laws = {(p, n) for p in places for n in [*names, *answer.get("allows", ())]}
+    elif answer == "unknown":
+        if level != "place":
+            return []
+        places = {
+            pair(e.get("between") or e.get("channel")) for e in (row.get("truth") or {}).get("hidden", [])
+        }
+        kinds, laws = set(), set()
+    else:
+        truth = [*((effect, where) for effect, where in answer), *nuisances(row)]
+        places = {pair(where) for _, where in truth}
+        kinds = {(pair(where), kind_of(effect)) for effect, where in truth}
+        laws = {(pair(where), effect) for effect, where in truth}
+    out: dict[Any, tuple[float, bool]] = {}
+    for f in findings:
+        place = pair(f["place"])
+
+        def is_true(what: set[Any], *rest: str, place: Any = place) -> bool:
+            return (place, *rest) in what or (None, *rest) in what
+
+        if level == "place":
+            out[place] = f["place_probability"], bool(places & {place, None})
+        elif level == "kind":
+            out[place, f["kind"]] = f["kind_probability"], is_true(kinds, f["kind"])
+        else:
+            for law in f["laws"]:
+                out[place, law["effect"]] = law["probability"], is_true(laws, law["effect"])
+    return list(out.values())
+
+
+def kind_graded(row: Row) -> str:
+    """Return 'right' where a true kind is stated as certain at a true place, 'wrong' where only others are, else 'missed'."""
+    if graded(row) == "right":
+        return "right"
+    sure = [ok for p, ok in statements(row, "kind") if p >= CERTAIN]
+    return "right" if any(sure) else "wrong" if sure else "missed"
+
+
 def names_with_confidence(rows: Iterable[Row]) -> list[tuple[float, bool]]:
-    """Every name that was given: the confidence stated, and whether the whole answer is right."""
+    """Return every name: the stated confidence, and whether the whole answer is right."""
     return [
         (float(e["confidence"]), graded(row) == "right")
         for row in rows
-        if not isinstance(row["answer"], Mapping)
         for e in row.get("diagnosis", {}).get("effects", [])
     ]
 
 
-def reliability(rows: Iterable[Row]) -> list[dict[str, float]]:
-    """Stated against observed confidence, bin by bin, with the 95 % Wilson interval of what was observed."""
-    given = names_with_confidence(rows)
+def reliability(rows: Iterable[Row], level: str | None = None) -> list[dict[str, float]]:
+    """Return stated against observed probability by bin, with the 95 % Wilson interval of the observed share.
+
+    Args:
+        rows: Rows of cases.
+        level: Level of the statements; None for the names of verdicts.
+    """
+    rows = list(rows)
+    given = [s for r in rows for s in statements(r, level)] if level else names_with_confidence(rows)
     out = []
     for low, high in zip(BINS, BINS[1:], strict=False):
         here = [(c, ok) for c, ok in given if low <= c < high]
@@ -263,6 +336,10 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "intervals_hold": float(np.mean(inside)) if inside else None,
         "base_intervals": len(base),
         "base_intervals_hold": float(np.mean(base)) if base else None,
+        "kind_right": float(np.mean([kind_graded(r) == "right" for r in rows if sort(r) == "effect"]))
+        if any(sort(r) == "effect" for r in rows)
+        else None,
+        "reliability": {level: reliability(rows, level) for level in LEVELS},
         "seconds_median": float(np.median(seconds)) if seconds else None,
         "seconds_longest": max(seconds, default=None),
     }
@@ -306,13 +383,24 @@ def report(rows: Sequence[Row]) -> str:
         lines.append(
             f"processor time: median {f['seconds_median']:.1f} s, longest {f['seconds_longest']:.1f} s"
         )
-    curve = reliability(rows)
-    if curve:
-        lines += ["", "confidence stated   names   mean stated   right   95 % interval"]
-        lines += [
-            f"{b['low']:7.3f} to {b['high']:5.3f}   {b['names']:5d}   {b['stated']:11.3f}   {b['right']:5.2f}   {b['least']:.2f} to {b['most']:.2f}"
-            for b in curve
-        ]
+    measured = [r for r in rows if isinstance(r["answer"], Mapping)]
+    if measured:
+        kinds = Counter(kind_graded(r) for r in measured)
+        lines.append(
+            f"measured rigs: law right or rightly silent {sum(graded(r) == 'right' for r in measured)} of {len(measured)}, "
+            f"place and kind right {kinds['right']}, wrong name {sum(graded(r) == 'wrong' for r in measured)}"
+        )
+    for level in (None, *LEVELS):
+        curve = reliability(rows, level)
+        if curve:
+            lines += [
+                "",
+                f"{level or 'name':5s} stated at        count   mean stated   right   95 % interval",
+            ]
+            lines += [
+                f"{b['low']:7.3f} to {b['high']:5.3f}   {b['names']:8d}   {b['stated']:11.3f}   {b['right']:5.2f}   {b['least']:.2f} to {b['most']:.2f}"
+                for b in curve
+            ]
     lines += ["", "what was hidden -> what was said"]
     lines += [f"  {truth:45s} -> {said:45s} {n}" for (truth, said), n in sorted(confusion(rows).items())]
     return "\n".join(lines)

@@ -12,6 +12,7 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -237,33 +238,41 @@ def projection() -> None:
 
 
 def show() -> None:
-    """A frame of ``isd-gym show mpc --against passive``, after eight seconds; the picture of the README."""
+    """Frames of ``isd-gym show``: two quarter cars after eight seconds, the picture of the README; a half and a full car on a bump."""
     from isd_gym.rendering import Renderer
     from isd_gym.show import snapshots
 
-    drawn = Renderer("rgb_array", width=1000, height=560, cars=2)
-    policies = [find("mpc", CAR), find("passive", CAR)]
-    for k, shots in enumerate(snapshots(policies, CAR, seconds=8.0)):
-        if k % 4 == 0:
-            frame = drawn.draw(*shots)
-    drawn.close()
-    Image.fromarray(frame).save(HERE / "show.png", optimize=True)
+    frames: dict[str, tuple[tuple[str, ...], str, float, tuple[int, int], str]] = {
+        "show": (("mpc", "passive"), "quarter-car-isd", 8.0, (1000, 560), "paper"),
+        "show-half-car": (("mpc-friction",), "half-car-isd", 1.1, (960, 560), "C+bump"),
+        "show-full-car": (("mpc-friction",), "full-car-isd", 1.1, (960, 560), "C+bump-right"),
+    }
+    for name, (policies, network, seconds, (width, height), ground) in frames.items():
+        drawn = Renderer("rgb_array", width=width, height=height, cars=len(policies))
+        plant = Network.load(network)
+        entries = [find(policy, plant) for policy in policies]
+        for k, shots in enumerate(snapshots(entries, plant, seconds=seconds, road=ground)):
+            if k % 4 == 0:
+                frame = drawn.draw(*shots)
+        drawn.close()
+        Image.fromarray(frame).save(HERE / f"{name}.png", optimize=True)
 
 
-#: film -> what `isd-gym show` is told; the gallery says the same
-FILMS = {
-    "pair-bump": ("mpc-friction", "lqg", {"road": "C+bump", "seconds": 4.0}, {}),
+#: film -> policies, network and what else `isd-gym show` is told; the gallery says the same
+FILMS: dict[str, tuple[tuple[str, ...], str, dict[str, Any]]] = {
+    "pair-bump": (("mpc-friction", "lqg"), "quarter-car-isd", {"road": "C+bump", "seconds": 4.0}),
     "preview": (
-        "mpc-friction-preview",
-        "mpc-friction",
-        {"road": "C+pothole", "seconds": 4.0},
-        {"preview": 0.2},
+        ("mpc-friction-preview", "mpc-friction"),
+        "quarter-car-isd",
+        {"road": "C+pothole", "seconds": 4.0, "preview": 0.2},
     ),
+    "half-car-bump": (("mpc-friction", "passive"), "half-car-isd", {"road": "C+bump", "seconds": 3.0}),
+    "full-car-bump": (("mpc-friction",), "full-car-isd", {"road": "C+bump-right", "seconds": 3.0}),
 }
 
 
 def films() -> None:
-    """Two controllers side by side, and one that sees the road beside one that does not: small enough for a repository."""
+    """Cars alone or side by side, small enough for a repository."""
     import subprocess
 
     from imageio_ffmpeg import get_ffmpeg_exe
@@ -271,9 +280,11 @@ def films() -> None:
     from isd_gym.show import film
 
     with tempfile.TemporaryDirectory() as folder:
-        for name, (one, other, drive, options) in FILMS.items():
+        for name, (policies, network, drive) in FILMS.items():
             raw = Path(folder) / f"{name}.mp4"
-            film([find(one, CAR, **options), find(other, CAR)], CAR, raw, **drive)
+            plant, drive = Network.load(network), dict(drive)
+            ahead = {"preview": drive.pop("preview")} if "preview" in drive else {}
+            film([find(policy, plant, **ahead) for policy in policies], plant, raw, **drive)
             small = ["-vf", "scale=800:-2", "-r", "25", "-crf", "33", "-preset", "veryslow", "-an"]
             args = [
                 get_ffmpeg_exe(),

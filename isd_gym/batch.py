@@ -460,6 +460,11 @@ class Batch:
         """Heights of the road under all corners now [m] (corners, count)."""
         return self.cars[self.of.height : self.of.height + self.of.corners]
 
+    @property
+    def track_heights(self) -> np.ndarray:
+        """Height of each track under its first wheel now [m] (tracks, count)."""
+        return self.road_heights[self._setup[self.of.leader : self.of.leader + self.of.tracks]]
+
     def road_ahead(self, points: int | None = None, track: int = 0) -> np.ndarray:
         """Return a track ahead relative to the height under its first wheel.
 
@@ -472,8 +477,7 @@ class Batch:
         """
         begin = int(self._setup[place.NOW])
         ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
-        leader = self._setup[self.of.leader + track]
-        return np.roll(ahead, -begin, axis=1)[:, :points] - self.road_heights[leader][:, None]
+        return np.roll(ahead, -begin, axis=1)[:, :points] - self.track_heights[track][:, None]
 
 
 class Crew:

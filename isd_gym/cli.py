@@ -196,6 +196,12 @@ def score(
         typer.Option(help="The plant: a built-in network or a model file.", autocompletion=_offer(_networks)),
     ] = "quarter-car-isd",
     model: Annotated[str | None, typer.Option(help="The controllers' model; the plant unless given.")] = None,
+    point: Annotated[
+        str | None,
+        typer.Option(
+            help="Point of the body at which ISO 2631-1 is evaluated; the driver unless given, if the network has one."
+        ),
+    ] = None,
     report: Annotated[
         Path | None, typer.Option("--report", help="Write plots and a page to this folder.", metavar="DIR")
     ] = None,
@@ -205,7 +211,7 @@ def score(
     """Score policies on the same roads, paired, against the conventional passive car.
 
     Prints RMS of body acceleration, suspension travel and dynamic tyre load with the change against passive and its
-    95 % interval, and the cost J. The paper's tables and the bounds follow where their conditions hold: they belong to
+    95 % interval, and the cost J; of a half or full car also pitch and roll acceleration, and each corner. The paper's tables and the bounds follow where their conditions hold: they belong to
     means over random roads, which 32 x 20 s give.
 
     Example: isd-gym score passive isd-passive mpc
@@ -229,7 +235,9 @@ def score(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    entries = [find(name, plant, model=belief, trust_zip=trust_zip, **ahead) for name in policies]
+    entries = [
+        find(name, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead) for name in policies
+    ]
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,
@@ -252,6 +260,7 @@ def score(
             entries,
             plant,
             reference=passive(plant),
+            point=point,
             clairvoyant=None if known is None else known["value"],
             ceiling=ceilings,
             progress=update,
@@ -310,7 +319,7 @@ def _references(
         allowed = replace(allowed, clairvoyant=allowed.clairvoyant or not_computed)
     else:
         lines |= _optimum(result, known)
-    if not allowed.lq_bound and (line := _lq_bound(result)):
+    if not allowed.lq_bound and (line := _wheelbase_bound(result) or _lq_bound(result)):
         lines["causal_bound"] = line
     if not allowed.ceiling:
         found = {s: ceilings(s) for s in sorted({row["preview"]["value"] for row in result.policies})}
@@ -326,10 +335,8 @@ def _optimum(result: Any, known: dict[str, Any]) -> dict[str, Any]:
     """The clairvoyant optimum in a line, and its place on the trade-off: changes of RMS against passive, over all episodes."""
     import numpy as np
 
-    from .cost import StageCost
-
     own = result.runs["passive"]
-    cost, least, proven = (float(v.mean()) for v in (own.cost(StageCost()), known["value"], known["lower"]))
+    cost, least, proven = (float(v.mean()) for v in (own.cost(result.cost), known["value"], known["lower"]))
     line = (
         f"Clairvoyant optimum, these very roads known in advance (searched): cost J {least:.3f} "
         f"({100 * (least / cost - 1):+.1f} %)"
@@ -342,6 +349,25 @@ def _optimum(result: Any, known: dict[str, Any]) -> dict[str, Any]:
         for n in ("body_acceleration", "suspension_travel", "tyre_load")
     }
     return {"clairvoyant": line, "clairvoyant_point": changes}
+
+
+def _wheelbase_bound(result: Any) -> str | None:
+    """The linear-quadratic bound of a car with two axles; every policy is given its share of that gain (`share_of_lq_gain`)."""
+    if not result.plant.bodies:
+        return None
+    for point in plugins(REFERENCES, "wheelbase_bound"):
+        try:
+            bound = point.load()(result.plant, speed=result.speed, road=result.ground, cost=result.cost)
+        except InputError:  # a road or a car for which there is no such bound
+            continue
+        for row in result.policies:
+            row["share_of_lq_gain"] = row["cost"]["change"] / bound.change + 0.0
+        return (
+            "LQ bound with the rear road known from the front (any force, full state, no friction, no limits; the mean over "
+            f"roads): cost J {100 * bound.change:+.1f} % at best; {100 * bound.blind_change:+.1f} % for a controller that "
+            "takes the rear road for a new one."
+        )
+    return None
 
 
 def _lq_bound(result: Any) -> str | None:
@@ -377,7 +403,7 @@ def _print_score(result: Any) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from .scoring import PAPER
+    from .scoring import PAPER, corner_measures
 
     console = printer()
     narrow = console.width < 106
@@ -410,8 +436,12 @@ def _print_score(result: Any) -> None:
         share["of the causal\ngain"] = lambda r: (
             "" if r["share_of_causal_gain"] is None else f"{round(100 * r['share_of_causal_gain'])} %"
         )
+    if any("share_of_lq_gain" in row for row in result.policies):
+        share["of the LQ\nbound's gain"] = lambda r: f"{round(100 * r['share_of_lq_gain'])} %"
     motion: dict[str, Callable[[Any], str]] = {
-        "W_k\nm/s²": lambda r: f"{r['weighted_acceleration_rms']['value']:.3f}",
+        (f"W_k, {plain(result.comfort)}" if result.comfort else "W_k") + "\nm/s²": lambda r: (
+            f"{r['weighted_acceleration_rms']['value']:.3f}"
+        ),
         "peak acc.\nm/s²": lambda r: f"{r['peak_body_acceleration']['value']:.2f}",
         "peak travel\nmm": lambda r: f"{1e3 * r['peak_suspension_travel']['value']:.1f}",
         "current\nA": lambda r: f"{r['current_rms']['value']:.2f}",
@@ -423,6 +453,13 @@ def _print_score(result: Any) -> None:
         "processor ms\nper step": lambda r: f"{1e3 * r['control_time']['median']:.3f}",
         "\n99.9 %": lambda r: f"{1e3 * r['control_time']['p99_9']:.3f}",
     }
+    corners: list[dict[str, Callable[[Any], str]]] = [
+        {
+            head: lambda r, name=name, digits=digits, scale=scale: cell(r[name], digits, scale)  # type: ignore[misc]
+            for name, (head, digits, scale) in group.items()
+        }
+        for group in corner_measures(result.policies[0])
+    ]
     ahead = sorted({row["preview"]["value"] for row in result.policies} - {0.0})
     sight = f", {' and '.join(f'{s:g}' for s in ahead)} s of road ahead" if ahead else ""
     interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
@@ -431,6 +468,7 @@ def _print_score(result: Any) -> None:
         f"seeds {result.seed} to {result.seed + result.episodes - 1}{sight}; RMS, change against passive{interval}"
     )
     groups = [main, motion, share | work] if narrow else [main | share, motion | work]
+    groups += corners
     console.print(title)
     for group in groups:
         made = table("policy", *group)
@@ -929,6 +967,8 @@ def show(
 ) -> None:
     """Watch a policy drive, alone or beside another, live or as a film.
 
+    Half and full cars (--network half-car-isd) are shown from the side, full cars also from behind.
+
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
     from .network import Network
@@ -941,8 +981,10 @@ def show(
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    if plant.bodies:
+        ahead["speed"] = speed
     names = [name for name in (policy, against) if name is not None]
-    entries = [find(name, plant, trust_zip=trust_zip, **ahead) for name in names]
+    entries = [find(name, plant, speed=speed, trust_zip=trust_zip, **ahead) for name in names]
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()

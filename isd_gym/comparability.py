@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from .network import Network
 from .road import paper_road
 from .road import road as find_road
+from .vehicle import vehicle
 
 if TYPE_CHECKING:
     from .road import Road
@@ -94,7 +95,12 @@ def comparable(
         few = f"{episodes} x {duration:g} s is too small a sample: {EPISODES} x {DURATION:g} s at least"
     rough = ground.roughness > 0 and ground.profile is None
     mean = few if rough else "the road is not a random one"
-    return Comparable(_tables(network, ground, speed, sensors) or few, mean, mean)
+    bound, ceiling, clairvoyant = mean, mean, ""
+    if network.bodies:
+        ceiling = clairvoyant = "known of quarter cars only"
+        if vehicle(network).wheels.tracks > 1:
+            bound = "known of cars whose wheels run in one track"
+    return Comparable(_tables(network, ground, speed, sensors) or few, bound, ceiling, clairvoyant)
 
 
 def _tables(network: Network, ground: Road, speed: float, sensors: Sensors | None) -> str:

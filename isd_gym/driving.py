@@ -10,7 +10,7 @@ import numpy as np
 
 from .batch import CURRENT_LIMIT
 from .errors import InputError
-from .vehicle import require_quarter_car
+from .vehicle import kind, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 class Controller(Protocol):
     """What can drive. `act` gives the commanded current [A] for an observation (6,), see the environment.
 
-    Optional: `reset_batch(n)` and `act_batch(observations (n, 6)) -> (n,)` for many cars at once, `fallbacks` (a count),
-    `observation` ("measured", "full" or "preview": what it wants to see), `preview` [s]: how much of the road ahead.
+    A controller of a car with several motors gives their currents (currents,) for an observation (signals,).
+
+    Optional: `reset_batch(n)` and `act_batch(observations (n, signals)) -> (n,) or (n, currents)` for many cars at once,
+    `fallbacks` (a count), `observation` ("measured", "full" or "preview": what it wants to see), `preview` [s]: how much of
+    the road ahead.
     """
 
     name: str
@@ -33,8 +36,8 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget everything: a new road begins at rest."""
 
-    def act(self, observation: np.ndarray) -> float:
-        """Commanded current [A] for one observation."""
+    def act(self, observation: np.ndarray) -> float | np.ndarray:
+        """Commanded current [A] for one observation, or currents (currents,)."""
         ...
 
 
@@ -52,9 +55,9 @@ class Entry:
 
 
 class Idle:
-    """No current, whatever is seen. `model`: the network it is told of, and has no use for.
+    """No current, whatever is seen.
 
-    name: under which it is scored.
+    name: under which it is scored. model: the car, whose motors are left without current; a quarter car if None.
     """
 
     observation = "measured"
@@ -62,16 +65,17 @@ class Idle:
 
     def __init__(self, name: str, model: Network | None = None) -> None:
         self.name, self.model = name, model
+        self.currents = 1 if model is None else len(vehicle(model).driven)
 
     def reset(self) -> None:
         """Nothing to forget."""
 
-    def act(self, observation: np.ndarray) -> float:
-        """0 A.
+    def act(self, observation: np.ndarray) -> float | np.ndarray:
+        """0 A, for each motor.
 
         Whatever the observation.
         """
-        return 0.0
+        return 0.0 if self.currents == 1 else np.zeros(self.currents)
 
     def reset_batch(self, count: int) -> None:
         """Nothing to forget, in any number of cars.
@@ -80,8 +84,9 @@ class Idle:
         """
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """0 A for each of the observations (n, 6): (n,)."""
-        return np.zeros(len(observations))
+        """0 A for each of the observations (n, signals): (n,), or (n, currents)."""
+        count = len(observations)
+        return np.zeros(count) if self.currents == 1 else np.zeros((count, self.currents))
 
 
 class Crew:
@@ -110,15 +115,15 @@ class Crew:
                 c.reset()
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Commanded currents [A] (cars,) for observations (cars, n)."""
+        """Commanded currents [A] (cars,) or (cars, currents) for observations (cars, n)."""
         if self.batched:
             return np.asarray(self.controllers[0].act_batch(observations))
-        out = np.empty(self.cars)
-        for i, c in enumerate(self.controllers):
+        out = []
+        for c, observation in zip(self.controllers, observations, strict=True):
             begin = clock.process_time()
-            out[i] = c.act(observations[i])
+            out.append(c.act(observation))
             self.times.append(clock.process_time() - begin)
-        return out
+        return np.asarray(out)
 
     @property
     def fallbacks(self) -> int:
@@ -127,7 +132,7 @@ class Crew:
 
 
 class Leg(NamedTuple):
-    """One control step of all cars: what the policy saw (cars, n), commanded [A] (cars, 1) and earned (cars,), and
+    """One control step of all cars: what the policy saw (cars, n), commanded [A] (cars, currents) and earned (cars,), and
     what it will see next (cars, n).
 
     In the order of the fields: step, seen, rewards of `actions`, ahead.
@@ -151,19 +156,32 @@ def travel(
 ) -> Iterator[Leg]:
     """Drive all cars of `env` from their start for a number of steps; episode i has the road of seed ``seed + i``.
 
-    dtype: of the commands, which are limited to the action space. progress(share): told now and then. Raises `InputError` where a car breaks.
+    dtype: of the commands, which are limited to the action space. progress(share): told now and then. Raises `InputError`
+    where a car breaks, and for a policy of a car with another number of currents.
 
     crew: who drives. env: with as many cars. steps: how many.
     """
-    require_quarter_car(env.network, f"'{crew.name}' is a policy")
     crew.reset()
     obs, _ = env.reset(seed=seed)
     for k in range(steps):
         seen = obs
-        actions = np.asarray(crew.act(seen), dtype).reshape(crew.cars, 1).clip(-CURRENT_LIMIT, CURRENT_LIMIT)
+        actions = _commands(crew, seen, env, dtype)
         obs, rewards, terminated, _, _ = env.step(actions)
         if terminated.any():
             raise InputError(f"'{crew.name}' broke the car in episode {int(np.argmax(terminated))}")
         yield Leg(k, seen, actions, rewards, obs)
         if progress is not None and (k % 100 == 99 or k == steps - 1):
             progress((k + 1) / steps)
+
+
+def _commands(crew: Crew, seen: np.ndarray, env: ISDSuspensionVectorEnv, dtype: DTypeLike) -> np.ndarray:
+    """Return what `crew` commands, within the action space: currents [A] (cars, currents)."""
+    count = len(env.task.vehicle.driven)
+    found = np.asarray(crew.act(seen), dtype)
+    if found.size != crew.cars * count:
+        own = found.size // crew.cars
+        raise InputError(
+            f"'{crew.name}' commands {own} current{'s' * (own != 1)}, but network '{env.network.name}' is a "
+            f"{kind(env.network)} with {count}: choose a policy of that car"
+        )
+    return found.reshape(crew.cars, count).clip(-CURRENT_LIMIT, CURRENT_LIMIT)

@@ -5,9 +5,7 @@ Physics lives in `Batch`; options, spaces, sensors and rewards in `Task`; episod
 
 from __future__ import annotations
 
-import math
 import os
-from collections import deque
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +16,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from .errors import InputError, plain
 from .network import Network
+from .pictures import Onlooker
 from .task import CONTROL_STEP as CONTROL_STEP
-from .task import PICTURE_PAST, PICTURE_WINDOW, Options, Past, Task, info_maker, moment, snapshot
+from .task import Options, Task, info_maker
 from .vehicle import vehicle
 
 if TYPE_CHECKING:
-    from .rendering import Renderer, Snapshot
+    from .rendering import CarSnapshot, Renderer, Snapshot
 
 PICTURES = 50.0  # a simulated second, in a window; `render` may be called at every step
 _QUARTER_CAR = vehicle(Network.load("quarter-car-isd"))
@@ -108,7 +107,7 @@ class ISDSuspensionEnv(gym.Env):
     `network`: a built-in name, a file (`isd-model/1`) or a `Network`. `road`: paper, A-H, bump, pothole, sweep, a CSV
     file, `C+bump`. `speed` [m/s]. `observation`: measured, full, preview. `preview` [s]. `cost`: a `StageCost` or its
     weights. `randomize`: {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}, factors on parameters of
-    the network, drawn at every reset. `control_step` [s]. `render_mode`: human, rgb_array, of a quarter car.
+    the network, drawn at every reset. `control_step` [s]. `render_mode`: human, rgb_array.
     `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`. `sensors`: how imperfect
     they are, see `isd_gym.sensors.Sensors`, e.g. {"noise": 1.0, "road_error": 0.001}.
 
@@ -127,20 +126,17 @@ class ISDSuspensionEnv(gym.Env):
         self.task = Task(1, chosen, picture=render_mode is not None)
         self._n_currents = self.task.batch.of.currents
         self._make_info = info_maker(self.task.step_info)
-        speed, control_step = chosen.speed, chosen.control_step
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self.render_mode = render_mode
         self.metadata = {
             **self.metadata,
-            "render_fps": round(1 / control_step),
+            "render_fps": round(1 / chosen.control_step),
         }  # one picture a step: real time
         self._renderer: Renderer | None = None
         self._ready = False
         self._steps = 0
-        self._total_cost = 0.0
-        self._trail: deque[float] = deque(maxlen=1 + math.ceil(PICTURE_WINDOW / (speed * control_step)))
-        self._past: Past = deque(maxlen=1 + math.ceil(PICTURE_PAST / control_step))
+        self._onlooker = Onlooker(self.task, 0) if render_mode is not None else None
 
     @property
     def network(self) -> Network:
@@ -156,10 +152,8 @@ class ISDSuspensionEnv(gym.Env):
         self.task.forget(0, self.np_random)
         self._ready = True
         self._steps = 0
-        self._total_cost = 0.0
-        self._trail.clear()
-        self._trail.append(0.0)
-        self._past.clear()
+        if self._onlooker is not None:
+            self._onlooker.start()
         batch.forget(slice(None))
         if self.render_mode == "human":
             self.render()
@@ -193,10 +187,8 @@ class ISDSuspensionEnv(gym.Env):
         reward, broken = told[0], told[-1] != 0.0
         obs = self.task.observe()[0] if broken or self.task.is_faulty else batch.first_seen.copy()
         info = self._make_info(self._speed, told)
-        if self.render_mode is not None:
-            self._total_cost -= reward
-            self._trail.append(float(batch.road_height[0]))
-            self._past.append(moment(self.task, 0, self._steps))
+        if self._onlooker is not None:
+            self._onlooker.see(self._steps, reward)
             if self.render_mode == "human":
                 self.render()
         return obs, reward, broken, False, info
@@ -213,16 +205,17 @@ class ISDSuspensionEnv(gym.Env):
             self._renderer = Renderer(self.render_mode, fps=PICTURES)  # type: ignore[arg-type]
         return self._renderer.draw(self.snapshot())
 
-    def snapshot(self) -> Snapshot:
-        """What a picture of the car needs."""
-        return snapshot(
-            self.task,
-            0,
-            self._steps,
-            np.array(self._trail),
-            self._past,
-            self._total_cost / max(self._steps, 1),
-        )
+    def snapshot(self) -> Snapshot | CarSnapshot:
+        """Return the car as a picture shows it.
+
+        Raises:
+            InputError: The environment was made without a `render_mode`.
+        """
+        if self._onlooker is None:
+            raise InputError(
+                "a snapshot needs a render_mode: make the environment with render_mode='rgb_array'"
+            )
+        return self._onlooker.snapshot()
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -314,11 +307,10 @@ class ISDSuspensionVectorEnv(VectorEnv):
             picture=render_mode is not None,
             threads=_threads(num_envs) if threads is None else threads,
         )
-        speed, control_step = chosen.speed, chosen.control_step
         self.metadata = {
             **self.metadata,
             "autoreset_mode": mode,
-            "render_fps": round(1 / control_step),
+            "render_fps": round(1 / chosen.control_step),
         }
         self.single_action_space = self.task.action_space
         self.single_observation_space = self.task.observation_space
@@ -330,14 +322,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._any_done = False
         self._last = np.zeros((num_envs, self.task.width), np.float32)
         self._oldest = 0
-        window = 1 + math.ceil(PICTURE_WINDOW / (speed * control_step))
-        #: of each car, for its picture: the road it has come over [m], and what it has cost
-        self._trails: list[deque[float]] = [
-            deque(maxlen=window) for _ in range(num_envs if render_mode is not None else 0)
-        ]
-        kept = 1 + math.ceil(PICTURE_PAST / control_step)
-        self._pasts: list[Past] = [deque(maxlen=kept) for _ in self._trails]
-        self._total_cost = np.zeros(num_envs)
+        self._onlookers = [Onlooker(self.task, i) for i in range(num_envs if render_mode is not None else 0)]
         self._zeros = np.zeros(num_envs)
         self._renderers: list[Renderer] = []
 
@@ -388,11 +373,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
         batch.forget(which)
         self._speeds = batch.speeds.copy()
         self._speeds.setflags(write=False)  # one array is handed out until a car starts again
-        for i in which if self._trails else ():
-            self._trails[i].clear()
-            self._trails[i].append(0.0)
-            self._pasts[i].clear()
-        self._total_cost[which] = 0.0
+        for i in which if self._onlookers else ():
+            self._onlookers[i].start()
         self.steps[which] = 0
         self._done[which] = False
         self._any_done = bool(self._done.any())
@@ -433,11 +415,10 @@ class ISDSuspensionVectorEnv(VectorEnv):
             terminated[revived] = False
         reward, *terms = batch.judged
         info = {"speed": self._speeds, **dict(zip(self.task.step_info, terms, strict=True))}
-        if self._trails:
-            self._total_cost -= reward
-            for i in np.flatnonzero(self.steps):  # not where a car has just started again
-                self._trails[i].append(float(batch.road_height[i]))
-                self._pasts[i].append(moment(self.task, int(i), int(self.steps[i])))
+        for i in (
+            np.flatnonzero(self.steps) if self._onlookers else ()
+        ):  # not where a car has just started again
+            self._onlookers[i].see(int(self.steps[i]), float(reward[i]))
         if self._oldest >= self.max_episode_steps or (batch.broken and terminated.any()):
             truncated = (self.steps >= self.max_episode_steps) & ~terminated
             self._done = terminated | truncated
@@ -478,12 +459,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
         if not self._renderers:
             self._renderers = [Renderer(self.render_mode, fps=PICTURES) for _ in range(self.num_envs)]  # type: ignore[arg-type]
-        mean = self._total_cost / np.maximum(self.steps, 1)
-        shots = (
-            snapshot(self.task, i, int(self.steps[i]), np.array(trail), self._pasts[i], float(mean[i]))
-            for i, trail in enumerate(self._trails)
-        )
-        return tuple(r.draw(s) for r, s in zip(self._renderers, shots, strict=True))  # type: ignore[misc]
+        pairs = zip(self._renderers, self._onlookers, strict=True)
+        return tuple(renderer.draw(onlooker.snapshot()) for renderer, onlooker in pairs)  # type: ignore[misc]
 
     def close_extras(self, **kwargs: Any) -> None:
         for renderer in self._renderers:

@@ -27,6 +27,7 @@ OWN = {
     REFERENCES: {
         "clairvoyant": "baselines.clairvoyant:reachable",
         "lq_front": "baselines.bounds:lq_front",
+        "wheelbase_bound": "baselines.bounds:wheelbase_bound",
         "ceiling": "baselines.ceiling:known",
     },
 }

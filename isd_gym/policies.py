@@ -6,6 +6,7 @@ Each entry point is a function ``open(name, model, cost, control_step, options) 
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -13,24 +14,53 @@ from .cost import StageCost
 from .driving import Entry, Idle
 from .errors import InputError, shown
 from .network import Network
+from .network.bodies import Point
 from .plugins import POLICIES, plugins
-from .vehicle import require_quarter_car
+from .vehicle import kind, vehicle
 
 __all__ = ["Entry", "Idle", "conventional", "find", "passive"]
 
 
-def conventional(network: Network) -> Network:
-    """The conventional passive car (spring and damper in parallel) with the network's own masses and coefficients.
+#: built-in conventional passive cars by number of corners
+CONVENTIONAL = {1: "quarter-car-passive", 2: "half-car-passive", 4: "full-car-passive"}
 
-    The first two masses are body and wheel, whatever they are called. Raises `InputError` for a network that is no
-    quarter car.
+
+def conventional(network: Network) -> Network:
+    """Return the conventional passive car of a network: spring and damper in parallel at each corner.
+
+    The car has the network's own masses, inertias, points, and its coefficients of the same names. Body and wheel of a
+    quarter car are its first two masses, those of other cars the body and the wheel of each corner, whatever they are called.
+
+    Args:
+        network: Network of a car.
+
+    Raises:
+        InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
-    require_quarter_car(network, "the conventional passive car is that")
-    car = Network.load("quarter-car-passive")
-    own = network.parameters
-    shared = {k: own[k] for k in car.parameters if k in own}
-    masses = {f"{k}.mass": network.masses[o] for k, o in zip(car.masses, network.masses, strict=False)}
-    return car.with_parameters(shared | masses)
+    own, count = vehicle(network), len(vehicle(network).corners)
+    if count not in CONVENTIONAL:
+        raise InputError(
+            f"network '{network.name}' has {count} corners: conventional passive cars have 1, 2 or 4 of them"
+        )
+    car = Network.load(CONVENTIONAL[count])
+    parameters = network.parameters
+    shared = {k: parameters[k] for k in car.parameters if k in parameters}
+    if count == 1:
+        masses = {f"{k}.mass": network.masses[o] for k, o in zip(car.masses, network.masses, strict=False)}
+        return car.with_parameters(shared | masses)
+    corners = list(zip(vehicle(car).corners, own.corners, strict=True))
+    masses = {f"{one.wheel}.mass": network.masses[other.wheel] for one, other in corners}
+    given = network.bodies[0]
+    held = {one.body: Point(one.body, other.x, other.y) for one, other in corners}
+    free = [p for p in given.points if p.name not in held and p.name not in {c.body for c in own.corners}]
+    body = replace(given, name=car.bodies[0].name, points=(*held.values(), *free))
+    known = set(car.parameters)
+    return replace(
+        car.with_parameters({k: v for k, v in (shared | masses).items() if k in known}),
+        bodies=(body,),
+        outputs=(),
+        uncertainty={},
+    )
 
 
 def passive(network: Network) -> Entry:
@@ -38,7 +68,8 @@ def passive(network: Network) -> Entry:
 
     Of the car of `network`.
     """
-    return Entry("passive", lambda: Idle("passive"), conventional(network))
+    car = conventional(network)
+    return Entry("passive", lambda: Idle("passive", car), car)
 
 
 def find(
@@ -48,6 +79,7 @@ def find(
     model: Network | None = None,
     cost: StageCost | None = None,
     control_step: float = 5e-3,
+    speed: float | None = None,
     trust_zip: bool = False,
     **options: Any,
 ) -> Entry:
@@ -56,22 +88,30 @@ def find(
     `model` is what a controller believes in, by default the plant `network`. A .zip holds pickles and is opened only with
     `trust_zip`. Raises `InputError` listing what there is.
 
-    name: one that `available` lists, or a path. network: the plant that it will drive. cost: what it minimises. control_step [s].
+    name: one that `available` lists, or a path. network: the plant that it will drive. cost: what it minimises. control_step [s]. speed [m/s]:
+    at which it will drive; controllers of a car with two axles are told it as the option `speed`.
     """
     if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
         raise InputError(
             f"{shown(name, 200)} is an archive with pickles in it: convert it once with `isd-gym convert`, "
             "or say --trust-zip if it is your own"
         )
-    require_quarter_car(network, f"{shown(name, 200)} is a policy")
+    car = vehicle(network)
     if name == "passive":
         return passive(network)
     if name == "isd-passive":
-        return Entry(name, lambda: Idle(name))
+        return Entry(name, lambda: Idle(name, network))
+    cost, belief = StageCost.of(cost, car.axes, len(car.corners)), model or network
+    if kind(belief) != kind(network):
+        raise InputError(
+            f"the controllers' model '{belief.name}' is a {kind(belief)}, but the plant '{network.name}' is a {kind(network)}"
+        )
+    if speed is not None and len(car.corners) > 1:
+        options["speed"] = speed
     known = ["passive", "isd-passive"]
     for point in plugins(POLICIES):
         opener = point.load()
-        entry = opener(name, model or network, cost or StageCost(), control_step, options)
+        entry = opener(name, belief, cost, control_step, options)
         if entry is not None:
             return entry
         known += getattr(opener, "names", list)()

@@ -180,7 +180,7 @@ def record(
     from .policies import find
 
     plant = Network.load(network)
-    entry = find(policy, plant, trust_zip=trust_zip)
+    entry = find(policy, plant, speed=speed, trust_zip=trust_zip)
     with bar() as update:
         warm_up(update)
         write_dataset(

@@ -10,14 +10,14 @@ import numpy as np
 
 from . import elements as el
 from .comparability import Comparable, comparable
-from .cost import StageCost
+from .cost import StageCost, square
 from .driving import Controller, Crew, Entry, Idle, travel
-from .errors import InputError
+from .errors import InputError, shown
 from .network import Network
 from .policies import find, passive
 from .road import road as find_road
 from .sensors import Sensors
-from .vehicle import require_quarter_car
+from .vehicle import Corner, Vehicle, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,6 +33,7 @@ __all__ = [
     "Idle",
     "Run",
     "Score",
+    "comfort_point",
     "drive",
     "frequency_weighting",
     "score",
@@ -58,26 +59,108 @@ PAPER = {
 
 @dataclass
 class Run:
-    """Signals of one policy over all episodes, each (steps, episodes); processor times of single decisions [s].
+    """Signals of one policy over all episodes.
 
-    body_acceleration [m/s^2], suspension_travel [m], tyre_load [N], device_travel_rate [m/s], current [A];
-    control_step [s]; fallbacks: a count.
+    Attributes:
+        car: Car that was driven.
+        signals: Signals by name, each (steps, episodes) in SI units. A quarter car has body_acceleration,
+            suspension_travel, device_travel_rate, tyre_load and current. A car with several corners has those of each corner, with
+            the name of the corner behind them, and pitch_acceleration and roll_acceleration.
+        control_step: Control step [s].
+        times: Processor times of single decisions [s].
+        fallbacks: Number of decisions in which the controller did something safe instead.
+        preview: Road ahead that the policy saw [s].
     """
 
-    body_acceleration: np.ndarray
-    suspension_travel: np.ndarray
-    tyre_load: np.ndarray
-    device_travel_rate: np.ndarray
-    current: np.ndarray
-    thrust: float  # N/A at the terminals
+    car: Vehicle
+    signals: dict[str, np.ndarray]
     control_step: float
     times: np.ndarray
     fallbacks: int
-    preview: float = 0.0  # s of road ahead that the policy saw
+    preview: float = 0.0
+
+    def of(self, kind: str) -> list[np.ndarray]:
+        """Return the signals of a kind, each (steps, episodes): of every corner, or of the body.
+
+        Args:
+            kind: Name of the signal without the name of the corner.
+        """
+        names = dict.fromkeys([kind, *(c.named(kind) for c in self.car.corners)])
+        return [self.signals[name] for name in names if name in self.signals]
+
+    @property
+    def body_acceleration(self) -> np.ndarray:
+        """Vertical acceleration of the body at its centre of gravity [m/s^2] (steps, episodes)."""
+        return self.signals["body_acceleration"]
+
+    @property
+    def suspension_travel(self) -> np.ndarray:
+        """Suspension travel [m] (steps, episodes), of several corners (steps, episodes, corners)."""
+        return self._joined("suspension_travel")
+
+    @property
+    def tyre_load(self) -> np.ndarray:
+        """Dynamic tyre load [N] (steps, episodes), of several corners (steps, episodes, corners)."""
+        return self._joined("tyre_load")
+
+    @property
+    def device_travel_rate(self) -> np.ndarray:
+        """Rate of the device [m/s] (steps, episodes), of several corners (steps, episodes, corners)."""
+        return self._joined("device_travel_rate")
+
+    @property
+    def current(self) -> np.ndarray:
+        """Motor current [A] (steps, episodes), of several corners (steps, episodes, currents)."""
+        return self._joined("current")
+
+    def _joined(self, kind: str) -> np.ndarray:
+        found = self.of(kind)
+        return found[0] if len(found) == 1 else np.stack(found, axis=-1)
+
+    def acceleration_at(self, point: str) -> np.ndarray:
+        """Return the vertical acceleration of a point of the body [m/s^2] (steps, episodes).
+
+        Args:
+            point: Name of the point.
+
+        Raises:
+            InputError: The body has no such point.
+        """
+        where = self.car.points.get(point)
+        if where is None:
+            raise InputError(
+                f"no point {shown(point)} on the body of network '{self.car.network.name}': there are "
+                f"{', '.join(self.car.points)}"
+            )
+        motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
+        total = np.zeros_like(self.body_acceleration)
+        for arm, motion in zip(self.car.arms(*where), motions, strict=True):
+            total += arm * motion
+        return total
 
     def cost(self, cost: StageCost) -> np.ndarray:
-        """Mean stage cost of each episode (episodes,)."""
-        return cost(self.body_acceleration, self.suspension_travel, self.tyre_load, self.current).mean(axis=0)
+        """Return the mean stage cost of each episode (episodes,).
+
+        Args:
+            cost: Stage cost of the car that was driven.
+        """
+        motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
+        currents = self.of("current")
+        all_signals = [*motions, *self.of("suspension_travel"), *self.of("tyre_load"), *currents]
+        factors = cost.factors(self.car.axes, len(self.car.corners), len(currents))
+        total = square(factors[0], all_signals[0])
+        for factor, signal in zip(factors[1:], all_signals[1:], strict=True):
+            total = total + square(factor, signal)
+        return total.mean(axis=0)
+
+
+def comfort_point(car: Vehicle) -> str:
+    """Return the point at which ISO 2631-1 is evaluated unless told otherwise: the driver, or the centre of gravity.
+
+    Args:
+        car: Car with named points.
+    """
+    return "driver" if "driver" in car.points else car.body
 
 
 def frequency_weighting(frequency: np.ndarray) -> np.ndarray:
@@ -143,12 +226,14 @@ def drive(
         autoreset_mode="disabled",
     )
     steps = round(duration / CONTROL_STEP)
-    signals = np.empty((5, steps, episodes))
+    car, batch = env.task.vehicle, env.task.batch
+    names = [*(c.name for c in car.channels), *(c.named("current") for c in car.driven)]
+    width = len(car.channels)
+    signals = np.empty((len(names), steps, episodes))
     seen = []
     for leg in travel(crew, env, steps, seed=seed, progress=progress):
-        out, k = env.task.batch.out, leg.step
-        signals[0, k], signals[1, k], signals[2, k], signals[3, k] = out[0], out[1], out[5], out[4]
-        signals[4, k] = env.task.batch.current
+        k = leg.step
+        signals[:width, k], signals[width:, k] = batch.out[:width], batch.currents
         if crew.batched and k < timed:
             seen.append(leg.seen[0].copy())
     times = crew.times
@@ -159,14 +244,9 @@ def drive(
             begin = clock.process_time()
             alone.act(row)
             times.append(clock.process_time() - begin)
-    motor = next((e for e in plant.elements if isinstance(e, el.Motor)), None)
     return Run(
-        signals[0],
-        signals[1],
-        signals[2],
-        signals[3],
-        signals[4],
-        thrust=motor.thrust_constant * motor.ratio if motor else 0.0,
+        car,
+        dict(zip(names, signals, strict=True)),
         control_step=CONTROL_STEP,
         times=np.array(times),
         fallbacks=crew.fallbacks,
@@ -188,22 +268,100 @@ MEASURES = {
 }
 
 
-def measures(run: Run, cost: StageCost) -> dict[str, tuple[np.ndarray, str]]:
-    """Mean squares (or means, for cost and energy) by episode, and the unit of the value."""
-    dt = run.control_step
-    power = RESISTANCE * run.current**2 - run.thrust * run.current * run.device_travel_rate
+def units(car: Vehicle) -> dict[str, str]:
+    """Return the names of the measures of a car and their units: `MEASURES`, and those of axes and corners.
+
+    Args:
+        car: Car.
+    """
+    own = {f"{axis}_acceleration_rms": "rad/s^2" for axis in car.axes}
+    if len(car.corners) > 1:
+        for kind, unit in (("suspension_travel", "m"), ("tyre_load", "N"), ("current", "A")):
+            corners = car.driven if kind == "current" else car.corners
+            own |= {f"{c.named(kind)}_rms": unit for c in corners}
+    return MEASURES | own
+
+
+def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, tuple[np.ndarray, str]]:
+    """Return mean squares (or means, for cost and energy, or greatest values) by episode, and the unit of the value.
+
+    Travel, tyre load and current without the name of a corner are those of all corners: the mean of their mean squares, and
+    the greatest peak. Energy is that of all motors.
+
+    Args:
+        run: Signals.
+        cost: Stage cost of the car.
+        point: Point of the body whose acceleration is weighted by ISO 2631-1; `comfort_point` by default.
+
+    Returns:
+        Values (episodes,) and unit by name, the names of `units`.
+    """
+    dt, car = run.control_step, run.car
+
+    def mean_square(signals: list[np.ndarray]) -> np.ndarray:
+        return sum(np.mean(signal**2, axis=0) for signal in signals) / len(signals)
+
+    def peak(signals: list[np.ndarray]) -> np.ndarray:
+        return np.max([np.abs(signal).max(axis=0) for signal in signals], axis=0)
+
+    energy = np.zeros(run.body_acceleration.shape[1])
+    for corner in car.driven:
+        current, rate = run.signals[corner.named("current")], run.signals[corner.named("device_travel_rate")]
+        power = RESISTANCE * current**2 - _thrust(car, corner) * current * rate
+        energy = energy + np.sum(power, axis=0) * dt
     found = {
         "cost": run.cost(cost),
-        "body_acceleration_rms": np.mean(run.body_acceleration**2, axis=0),
-        "suspension_travel_rms": np.mean(run.suspension_travel**2, axis=0),
-        "tyre_load_rms": np.mean(run.tyre_load**2, axis=0),
-        "weighted_acceleration_rms": weighted_rms(run.body_acceleration, dt) ** 2,
-        "current_rms": np.mean(run.current**2, axis=0),
-        "energy": np.sum(power, axis=0) * dt,
-        "peak_body_acceleration": np.abs(run.body_acceleration).max(axis=0),
-        "peak_suspension_travel": np.abs(run.suspension_travel).max(axis=0),
+        "weighted_acceleration_rms": weighted_rms(run.acceleration_at(point or comfort_point(car)), dt) ** 2,
+        "energy": energy,
+        "peak_body_acceleration": peak([run.body_acceleration]),
+        "peak_suspension_travel": peak(run.of("suspension_travel")),
     }
-    return {name: (found[name], unit) for name, unit in MEASURES.items()}
+    out = {}
+    for name, unit in units(car).items():
+        if name not in found:
+            kind = name.removesuffix("_rms")
+            found[name] = mean_square([run.signals[kind]] if kind in run.signals else run.of(kind))
+        out[name] = (found[name], unit)
+    return out
+
+
+#: kinds of signals in a table, with heading, unit as it is printed, scale and decimals
+PRINTED: tuple[dict[str, tuple[str, str, float, int]], ...] = (
+    {
+        "pitch_acceleration": ("pitch acc.", "rad/s²", 1.0, 3),
+        "roll_acceleration": ("roll acc.", "rad/s²", 1.0, 3),
+    },
+    {"suspension_travel": ("travel", "mm", 1e3, 2)},
+    {"tyre_load": ("tyre load", "N", 1.0, 0)},
+)
+
+
+def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float]]]:
+    """Return how the measures of axes and corners are printed, a group for each table; none of a quarter car.
+
+    Args:
+        row: A policy of a score.
+
+    Returns:
+        Heading, decimals and scale by name of the measure.
+    """
+    out = []
+    for kinds in PRINTED:
+        group = {}
+        for name in row:
+            kind = next((k for k in kinds if name.startswith(k) and name not in MEASURES), None)
+            if kind is not None:
+                head, unit, scale, digits = kinds[kind]
+                corner = name.removeprefix(kind).removesuffix("_rms").replace("_", " ").strip()
+                group[name] = (f"{head}\n{f'{corner}, ' if corner else ''}{unit}", digits, scale)
+        out += [group] if group else []
+    return out
+
+
+def _thrust(car: Vehicle, corner: Corner) -> float:
+    """Return the thrust per current of the motor of a corner at its terminals [N/A]; 0 without one."""
+    motor = next((e for e in car.network.elements if e.name == corner.motor), None)
+    return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
 
 
 def _pool(name: str, values: np.ndarray) -> np.ndarray:
@@ -271,6 +429,13 @@ class Score:
     plant: Network | None = field(repr=False, default=None)
     ground: Road | None = field(repr=False, default=None)
     comparable: Comparable = field(default_factory=Comparable)
+    cost: StageCost = field(default_factory=StageCost)  # of the car
+    point: str = ""  # of the body, at which ISO 2631-1 is evaluated
+
+    @property
+    def comfort(self) -> str:
+        """Point of the body at which ISO 2631-1 is evaluated, where there are several."""
+        return self.point if self.plant is not None and self.plant.bodies else ""
 
     def to_dict(self) -> dict[str, Any]:
         """The score as the contract has it."""
@@ -283,6 +448,7 @@ class Score:
             "duration": {"value": self.duration, "unit": "s"},
             "seed": self.seed,
             **({} if self.sensors.perfect else {"sensors": self.sensors.to_dict()}),
+            **({"comfort_point": self.comfort} if self.comfort else {}),
             "policies": self.policies,
             "references": self.references,
             "roads": self.roads,
@@ -340,6 +506,7 @@ def score(
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
     sensors: Sensors | None = None,
+    point: str | None = None,
     clairvoyant: np.ndarray | None = None,
     ceiling: Callable[[float], dict[str, Any] | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -351,18 +518,24 @@ def score(
     reachable gain. `ceiling(preview)`: the bound for controllers that know so many seconds of road (its `change`), for the
     share of the causal gain, which is left out where the sample is too small for it (`comparability`).
 
-    network: the plant. road, randomize, sensors, speed [m/s], duration [s], seed: as those of `drive`. progress(name,
-    share): told now and then.
+    network: the plant. road, randomize, sensors, speed [m/s], duration [s], seed: as those of `drive`. cost: the car's usual one
+    unless given. point: of the body, at which ISO 2631-1 is evaluated, see `comfort_point`. progress(name, share): told now
+    and then.
     """
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")
     if not duration > 0:
         raise InputError(f"duration must be positive, not {duration}")
     network = Network.load(network)
-    require_quarter_car(network, "a score is that")
-    cost = cost or StageCost()
+    car = vehicle(network)
+    cost = StageCost.of(cost, car.axes, len(car.corners))
+    point = point or comfort_point(car)
+    if point not in car.points:
+        raise InputError(
+            f"no point {shown(point)} on the body of network '{network.name}': there are {', '.join(car.points)}"
+        )
     named = [policies] if isinstance(policies, str | Entry) else policies
-    entries = [find(p, network, cost=cost) if isinstance(p, str) else p for p in named]
+    entries = [find(p, network, cost=cost, speed=speed) if isinstance(p, str) else p for p in named]
     reference = reference or passive(network)
     ground = find_road(road)
     allowed = comparable(
@@ -396,13 +569,13 @@ def score(
             sensors=sensors,
             progress=None if progress is None else (lambda share, n=entry.name: progress(n, share)),  # type: ignore[misc]
         )
-    base = measures(runs[reference.name], cost)
+    base = measures(runs[reference.name], cost, point)
     rows = []
     raw: dict[str, dict[str, list[float]]] = {}
     for entry in todo:
         run = runs[entry.name]
         row: dict[str, Any] = {"policy": entry.name}
-        found = measures(run, cost)
+        found = measures(run, cost, point)
         raw[entry.name] = {name: [float(f"{v:.9g}") for v in values] for name, (values, _) in found.items()}
         for name, (values, unit) in found.items():
             row[name] = compare(name, values, base[name][0], unit)
@@ -442,4 +615,6 @@ def score(
         plant=network,
         ground=ground,
         comparable=allowed,
+        cost=cost,
+        point=point,
     )

@@ -1,4 +1,4 @@
-"""Watching policies drive: live in a window, or as a film. One car, or two side by side on the same road."""
+"""Watching policies drive: live in a window, or as a film. One car of any kind, or two side by side on the same road."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import InputError
 from .network import Network
+from .vehicle import vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .driving import Entry
-    from .rendering import Snapshot
+    from .rendering import CarSnapshot, Snapshot
     from .road import Road
 
-SIZE = {1: (960, 600), 2: (1200, 640)}  # [pixel] by number of cars
+#: [pixel] by number of cars
+SIZE = {1: (960, 600), 2: (1200, 640)}
+WIDE = (1400, 600)  # of two cars with a left and a right track, which have two views each
 GIF = 0.75  # of that size, and half the frames: a GIF holds every one of its pixels
 
 
@@ -33,7 +36,7 @@ def snapshots(
     speed: float = 20.0,
     seconds: float = 10.0,
     seed: int = 0,
-) -> Iterator[tuple[Snapshot, ...]]:
+) -> Iterator[tuple[Snapshot | CarSnapshot, ...]]:
     """Drive the policies on the same road (that of environment seed `seed`); one snapshot per policy and control step.
 
     Raises `InputError` for a car that breaks, and for what the environment refuses.
@@ -64,7 +67,7 @@ def snapshots(
     for k in range(round(seconds / CONTROL_STEP)):
         for car in cars:
             name, controller, env, observation = car
-            action = np.array([controller.act(observation)], dtype=float)
+            action = np.atleast_1d(np.asarray(controller.act(observation), dtype=float))
             car[3], _, terminated, _, _ = env.step(action)
             if terminated:
                 raise InputError(f"'{name}' broke the car after {(k + 1) * CONTROL_STEP:.2f} s")
@@ -76,11 +79,16 @@ def _check_length(seconds: float) -> None:
         raise InputError(f"seconds must be positive, not {seconds}")
 
 
+def _size(network: Network, cars: int) -> tuple[int, int]:
+    """Width and height of a picture [px]."""
+    return WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
+
+
 @contextmanager
-def _renderer(mode: Any, cars: int, scale: float = 1.0) -> Iterator[Any]:
+def _renderer(mode: Any, network: Network, cars: int, scale: float = 1.0) -> Iterator[Any]:
     from .rendering import Renderer
 
-    width, height = (round(scale * side) for side in SIZE[cars])
+    width, height = (round(scale * side) for side in _size(network, cars))
     drawn = Renderer(mode, width=width, height=height, cars=cars)
     try:
         yield drawn
@@ -104,6 +112,7 @@ def film(
     from .rendering import write_video
 
     _check_length(drive.get("seconds", 10.0))
+    network = Network.load(network)
     gif = Path(path).suffix.lower() == ".gif"
     fps = 25.0 if gif else 50.0
     every = round(1.0 / (fps * CONTROL_STEP))
@@ -116,7 +125,7 @@ def film(
             if progress is not None and k % 50 == 0:
                 progress(k / total)
 
-    with _renderer("rgb_array", len(entries), GIF if gif else 1.0) as renderer:
+    with _renderer("rgb_array", network, len(entries), GIF if gif else 1.0) as renderer:
         write_video(path, frames(renderer), fps=fps)
     if progress is not None:
         progress(1.0)
@@ -142,7 +151,8 @@ def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> N
     entries, network and options as those of `snapshots`.
     """
     check_window()
-    with _renderer("human", len(entries)) as renderer:
+    network = Network.load(network)
+    with _renderer("human", network, len(entries)) as renderer:
         for shots in snapshots(entries, network, **drive):
             renderer.draw(*shots)
             if renderer.closed:

@@ -48,7 +48,7 @@ def drive_item(
     c = Condition(**condition)
     plant = c.plant()
     ahead: dict[str, Any] = {} if c.preview is None else {"preview": c.preview}
-    entry = find(policy, plant, model=Network.load(c.model or c.network), **ahead)
+    entry = find(policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead)
     counts: Counter[str] = Counter()
     run = drive(
         _watched(entry, counts),
@@ -61,7 +61,7 @@ def drive_item(
         sensors=c.sensors,
         timed=0,
     )
-    found = measures(run, StageCost())
+    found = measures(run, StageCost.of(None, run.car.axes, len(run.car.corners)))
     return {
         "measures": {name: [float(v) for v in values] for name, (values, _) in found.items()},
         "units": {name: unit for name, (_, unit) in found.items()},

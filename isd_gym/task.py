@@ -1,9 +1,8 @@
-"""What a single and a vector environment share: their options, spaces, sensors, cost, limits and pictures."""
+"""What a single and a vector environment share: their options, spaces, sensors, cost and limits."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from . import elements as el
 from .batch import CURRENT_LIMIT, Batch
 from .cost import StageCost
 from .errors import InputError, shown
-from .network import GROUND, Network
+from .network import Network
 from .road import Road, road
 from .sensors import Sensors, Sight
 from .vehicle import Vehicle, state_channels, vehicle
@@ -23,15 +22,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from .rendering import Snapshot
 
 CONTROL_STEP = 5e-3  # s
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
-GRAVITY = 9.81  # m/s^2
-PICTURE_WINDOW = 5.5  # m of road before and behind the wheel in a picture
-PICTURE_PAST = 4.0  # s of its curves
-Past = deque[tuple[float, float, float]]  # a `moment` per control step
+PICTURE_WINDOW = 5.5  # m of road before the foremost and behind the rearmost wheel in a picture
 OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
 
 
@@ -108,6 +103,7 @@ class Task:
         vehicle: The network as a car.
         batch: Cars on their roads.
         labels: Name and unit of each number of an observation.
+        slowest: Lowest speed of a car [m/s].
         step_info: Names of the numbers in `info` of a step beside the speed, in the order of `Batch.judged`.
         is_faulty: Whether a policy sees anything else than the exact signals.
     """
@@ -125,20 +121,15 @@ class Task:
         assert isinstance(options.sensors, Sensors)
         self.options, self.network, self.cost = options, options.network, options.cost
         self.vehicle: Vehicle = vehicle(self.network)
-        if picture and len(self.vehicle.corners) > 1:
-            raise InputError(
-                f"network '{self.network.name}' has {len(self.vehicle.corners)} corners, and pictures show a quarter car: "
-                "leave render_mode out"
-            )
         self.measured = self.vehicle.measured
         self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads)
         speed, control_step = options.speed, options.control_step
+        self.slowest = min(speed, *(options.randomize or {}).get("speed", (speed,)))
         extra = state_channels(self.network) if options.observation == "full" or picture else []
         self.points = round(options.preview / control_step) if options.observation == "preview" else 0
         look = self.points * control_step
         if picture:  # the road in front of the car is part of the picture
-            slowest = min(speed, *(options.randomize or {}).get("speed", (speed,)))
-            look = max(look, PICTURE_WINDOW / slowest)
+            look = max(look, PICTURE_WINDOW / self.slowest)
             look = control_step * math.ceil(look / control_step)
         self.batch = Batch(
             count,
@@ -276,64 +267,3 @@ def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[
     """
     pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))
     return eval(f"lambda speed, told: {{'speed': speed, {pairs}}}")
-
-
-def moment(task: Task, i: int, steps: int) -> tuple[float, float, float]:
-    """Return time [s], body acceleration [m/s^2] and suspension travel [m] of a car, for the curves of a picture.
-
-    Args:
-        task: Cars.
-        i: Number of the car.
-        steps: Control steps since its start.
-    """
-    out = task.batch.out
-    return steps * task.batch.control_step, float(out[0, i]), float(out[1, i])
-
-
-def snapshot(task: Task, i: int, steps: int, trail: np.ndarray, past: Past, cost: float) -> Snapshot:
-    """Return a quarter car as a picture shows it.
-
-    Args:
-        task: Cars.
-        i: Number of the car.
-        steps: Control steps since its start.
-        trail: Road that the car has come over [m], a height per control step.
-        past: Moments of the curves.
-        cost: Mean cost so far.
-    """
-    from .rendering import Snapshot
-
-    batch, net = task.batch, task.network
-    of, out, corner = batch.of, batch.out[:, i], task.vehicle.corners[0]
-    place = {
-        c.name.removesuffix("_displacement"): float(out[j])
-        for j, c in enumerate(batch.channels)
-        if c.name.endswith("_displacement")
-    }
-    first, second = (
-        (n if n != GROUND else None for n in corner.device) if corner.motor is not None else (None, None)
-    )
-    masses = list(net.masses)
-    stops = [e for e in net.elements if isinstance(e, el.BumpStop) and e.between == (first, second)]
-    height, step = float(batch.road_height[i]), batch.control_step * float(batch.speeds[i])
-    return Snapshot(
-        time=steps * batch.control_step,
-        body=place[corner.body],
-        wheel=place[corner.wheel],
-        piston=place.get(str(first)) if first not in masses else None,
-        joint=place.get(str(second)) if second not in masses else None,
-        road_profile=np.concatenate([trail, height + batch.road_ahead()[i]]),
-        road_step=step,
-        road_behind=(len(trail) - 1) * step,
-        speed=float(batch.speeds[i]),
-        current=float(batch.current[i]),
-        current_limit=CURRENT_LIMIT if first is not None else None,
-        body_acceleration=float(out[0]),
-        suspension_travel=float(out[of.accelerations]),
-        tyre_load=float(out[of.measured]),
-        static_tyre_load=GRAVITY * sum(net.masses.values()),
-        device_travel_limit=stops[0].clearance if stops else None,
-        label=net.name,
-        cost=cost,
-        past=tuple(past),
-    )

@@ -6,9 +6,11 @@ its first two masses. In a network with a rigid body, each wheel carries the bod
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from . import elements as el
 from .errors import InputError
@@ -153,6 +155,93 @@ class Vehicle:
         """Names of the dynamic tyre loads."""
         return tuple(c.named("tyre_load") for c in self.corners)
 
+    def arms(self, x: float, y: float) -> tuple[float, ...]:
+        """Return the factors on the accelerations of the body that give the vertical acceleration of a point.
+
+        Args:
+            x: Distance of the point in front of the centre of gravity [m].
+            y: Distance to the left of the centre of gravity [m].
+
+        Returns:
+            Factors (1 + axes,) on vertical [m/s^2] and angular accelerations [rad/s^2], in the order of `measured`.
+        """
+        return (1.0, *(-x if axis == "pitch" else y for axis in self.axes))
+
+    @cached_property
+    def points(self) -> dict[str, tuple[float, float]]:
+        """Named points of the body: distances (x, y) in front and to the left of the centre of gravity [m]."""
+        bodies = self.network.bodies[:1]
+        return {self.body: (0.0, 0.0)} | {p.name: (p.x, p.y) for body in bodies for p in body.points}
+
+    @cached_property
+    def resting_masses(self) -> tuple[float, ...]:
+        """Share of the body's mass that rests on each corner [kg].
+
+        The shares balance the weight about the centre of gravity. Of the distributions that do, over more than three corners,
+        these are the most even ones (least sum of squares).
+
+        Raises:
+            InputError: The body would tip over: a corner would have to pull.
+        """
+        mass = self.network.carried[self.body]
+        rows = np.array([self.arms(c.x, c.y) for c in self.corners]).T
+        rows = rows[np.abs(rows).max(axis=1) > 0]
+        wanted = np.eye(len(rows))[0]
+        parts = rows.T @ np.linalg.lstsq(rows @ rows.T, wanted, rcond=None)[0]
+        if np.abs(rows @ parts - wanted).max() > 1e-9 or parts.min() <= 0:
+            raise InputError(
+                f"network '{self.network.name}': the body does not rest on its wheels; put wheels on both sides of the "
+                "centre of gravity"
+            )
+        return tuple(mass * round(float(part), 12) for part in parts)
+
+    def quarter_car(self, corner: Corner) -> Network:
+        """Return one corner as a quarter car: its elements, and the part of the body's mass that rests on it.
+
+        Where the inertias are those of masses at the corners, as a pitch inertia of m a b, the corner moves exactly
+        like this quarter car.
+
+        Args:
+            corner: One of `corners`.
+        """
+        network = self.network
+        if not network.bodies:
+            return network
+        body = {n for b in network.bodies for n in b.nodes}
+        others = {n for c in self.corners if c is not corner for n in (c.wheel, c.road)}
+        own, frontier = {corner.wheel}, [corner.wheel]
+        pairs = [e.where for e in network.elements if e.place == "between"]
+        pairs += [v.between for v in network.levers]
+        while frontier:
+            node = frontier.pop()
+            for pair in pairs:
+                if node in pair:
+                    reached = set(pair) - own - body - others - {GROUND}
+                    own |= reached
+                    frontier += reached - {corner.road}
+        mass = self.resting_masses[self.corners.index(corner)]
+        place = {n: n for n in (*own, GROUND)} | dict.fromkeys(body, corner.body)
+        elements, names = [], set()
+        for e in network.elements:
+            if e.place == "between" and set(e.where) <= set(place) and set(e.where) & own:
+                elements.append(replace(e, where=tuple(place[n] for n in e.where)))
+                names.add(e.name)
+        elements += [e for e in network.elements if e.place == "element" and e.where[0] in names]
+        inputs = [c for c in network.inputs if c.name in (corner.road_input, corner.current_input)]
+        return replace(
+            network,
+            name=f"{network.name} ({corner.name})",
+            masses={corner.body: mass, corner.wheel: network.masses[corner.wheel]}
+            | {n: m for n, m in network.masses.items() if n in own and n != corner.wheel},
+            turning=network.turning & own,
+            bodies=(),
+            levers=tuple(v for v in network.levers if set(v.between) <= own),
+            elements=tuple(elements),
+            inputs=tuple(inputs),
+            outputs=(),
+            uncertainty={},
+        )
+
     def shares(self, channel: Channel) -> tuple[float, ...]:
         """Return the share of the road's height under each corner that belongs to the reference of a node's displacement.
 
@@ -291,6 +380,19 @@ def _nearest(
     return None
 
 
+def kind(network: Network) -> str:
+    """Return what a network is as a car: 'quarter car', 'half car', 'full car' or 'car with 3 corners'.
+
+    Args:
+        network: Network of a car.
+
+    Raises:
+        InputError: The network is no car.
+    """
+    corners = len(vehicle(network).corners)
+    return {1: "quarter car", 2: "half car", 4: "full car"}.get(corners, f"car with {corners} corners")
+
+
 def require_quarter_car(network: Network, what: str) -> None:
     """Check that a network is a quarter car, for what serves no other car.
 
@@ -301,11 +403,10 @@ def require_quarter_car(network: Network, what: str) -> None:
     Raises:
         InputError: The network is no car, or has several corners.
     """
-    corners = len(vehicle(network).corners)
-    if corners > 1:
-        kind = {2: "half car", 4: "full car"}.get(corners, f"car with {corners} corners")
+    found = kind(network)
+    if found != "quarter car":
         raise InputError(
-            f"{what} of a quarter car, but network '{network.name}' is a {kind}: choose a network with one corner"
+            f"{what} of a quarter car, but network '{network.name}' is a {found}: choose a network with one corner"
         )
 
 

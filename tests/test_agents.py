@@ -28,6 +28,7 @@ from agents.settings import MEMORY, SETTINGS
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
+from isd_gym.policies import conventional
 
 needs_sb3 = pytest.mark.skipif(
     find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
@@ -151,11 +152,12 @@ def test_a_memory_that_makes_no_sense_is_refused(bad):
 
 
 def test_increment_and_target_are_currents_within_the_drive_s_limits(rng):
-    obs = np.zeros((3, 6), np.float32)
-    obs[:, 5] = [-4.8, 0.0, 4.9]
+    present = np.array([[-4.8], [0.0], [4.9]], np.float32)
     share = np.array([[-1.0], [0.5], [1.0]], np.float32)
-    np.testing.assert_allclose(Head("increment").current(share, obs)[:, 0], [-5.0, 0.25, 5.0])
-    np.testing.assert_allclose(Head("target").current(share, obs)[:, 0], [-5.0, 2.5, 5.0])
+    np.testing.assert_allclose(Head("increment").current(share, present)[:, 0], [-5.0, 0.25, 5.0])
+    np.testing.assert_allclose(Head("target").current(share, present)[:, 0], [-5.0, 2.5, 5.0])
+    two = Head("increment").current(np.array([[1.0, -1.0]], np.float32), np.array([[4.9, 0.0]], np.float32))
+    np.testing.assert_allclose(two, [[5.0, -0.5]])
 
 
 def test_one_car_and_many_get_the_same_currents(rng):
@@ -269,14 +271,15 @@ def test_policies_load_and_run_without_torch(rng, tmp_path):
 def test_a_shipped_policy_is_what_its_score_says(name):
     policy = Policy.load(name)
     looks = {"observation": policy.observation, "preview": policy.preview or 0.25}
-    env = gymnasium.make_vec("ISDSuspension-v0", 8, autoreset_mode="disabled", **looks)
-    car = gymnasium.make_vec("ISDSuspension-v0", 8, network="quarter-car-passive", autoreset_mode="disabled")
+    kind, shape = policy.info["env"]["id"], (8, policy.currents)
+    env = gymnasium.make_vec(kind, 8, autoreset_mode="disabled", **looks)
+    car = gymnasium.make_vec(kind, 8, network=conventional(policy.model), autoreset_mode="disabled")
     (obs, _), _ = env.reset(seed=0), car.reset(seed=0)
     own = other = 0.0
     for _ in range(2000):
-        obs, reward, *_ = env.step(policy.act_batch(obs)[:, None])
+        obs, reward, *_ = env.step(policy.act_batch(obs).reshape(shape))
         own -= reward.sum()
-        other -= car.step(np.zeros((8, 1)))[1].sum()
+        other -= car.step(np.zeros(shape))[1].sum()
     change = own / other - 1
     assert change == pytest.approx(policy.info["score"]["cost"]["change"], abs=0.04)
     assert policy.info["training"]["command"].startswith(f"isd-gym train {policy.info['algorithm']}")

@@ -173,7 +173,6 @@ def test_networks_that_are_no_cars(message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"render_mode": "rgb_array"}, "leave render_mode out"),
         ({"cost": {"roll": 0.1}}, "does not roll"),
         ({"cost": {"yaw": 0.1}}, "no 'yaw'"),
         ({"cost": StageCost(travel_reference=(1e-3, 2e-3, 3e-3))}, "3 values for 2 corners"),

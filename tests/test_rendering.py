@@ -14,12 +14,13 @@ import pytest
 
 from isd_gym import rendering
 from isd_gym.errors import InputError, how_to_install
-from isd_gym.rendering import Renderer, Snapshot, write_video
+from isd_gym.rendering import Renderer, Snapshot, backend, write_video
+from isd_gym.rendering.canvas import Canvas
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-pygame = rendering._pygame()
+pygame = backend.pygame()
 LIMIT = 0.02465  # [m], Table 1's deputy stroke at the terminals
 PIXELS_PER_METRE = (
     6.0 * 38.0 / 0.32
@@ -169,13 +170,13 @@ def test_the_mover_goes_right_when_the_device_extends() -> None:
 
 def test_the_words_state_the_scales(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    text = rendering._Canvas.text
+    text = Canvas.text
 
     def listen(canvas: Any, words: str, *place: float, **style: Any) -> float:
         said.append(words)
         return text(canvas, words, *place, **style)
 
-    monkeypatch.setattr(rendering._Canvas, "text", listen)
+    monkeypatch.setattr(Canvas, "text", listen)
     frame(snapshot(suspension_travel=0.029, body_acceleration=-2.9))
     assert {"−2", "+2", "−20", "+20", "20 mm, vertical ×6"} <= set(said)
     said.clear()
@@ -244,13 +245,13 @@ def test_words_never_touch_nor_leave_the_picture(
     size: tuple[int, int], cars: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     placed: list[Any] = []
-    finish = rendering._Canvas.finish
+    finish = Canvas.finish
 
     def remember(canvas: Any) -> None:
         placed[:] = [surface.get_rect(topleft=place) for surface, place in canvas._texts]
         finish(canvas)
 
-    monkeypatch.setattr(rendering._Canvas, "finish", remember)
+    monkeypatch.setattr(Canvas, "finish", remember)
     long = "friction-aware MPC, horizon 20, with road preview"
     poses = [
         snapshot(label=long, time=999.99, cost=12.345, current=-4.44, body_acceleration=-12.0),

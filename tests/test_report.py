@@ -595,6 +595,26 @@ def test_score_report_stands_alone(small_score, tmp_path):
         report.check_target(path.parent)
 
 
+def test_the_page_of_a_half_car_shows_both_axles(tmp_path):
+    car = Network.load("half-car-isd")
+    made = score(["lqg", "lqg-wheelbase"], car, episodes=2, duration=2.0)
+    page = check_page(score_page.score_report(made, tmp_path / "half"))
+    for words in ("pitch acc.", "RMS, front, mm", "RMS, rear, N", "RMS, m/s², driver"):
+        assert words in page.text
+    chart = score_page.histories(score_page.Shown(made))
+    heads = [panel.y.label.replace("\n", " ") for panel in chart.panels]
+    assert [h for h in heads if "travel" in h or "current" in h] == [
+        "front travel",
+        "rear travel",
+        "front motor current",
+        "rear motor current",
+    ]
+    run = made.runs["lqg-wheelbase"]
+    rear = next(p for p in chart.panels if p.y.label.replace("\n", " ") == "rear travel")
+    line = next(i for i in rear.items if getattr(i, "name", "") == "lqg-wheelbase")
+    assert np.abs(line.y).max() <= 1e3 * np.abs(run.signals["suspension_travel_rear"]).max() + 1e-9
+
+
 def test_a_score_on_a_flat_road_can_be_shown(tmp_path):
     car = Network.load("quarter-car-isd")
     flat = score(

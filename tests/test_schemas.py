@@ -140,6 +140,18 @@ def test_score_json_is_valid(tmp_path):
     assert not valid("isd-score/1", half)
 
 
+def test_score_json_of_a_half_car_is_valid(tmp_path):
+    file = tmp_path / "score.json"
+    told = ["score", "passive", "lqg", "--network", "half-car-isd", "--point", "body_rear", "--episodes", "2"]
+    run = CliRunner().invoke(app, [*told, "--duration", "1", "--json", str(file)])
+    assert run.exit_code == 0, run.output
+    score = json.loads(file.read_text())
+    jsonschema.validate(score, schemas.load("isd-score/1"))
+    assert score["comfort_point"] == "body_rear"
+    score["policies"][1]["tyre_load_rear_rms"] = 3.0
+    assert not valid("isd-score/1", score)
+
+
 def test_a_verdict_and_its_effects_agree():
     diagnosis = json.loads(DIAGNOSIS)
     assert not valid("isd-diagnosis/1", diagnosis | {"effects": []})

@@ -165,12 +165,6 @@ def _several(data: Any, name: str) -> list[Any]:
     return out
 
 
-#: lengths of the segments in which a periodic law is searched, as multiples of the usual length
-SEGMENT_FACTORS = (1.0, 2.0)
-#: hypotheses at the head of the score test among which a periodic law must be
-FIRST = 3
-
-
 @dataclass(eq=False)
 class Workflow:
     """One diagnosis: search, evidence, decision and result."""
@@ -192,7 +186,9 @@ class Workflow:
 
     def __post_init__(self) -> None:
         self.network = self.problem.network
-        self.search = Search(HeldOutEvaluator(self.problem), self.settings, self.criteria, self.say)
+        self.search = Search(
+            HeldOutEvaluator(self.problem, self.criteria.least_noise), self.settings, self.criteria, self.say
+        )
         self._measured: tuple[CandidateComparison, Measurements] | None = None
 
     def run(self, notes: list[str], start: float) -> Diagnosis:
@@ -238,7 +234,13 @@ class Workflow:
         """Return the decision on a search; under feedback a name has to meet further conditions."""
         decision, best = decide(self.measure(scores).evidence, self.criteria), scores.foremost
         return decide_under_feedback(
-            decision, self.problem, best.fit, best.elements, self.feedback, self.is_segmented
+            decision,
+            self.problem,
+            best.fit,
+            best.elements,
+            self.feedback,
+            self.is_segmented,
+            self.criteria,
         )
 
     def is_decided(self, scores: CandidateComparison) -> bool:

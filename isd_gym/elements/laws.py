@@ -203,6 +203,8 @@ class QuadraticDamping(Element):
 
 #: knee of degressive damping, as a share of the RMS rate, below which the law is dry friction
 DRY = 0.05
+#: share of the samples beyond the slip displacement from which a slider is seen to slip
+SLIPPING = 0.01
 
 
 @register
@@ -462,6 +464,10 @@ class Hysteresis(Element):
         """Return the share of the samples of the motion beyond the slip displacement: below it the law is a spring."""
         slip = self.level / max(self.stiffness, 1e-300)
         return float(np.mean(np.abs(motion.d - np.median(motion.d)) > slip))
+
+    def differs_from_limit(self, motion: Motion) -> bool:
+        """Return False where the motion hardly passes the slip displacement: there the law is a spring with rounded corners."""
+        return self.support(motion) >= SLIPPING
 
     def curve(self, axis: Array) -> Array:
         p, z, last = np.array(self.law_parameters()), 0.0, float(axis[0])

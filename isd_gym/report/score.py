@@ -26,9 +26,11 @@ COLUMNS = {
     "suspension_travel_rms": ("travel", "mm", 1e3, 2),
     "tyre_load_rms": ("tyre load", "N", 1.0, 0),
 }
-#: signal -> heading, unit, scale
+#: kind of signal -> heading, unit, scale
 SIGNALS = {
     "body_acceleration": ("body acceleration", "m/s²", 1.0),
+    "pitch_acceleration": ("pitch acceleration", "rad/s²", 1.0),
+    "roll_acceleration": ("roll acceleration", "rad/s²", 1.0),
     "suspension_travel": ("suspension travel", "mm", 1e3),
     "tyre_load": ("dynamic tyre load", "kN", 1e-3),
     "current": ("motor current", "A", 1.0),
@@ -76,16 +78,62 @@ class Shown:
         self.looks = looks(self.names)
         self.runs = score.runs
         self.step = score.runs[self.reference].control_step
-        from ..cost import StageCost
-
-        self.costs = {n: run.cost(StageCost()) for n, run in self.runs.items()}
+        self.car = score.runs[self.reference].car
+        self.costs = {n: run.cost(score.cost) for n, run in self.runs.items()}
         self.best = min(self.names, key=lambda n: self.costs[n].mean())
+
+    @property
+    def signals(self) -> dict[str, tuple[str, str, float]]:
+        """Signals of the body and of each corner by name: heading, unit, scale."""
+        out = {}
+        for kind, (head, unit, scale) in SIGNALS.items():
+            for name, corner in {c.named(kind): c.name for c in self.car.corners}.items():
+                if name in self.runs[self.reference].signals:
+                    words = f"{corner.replace('_', ' ')} {head.removeprefix('suspension ').removeprefix('dynamic ')}"
+                    out[name] = (words if corner else head, unit, scale)
+            if kind in self.runs[self.reference].signals:
+                out[kind] = (head, unit, scale)
+        return out
+
+    @property
+    def corner_tables(self) -> list[dict[str, tuple[str, str, int, float]]]:
+        """Tables of axes and corners: heading, unit, decimals and scale by measure; none of a quarter car."""
+        from ..scoring import corner_measures
+
+        return [
+            {
+                name: (head.split("\n")[0], head.split("\n")[1], digits, scale)
+                for name, (head, digits, scale) in group.items()
+            }
+            for group in corner_measures(self.score.policies[0])
+        ]
+
+    @property
+    def cost_words(self) -> str:
+        """Sentence on the stage cost."""
+        cost, axes, count = self.score.cost, self.car.axes, len(self.car.corners)
+        if count == 1:
+            return (
+                "mean over the steps of 0.6 (a / 0.8306 m/s²)² + 0.3 (l / 7.6 mm)², of body acceleration a and suspension travel "
+                "l: the paper's weights over its passive car, so a passive car costs about 0.9"
+            )
+        parts = [f"{cost.acceleration:g} (a / {cost.acceleration_reference:g} m/s²)²"]
+        parts += [
+            f"{getattr(cost, axis):g} ({axis} acceleration / {getattr(cost, f'{axis}_reference'):g} rad/s²)²"
+            for axis in axes
+        ]
+        return (
+            f"mean over the steps of {' + '.join(parts)} + {cost.travel:g} (l / l₀)² in the mean over the {count} corners, of the body's "
+            "vertical acceleration a and the suspension travels l; each reference is the RMS of the passive car on the paper's "
+            "road at 20 m/s, so a passive car costs about 0.9 there"
+        )
 
     @property
     def bounds(self) -> list[str]:
         """Sentences on the bounds of these conditions."""
         told = self.score.references
-        return [text for key, text in told.items() if key.startswith("ceiling_") or key == "clairvoyant"]
+        named = ("clairvoyant", "causal_bound") if self.score.comfort else ("clairvoyant",)
+        return [text for key, text in told.items() if key.startswith("ceiling_") or key in named]
 
     @property
     def left_out(self) -> str:
@@ -159,15 +207,10 @@ class Shown:
             return own / base - 1.0
 
     def _by_episode(self, name: str, key: str) -> np.ndarray:
-        run = self.runs[name]
         if key == "cost":
             return self.costs[name]
-        signal = {
-            "body_acceleration_rms": run.body_acceleration,
-            "suspension_travel_rms": run.suspension_travel,
-            "tyre_load_rms": run.tyre_load,
-        }[key]
-        return np.sqrt(np.mean(signal**2, axis=0))
+        signals = self.runs[name].of(key.removesuffix("_rms"))
+        return np.sqrt(sum(np.mean(signal**2, axis=0) for signal in signals) / len(signals))
 
 
 def histories(shown: Shown) -> Chart:
@@ -175,26 +218,32 @@ def histories(shown: Shown) -> Chart:
     base = shown.runs[shown.reference]
     order = np.argsort(shown.costs[shown.reference])
     middle, hardest = int(order[len(order) // 2]), int(order[-1])
-    steps = len(base.tyre_load)
+    steps = len(base.body_acceleration)
     width = min(steps, round(4.0 / shown.step))
     few, left_out = shown.few(1)
-    moved = [k for k in SIGNALS if k != "current" or any(np.any(r.current) for r in shown.runs.values())]
+    signals = shown.signals
+    moved = [
+        k
+        for k in signals
+        if not k.startswith("current") or any(np.any(r.signals.get(k, 0)) for r in shown.runs.values())
+    ]
     every = max(1, -(-2 * len(moved) * len(shown.names) * steps // MOST_SAMPLES))
     time = shown.step * np.arange(steps, dtype=np.float64)
 
     def panels(episode: int) -> list[Panel]:
-        peak = int(np.argmax(np.abs(base.tyre_load[:, episode])))
+        peak = int(np.argmax(np.max([np.abs(load[:, episode]) for load in base.of("tyre_load")], axis=0)))
         first = max(0, min(peak - width // 2, steps - width))
         begin, end = float(time[first]), float(time[first]) + width * shown.step
         window = Axis("time", "s", low=begin, high=end)
         out = []
         for key in moved:
-            head, unit, scale = SIGNALS[key]
+            head, unit, scale = signals[key]
             lines = []
             for name in shown.names:
-                values = getattr(shown.runs[name], key)[:, episode] * scale
-                if key == "current" and not np.any(shown.runs[name].current):
+                own = shown.runs[name].signals.get(key)
+                if own is None or (key.startswith("current") and not np.any(own)):
                     continue
+                values = own[:, episode] * scale
                 lines.append(
                     Line(
                         name,
@@ -243,8 +292,10 @@ def spectra(shown: Shown) -> Chart | None:
     from ..scoring import frequency_weighting
 
     units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
-    scales = {"body_acceleration": 1.0, "suspension_travel": 1e3, "tyre_load": 1.0}
-    if not all(np.any(getattr(shown.runs[shown.reference], key)) for key in units):
+    for axis in shown.car.axes:
+        units[f"{axis}_acceleration"] = "(rad/s²)²/Hz"
+    scales = dict.fromkeys(units, 1.0) | {"suspension_travel": 1e3}
+    if not all(np.any(shown.runs[shown.reference].of(key)) for key in units):
         return None  # nothing moves
     few, left_out = shown.few(3)
     marks = tuple((t, f"{t:g}") for t in (0.5, 1, 2, 5, 10, 20, 50))
@@ -253,7 +304,7 @@ def spectra(shown: Shown) -> Chart | None:
     top, below = [], []
     for key, unit in units.items():
         density_of = {
-            n: density(scales[key] * getattr(shown.runs[n], key), shown.step, WELCH) for n in shown.names
+            n: density(scales[key] * np.hstack(shown.runs[n].of(key)), shown.step, WELCH) for n in shown.names
         }
         f, base = density_of[shown.reference]
         keep = (f >= 0.4) & (f <= 50.0)
@@ -277,17 +328,18 @@ def spectra(shown: Shown) -> Chart | None:
         top.append(Panel(x, y, (*lines, *extra), title=title, link=key, tall=1.7))
         y = Axis(f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves)
         below.append(Panel(x, y, (*ratios, Rule("y", 1.0)), link=key))
-    window = min(WELCH, len(shown.runs[shown.reference].tyre_load) * shown.step)
+    window = min(WELCH, len(shown.runs[shown.reference].body_acceleration) * shown.step)
+    corners = " Travel and tyre load: the mean of all corners." if len(shown.car.corners) > 1 else ""
     return Chart(
         "spectra",
         "In frequency",
         "Power spectral densities over frequency",
         f"One-sided power spectral densities, averaged over all {shown.score.episodes} episodes (Welch, Hann windows of {window:g} s "
         f"half overlapping, lines gathered to twelve an octave), and below them their ratio to {shown.reference}. Grey: how strongly a "
-        f"seated person feels a frequency, W_k of ISO 2631-1, on a scale of its own.{left_out}",
+        f"seated person feels a frequency, W_k of ISO 2631-1, on a scale of its own.{corners}{left_out}",
         {"all episodes": [*top, *below]},
-        columns=3,
-        size=(8.4, 4.8),
+        columns=len(units),
+        size=(2.8 * len(units), 4.8),
     )
 
 

@@ -17,7 +17,6 @@ from ...units import convert
 from ..estimation.noise import Floor, floor_of, noise_of, resolution
 from ..result import Diagnosis, Place, Trace
 from ..selection.criteria import CRITERIA, Criteria
-from ..selection.held_out import LEAST_NOISE
 from ..simulation.problem import Array, Record, deviation_within
 from ..verdict.evidence import Evidence, as_numbers
 from ..verdict.explanation import bands, find_condition, near_reversals
@@ -247,7 +246,9 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
     step = c.records[0].step
     measured = [c.records[s.record].measured[s.first : s.stop] for s in refit.segments]
     known = [_noise_floor([m[:, j] for m in measured], step) for j in range(len(c.channels))]
-    floors = np.maximum([k.deviation for k in known], LEAST_NOISE * _deviation(refit, held_out=False))
+    floors = np.maximum(
+        [k.deviation for k in known], CRITERIA.least_noise * _deviation(refit, held_out=False)
+    )
     found = refit.fit(floors, progress)
     deviation = _deviation(refit, held_out=True)
     before, after = (np.concatenate(refit.residuals(m, held_out=True)) for m in (c.model, found.model))

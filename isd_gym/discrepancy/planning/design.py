@@ -19,7 +19,7 @@ from ..estimation.gauss_newton import Fitter, residuals
 from ..estimation.noise import innovations, white_filters
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.library import hypotheses
-from ..selection.held_out import LEAST_NOISE
+from ..selection.criteria import CRITERIA
 from ..simulation.problem import BROKEN, Array, Problem, Record, bare
 from .excitation import Excitation, Rig, infer_rig, list_excitations, make_excitation, make_record, make_table
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
@@ -141,7 +141,9 @@ class RivalComparison:
         if not all(np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in self.outputs):
             raise InputError("the simulation of a rival fails")
         self.problem = Problem(network, [replace(record, measured=self.outputs[0])], ["fit"])
-        level = np.maximum(noise, LEAST_NOISE * np.max([y.std(axis=0) for y in self.outputs], axis=0))
+        level = np.maximum(
+            noise, CRITERIA.least_noise * np.max([y.std(axis=0) for y in self.outputs], axis=0)
+        )
         self.noise = np.where(level > 0, level, 1.0)
 
     def linear_distance(self) -> float:
@@ -388,5 +390,5 @@ def estimate_output_noise(
     y = Problem(network, [record], ["fit"]).simulate([network], 0)[:, :, 0]
     values = []
     for c, signal in zip(network.outputs, y.T, strict=True):
-        values.append(known.get(c.name, c.noise) or LEAST_NOISE * float(signal.std()) or 1.0)
+        values.append(known.get(c.name, c.noise) or CRITERIA.least_noise * float(signal.std()) or 1.0)
     return np.array(values)

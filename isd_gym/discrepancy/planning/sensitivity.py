@@ -21,7 +21,7 @@ from ..estimation.structure import Hypothesis, Structure, add, in_line, twin
 from ..hypotheses.library import hypotheses
 from ..hypotheses.motion import setting, simulate_variants
 from ..selection.candidate import is_special_case
-from ..selection.held_out import LEAST_NOISE
+from ..selection.criteria import CRITERIA
 from ..simulation.problem import BROKEN, Array, Problem, bare, deviation_within
 from .virtual_bench import REQUIRED_DEVIANCE
 
@@ -223,7 +223,7 @@ class Sensitivities:
         more = [self._assumed_noise(c, d) for c, d in zip(self.more, deviation[own:], strict=True)]
         #: RMS noise (channels,) [unit of the channel], of existing and additional channels
         self.noise = np.concatenate([bench.noise, more])
-        self._weighting_noise = np.hypot(self.noise, np.maximum(self.noise, LEAST_NOISE * deviation))
+        self._weighting_noise = np.hypot(self.noise, np.maximum(self.noise, CRITERIA.least_noise * deviation))
 
     def _assumed_noise(self, c: Channel, deviation: float) -> float:
         """Return the RMS noise of an additional channel: as in channels of the same kind, at least 1 %."""
@@ -232,7 +232,7 @@ class Sensitivities:
         like = [
             s for s, o in zip(bench.noise, bench.network.outputs, strict=True) if (o.quantity, o.unit) == kind
         ]
-        return float(max([*like, LEAST_NOISE * deviation])) or 1.0
+        return float(max([*like, CRITERIA.least_noise * deviation])) or 1.0
 
     # -- distances ------------------------------------------------------------------------------------------
     @cached_property

@@ -24,7 +24,7 @@ from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from ..records import differentiate_inputs, split_records
 from ..selection.candidate import Candidate
 from ..selection.criteria import CRITERIA, Criteria
-from ..selection.held_out import LEAST_NOISE, SMALL, HeldOutEvaluator
+from ..selection.held_out import SMALL, HeldOutEvaluator
 from ..simulation.problem import BROKEN, Array, Problem, Record, bare
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class VirtualBench:
         self.problem = Problem(self.network, self._cut(pieces, self.network), roles)
         self.structure = base_structure(self.network)
         #: noise that a diagnosis expects (channels,) [unit of the channel]
-        self.floors = np.maximum(self.noise, LEAST_NOISE * self.problem.deviation())
+        self.floors = np.maximum(self.noise, CRITERIA.least_noise * self.problem.deviation())
         #: white noise of the residual weights (channels,) [unit of the channel]
         self.weighting_noise = np.hypot(self.noise, self.floors)
         self.nominal = self._fit_initial_states()
@@ -116,7 +116,7 @@ class VirtualBench:
         for c, y in zip(network.outputs, outputs.T, strict=True):
             value: float | None = given.get(c.name, c.noise)
             if value is None:
-                value = LEAST_NOISE * float(y.std())
+                value = CRITERIA.least_noise * float(y.std())
                 if not value > 0:
                     raise InputError(
                         f"output '{c.name}' does not change under this test: state its noise with --noise {c.name}=VALUE"

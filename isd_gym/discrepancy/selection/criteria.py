@@ -119,6 +119,54 @@ class Criteria:
         "a name is more likely right than not",
         "pseudo-BMA+ weights over blocks of validation and training records (Yao et al. 2018)",
     )
+    periods: float = limit(
+        1.5,
+        "periods",
+        "a periodic law must be seen to repeat within the travel",
+        "a single period may be any curve with a hump",
+    )
+    travel: float = limit(
+        0.95,
+        "share of samples",
+        "the samples that define the travel: rare excursions show no repetition",
+        "two standard deviations",
+    )
+    furthest: float = limit(
+        20.0,
+        "multiples of the motion",
+        "a length or a rate of a law so far beyond the motion is not shown by the records",
+        "a law that differs from its limit by 5 % at the end of the motion",
+    )
+    largest: float = limit(
+        10.0,
+        "multiples of the typical force",
+        "a law with so large a force is balanced by another law and contradicts its name",
+        "forces in parallel that cancel to a tenth",
+    )
+    bends: float = limit(
+        3.0,
+        "laws over one plane",
+        "as many laws at one place are as good as the bends of a free curve",
+        "a polynomial of degree three fits any smooth curve with three bends",
+    )
+    imitation: float = limit(
+        0.5,
+        "share of a force",
+        "under feedback, the controller's force may imitate a named force",
+        "a spring centred in a bang-bang cycle has 0.9, friction less than 0.3",
+    )
+    least_noise: float = limit(
+        0.01,
+        "share of a channel's deviation",
+        "smallest noise that residuals are weighted with: no model is better",
+        "models of measured rigs err by more",
+    )
+    reported: float = limit(
+        0.05,
+        "probability",
+        "a kind at a place that is less probable is not reported",
+        "1 in 20",
+    )
     misses: float = limit(
         0.10,
         "share of a channel's deviation",

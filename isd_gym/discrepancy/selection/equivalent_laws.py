@@ -10,16 +10,18 @@ import numpy as np
 from ... import elements as el
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.curve_matching import match_law
-from ..hypotheses.forces import place_forces
+from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.library import hypotheses
 from ..hypotheses.motion import motions, setting
 from ..simulation.problem import BROKEN
 from .candidate import Candidate, parameter_values
+from .criteria import CRITERIA
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from ..simulation.problem import Array, Problem
+    from .criteria import Criteria
 
     Effect = tuple[Hypothesis, dict[str, float]]
 
@@ -27,18 +29,17 @@ POINTS = 240  # of the motion at which forces are compared
 NEAR = 0.5  # largest error of a match, as a share of the force
 MOST = 3  # matches per effect
 STARTS = 6  # of a law at most
-PERIODS = (
-    1.5  # of a periodic law that the travel must contain; a single period could be any curve with a hump
-)
-TRAVEL = 0.95  # share of the samples that define the travel
 
 
-def equivalent_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
+def equivalent_structures(
+    problem: Problem, candidate: Candidate, c: Criteria = CRITERIA
+) -> Iterator[Structure]:
     """Replace each law of a candidate by other laws with nearly the same force.
 
     Args:
         problem: Model and records.
         candidate: The fitted candidate.
+        c: Limits of the decision.
 
     Yields:
         Structures with one law replaced, best match first for each law.
@@ -48,7 +49,7 @@ def equivalent_structures(problem: Problem, candidate: Candidate) -> Iterator[St
     for k, element in enumerate(candidate.elements):
         m = motion.get(element.between) if element.place == "between" else None
         # without visible repetition a periodic law is a mere curve
-        is_part_of_period = bool(m and not repeats(element, m))
+        is_part_of_period = bool(m and not repeats(element, m, c))
         if m is None or not (is_part_of_period or _plain_curve(type(element))):
             continue
         # a part of a period is steep, whatever the stiffness beside it
@@ -106,21 +107,22 @@ def curves(problem: Problem, like: el.Element) -> Iterator[Hypothesis]:
             yield h
 
 
-def repeats(element: el.Element, motion: el.Motion) -> bool:
-    """Return False for a periodic law with fewer than `PERIODS` periods within the travel.
+def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> bool:
+    """Return False for a periodic law with fewer than `Criteria.periods` periods within the travel.
 
     Args:
         element: The element with the law.
         motion: Motion of the element's terminals.
+        c: Limits of the decision.
     """
     if not element.periodic:
         return True
     # rare excursions show no repetition
-    low, high = np.quantile(motion.d, [0.5 - 0.5 * TRAVEL, 0.5 + 0.5 * TRAVEL])
-    return bool(PERIODS * getattr(element, element.periodic[0]) <= high - low)
+    low, high = np.quantile(motion.d, [0.5 - 0.5 * c.travel, 0.5 + 0.5 * c.travel])
+    return bool(c.periods * getattr(element, element.periodic[0]) <= high - low)
 
 
-def is_sound(problem: Problem, candidate: Candidate) -> bool:
+def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> bool:
     """Return whether the values of a candidate's effects agree with the effects' names.
 
     A periodic law must repeat within the travel, and a law must differ from a limit that has another name.
@@ -128,6 +130,7 @@ def is_sound(problem: Problem, candidate: Candidate) -> bool:
     Args:
         problem: Model and records.
         candidate: The fitted candidate.
+        c: Limits of the decision.
     """
     if not candidate.well_formed():
         return False
@@ -141,7 +144,7 @@ def is_sound(problem: Problem, candidate: Candidate) -> bool:
         return True
     motion = motions(problem, candidate.fit)  # a simulation
     return all(
-        repeats(e, motion[e.between]) and e.differs_from_limit(motion[e.between])
+        repeats(e, motion[e.between], c) and e.differs_from_limit(motion[e.between])
         for e in asked
         if e.between in motion
     )
@@ -150,6 +153,8 @@ def is_sound(problem: Problem, candidate: Candidate) -> bool:
 def force_difference(problem: Problem, candidate: Candidate, other: Candidate, effect: int) -> float:
     """Return the difference in force between an effect and the law that replaces the effect.
 
+    The forces belong to the motion that is simulated with the effect. A law with memory, such as hysteresis, is simulated.
+
     Args:
         problem: Model and records.
         candidate: The candidate with the effect.
@@ -157,16 +162,24 @@ def force_difference(problem: Problem, candidate: Candidate, other: Candidate, e
         effect: Index of the effect in `candidate`.
 
     Returns:
-        Root mean square of the difference, as a share of the force. Infinite if the force is no curve over rate or elongation.
+        Root mean square of the difference, as a share of the force. Infinite if the laws are at different places or in series.
     """
     new = next(j for j, h in enumerate(other.hypotheses) if h not in candidate.hypotheses)
     one, two = candidate.elements[effect], other.elements[new]
     motion = motions(problem, candidate.fit).get(one.between) if one.place == "between" else None
-    if motion is None or one.plane not in ("rate", "elongation") or two.plane != one.plane:
+    if motion is None or two.place != "between" or two.where != one.where or one.series or two.series:
         return math.inf
-    axis = motion.v if one.plane == "rate" else motion.d
-    force = one.curve(axis)
-    return float(el.rms(force - two.curve(axis)) / max(el.rms(force), 1e-300))
+
+    def force(law: el.Element, owner: Candidate) -> Array:
+        if law.plane in ("rate", "elongation") and type(law).curve is el.Element.curve:
+            return law.curve(motion.v if law.plane == "rate" else motion.d)
+        return element_forces(problem, owner.fit, law.where)[law.name]
+
+    try:
+        first, second = force(one, candidate), force(two, other)
+    except BROKEN:
+        return math.inf
+    return float(el.rms(first - second) / max(el.rms(first), 1e-300))
 
 
 def _plain_curve(kind: type[el.Element]) -> bool:

@@ -183,7 +183,10 @@ class Search:
         if not count:
             return scores
         chosen = self._merge_laws(scores, self._eliminate(scores, path[count]))
-        scores.chosen = scores.foremost = self._take_simplest(scores, chosen)
+        simplest = self._take_simplest(scores, chosen)
+        if simplest is not chosen:  # a rival has not been simplified yet
+            simplest = self._eliminate(scores, simplest)
+        scores.chosen = scores.foremost = simplest
         return scores
 
     def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
@@ -244,7 +247,7 @@ class Search:
     def _take_simplest(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
         """Return the simplest of the chosen candidate, its rivals, and other laws for the same force."""
         stage = scores.stages[len(chosen.hypotheses) - 1]
-        for structure in equivalent_structures(self.problem, chosen):
+        for structure in equivalent_structures(self.problem, chosen, self.criteria):
             r = self.fitter.refit(structure, chosen, self.settings.worst_equivalent)
             if r is not None and scores.can_score(r):
                 stage.insert(1, r)

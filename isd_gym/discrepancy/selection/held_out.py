@@ -30,6 +30,7 @@ from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from ..simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density
+from .criteria import CRITERIA
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
 BLOCKS = 20
 #: least number of samples in a block
 LEAST_BLOCK = 10
-#: smallest noise that a fit is weighted with, as a share of the signal's deviation: no model is better
-LEAST_NOISE = 0.01
 #: force of each unmodelled effect (one sigma), as a share of the typical force
 SMALL = 0.005
 
@@ -93,15 +92,16 @@ class HeldOutEvaluator:
 
     Args:
         problem: Training, validation and test records.
+        least_noise: Smallest noise that residuals are weighted with, as a share of the signal's deviation.
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem, least_noise: float = CRITERIA.least_noise):
         self.problem = problem
         #: noise of each channel, as the owner or the signal tells
         self.noise_estimates: list[Floor] = floors_of(problem)
         deviation = problem.deviation()
         #: smallest noise that residuals are weighted with (channels,) [unit of the channel]
-        self.least_noise = np.maximum([f.deviation for f in self.noise_estimates], LEAST_NOISE * deviation)
+        self.least_noise = np.maximum([f.deviation for f in self.noise_estimates], least_noise * deviation)
         self.validation_deviation = problem.deviation(problem.choosing)
         self.test_deviation = problem.deviation(problem.reporting)
         self.training_deviation = deviation

@@ -72,13 +72,13 @@ class InclusionTests:
     def law_difference(self, chosen: Candidate, other: Candidate) -> float:
         """Return the RMS difference of the forces of the law that differs, as a share of the force at the place.
 
-        Infinite where the candidates differ by more than one law, or a force is no curve over elongation or rate.
+        Infinite where the candidates differ by more than one law, or the laws are at different places.
         """
-        k = next((i for i, h in enumerate(chosen.hypotheses) if h not in other.hypotheses), None)
-        if k is None or len(chosen.hypotheses) != len(other.hypotheses):
+        own = [i for i, h in enumerate(chosen.hypotheses) if h not in other.hypotheses]
+        if len(own) != 1 or len(chosen.hypotheses) != len(other.hypotheses):
             return math.inf
-        size = self.evaluator.effect_sizes(chosen)[k]
-        return float(size * force_difference(self.evaluator.problem, chosen, other, k))
+        size = self.evaluator.effect_sizes(chosen)[own[0]]
+        return float(size * force_difference(self.evaluator.problem, chosen, other, own[0]))
 
     def simplest(self, scores: CandidateComparison, candidates: Sequence[Candidate]) -> Candidate:
         """Return the candidate with fewest parameters that no candidate with more parameters is preferred to.
@@ -87,7 +87,11 @@ class InclusionTests:
             scores: Scores of the candidates.
             candidates: Candidates with the same number of effects; the first is returned where no candidate is sound.
         """
-        sound = [r for r in candidates if scores.can_score(r) and is_sound(self.evaluator.problem, r)]
+        sound = [
+            r
+            for r in candidates
+            if scores.can_score(r) and is_sound(self.evaluator.problem, r, self.criteria)
+        ]
         if not sound:
             return candidates[0]
 
@@ -220,7 +224,7 @@ class InclusionTests:
         return [
             r
             for r in scores.rivals()
-            if is_sound(self.evaluator.problem, r)
+            if is_sound(self.evaluator.problem, r, self.criteria)
             and not self.is_dominated(scores, r, best)
             and not self.states_the_same(r, best)
         ]

@@ -132,7 +132,11 @@ def weigh_candidates(
     if best is not scores.refitted:
         taking_part.append(best)
     for r in scores.candidates():
-        if any(r is q for q in taking_part) or not scores.can_score(r) or not is_sound(search.problem, r):
+        if (
+            any(r is q for q in taking_part)
+            or not scores.can_score(r)
+            or not is_sound(search.problem, r, search.criteria)
+        ):
             continue
         if len(r.fit.x) > len(best.fit.x) and not search.tests.is_worth_more_parameters(scores, r, best):
             continue

@@ -20,6 +20,7 @@ import numpy as np
 from ...errors import InputError
 from ..hypotheses.forces import element_forces
 from ..records.feedback import LINEAR
+from ..selection.criteria import CRITERIA
 from .gates import Decision, gate
 
 if TYPE_CHECKING:
@@ -28,10 +29,8 @@ if TYPE_CHECKING:
     from ...elements import Element
     from ..estimation.gauss_newton import Fit
     from ..records.feedback import Feedback
+    from ..selection.criteria import Criteria
     from ..simulation.problem import Problem
-
-#: Share of a named force that the controller's force may explain. A spring centred in a bang-bang cycle has 0.9, friction less than 0.3.
-IMITATION = 0.5
 
 
 def decide_under_feedback(
@@ -41,6 +40,7 @@ def decide_under_feedback(
     elements: Sequence[Element],
     feedback: Sequence[Feedback],
     brief: bool,
+    c: Criteria = CRITERIA,
 ) -> Decision:
     """Withdraw a name that feedback may have caused.
 
@@ -51,6 +51,7 @@ def decide_under_feedback(
         elements: The named elements.
         feedback: Inputs that follow from outputs; empty in open loop.
         brief: Whether the records were compared over brief stretches.
+        c: Limits of the decision.
 
     Returns:
         The decision with a gate for each condition; `unknown_effect` in place of a name where a gate fails.
@@ -66,7 +67,7 @@ def decide_under_feedback(
         for f in feedback:
             share = imitated_share(problem, fit, e, f.input)
             text = f"share of the force of {e.type} that {f.input}, which follows from {' and '.join(f.outputs)}, explains"
-            gates.append(gate("not the controller", share, "<", IMITATION, text))
+            gates.append(gate("not the controller", share, "<", c.imitation, text))
     if all(g.passed for g in gates):
         return replace(decision, gates=tuple(gates))
     return replace(decision, verdict="unknown_effect", gates=tuple(gates))

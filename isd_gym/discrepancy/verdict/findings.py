@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from ..selection.weights import Statement, WeightedCandidate
     from .evidence import Evidence
 
-#: smallest probability of a kind at a place that is reported
-LEAST = 0.05
-
 
 @dataclass(frozen=True)
 class LawProbability:
@@ -92,7 +89,7 @@ def find(
     for (place, kind), laws in every.items():
         at_place = probability(candidates, place=place)
         of_kind = probability(candidates, place=place, kind=kind)
-        if of_kind < LEAST:
+        if of_kind < c.reported:
             continue
         entries = [
             LawProbability(

@@ -14,6 +14,7 @@ from ..estimation.structure import owner_pair
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.motion import motions
 from ..selection.candidate import Candidate, simpler_structures
+from ..selection.criteria import CRITERIA
 from ..selection.equivalent_laws import is_sound, repeats
 from ..selection.free_force import fit_in_place_of
 from ..selection.uncertainty import (
@@ -34,16 +35,10 @@ if TYPE_CHECKING:
     from ..estimation.gauss_newton import Fit
     from ..result import Quantity
     from ..selection.candidate_comparison import CandidateComparison
+    from ..selection.criteria import Criteria
     from ..selection.forward_backward import Search
     from ..selection.held_out import HeldOutScore
     from ..simulation.problem import Array, Problem
-
-#: RMS force of a law over the measured motion, as a multiple of the typical force, above which its values contradict its name
-LARGEST = 10.0
-#: length or rate of a law, as a multiple of the motion, above which the records do not show it
-FURTHEST = 20.0
-#: laws over one plane at one place that are as good as the bends of a free curve
-BENDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +134,7 @@ def _effects(
                 label=h.label,
                 share=size,
                 spread=relative_uncertainty(e, quantities, difference),
-                contradiction=find_contradiction(problem, best.fit, e),
+                contradiction=find_contradiction(problem, best.fit, e, search.criteria),
                 sensor=h.place == "channel",
                 fault=e.fault(problem.time),
                 removed=removed,
@@ -175,7 +170,7 @@ def is_sensor_fault(candidate: Candidate) -> bool:
 # ------------------------------------------------------------------------------------------------- values of a law
 
 
-def find_contradiction(problem: Problem, fit: Fit, element: el.Element) -> str:
+def find_contradiction(problem: Problem, fit: Fit, element: el.Element, c: Criteria = CRITERIA) -> str:
     """Return how the values of a law contradict its name on these records; empty where they do not."""
     if not element.well_formed():
         return "its values contradict its name"
@@ -184,21 +179,21 @@ def find_contradiction(problem: Problem, fit: Fit, element: el.Element) -> str:
     motion = motions(problem, fit).get(element.between)
     if motion is None:
         return ""
-    if not repeats(element, motion):
+    if not repeats(element, motion, c):
         return "the travel covers too little of a period for the law to repeat"
     if not element.differs_from_limit(motion):
         return "on this motion the law is the limit of another law"
     scales = {"m": motion.reach, "m/s": float(np.abs(motion.v).max())}
     for f in el.parameter_fields(type(element)):
         scale = scales.get(f.metadata["unit"])
-        if scale and not f.metadata["fixed"] and getattr(element, f.name) > FURTHEST * scale:
+        if scale and not f.metadata["fixed"] and getattr(element, f.name) > c.furthest * scale:
             return f"its {f.name.replace('_', ' ')} is far beyond the measured motion"
     if element.plane != "time":
         axis = motion.v if element.plane == "rate" else motion.d
         force = element.curve(axis[:: max(1, len(axis) // 500)])
         inertia = max(problem.network.masses.values(), default=0.0) * el.rms(motion.a)
         typical = place_forces(problem, fit, without=element.name).at(element.where)
-        if el.rms(force) > LARGEST * max(typical, inertia):
+        if el.rms(force) > c.largest * max(typical, inertia):
             return "its force is many times the forces of the records"
     return ""
 
@@ -227,11 +222,11 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     c, best = search.criteria, scores.foremost
     if len(best.hypotheses) > 1:
         places = {frozenset(owner_pair(search.problem.network, h) or h.where) for h in best.hypotheses}
-        if len(places) == 1 and len(best.hypotheses) >= BENDS:
+        if len(places) == 1 and len(best.hypotheses) >= c.bends:
             return 1.0
-        if len(_laws_over_one_plane(search, best)) >= BENDS:
+        if len(_laws_over_one_plane(search, best)) >= c.bends:
             return 1.0
-        if len(best.hypotheses) < BENDS:
+        if len(best.hypotheses) < c.bends:
             return 0.0
         refit = scores.score(scores.refitted)
         shares = (share for e in best.elements for share in _removed_by_curves(search, scores, refit, e))
@@ -254,7 +249,7 @@ def _removed_by_unsound_laws(search: Search, scores: CandidateComparison, withou
     shares = [0.0]
     for r in scores.rivals():
         is_force = all(e.place == "between" for e in r.elements)
-        if is_force and not is_sound(search.problem, r):
+        if is_force and not is_sound(search.problem, r, search.criteria):
             now = scores.score(r)
             if now.compare_with(without).is_better(search.criteria):
                 shares.append(scores.explained_fraction(without, now))

@@ -1,0 +1,460 @@
+"""What a controller of a whole car believes: all corners in one discrete model, the rear road known from the front.
+
+The state is that of the assembly, counted from the heights of the road under the foremost wheel of each track, and behind it
+the delay line: by how much the road rose under that wheel in each of the last control steps. A wheel that runs d steps
+behind stands lower than the foremost wheel by the sum of the last d rises, and rises in the next step by the rise of
+d steps ago. A delay of a fraction of a step is interpolated linearly, as in the environment. So the only unknown road
+is the next rise under the foremost wheels, which is white, and a Kalman filter of this state sees the rear road
+coming without any sensor for it.
+
+Left and right track count as independent; a coherent road is easier than that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import expm
+
+from isd_gym import elements as el
+from isd_gym.batch import state_channels
+from isd_gym.vehicle import Vehicle, vehicle
+
+from .model import (
+    ROAD_INTENSITY,
+    SLIDING,
+    Sensors,
+    _riccati,
+    device_reach,
+    dry,
+    equations,
+    friction_levels,
+    lift,
+    stationary,
+    steady_gain,
+    white_covariance,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from isd_gym.cost import StageCost
+    from isd_gym.network import Network
+    from isd_gym.vehicle import Corner
+
+
+@dataclass(frozen=True)
+class CarModel:
+    """One control step of a car: ``x+ = A x + inputs I + G f + gamma w``, ``y = C x + feedthrough I + F f``.
+
+    Attributes:
+        car: Car.
+        step: Control step [s].
+        A: System matrix (n, n) of the state: motion of the car, then the delay line [m].
+        inputs: Effect (n, currents) of the currents [A], held over the step.
+        G: Effect (n, laws) of the forces [N] of the laws that are kept apart (friction, stops).
+        gamma: Effect (n, tracks) of the next rise of each track [m].
+        W: Covariance (n, n) of the state per step: of these rises, and of the road between the samples.
+        C: Channels of the car (channels, n): `Vehicle.channels`.
+        feedthrough: Effect (channels, currents) of the currents on the channels.
+        F: Effect (channels, laws) of the forces on the channels.
+        S: Rates (laws, n) of the laws.
+        SF: Effect (laws, laws) of the forces on these rates.
+        laws: Laws that are kept apart.
+        motion: Number of states of the car's motion; the delay line follows.
+        delays: Delay of each corner behind the foremost wheel of its track [steps].
+        heights: Height of each corner over the foremost wheel of its track, by the delay line (corners, line).
+        rises: Rise of each corner over the next step, by the delay line (corners, line).
+        lift: Shift of the motion when a track rises by 1 m (motion, tracks).
+        drifts: States (n, motions) of a car whose body moves at constant speed, each wheel with it.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+    """
+
+    car: Vehicle
+    step: float
+    A: np.ndarray
+    inputs: np.ndarray
+    G: np.ndarray
+    gamma: np.ndarray
+    W: np.ndarray
+    C: np.ndarray
+    feedthrough: np.ndarray
+    F: np.ndarray
+    S: np.ndarray
+    SF: np.ndarray
+    laws: tuple[el.Element, ...]
+    motion: int
+    delays: np.ndarray
+    heights: np.ndarray
+    rises: np.ndarray
+    lift: np.ndarray
+    drifts: np.ndarray
+    road_intensity: float
+
+    @property
+    def network(self) -> Network:
+        """Network of the car."""
+        return self.car.network
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def friction(self) -> list[int]:
+        """Which of the laws are dry friction."""
+        return dry(self.laws)
+
+    def levels(self, rate: float = SLIDING) -> np.ndarray:
+        """Return the friction level [N] of each law; 0 for laws that are not dry friction.
+
+        Args:
+            rate: Sliding rate [m/s].
+        """
+        return friction_levels(self.laws, rate)
+
+    @property
+    def current_places(self) -> slice:
+        """Places of the present currents in an observation."""
+        signals = len(self.car.measured)
+        return slice(signals - len(self.car.driven), signals)
+
+    @cached_property
+    def thrusts(self) -> np.ndarray:
+        """Thrust per current of each motor at its terminals [N/A] (currents,); 0 without a motor."""
+        return np.array([_thrust(self.network, c) for c in self.car.driven])
+
+    @cached_property
+    def device_rates(self) -> np.ndarray:
+        """Rows (currents, n) that give the rate of each device [m/s]."""
+        names = [c.name for c in self.car.channels]
+        return self.C[[names.index(c.named("device_travel_rate")) for c in self.car.driven]]
+
+    def rows(self, kind: str) -> list[int]:
+        """Return the rows of the channels of a kind, of every corner.
+
+        Args:
+            kind: Name of the channel without the name of the corner.
+        """
+        names = [c.name for c in self.car.channels]
+        return [names.index(c.named(kind)) for c in self.car.corners]
+
+    def rises_ahead(self, corner: int) -> np.ndarray:
+        """Return the rises of the road under a wheel in the next control steps, as far as the delay line knows them.
+
+        Args:
+            corner: Number of the corner.
+
+        Returns:
+            Matrix (points, line) on the delay line; no points for a foremost wheel.
+        """
+        points = int(self.delays[corner])
+        size = self.n - self.motion
+        rows, line = np.zeros((points, size)), self.rises[corner]
+        for k in range(points):  # the line moves on, and nothing known enters
+            rows[k] = line
+            line = line @ self.A[self.motion :, self.motion :]
+        return rows
+
+    def kalman_gain(self, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
+        """Return the steady gain (n, measured) of a Kalman filter on the measured signals.
+
+        Angular accelerations are as accurate as the difference of two accelerometers at the axles.
+
+        Args:
+            sensors: How well the signals are measured.
+            noise: Covariance of the state per step, beyond the road's.
+        """
+        apart = max(abs(place) for c in self.car.corners for place in (c.x, c.y))
+        errors = []
+        for signal in self.car.measured[: self.current_places.start]:
+            if signal.kind.endswith("_acceleration") and signal.kind != "body_acceleration":
+                errors.append(sensors.body_acceleration / apart)
+            else:
+                errors.append(getattr(sensors, signal.kind))
+        return steady_gain(self, np.diag(np.square(errors)), sensors.memory, self.drifts, noise)
+
+
+@dataclass(frozen=True)
+class CarWeights:
+    """Quadratic weights of a design: the stage cost of a car, and what shapes it, each shared equally by the corners.
+
+    Attributes:
+        cost: Stage cost of the car.
+        effort: Weight on the currents [1/A^2].
+        centring: Weight on the devices' travels over their reach [-].
+    """
+
+    cost: StageCost
+    effort: float = 0.0
+    centring: float = 0.01
+
+    def of(self, model: CarModel) -> tuple[np.ndarray, np.ndarray]:
+        """Return the weights of the channels (channels,) and of the currents (currents,) of a model.
+
+        Args:
+            model: Model of the car.
+        """
+        car = model.car
+        corners, currents, motions = len(car.corners), len(car.driven), 1 + len(car.axes)
+        factors = self.cost.factors(car.axes, corners, currents)
+        q = np.zeros(len(car.channels))
+        q[:motions] = factors[:motions]
+        q[model.rows("suspension_travel")] = factors[motions : motions + corners]
+        q[model.rows("tyre_load")] = factors[motions + corners : motions + 2 * corners]
+        reach = np.array([device_reach(car.quarter_car(c)) for c in car.corners])
+        q[model.rows("device_travel")] += self.centring / corners / reach**2
+        return q, np.array(factors[motions + 2 * corners :]) + self.effort / currents
+
+
+def _thrust(network: Network, corner: Corner) -> float:
+    motor = next((e for e in network.elements if e.name == corner.motor), None)
+    return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
+
+
+@dataclass(frozen=True)
+class _Line:
+    """The delay line: what the rises of the past tell of the corners.
+
+    Attributes:
+        heights: Height of each corner over the foremost wheel of its track, by the line (corners, states).
+        rises: Rise of each corner over the next step, by the line (corners, states).
+        new: Rise of each corner over the next step, by the next rise of each track (corners, tracks).
+        shift: The line one step later (states, states).
+        entry: Where the next rise of each track enters (states, tracks).
+    """
+
+    heights: np.ndarray
+    rises: np.ndarray
+    new: np.ndarray
+    shift: np.ndarray
+    entry: np.ndarray
+
+    @classmethod
+    def of(cls, delays: np.ndarray, tracks: list[int]) -> _Line:
+        count = max(tracks) + 1
+        lengths = [
+            max(int(np.ceil(d)) for d, t in zip(delays, tracks, strict=True) if t == i) for i in range(count)
+        ]
+        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(int)
+        size = int(starts[-1])
+        heights, rises = np.zeros((len(delays), size)), np.zeros((len(delays), size))
+        new, shift, entry = np.zeros((len(delays), count)), np.zeros((size, size)), np.zeros((size, count))
+        for t, length in enumerate(lengths):
+            shift[starts[t] + 1 : starts[t + 1], starts[t] : starts[t + 1] - 1] = np.eye(max(length - 1, 0))
+            entry[starts[t] : starts[t] + min(length, 1), t] = 1.0
+        for c, (delay, t) in enumerate(zip(delays, tracks, strict=True)):
+            low, part = int(delay), delay - int(delay)
+            first = starts[t]
+            heights[c, first : first + low] = -1.0
+            for place, share in ((low, 1 - part), (low + 1, part)):
+                if share == 0.0:
+                    continue
+                if place == 0:
+                    new[c, t] += share
+                else:
+                    rises[c, first + place - 1] += share
+            if part:
+                heights[c, first + low] = -part
+        return cls(heights, rises, new, shift, entry)
+
+
+def car_model(
+    network: Network,
+    step: float,
+    speed: float,
+    *,
+    wheelbase: bool = True,
+    damping: Mapping[str, float] | None = None,
+    road_intensity: float = ROAD_INTENSITY,
+) -> CarModel:
+    """Return the model of a car at a control step.
+
+    Dry friction and stops are kept as laws, unless `damping` names them. Every other law counts by its slope at rest.
+
+    Args:
+        network: Network of the car.
+        step: Control step [s].
+        speed: Speed [m/s], which gives the delays of the rear wheels.
+        wheelbase: Whether the rear road is known from the front; else each wheel runs on a road of its own.
+        damping: Dry frictions and stops that become linear dampers [N s/m], by name.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+
+    Raises:
+        InputError: The network is no car, or is tied to the ground.
+    """
+    car = vehicle(network)
+    channels = [*car.channels, *state_channels(network)]
+    parts = equations(network, channels, dict(damping or {}))
+    count, corners = len(car.channels), len(car.corners)
+    tracks = list(car.wheels.track) if wheelbase else list(range(corners))
+    behind = car.wheels.delays(speed, step)
+    first = [min(d for d, t in zip(behind, tracks, strict=True) if t == i) for i in range(max(tracks) + 1)]
+    delays = behind - np.array([first[t] for t in tracks])
+    line = _Line.of(delays, tracks)
+    x, r, v, current = (parts.columns[k] for k in ("x", "r", "v", "I"))
+    moving = [c.name for c in network.moving]
+    order = [moving.index(c.road_input) for c in car.corners]
+    roads = np.zeros((len(moving), max(tracks) + 1))
+    for road, t in zip(order, tracks, strict=True):
+        roads[road, t] = 1.0
+    T = lift(network, parts, roads, count)
+    leader = [
+        next(c for c in range(corners) if tracks[c] == t and delays[c] == 0.0) for t in range(max(tracks) + 1)
+    ]
+    # continuous: motion above the leaders' roads, and heights of the corners over their leaders
+    n, nl = len(parts.rate), len(parts.laws)
+    size = n + corners
+    A = np.zeros((size, size))
+    A[:n, :n], A[:n, n:] = parts.rate[:, x], parts.rate[:, r][:, order]
+    white = np.zeros((size, corners))
+    white[:n], white[n:] = parts.rate[:, v][:, order], np.eye(corners)
+    for t, c in enumerate(leader):
+        white[:n, c] -= T[:, t]
+        white[n:, c] -= [float(track == t) for track in tracks]
+    currents = _currents(network, car)
+    inputs = np.zeros((size, len(currents) + nl))
+    for j, place in enumerate(currents):
+        if place is not None:
+            inputs[:n, j] = parts.rate[:, current][:, place]
+    inputs[:n, len(currents) :] = parts.rate[:, parts.apart]
+    wide = np.hstack([inputs, white])
+    big = np.zeros((size + wide.shape[1],) * 2)
+    big[:size, :size], big[:size, size:] = A * step, wide * step
+    phi = expm(big)
+    move, ramps = phi[:n, :size], phi[:n, size + inputs.shape[1] : size + wide.shape[1]] / step
+    total, states = n + len(line.shift), slice(n, None)
+    full = np.zeros((total, total))
+    full[:n, :n] = move[:, :n]
+    full[:n, states] = move[:, n:] @ line.heights + ramps @ line.rises
+    full[states, states] = line.shift
+    gamma = np.vstack([ramps @ line.new, line.entry])
+    variance = road_intensity * step  # of a rise
+    W = variance * gamma @ gamma.T
+    for c in range(corners):  # the road between the samples
+        between = white_covariance(A, white[:, [c]], road_intensity, step)[:n, :n]
+        W[:n, :n] += between - variance * np.outer(ramps[:, c], ramps[:, c])
+
+    def widened(rows: np.ndarray) -> np.ndarray:
+        return np.hstack([rows[:, x], rows[:, r][:, order] @ line.heights])
+
+    def through(rows: np.ndarray) -> np.ndarray:
+        blocks = [np.zeros(len(rows)) if j is None else rows[:, current][:, j] for j in currents]
+        return np.column_stack(blocks)
+
+    below = np.zeros((len(line.shift), inputs.shape[1]))
+    effects = np.vstack([phi[:n, size : size + inputs.shape[1]], below])
+    out = parts.out[:count]
+    return CarModel(
+        car=car,
+        step=step,
+        A=full,
+        inputs=effects[:, : len(currents)],
+        G=effects[:, len(currents) :],
+        gamma=gamma,
+        W=0.5 * (W + W.T),
+        C=widened(out),
+        feedthrough=through(out),
+        F=out[:, parts.apart],
+        S=widened(parts.R),
+        SF=parts.R[:, parts.apart],
+        laws=parts.laws,
+        motion=n,
+        delays=delays,
+        heights=line.heights,
+        rises=line.rises,
+        lift=T,
+        drifts=_drifts(car, parts.out[:, x], total),
+        road_intensity=road_intensity,
+    )
+
+
+def _currents(network: Network, car: Vehicle) -> list[int | None]:
+    """Return the column of each current among the currents of the assembly; None for a corner without a motor."""
+    names = [c.name for c in network.inputs if c.quantity == "current"]
+    return [None if c.current_input is None else names.index(c.current_input) for c in car.driven]
+
+
+def _drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
+    """Return the states (total, motions) of a body that moves at 1 m/s or 1 rad/s, wheels with it, at the roads' heights."""
+    nodes = state_channels(car.network)
+    count = len(car.channels)
+    travels = [j for j, c in enumerate(car.channels) if "travel" in c.name]
+    carried = car.network.carried
+    speeds = [count + j for j, c in enumerate(nodes) if c.name.endswith("_velocity") and c.at in carried]
+    heights = [count + j for j, c in enumerate(nodes) if c.name.endswith("_displacement")]
+    rows = out[[*speeds, *heights, *travels]]
+    at = {car.body: car.arms(0.0, 0.0)} | {c.wheel: car.arms(c.x, c.y) for c in car.corners}
+    states = []
+    for motion in range(1 + len(car.axes)):
+        wanted = np.zeros(len(rows))
+        for j, place in enumerate(speeds):
+            node = nodes[place - count].at
+            if node in at:
+                wanted[j] = at[node][motion]
+            elif motion and node == car.angles[car.axes[motion - 1]]:
+                wanted[j] = 1.0
+        states.append(np.linalg.lstsq(rows, wanted, rcond=None)[0])
+    return np.vstack([np.array(states).T, np.zeros((total - out.shape[1], len(states)))])
+
+
+# ------------------------------------------------------------------------------------ linear-quadratic
+
+
+def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, float]:
+    """Return the linear-quadratic regulator of a car without friction, and what it costs on a white road.
+
+    The currents do not change the delay line, so the value of the motion alone is that of a car on even road. A line of d
+    states is empty after d steps: as many steps of the Riccati recursion add the value of what is in the line, exactly.
+
+    Args:
+        model: Model of the car.
+        weights: Weights of the design, on the channels at the end of each step.
+
+    Returns:
+        Gain K (currents, n) of ``I = -K x``, and the mean cost per step under it, by the Riccati equation.
+    """
+    q, r = weights.of(model)
+    A, B, k = model.A, model.inputs, model.motion
+    C, D = model.C @ A, model.C @ B + model.feedthrough
+    Q, N, R = C.T @ (q[:, None] * C), C.T @ (q[:, None] * D), D.T @ (q[:, None] * D) + np.diag(r)
+    V = np.zeros((model.n, model.n))
+    V[:k, :k] = _riccati(model, A[:k, :k], B[:k], Q[:k, :k], R, N[:k])
+    for _ in range(model.n - k + 1):
+        across = B.T @ V @ A + N.T
+        K = np.linalg.solve(R + B.T @ V @ B, across)
+        V = Q + A.T @ V @ A - across.T @ K
+        V = 0.5 * (V + V.T)
+    worth = V + model.C.T @ (q[:, None] * model.C)
+    return K, float(np.trace(worth @ model.W))
+
+
+def blind_gain(model: CarModel, blind: CarModel, K: np.ndarray) -> np.ndarray:
+    """Return the gain (currents, n) of a regulator that takes the rises under the rear wheels for new ones.
+
+    Args:
+        model: Model of the car with its delay line.
+        blind: Model of the same car with `wheelbase=False`.
+        K: Gain on the state of the blind model.
+    """
+    return np.hstack([K, -K @ blind.lift @ model.heights])
+
+
+def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float:
+    """Return the mean cost per step of ``I = -K x`` on a white road, from the covariance of the closed loop.
+
+    Args:
+        model: Model of the car.
+        weights: Weights of the cost.
+        K: Gain (currents, n).
+    """
+    q, r = weights.of(model)
+    loop = model.A - model.inputs @ K
+    X = stationary(loop, model.W)
+    C = model.C @ loop - model.feedthrough @ K
+    now = np.einsum("i,ij,jk,ik->", q, C, X, C) + np.einsum("i,ij,jk,ik->", r, K, X, K)
+    return float(now + np.trace(model.C.T @ (q[:, None] * model.C) @ model.W))

@@ -1,0 +1,140 @@
+"""Decentralised control of a car with several corners: a quarter car's controller at each, on the measurements of its own.
+
+The corner of a half or full car sees the vertical acceleration of the body above it, z - x pitch + y roll, its own travels
+and rates, and its own current. It believes in the quarter car that `Vehicle.quarter_car` makes of the network.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from isd_gym.cost import StageCost
+from isd_gym.vehicle import vehicle
+
+from .controller import Controller
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from isd_gym.network import Network
+    from isd_gym.vehicle import Vehicle
+
+#: measured signals of a corner, in the order of a quarter car's observation after the acceleration
+OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate", "current")
+
+
+def corner_cost(cost: StageCost) -> StageCost:
+    """Return the stage cost of a quarter car whose weights are those of a car with several corners.
+
+    The weights of vertical, pitch and roll acceleration are added up. The references are those of the quarter car.
+
+    Args:
+        cost: Stage cost of the whole car.
+    """
+    motions = cost.acceleration + cost.pitch + cost.roll
+    return StageCost(
+        acceleration=round(motions, 12),
+        travel=cost.travel,
+        tyre_load=cost.tyre_load,
+        current=cost.current,
+        current_reference=cost.current_reference,
+    )
+
+
+def corner_view(car: Vehicle) -> np.ndarray:
+    """Return the matrix that makes the observations of quarter cars out of the observation of a car.
+
+    Args:
+        car: Car with several corners.
+
+    Returns:
+        Matrix (corners with a current, 6, signals).
+    """
+    names = [signal.name for signal in car.measured]
+    view = np.zeros((len(car.driven), 1 + len(OWN), len(names)))
+    for i, corner in enumerate(car.driven):
+        view[i, 0, : 1 + len(car.axes)] = car.arms(corner.x, corner.y)
+        for j, kind in enumerate(OWN, 1):
+            view[i, j, names.index(corner.named(kind))] = 1.0
+    return view
+
+
+def at_each_corner(
+    model: Network, cost: StageCost, make: Callable[[Network, StageCost], Controller]
+) -> list[Controller]:
+    """Return a controller for each corner with a current.
+
+    Args:
+        model: Network of the car that is believed in.
+        cost: Stage cost of the car.
+        make: Function that makes the controller of a quarter car from its network and its stage cost.
+    """
+    car = vehicle(model)
+    return [make(car.quarter_car(corner), corner_cost(cost)) for corner in car.driven]
+
+
+class Decentralised(Controller):
+    """A controller at each corner, which knows nothing of the others.
+
+    Attributes:
+        corners: Controllers of quarter cars, in the order of the currents.
+    """
+
+    def __init__(self, name: str, model: Network, corners: Sequence[Any]) -> None:
+        """Put the controllers at their corners.
+
+        Args:
+            name: Name under which it is scored.
+            model: Network of the car that is believed in.
+            corners: Controllers of quarter cars that drive many cars at once, as `at_each_corner` makes them.
+        """
+        super().__init__(name, model)
+        self.car, self.corners = vehicle(model), list(corners)
+        self._view = corner_view(self.car)
+        self.reset()
+
+    def reset(self) -> None:
+        self.reset_batch(1)
+
+    def reset_batch(self, count: int) -> None:
+        """Forget everything and drive `count` cars.
+
+        Args:
+            count: Number of cars.
+        """
+        for c in self.corners:
+            c.reset_batch(count)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        return self.act_batch(np.asarray(observation)[None])[0]
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Return commanded currents [A] (cars, currents) for observations (cars, signals).
+
+        Args:
+            observations: As the environment gives them.
+        """
+        own = self.observed(np.asarray(observations, float))
+        currents = [c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)]
+        self.fallbacks = sum(c.fallbacks for c in self.corners)
+        return np.stack(currents, axis=-1)
+
+    def observed(self, observations: np.ndarray) -> list[np.ndarray]:
+        """Return what each corner sees (cars, 6) of observations (cars, signals).
+
+        Args:
+            observations: As the environment gives them, in float64.
+        """
+        seen = observations[:, : self._view.shape[2]]
+        with np.errstate(invalid="ignore"):
+            return [_through(view, seen) for view in self._view]
+
+
+def _through(view: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return ``seen @ view.T``, in which a broken signal breaks only the signals that are made of it."""
+    out = np.zeros((len(seen), len(view)))
+    for i, j in zip(*np.nonzero(view), strict=True):
+        out[:, i] += view[i, j] * seen[:, j]
+    return out

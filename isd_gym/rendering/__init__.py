@@ -1,0 +1,35 @@
+"""Pictures of cars on their rolling road, and films of them.
+
+`Renderer.draw` paints one or two snapshots (two for comparison: same road, same scales): a `Snapshot` of a quarter car, or a
+`CarSnapshot` of a car with a rigid body. It knows nothing of the simulation: whoever has the displacements of the nodes can
+draw. `write_video` makes a film of frames.
+
+From the bottom up: `palette` and `backend`, the drawing surface (`canvas`), what is shown (`snapshots`), symbols of elements
+(`symbols`), parts of a car (`wheel`, `corner`, `road`), whole cars (`quarter_car`, `rigid_car`), live curves (`curves`, `panel`),
+frames (`renderer`) and films (`film`). What other modules may use is imported here.
+"""
+
+from __future__ import annotations
+
+from .backend import check_display
+from .film import write_video
+from .palette import BLUE, CAR_COLOURS, GREEN, ORANGE, PULL, PURPLE, PUSH, VERMILLION
+from .renderer import Renderer
+from .snapshots import CarSnapshot, CornerSnapshot, Snapshot
+
+__all__ = [
+    "BLUE",
+    "CAR_COLOURS",
+    "GREEN",
+    "ORANGE",
+    "PULL",
+    "PURPLE",
+    "PUSH",
+    "VERMILLION",
+    "CarSnapshot",
+    "CornerSnapshot",
+    "Renderer",
+    "Snapshot",
+    "check_display",
+    "write_video",
+]

@@ -1,0 +1,111 @@
+"""The road in a picture: heights over its width, and the ground below them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .palette import GROUND, GROUND_FAR, GROUND_MARK, INK, STEEL_FAR
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .canvas import Canvas
+
+MARKS = 2.0  # distance of two marks on the ground [m]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of the picture with a road from the side.
+
+    Attributes:
+        left: Left edge [px].
+        right: Right edge [px].
+        foot: Lower edge [px].
+        origin: Place that distances along the road count from [px].
+        metre: Length of a metre of road [px].
+    """
+
+    left: float
+    right: float
+    foot: float
+    origin: float
+    metre: float
+
+    def columns(self) -> NDArray[np.float64]:
+        """Return the places [px] (n,) at which the road is drawn: one every two pixels."""
+        return np.linspace(self.left, self.right, int((self.right - self.left) / 2) + 1)
+
+    def heights(self, profile: NDArray[np.float64], step: float, behind: float) -> NDArray[np.float64]:
+        """Return the heights [m] (n,) at `columns`.
+
+        Args:
+            profile: Heights [m] (m,) from behind the origin to ahead.
+            step: Distance of two heights [m].
+            behind: Length of the profile behind the origin [m].
+        """
+        place = np.arange(profile.size) * step - behind
+        return np.interp((self.columns() - self.origin) / self.metre, place, profile)
+
+
+def reference_height(heights: NDArray[np.float64], contact: float) -> float:
+    """Return the height of the road at large [m], which the camera follows.
+
+    A mean that fades towards the edges moves smoothly. Heights count from the one under the wheel, so that a road's own height
+    is gone before anything is rounded.
+
+    Args:
+        heights: Heights over the width of the picture [m] (n,).
+        contact: Height under the wheel [m].
+    """
+    weight = np.hanning(heights.size + 2)[1:-1]
+    return contact + float((heights - contact) @ weight / weight.sum())
+
+
+def ground(
+    c: Canvas,
+    window: Window,
+    y: NDArray[np.float64],
+    travelled: float | None,
+    u: float,
+    *,
+    is_behind: bool = False,
+) -> None:
+    """Draw the ground below a road, from the side with marks that make the speed visible.
+
+    Args:
+        c: Canvas.
+        window: Part of the picture.
+        y: Heights of the road at the columns of the window [px] (n,).
+        travelled: Distance that the car has driven [m]; None for a section across the road.
+        u: Unit of the layout [px].
+        is_behind: Whether the road is pale, behind another road that is drawn later.
+    """
+    x = window.columns()
+    surface = np.column_stack([x, y])
+    below = np.vstack([surface, [[window.right, window.foot], [window.left, window.foot]]])
+    c.polygon(GROUND_FAR if is_behind else GROUND, below)
+    if travelled is not None and not is_behind:
+        _marks(c, window, y, travelled, u)
+    if is_behind:
+        c.lines(STEEL_FAR, surface, u)
+    else:
+        c.polygon(INK, np.vstack([surface - [0, 0.6 * u], surface[::-1] + [0, 2.2 * u]]))
+
+
+def _marks(c: Canvas, window: Window, y: NDArray[np.float64], travelled: float, u: float) -> None:
+    x = window.columns()
+    offset = travelled % MARKS
+    first = math.floor((window.left - window.origin) / window.metre / MARKS) * MARKS - offset
+    last = (window.right - window.origin) / window.metre + MARKS
+    for place in np.arange(first, last, MARKS).tolist():
+        at = window.origin + place * window.metre
+        top = float(np.interp(at, x, y)) + 4 * u
+        c.polygon(
+            GROUND_MARK,
+            [(at, top), (at + 7 * u, top), (at - 1 * u, top + 11 * u), (at - 8 * u, top + 11 * u)],
+        )

@@ -1,0 +1,216 @@
+"""Control and score of half and full cars: what is refused, corners as quarter cars, the rear road known from the front."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import baselines
+from baselines.decentralised import Decentralised
+from isd_gym.driving import Crew, Entry, Idle, travel
+from isd_gym.env import ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import conventional, find, passive
+from isd_gym.scoring import drive, score
+from isd_gym.vehicle import vehicle
+
+HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
+KINDS = {"half-car-isd": "half car", "full-car-passive": "full car"}
+
+
+def decoupled():
+    """The half car with the pitch inertia m a b: no coupling between the axles."""
+    return HALF.with_parameters({"body.inertia.pitch": 690.0 * 1.35 * 1.35})
+
+
+def one_line(caught):
+    assert "\n" not in str(caught.value)
+
+
+# ------------------------------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize("policy", ["lqg-preview", "lqr-full", "mpc-friction-preview"])
+@pytest.mark.parametrize("name", KINDS)
+def test_controllers_of_quarter_cars_refuse_several_corners(policy, name):
+    with pytest.raises(InputError, match=f"controller of a quarter car.*is a {KINDS[name]}") as caught:
+        find(policy, Network.load(name)).make()
+    one_line(caught)
+
+
+def test_a_trained_policy_of_a_quarter_car_refuses_a_half_car():
+    with pytest.raises(InputError, match="was made for network 'quarter-car-isd'") as caught:
+        find("ppo", HALF)
+    one_line(caught)
+
+
+@pytest.mark.parametrize("currents", [1, 3])
+def test_a_policy_with_another_number_of_currents_is_refused(currents):
+    class Mine(Idle):
+        def act_batch(self, observations):
+            return np.zeros((len(observations), currents))
+
+    env = ISDSuspensionVectorEnv(2, network=HALF)
+    with pytest.raises(
+        InputError, match=f"'mine' commands {currents} current.* is a half car with 2"
+    ) as caught:
+        next(travel(Crew(Entry("mine", lambda: Mine("mine")), 2), env, 1))
+    one_line(caught)
+
+
+def test_a_model_of_another_car_is_refused():
+    with pytest.raises(InputError, match="is a quarter car, but the plant 'half-car-isd' is a half car"):
+        find("lqg", HALF, model=Network.load("quarter-car-isd"))
+
+
+def test_an_unknown_point_is_refused():
+    with pytest.raises(InputError, match=r"no point 'nose'.*there are body, body_front, body_rear, driver"):
+        score("isd-passive", HALF, point="nose", episodes=1, duration=0.1)
+
+
+# ------------------------------------------------------------------------------------- corners
+
+
+@pytest.mark.parametrize("net", [HALF, FULL, Network.load("half-car-passive")])
+def test_corners_of_the_built_in_cars_are_the_quarter_car(net):
+    car = vehicle(net)
+    quarter = Network.load("quarter-car-passive" if "passive" in net.name else "quarter-car-isd")
+    for corner in car.corners:
+        own = car.quarter_car(corner)
+        assert list(own.masses.values()) == list(quarter.masses.values())
+        own_elements = sorted((e.type, *e.law_parameters()) for e in own.elements)
+        assert own_elements == sorted((e.type, *e.law_parameters()) for e in quarter.elements)
+
+
+def test_corners_share_the_weight_by_the_lever_rule():
+    data = HALF.to_dict()
+    data["bodies"]["body"]["points"] = {"body_front": {"x": 1.0}, "body_rear": {"x": -2.0}}
+    data["outputs"] = data["outputs"][:1]
+    data["uncertainty"] = {}
+    assert vehicle(Network.load(data)).resting_masses == pytest.approx((460.0, 230.0))
+    data["bodies"]["body"]["points"]["body_rear"]["x"] = 0.5
+    with pytest.raises(InputError, match="does not rest on its wheels"):
+        _ = vehicle(Network.load(data)).resting_masses
+
+
+@pytest.mark.parametrize("policy", ["skyhook", "lqg", "mpc", "mpc-friction"])
+def test_on_a_decoupled_half_car_each_corner_is_driven_as_a_quarter_car(policy):
+    """Two quarter cars are driven; the half car that they make up gets the same currents."""
+    steps, net = 300, decoupled()
+    quarters, wanted = [], []
+    for axle in range(2):
+        env = ISDSuspensionVectorEnv(1, autoreset_mode="disabled")
+        legs = travel(Crew(find(policy, env.network), 1), env, steps, seed=axle)
+        seen, actions = zip(*((leg.seen[0].astype(float), leg.actions[0, 0]) for leg in legs), strict=True)
+        quarters.append(np.array(seen)), wanted.append(np.array(actions))
+    front, rear = quarters
+    heave, pitch = (front[:, 0] + rear[:, 0]) / 2, (rear[:, 0] - front[:, 0]) / 2.7
+    observed = np.column_stack([heave, pitch, front[:, 1:5], rear[:, 1:5], front[:, 5], rear[:, 5]])
+    driver = find(policy, net).make()
+    driver.reset()
+    found = np.array([driver.act(obs) for obs in observed])
+    np.testing.assert_allclose(found, np.array(wanted).T, atol=1e-9)
+    assert np.abs(wanted).max(axis=1).min() > 0.3
+
+
+def test_a_full_car_has_a_controller_at_each_corner():
+    run = drive(find("skyhook", FULL), FULL, episodes=2, duration=2.0)
+    base = drive(find("isd-passive", FULL), FULL, episodes=2, duration=2.0)
+    from isd_gym.cost import FULL_CAR
+
+    assert (run.cost(FULL_CAR) < base.cost(FULL_CAR)).all()
+    assert all(np.abs(run.signals[f"current_{c.name}"]).max() > 0.1 for c in run.car.corners)
+
+
+@pytest.mark.parametrize("name", ["mpc-friction", *baselines.WHOLE_CAR])
+@pytest.mark.parametrize("net", [HALF, FULL])
+def test_limits_hold_on_the_worst_road(name, net):
+    """|I| <= 5 A and |dI| <= 0.5 A per step at each motor, finite, on ISO class H."""
+    controller = baselines.make(name, net)
+    env = ISDSuspensionVectorEnv(1, net, road="H", autoreset_mode="disabled")
+    obs, _ = env.reset(seed=7)
+    controller.reset()
+    currents = len(env.task.vehicle.driven)
+    for _ in range(200):
+        command = controller.act(obs[0])
+        assert command.shape == (currents,) and np.isfinite(command).all()
+        assert np.abs(command).max() <= 5.0
+        assert np.abs(command - obs[0, -currents:]).max() <= 0.5 + 1e-6
+        obs, _, terminated, *_ = env.step(command[None])
+        assert not terminated.any()
+
+
+@pytest.mark.parametrize("name", ["mpc-friction", *baselines.WHOLE_CAR])
+def test_no_observation_breaks_a_controller(name):
+    """Nonsense, not-a-number and infinity in; finite currents within the limits out; and it recovers."""
+    controller = baselines.make(name, HALF)
+    controller.reset()
+    rng = np.random.default_rng(8)
+    for k in range(60):
+        obs = (rng.normal(size=12) * 10 ** rng.uniform(-2, 6)).astype(np.float32)
+        if k % 3 == 0:
+            obs[rng.integers(12)] = rng.choice([np.nan, np.inf, -np.inf])
+        command = controller.act(obs)
+        assert np.isfinite(command).all() and np.abs(command).max() <= 5.0
+    calm = np.zeros(12, np.float32)
+    for _ in range(12000):  # 12 times the 5 s after which the road's mean level is trusted
+        calm[-2:] = command = controller.act(calm)
+    assert np.abs(command).max() < 0.5
+
+
+def test_a_broken_signal_breaks_its_own_corner_alone():
+    one, other = (baselines.make("lqg", HALF) for _ in range(2))
+    assert isinstance(one, Decentralised)
+    obs = np.random.default_rng(0).normal(size=(1, 12)) * 1e-2
+    broken = obs.copy()
+    broken[0, 6] = np.nan  # travel at the rear
+    a, b = one.act_batch(obs), other.act_batch(broken)
+    assert np.isfinite(b).all() and a[0, 0] == b[0, 0]
+
+
+# ------------------------------------------------------------------------------------- score
+
+
+def test_the_conventional_half_car_has_the_networks_own_body():
+    data = HALF.to_dict()
+    data["masses"]["wheel_rear"] = 60.0
+    data["bodies"]["body"]["mass"] = 800.0
+    data["bodies"]["body"]["points"]["body_front"]["x"] = 1.2
+    data["elements"][0]["stiffness"] = 25000.0
+    car = conventional(Network.load(data))
+    assert car.masses == {"wheel_front": 45.0, "wheel_rear": 60.0}
+    assert car.bodies[0].mass == 800.0 and car.element("main_spring_front").stiffness == 25000.0
+    assert [c.x for c in vehicle(car).corners] == [1.2, -1.35]
+
+
+def test_score_of_a_half_car():
+    result = score(["passive", "isd-passive"], HALF, reference=passive(HALF), episodes=3, duration=2.0)
+    row, run = result.policies[1], result.runs["isd-passive"]
+    travels = [row[f"suspension_travel_{c}_rms"]["value"] for c in ("front", "rear")]
+    assert row["suspension_travel_rms"]["value"] == pytest.approx(np.sqrt(np.mean(np.square(travels))))
+    assert row["pitch_acceleration_rms"]["unit"] == "rad/s^2" and "change" in row["tyre_load_rear_rms"]
+    # the reward of the environment is minus the cost
+    env = ISDSuspensionVectorEnv(3, HALF, autoreset_mode="disabled")
+    env.reset(seed=0)
+    rewards = np.mean([env.step(np.zeros((3, 2)))[1] for _ in range(400)], axis=0)
+    np.testing.assert_allclose(run.cost(result.cost), -rewards, rtol=1e-12)
+
+
+def test_comfort_is_evaluated_at_the_driver_or_where_one_asks():
+    """The acceleration of a point is that of the network's own output there."""
+    run = drive(find("isd-passive", HALF), HALF, episodes=1, duration=1.0)
+    moved = HALF.with_parameters({})
+    body = replace(
+        HALF.bodies[0], points=(*HALF.bodies[0].points[:2], replace(HALF.bodies[0].points[2], x=0.1))
+    )
+    assert moved.bodies[0] == body
+    z, pitch = run.signals["body_acceleration"], run.signals["pitch_acceleration"]
+    np.testing.assert_allclose(run.acceleration_at("driver"), z - 0.1 * pitch)
+    told = {
+        p: score("isd-passive", HALF, point=p, episodes=1, duration=1.0)
+        for p in (None, "driver", "body_front")
+    }
+    weighted = {p: r.policies[-1]["weighted_acceleration_rms"]["value"] for p, r in told.items()}
+    assert weighted[None] == weighted["driver"] != weighted["body_front"]
+    assert told[None].to_dict()["comfort_point"] == "driver"

@@ -1,0 +1,491 @@
+"""Pictures of half and full cars: the body tilts by its angles, wheels stand on the road, words are legible."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter
+from typer.testing import CliRunner
+
+from isd_gym import cli, rendering
+from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.policies import find
+from isd_gym.rendering import CarSnapshot, CornerSnapshot, Renderer, Snapshot, backend, renderer
+from isd_gym.rendering.canvas import Canvas
+from isd_gym.rendering.palette import MUTED, PALE
+from isd_gym.rendering.rigid_car import RigidCarScene
+from isd_gym.rendering.wheel import RUBBER
+from isd_gym.show import snapshots
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pygame = backend.pygame()
+NETWORKS = {"ISDHalfCar-v0": "half-car-isd", "ISDFullCar-v0": "full-car-isd"}
+both = pytest.mark.parametrize("name", NETWORKS)
+PLACES = {"front_left": (1.35, 0.76), "front_right": (1.35, -0.76), "rear_left": (-1.35, 0.76), "rear_right": (-1.35, -0.76)}  # fmt: skip
+HALF = {"front": (1.2, 0.0), "rear": (-1.5, 0.0)}
+#: three axles, two of them close to each other
+LORRY = {f"{axle}_{side}": (x, y) for axle, x in (("front", 3.0), ("middle", -1.0), ("rear", -2.4)) for side, y in (("left", 1.0), ("right", -1.0))}  # fmt: skip
+LIMIT = 0.02465
+
+
+def corner(name: str, x: float, y: float, body: float = 0.0, **changes: Any) -> CornerSnapshot:
+    base: dict[str, Any] = {
+        "name": name, "x": x, "y": y, "body": body, "wheel": 0.0, "piston": body, "joint": 0.0, "current_limit": 5.0,
+        "tyre_load": 0.0, "static_tyre_load": 3800.0, "device_travel_limit": LIMIT,
+    }  # fmt: skip
+    return CornerSnapshot(**{**base, **changes})
+
+
+def car(places: dict[str, tuple[float, float]] = HALF, /, **changes: Any) -> CarSnapshot:
+    """A car on an even road, tilted by `pitch` and `roll`."""
+    pitch, roll = changes.get("pitch", 0.0), changes.get("roll", 0.0)
+    tracks = len({y for _, y in places.values()})
+    each = changes.pop("each", {})
+    base: dict[str, Any] = {
+        "time": 0.0, "heave": 0.0, "pitch": 0.0, "points": {"driver": (0.1, 0.3)},
+        "corners": tuple(corner(n, x, y, -x * pitch + y * roll, **each) for n, (x, y) in places.items()),
+        "road_profiles": np.zeros((tracks, 301)), "road_step": 0.05, "road_behind": 8.0, "speed": 20.0,
+        "body_acceleration": 0.0, "pitch_acceleration": 0.0, "cost": 0.9, "label": "MPC",
+    }  # fmt: skip
+    if tracks == 2:
+        base |= {"roll": 0.0, "roll_acceleration": 0.0}
+    return CarSnapshot(**{**base, **changes})
+
+
+def frame(*shots: Any, width: int = 960, height: int = 600) -> np.ndarray:
+    picture = Renderer("rgb_array", width=width, height=height, cars=len(shots)).draw(*shots)
+    assert picture is not None
+    return picture
+
+
+def near(picture: np.ndarray, colour: tuple[int, int, int], tolerance: int = 6) -> np.ndarray:
+    return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=2)
+
+
+@pytest.fixture
+def scenes(monkeypatch: pytest.MonkeyPatch) -> list[RigidCarScene]:
+    """The scenes that were drawn."""
+    made: list[RigidCarScene] = []
+
+    class Kept(RigidCarScene):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            made.append(self)
+
+    monkeypatch.setattr(renderer, "RigidCarScene", Kept)
+    return made
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The words that were drawn."""
+    words: list[str] = []
+    text = Canvas.text
+
+    def listen(canvas: Any, sentence: str, *place: float, **style: Any) -> float:
+        words.append(sentence)
+        return text(canvas, sentence, *place, **style)
+
+    monkeypatch.setattr(Canvas, "text", listen)
+    return words
+
+
+def factor(said: list[str]) -> float:
+    """The exaggeration that the picture states."""
+    return float(next(m[1] for words in reversed(said) if (m := re.search(r"vertical ×([\d.]+)", words))))
+
+
+# ------------------------------------------------------------------------------------------ the body
+
+
+def slope(picture: np.ndarray, columns: slice) -> float:
+    """Slope of the body's lower edge [px/px], downwards to the right."""
+    blue = near(picture, rendering.BLUE, 30)[:, columns]
+    rows = np.array([np.flatnonzero(column).max() if column.any() else -1 for column in blue.T])
+    x = np.flatnonzero(rows >= 0)[8:-8]
+    return float(np.polyfit(x, rows[x], 1)[0])
+
+
+@pytest.mark.parametrize("pitch", [-0.012, 0.0, 0.004, 0.012])
+@pytest.mark.parametrize("places", [HALF, PLACES])
+def test_the_body_slopes_by_the_stated_factor_times_its_pitch(
+    places: dict[str, tuple[float, float]], pitch: float, said: list[str], scenes: list[RigidCarScene]
+) -> None:
+    """Nose down is positive, and the nose is at the right."""
+    picture = frame(car(places, pitch=pitch))
+    side = scenes[0].views[0].window
+    found = slope(picture[:400], slice(round(side.left), round(side.right)))
+    assert found == pytest.approx(factor(said) * pitch, abs=0.004)
+
+
+@pytest.mark.parametrize("roll", [-0.03, 0.02])
+def test_the_body_slopes_by_the_stated_factor_times_its_roll(
+    roll: float, said: list[str], scenes: list[RigidCarScene]
+) -> None:
+    """Right side down is positive, and the right is at the right from behind."""
+    picture = frame(car(PLACES, roll=roll))
+    rear = scenes[0].views[1].window
+    found = slope(picture[:400], slice(round(rear.left) + 1, round(rear.right) - 1))
+    assert found == pytest.approx(factor(said) * roll, abs=0.012)
+
+
+def test_a_still_car_is_symmetric(scenes: list[RigidCarScene], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Below the body, front and rear of a side view and left and right from behind are mirror images; not so when it tilts."""
+    monkeypatch.setattr(Canvas, "text", lambda *given, **style: 0.0)
+
+    def asymmetry(shot: CarSnapshot, view: int) -> float:
+        scenes.clear()
+        picture = frame(shot).astype(float)
+        scene = scenes[0]
+        middle = scene.views[view].window.origin
+        half = round(min(middle - scene.views[view].window.left, scene.views[view].window.right - middle)) - 4
+        rows = slice(round(scene.floor - scene._rest) + 4, round(scene.floor - 3 * scene.wheel_unit * 38))
+        part = picture[rows, round(middle) - half : round(middle) + half]
+        smooth = uniform_filter(part.mean(axis=2), 7)  # edges may be off by parts of a pixel
+        return float(np.abs(smooth - smooth[:, ::-1]).mean())
+
+    for view in (0, 1):
+        assert asymmetry(car(PLACES), view) < 3.0
+    assert asymmetry(car(PLACES, pitch=0.012), 0) > 8.0
+    assert asymmetry(car(PLACES, roll=0.02), 1) > 8.0
+
+
+def test_all_of_a_car_that_rises_with_its_road_is_where_it_was() -> None:
+    high = 3.0
+    here = car(PLACES)
+    lifted = replace(
+        here,
+        heave=high,
+        road_profiles=here.road_profiles + high,
+        corners=tuple(replace(c, body=high, wheel=high, piston=high, joint=high) for c in here.corners),
+    )
+    assert np.array_equal(frame(lifted), frame(here))
+
+
+# --------------------------------------------------------------------------------- wheels and road
+
+
+@pytest.mark.parametrize(("places", "base"), [(HALF, 2.7), ({"front": (2.0, 0.0), "rear": (-1.8, 0.0)}, 3.8)])
+def test_the_wheels_are_a_wheelbase_apart(places: dict[str, tuple[float, float]], base: float) -> None:
+    """Measured against the picture's own ruler of a metre."""
+    picture = frame(car(places))
+    foot = near(picture[-30:, :557], MUTED, 20)
+    metre = max(len(list(run)) for row in foot[:, 300:] for dark, run in itertools.groupby(row) if dark) - 1
+    columns = np.flatnonzero(near(picture[400:505, :557], RUBBER, 12).sum(axis=0) > 8)
+    gap = int(np.argmax(np.diff(columns))) + 1
+    rear, front = ((part.min() + part.max()) / 2 for part in (columns[:gap], columns[gap:]))
+    assert (front - rear) / metre == pytest.approx(base, rel=0.03)
+
+
+@both
+@pytest.mark.parametrize("road", ["E", "pothole", "bump"])
+def test_wheels_stand_on_the_road(name: str, road: str, scenes: list[RigidCarScene]) -> None:
+    """Between hub and ground there is no sky, unless the tyre carries nothing."""
+    env = ISDSuspensionEnv(NETWORKS[name], road=road, render_mode="rgb_array")
+    env.reset(seed=1)
+    checked = 0
+    for k in range(260):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+        if k % 10 or (road != "E" and k < 190):
+            continue
+        picture = env.render()
+        assert picture is not None
+        scene = scenes[-1]
+        for view in scene.views:
+            for each in view.near:
+                x, top, foot = view.place(each), scene._hub(each), scene.floor - 1
+                foot -= (scene.contacts[each] - scene.lift) * scene.scale
+                column = picture[round(top) + 4 : round(foot) + 4, round(x) + (0 if view.is_rear else 2)]
+                sky = (column.astype(int).min(axis=1) > 241).sum()
+                assert (sky == 0) or each.has_lifted, (view.is_rear, each)
+                checked += not each.has_lifted
+    assert checked > 10
+
+
+@both
+def test_a_snapshot_is_the_state_of_the_car(name: str) -> None:
+    """Travels of the corners are those that are measured, and the road under each wheel is the one that it drives on."""
+    env = ISDSuspensionEnv(NETWORKS[name], road="bump", render_mode="rgb_array")
+    env.reset(seed=0)
+    names = [signal.name for signal in env.task.measured]
+    highest = np.zeros(len(env.task.vehicle.corners))
+    for _ in range(280):
+        obs, *_ = env.step(np.full(env.action_space.shape, 2.0, np.float32))
+        shot = env.snapshot()
+        assert isinstance(shot, CarSnapshot)
+        heights = env.task.batch.road_heights[:, 0]
+        highest = np.maximum(highest, heights)
+        for each, height in zip(shot.corners, heights, strict=True):
+            travel = obs[names.index(f"suspension_travel_{each.name}")]
+            assert each.body - each.wheel == pytest.approx(travel, abs=1e-6)
+            assert each.body == pytest.approx(shot.height(each.x, each.y), abs=1e-12)
+            assert each.device_travel == pytest.approx(
+                obs[names.index(f"device_travel_{each.name}")], abs=1e-6
+            )
+            assert each.current == obs[names.index(f"current_{each.name}")]
+            profile = shot.road_profiles[int(each.y < 0)]
+            place = shot.road_behind + each.x - 1.35
+            under = np.interp(place, np.arange(profile.size) * shot.road_step, profile)
+            assert under == pytest.approx(
+                height, abs=1e-3
+            )  # of a 50 mm bump between points that are 100 mm apart
+    assert highest == pytest.approx(0.05, abs=1e-3)
+
+
+def test_the_side_that_meets_a_bump_rises(scenes: list[RigidCarScene]) -> None:
+    """From behind, the right wheels go up on a bump at the right; from the side they stand in front."""
+    env = ISDSuspensionEnv("full-car-isd", road="bump-right", render_mode="rgb_array")
+    env.reset(seed=0)
+    rise = {False: [0.0], True: [0.0]}
+    for _ in range(250):
+        env.step(np.zeros(4, np.float32))
+        shot = env.snapshot()
+        assert isinstance(shot, CarSnapshot)
+        for each in shot.corners:
+            rise[each.y < 0].append(each.wheel)
+    assert max(rise[True]) > 0.04 and max(np.abs(rise[False])) < 0.01
+    env.render()
+    side, rear = scenes[-1].views
+    assert [c.name for c in side.near] == ["rear_right", "front_right"]
+    assert [c.name for c in rear.near] == ["rear_left", "rear_right"]
+    assert rear.place(rear.near[0]) < rear.place(rear.near[1])
+
+
+def test_the_views_follow_from_the_corners(scenes: list[RigidCarScene]) -> None:
+    """An axle alone is seen from behind, three axles from both sides, and a body on one wheel from the side."""
+    axle = {"left": (0.0, 0.7), "right": (0.0, -0.7)}
+    for places, views in ((axle, [True]), (LORRY, [False, True]), ({"": (0.0, 0.0)}, [False])):
+        scenes.clear()
+        picture = frame(car(places, pitch=0.0))
+        assert [view.is_rear for view in scenes[0].views] == views
+        assert near(picture, RUBBER).sum() > 300
+    assert len(near_corners := scenes[0].views[0].near) == 1 and near_corners[0].x == 0.0
+
+
+def test_the_picture_does_not_depend_on_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Canvas, "text", lambda *given, **style: 0.0)
+    text = json.dumps(Network.load("full-car-isd").to_dict())
+    for old, new in (
+        ("front", "vorn"),
+        ("rear", "hinten"),
+        ("wheel", "rad"),
+        ("piston", "kolben"),
+        ('"body_', '"aufbau_'),
+    ):
+        text = text.replace(old, new)
+    pictures = []
+    for network in ("full-car-isd", json.loads(text)):
+        env = ISDSuspensionEnv(network, road="C", render_mode="rgb_array")
+        env.reset(seed=0)
+        for k in range(30):
+            env.step(np.full(4, np.sin(k), np.float32))
+        pictures.append(env.render())
+    assert np.array_equal(*pictures)
+
+
+# ------------------------------------------------------------------------------------------ environments
+
+
+@both
+def test_a_frame_is_a_picture(name: str) -> None:
+    env = gym.make(name, render_mode="rgb_array", road="C")
+    env.reset(seed=0)
+    first = env.render()
+    for _ in range(40):
+        env.step(np.full(env.action_space.shape, 3.0, np.float32))
+    later = env.render()
+    for picture in (first, later):
+        assert picture.shape == (600, 960, 3) and picture.dtype == np.uint8
+        assert near(picture, rendering.BLUE).sum() > 1000 and near(picture, RUBBER).sum() > 500
+    assert (first != later).any(axis=2).mean() > 0.02
+    bars = near(later[75:150, 560:], rendering.PULL)
+    assert bars.sum() == pytest.approx(0.3 / 0.7 * near(later[75:150, 560:], PALE).sum(), rel=0.1)
+
+
+@both
+def test_the_vector_environment_draws_the_single_one_of_each_seed(name: str) -> None:
+    many = ISDSuspensionVectorEnv(2, NETWORKS[name], road="C", render_mode="rgb_array", max_episode_steps=20)
+    single = ISDSuspensionEnv(NETWORKS[name], road="C", render_mode="rgb_array")
+    many.reset(seed=4)
+    single.reset(seed=5)
+    for k in range(15):
+        action = np.full(single.action_space.shape, np.sin(k), np.float32)
+        many.step(np.stack([action, action]))
+        single.step(action)
+    pictures = many.render()
+    assert pictures is not None and len(pictures) == 2
+    assert np.array_equal(pictures[1], single.render())
+    assert not np.array_equal(pictures[0], pictures[1])
+    for _ in range(6):  # a new episode begins with an empty trail
+        many.step(np.zeros((2, *single.action_space.shape), np.float32))
+    assert many._onlookers[0].snapshot().road_behind == 0.0
+    many.close()
+
+
+@both
+def test_a_window_shows_the_car(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make(name, render_mode="human")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    env.close()
+
+
+def test_a_snapshot_without_a_picture_is_refused_in_one_line() -> None:
+    env = ISDSuspensionEnv("half-car-isd")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="render_mode='rgb_array'"):
+        env.snapshot()
+
+
+# ------------------------------------------------------------------------------------------ words
+
+
+@pytest.mark.parametrize(
+    ("places", "cars", "size"),
+    [
+        (HALF, 1, (640, 400)), (HALF, 1, (960, 600)), (HALF, 1, (700, 800)), (HALF, 2, (1200, 640)),
+        (PLACES, 1, (640, 400)), (PLACES, 1, (960, 600)), (PLACES, 1, (1280, 500)), (PLACES, 2, (1400, 600)),
+        (LORRY, 1, (960, 600)),
+    ],
+)  # fmt: skip
+def test_words_never_touch_nor_leave_the_picture(
+    places: dict[str, tuple[float, float]], cars: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed: list[Any] = []
+    finish = Canvas.finish
+
+    def remember(canvas: Any) -> None:
+        placed[:] = [surface.get_rect(topleft=place) for surface, place in canvas._texts]
+        finish(canvas)
+
+    monkeypatch.setattr(Canvas, "finish", remember)
+    long = "friction-aware MPC, horizon 20, with road preview"
+    heavy = {"tyre_load": -12345.0, "current": -4.44, "joint": LIMIT}
+    poses = [
+        car(places, label=long, time=999.99, cost=12.345, body_acceleration=-12.0, pitch_acceleration=28.0),
+        car(places, pitch=0.02, each=heavy),
+        car(places, pitch=-0.02, each={"current": 5.0, "joint": -LIMIT}, cost=804.86, speed=100.0),
+        car(places, each={"piston": None, "joint": None, "current_limit": None, "device_travel_limit": None}),
+        car(
+            places, heave=0.3, points={"driver": (0.1, 0.3), "passenger": (0.1, -0.3), "far_away": (9.0, 4.0)}
+        ),
+    ]
+    for pose in poses:
+        frame(*[pose] * cars, width=size[0], height=size[1])
+        assert len(placed) > 15
+        box = pygame.Rect((0, 0), size)
+        assert all(box.contains(words) for words in placed)
+        tight = [words.inflate(0, -0.3 * words.height) for words in placed]
+        assert not [pair for pair in itertools.combinations(tight, 2) if pair[0].colliderect(pair[1])]
+
+
+def test_points_of_the_body_are_named(said: list[str]) -> None:
+    frame(car(PLACES, points={"driver": (0.1, 0.37), "tow_hook": (-1.9, 0.0)}))
+    assert said.count("driver") == 2 and "tow hook" in said
+    assert {"rear right", "front right", "rear left", "from behind", "dynamic"} <= set(said)
+
+
+# ------------------------------------------------------------------------------------------ bad input
+
+
+def test_a_bad_snapshot_names_its_field() -> None:
+    for make, words in (
+        (lambda: car({}, road_profiles=np.zeros((1, 9))), "corners is empty"),
+        (lambda: car(HALF, road_profiles=np.zeros((2, 9))), r"2 track\(s\), and the corners run in 1"),
+        (lambda: car(HALF, road_profiles=np.zeros(9)), "road_profiles must be a row for each track"),
+        (lambda: car(PLACES, heave=np.nan), "heave is nan"),
+        (lambda: car(HALF, road_step=0.0), "road_step must be positive"),
+        (lambda: corner("front", 1.0, 0.0, wheel=np.inf), "corner 'front': wheel is inf"),
+        (lambda: corner("front", 1.0, 0.0, joint=None), "corner 'front': piston without joint"),
+    ):
+        with pytest.raises(InputError, match=words) as caught:
+            make()
+        assert "\n" not in str(caught.value)
+
+
+def test_cars_of_different_kinds_are_not_compared() -> None:
+    quarter = Snapshot(
+        time=0.0, body=0.0, wheel=0.0, road_profile=np.zeros(9), road_step=0.1, speed=20.0,
+        body_acceleration=0.0, suspension_travel=0.0, tyre_load=0.0,
+    )  # fmt: skip
+    for other in (car(PLACES), quarter):
+        with pytest.raises(InputError, match="cars side by side must be of one kind"):
+            Renderer("rgb_array", cars=2).draw(car(HALF), other)
+
+
+# ------------------------------------------------------------------------------------------ show
+
+
+def test_two_half_cars_drive_over_the_same_road() -> None:
+    plant = Network.load("half-car-isd")
+    shots = list(snapshots([find(n, plant) for n in ("skyhook", "passive")], plant, seconds=0.3, seed=4))
+    assert len(shots) == 61
+    left, right = shots[-1]
+    assert isinstance(left, CarSnapshot) and isinstance(right, CarSnapshot)
+    assert np.array_equal(left.road_profiles, right.road_profiles) and left.road_profiles.std() > 0
+    assert [c.current_limit for c in left.corners + right.corners] == [5.0, 5.0, None, None]
+    assert any(c.current for c in left.corners)
+
+
+@pytest.mark.parametrize(("network", "size"), [("half-car-isd", (1200, 640)), ("full-car-isd", (1400, 600))])
+def test_show_films_cars(tmp_path: Path, network: str, size: tuple[int, int]) -> None:
+    from PIL import Image
+
+    out = tmp_path / "film.gif"
+    args = [
+        "show",
+        "skyhook",
+        "--against",
+        "passive",
+        "--network",
+        network,
+        "--seconds",
+        "0.4",
+        "--out",
+        str(out),
+    ]
+    done = CliRunner().invoke(cli.app, args)
+    assert done.exit_code == 0, done.output
+    assert "0.4 s of skyhook and passive" in done.output
+    with Image.open(out) as film:
+        assert film.size == tuple(round(0.75 * side) for side in size)
+        assert film.n_frames > 1
+        begin = np.asarray(film.convert("RGB"))
+        film.seek(film.n_frames - 1)
+        assert (np.asarray(film.convert("RGB")) != begin).any(axis=2).mean() > 0.01
+
+
+@pytest.mark.parametrize("network", ["half-car-isd", "full-car-passive"])
+def test_show_plays_cars_in_a_window(network: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    done = CliRunner().invoke(cli.app, ["show", "passive", "--network", network, "--seconds", "0.1"])
+    assert done.exit_code == 0, done.output
+
+
+def test_show_refuses_a_road_with_sides_for_a_half_car(tmp_path: Path) -> None:
+    args = [
+        "show",
+        "passive",
+        "--network",
+        "half-car-isd",
+        "--road",
+        "bump-left",
+        "--out",
+        str(tmp_path / "a.gif"),
+    ]
+    with pytest.raises(InputError, match="choose a road without sides, or a full car") as caught:
+        CliRunner().invoke(cli.app, args, catch_exceptions=False)
+    assert "\n" not in str(caught.value) and list(tmp_path.iterdir()) == []
