@@ -5,7 +5,7 @@ Importing the package makes its environments known to Gymnasium and loads nothin
 
 What a suspension is: `elements`, `network`, `networks` (the built-in models). How it moves: `kernel`, `road`, `simulate`,
 `vehicle`, `batch`. Records: `data`, `schemas`. The environment: `task`, `env`, `cost`; on it `driving`, `policies`, `scoring`,
-`sb3`, `record`, `sweep`. The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`, `cli`.
+`sb3`, `record`, `sweep`. The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`. The program: `commands`.
 """
 
 from __future__ import annotations
