@@ -4,7 +4,7 @@ Importing the package makes its environments known to Gymnasium and loads nothin
 (`isd_gym.env`, `isd_gym.road`, ...), come with their first use.
 
 What a suspension is: `elements`, `network`, `networks` (the built-in models). How it moves: `kernel`, `road`, `simulate`,
-`vehicle`, `batch`. Records: `data`, `schemas`. The environment: `task`, `env`, `cost`; on it `driving`, `policies`, `scoring`,
+`vehicle`, `batch`. Records: `data`, `schemas`. Functional mock-up units: `fmi`. The environment: `task`, `env`, `cost`; on it `driving`, `policies`, `scoring`,
 `sb3`, `record`, `sweep`. The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`. The program: `commands`.
 """
 

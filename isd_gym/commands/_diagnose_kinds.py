@@ -98,9 +98,9 @@ def diagnose_unit(
     shares: dict[str, float],
 ) -> Any:
     """Return the diagnosis of a unit for co-simulation. Warn that compiled code runs."""
-    from ..cosimulation import WHY_TRUST, Unit
     from ..data import read_table
     from ..discrepancy import diagnose_unit
+    from ..fmi.cosimulation import WHY_TRUST, Unit
 
     if trust and os.path.exists(model):
         typer.echo(f"isd-gym: warning: {model}: {WHY_TRUST}", err=True)

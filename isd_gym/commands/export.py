@@ -24,7 +24,7 @@ def command(
 
     Example: isd-gym export quarter-car-isd --fmu car.fmu
     """
-    from ..fmu import export_fmu
+    from ..fmi.export import export_fmu
     from ..network import Network
 
     network = Network.load(model)
