@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from . import _autoload  # noqa: F401  registers the environments, now or as soon as Gymnasium is there
 
-TYPE_CHECKING = False  # typing's own costs 10 ms, and this runs whenever Python starts (see _autoload)
+TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
     from typing import Any
 
