@@ -4,15 +4,15 @@ Importing the package makes its environments known to Gymnasium and loads nothin
 (`isd_gym.env`, `isd_gym.road`, ...), come with their first use.
 
 What a suspension is: `elements`, `network`, `networks` (the built-in models). How it moves: `kernel`, `road`, `simulate`,
-`vehicle`, `batch`. Records: `data`, `schemas`. The environment: `task`, `env`, `cost`; on it `driving`, `policies`, `scoring`,
-`sb3`, `record`, `sweep`. The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`, `cli`.
+`vehicle`, `batch`. Records: `data`, `schemas`. Functional mock-up units: `fmi`. The environment: `task`, `env`, `cost`; on it `driving`, `policies`, `scoring`,
+`sb3`, `record`, `sweep`. The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`. The program: `commands`.
 """
 
 from __future__ import annotations
 
 from . import _autoload  # noqa: F401  registers the environments, now or as soon as Gymnasium is there
 
-TYPE_CHECKING = False  # typing's own costs 10 ms, and this runs whenever Python starts (see _autoload)
+TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
     from typing import Any
 

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import typer
 
 from .errors import InputError, shown
 from .inputs import read_json
 from .scoring import compare
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
 
 SCHEMA = "isd-card/1"
 BUILT_IN = Path(__file__).parent / "references"
@@ -202,107 +203,6 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
     )
     made = f"Made by `{one['command']}` on {card['date']}, version {card['version']}; card {card['digest'][:16]}."
     return "\n".join([what, "", *lines, "", made])
-
-
-def command(
-    scores: Annotated[
-        list[Path] | None, typer.Argument(help="Scores to pair with the card: files of isd-gym score --json.")
-    ] = None,
-    card: Annotated[str, typer.Option("--card", help="A built-in card or a file.")] = "ISDSuspension-v0",
-    write: Annotated[
-        Path | None,
-        typer.Option(
-            "--write",
-            help="Write a card of the scores, one track for each, named after its file; nothing is compared.",
-            metavar="FILE",
-        ),
-    ] = None,
-) -> None:
-    """Show the references of the benchmark, best first, and where other scores stand among them.
-
-    Every score is checked to be on the same roads; its policies are paired with each reference, episode by episode.
-
-    Example: isd-gym card score.json
-    """
-    found = [_read(path) for path in scores or ()]
-    if write is not None:
-        import datetime
-
-        from .files import write_text
-
-        if not found:
-            raise InputError("--write wants scores to make a card of")
-        tracks = [
-            track(score, path.stem, str(score.get("command", "")))
-            for score, path in zip(found, scores or (), strict=True)
-        ]
-        made = make("ISDSuspension-v0", tracks, datetime.date.today().isoformat())
-        write_text(write, json.dumps(made) + "\n")
-        typer.echo(
-            f"{len(tracks)} track{'' if len(tracks) == 1 else 's'} in {write}, digest {made['digest'][:16]}"
-        )
-        return
-    held = load(card)
-    names = [match(score, held)["track"] for score in found]
-    for one in held["tracks"]:
-        if names and one["track"] not in names:
-            continue
-        show(held, one["track"], [s for s, n in zip(found, names, strict=True) if n == one["track"]])
-
-
-def show(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> None:
-    """Print a track, best first, and how each submitted policy compares."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    from .console import printer
-    from .errors import plain
-
-    rows = ranking(card, name, scores)
-    console = printer()
-    made = Table(
-        box=box.SIMPLE_HEAD,
-        title=Text(f"{card['environment']} of {card['date']}, {name}: change against passive [%]"),
-        title_justify="left",
-        pad_edge=False,
-    )
-    narrow = console.width < 98
-    heads = ("accel-\neration", "travel", "tyre\nload") if narrow else ("acceleration", "travel", "tyre load")
-    for head in ("", "policy", "cost J", "change of J", *heads):
-        # names may be folded, figures never cut
-        words = head == "policy"
-        made.add_column(head, justify="left" if words else "right", no_wrap=not words, overflow="fold")
-    for place, row in enumerate(rows, 1):
-        q = row["cost"]
-        made.add_row(
-            str(place),
-            Text(plain(row["policy"], 40), style="bold" if row["submitted"] else ""),
-            f"{q['value']:.4f}",
-            f"{100 * q['change']:+.1f}{chr(10) if narrow else ' '}[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
-            if q["change"]
-            else "",
-            *(
-                f"{100 * row[k]['change']:+.1f}"
-                for k in ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
-            ),
-        )
-    console.print(made)
-    for row in rows:
-        for rival, q in row.get("against", {}).items():
-            console.print(
-                f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {100 * q['change']:+.2f} % of J "
-                f"[{100 * q['low']:+.2f}, {100 * q['high']:+.2f}]",
-            )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    data = read_json(path, f"score '{path}' cannot be read")
-    if not (isinstance(data, dict) and data.get("schema") == "isd-score/1"):
-        raise InputError(f"'{path}' is no score (isd-score/1)")
-    if not (isinstance(data.get("episodes"), int) and isinstance(data.get("policies"), list)):
-        raise InputError(f"score '{path}' has no episodes or policies")
-    return data
 
 
 def fingerprints_of(one: Mapping[str, Any], episodes: int = 2) -> list[list[float]]:

@@ -1,70 +1,19 @@
-"""What commands share: progress on stderr, files that they are asked to write."""
+"""Output of commands: progress on stderr, text on stdout, files that were asked for."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from . import files
-from .errors import InputError, hint, shown
 
-TrustOption = Annotated[
-    bool,
-    typer.Option(
-        "--trust-zip", help="Open a .zip of Stable-Baselines3 as it is, without converting it first."
-    ),
-]
-
-ColumnsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--columns",
-        help="The columns of text files without a header row, in order, with or without units: 'time,force [kN],travel [mm]'.",
-        metavar="NAME,NAME,...",
-    ),
-]
-
-
-def column_names(text: str | None) -> list[str] | None:
-    """Return the names that --columns gives; None where it is not given. Raises `InputError` for a name that is empty or there twice."""
-    if text is None:
-        return None
-    names = [name.strip() for name in text.split(",")]
-    if "" in names:
-        raise InputError(f"--columns: name {names.index('') + 1} of {len(names)} is empty")
-    if twice := next((n for n in names if names.count(n) > 1), None):
-        raise InputError(f"--columns names {shown(twice)} twice")
-    return names
-
-
-RenameOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--rename",
-        help="The name of a column in the files, and the channel it holds.",
-        metavar="COLUMN=CHANNEL",
-    ),
-]
-
-UnitOption = Annotated[
-    list[str] | None,
-    typer.Option("--unit", help="The unit of a channel in the files.", metavar="CHANNEL=UNIT"),
-]
-
-MapOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--map",
-        help="Which column is which channel: a file that isd-gym inspect --out wrote.",
-        metavar="FILE",
-    ),
-]
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
 
 
 def write_json(path: Path | None, data: dict[str, Any]) -> None:
@@ -80,61 +29,6 @@ def check_file(path: Path | None, *read: str | Path | None) -> None:
     """
     if path is not None:
         files.check_file(path, *read)
-
-
-def pairs(values: list[str] | None, option: str, form: str) -> dict[str, str]:
-    """The values ``KEY=WORD`` of an option; `InputError` with the form that is wanted."""
-    out: dict[str, str] = {}
-    for value in values or []:
-        key, joined, word = value.partition("=")
-        if not (key and joined and word):
-            raise InputError(f"{option} wants {form}, not '{value}'")
-        out[key] = word
-    return out
-
-
-def check_channels(names: Iterable[str], known: Iterable[str], option: str) -> None:
-    """Raise `InputError` for a name that is none of the known channels."""
-    known = list(known)
-    for name in names:
-        if name not in known:
-            raise InputError(f"{option}: the model has no channel '{name}'; {hint(name, known)}")
-
-
-def channel_names(
-    network: Any,
-    rename: list[str] | None,
-    unit: list[str] | None,
-    map_file: Path | None,
-    columns: str | None = None,
-) -> dict[str, Any]:
-    """Which column is which channel, from the options of a command, as `records_of` takes it.
-
-    Args:
-        network: Model whose channels the columns are.
-        rename: Values of --rename.
-        unit: Values of --unit.
-        map_file: File of --map.
-        columns: Value of --columns.
-
-    Raises:
-        InputError: A channel is unknown, or --map is given with one of the others.
-    """
-    from .loggers import ChannelMap
-
-    named: dict[str, Any] = {
-        "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
-        "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
-        "columns": column_names(columns),
-    }
-    channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
-    check_channels(named["rename"].values(), channels, "--rename")
-    check_channels(named["units"], [*channels, *named["rename"]], "--unit")
-    if map_file is None:
-        return named
-    if rename or unit:
-        raise InputError("--map says it all: write what --rename and --unit would say into it")
-    return {"by": ChannelMap.load(map_file), "columns": named["columns"]}
 
 
 #: columns of what is printed into a pipe or a file
@@ -251,3 +145,22 @@ def warm_up(update: Callable[[str, float], None]) -> None:
     env.reset(seed=0)
     env.step(np.zeros((2, 1)))
     update("preparing the kernel", 1.0)
+
+
+def print_names(rows: Mapping[str, str]) -> None:
+    """Print names with their descriptions, wrapped to the width of the terminal."""
+    from rich.table import Table
+
+    made = Table.grid(padding=(0, 2))
+    made.add_column(no_wrap=True)
+    made.add_column()
+    for name, text in rows.items():
+        made.add_row(name, text)
+    printer().print(made)
+
+
+def terminal_columns() -> int:
+    """Return the width of the terminal in characters; 80 where stdout is none."""
+    import shutil
+
+    return shutil.get_terminal_size((80, 24)).columns if sys.stdout.isatty() else 80

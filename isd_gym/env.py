@@ -104,12 +104,8 @@ class ISDSuspensionEnv(gym.Env):
     compression: `tyre_load` of a quarter car, else `tyre_load_front`, `tyre_load_rear_left` and so on.
 
     ## Arguments
-    `network`: a built-in name, a file (`isd-model/1`) or a `Network`. `road`: paper, A-H, bump, pothole, sweep, a CSV
-    file, `C+bump`. `speed` [m/s]. `observation`: measured, full, preview. `preview` [s]. `cost`: a `StageCost` or its
-    weights. `randomize`: {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}, factors on parameters of
-    the network, drawn at every reset. `control_step` [s]. `render_mode`: human, rgb_array.
-    `duration` [s]: length of roads that are drawn whole; the time limit is `max_episode_steps`. `sensors`: how imperfect
-    they are, see `isd_gym.sensors.Sensors`, e.g. {"noise": 1.0, "road_error": 0.001}.
+    `render_mode`: human or rgb_array. `network` and all other keyword arguments are the fields of
+    `isd_gym.task.Options`, which has their units and defaults.
 
     ## Versions
     `ISDSuspension-v0`, `ISDSuspensionEq8-v0`: v0, first release. `ISDHalfCar-v0`, `ISDFullCar-v0`: v0, first release.

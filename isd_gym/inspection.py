@@ -5,21 +5,17 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import typer
 
-from .console import ColumnsOption, check_file, column_names, write_json
 from .errors import InputError, plain, shown
-from .files import write_text
 from .loggers.facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
-from .loggers.mapping import files_of
 from .loggers.recording import EPOCH, Raster, continuous, rasters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from .loggers.mapping import ChannelMap
     from .loggers.match import Suggestion
@@ -294,82 +290,3 @@ def _path(x: np.ndarray, width: int = 600, height: int = 60) -> str:
             out.append(f"{pen}{at:.1f} {height * (hi - v) / span:.1f}")
             pen = "L"
     return "".join(out)
-
-
-# ------------------------------------------------------------------------------------------------- the command
-
-
-def command(
-    data: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Files of one run, one a logger: CSV, TSV, .lvm, .mat, Parquet, MDF.", metavar="FILE..."
-        ),
-    ],
-    model: Annotated[
-        str | None, typer.Option(help="Whose channels are sought: a model file or a built-in network.")
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            help="Write the columns found for the model's channels: a file for --map.",
-            metavar="FILE",
-        ),
-    ] = None,
-    html: Annotated[
-        Path | None, typer.Option("--html", help="Write a page with all pictures.", metavar="FILE")
-    ] = None,
-    unit: Annotated[
-        list[str] | None, typer.Option(help="The unit of a column; may be repeated.", metavar="COLUMN=UNIT")
-    ] = None,
-    stamps: Annotated[
-        str | None, typer.Option(help="The column that holds the time.", metavar="COLUMN")
-    ] = None,
-    columns: ColumnsOption = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
-    ] = None,
-) -> None:
-    """Look into loggers' files: columns, units, rates, gaps, ranges, oddities; and which column is which channel of a model.
-
-    The map that --out writes is taken by --map of diagnose and simulate. Read it before: every channel says how sure it is, and why.
-
-    Example: isd-gym inspect body.csv wheel.mf4 --model car.json --out map.json
-    """
-    from .network import Network
-
-    files = [file for word in data for file in files_of(word)]
-    for target in (out, html, json_file):
-        check_file(target, model, *files)
-    if out is not None and model is None:
-        raise InputError("--out writes the columns of a model's channels: --model says which model")
-    given: dict[str, str] = {}
-    for word in unit or []:
-        name, joined, value = word.rpartition("=")
-        if not (name and joined and value):
-            raise InputError(f"--unit wants COLUMN=UNIT, not {shown(word)}")
-        from .units import convert
-
-        convert(1.0, value, value)
-        given[name] = value
-    network = None if model is None else Network.load(model)
-    found = inspect(files, network, units=given, stamps=stamps, columns=column_names(columns))
-    width = _width()
-    for line in lines(found, width):
-        typer.echo(line)
-    if html is not None:
-        write_text(html, page(found))
-        typer.echo(f"page: {html}", err=True)
-    write_json(json_file, found.to_dict())
-    if out is not None and found.suggestion is not None:
-        made = found.suggestion
-        found.map(str(model)).save(out)
-        doubt = [n for n, (_, sure) in made.channels.items() if sure < 0.9]
-        typer.echo(f"map: {out}" + (f" (look at {', '.join(doubt)})" if doubt else ""), err=True)
-
-
-def _width() -> int:
-    import shutil
-
-    return max(60, min(shutil.get_terminal_size((80, 24)).columns, 140)) if sys.stdout.isatty() else 80

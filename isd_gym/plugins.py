@@ -13,16 +13,10 @@ POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gy
 OWN = {
     POLICIES: {"baselines": "baselines.entry:open_policy", "agents": "agents.entry:open_policy"},
     COMMANDS: {
-        "record": "isd_gym.record:record",
-        "inspect": "isd_gym.inspection:command",
         "train": "agents.cli:train",
         "convert": "agents.cli:convert",
         "reproduce": "baselines.reproduce:command",
         "ceiling": "baselines.ceiling:command",
-        "sweep": "isd_gym.sweep:command",
-        "plan": "isd_gym.testplan:command",
-        "warm": "isd_gym.sweep:warm",
-        "card": "isd_gym.cards:command",
     },
     REFERENCES: {
         "clairvoyant": "baselines.clairvoyant:reachable",

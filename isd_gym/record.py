@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from .console import TrustOption
 from .errors import InputError, how_to_install
 from .files import reserve, whole_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from .driving import Entry
     from .network import Network
 
@@ -151,48 +149,3 @@ def _place(out: str, policy: str) -> tuple[Path, str]:
         raise InputError(f"cannot write '{out}': no folder '{folder.parent}'")
     # absolute: Minari's storage loses its way in a relative one
     return folder.absolute(), f"isd/{re.sub(r'[^-0-9A-Za-z_]', '-', policy)}-v0"
-
-
-def record(
-    policy: Annotated[
-        str, typer.Argument(help="passive, mpc, ..., a shipped policy, or a policy's folder or .zip.")
-    ],
-    out: Annotated[
-        str, typer.Option("--out", help="A new folder, or a Minari id such as isd/mpc-v0.", metavar="DIR|ID")
-    ],
-    episodes: Annotated[int, typer.Option(help="Roads to drive.", min=1)] = 32,
-    seed: Annotated[int, typer.Option(help="Episode i has the road of seed + i.", min=0)] = 0,
-    duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.005)] = 20.0,
-    road: Annotated[str, typer.Option(help="paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
-    speed: Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)] = 20.0,
-    network: Annotated[
-        str, typer.Option(help="The plant: a built-in network or a model file.")
-    ] = "quarter-car-isd",
-    trust_zip: TrustOption = False,
-) -> None:
-    """Save a policy's rollouts as a Minari data set, for offline reinforcement learning.
-
-    Example: isd-gym record mpc --out isd/mpc-v0
-    """
-    from .console import progress as bar
-    from .console import warm_up
-    from .network import Network
-    from .policies import find
-
-    plant = Network.load(network)
-    entry = find(policy, plant, speed=speed, trust_zip=trust_zip)
-    with bar() as update:
-        warm_up(update)
-        write_dataset(
-            entry,
-            out,
-            plant,
-            episodes=episodes,
-            seed=seed,
-            duration=duration,
-            road=road,
-            speed=speed,
-            progress=lambda share: update(policy, share),
-        )
-    how = f'minari.load_dataset("{out}")' if ID.fullmatch(out) else f'minari.MinariDataset("{out}")'
-    typer.echo(f"{episodes} episodes of {policy}: {how}")

@@ -17,7 +17,7 @@ from scipy.linalg import expm
 
 from . import elements as el
 from .errors import InputError
-from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WIDTH, Layout, aligned, layout
+from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
 from .units import HELD, convert
 
@@ -32,7 +32,6 @@ SEPARATE = (
     1e-6  # devices that move one another less, of what each moves by its own forces, have a closed form
 )
 AT_ONCE = 1e-12  # m/s per N or A: below is rounding; a damper of 1e12 N s/m
-WAY = Layout._fields.index("way")
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Discrete:
 
     def structure(self) -> tuple[int, ...]:
         """What lanes of one plant must have in common: all sizes and codes but the way through a step."""
-        return (*self.ints[:5].tolist(), *self.ints[6:].tolist())
+        return tuple(np.delete(self.ints, WAY).tolist())
 
 
 def _columns(asm: Assembly) -> list[int]:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import typer
 
-from .console import counted, printer, resumable
 from .engine import Outcome, Task, shard, stored
 from .engine import run as run_tasks
 from .errors import InputError
@@ -19,6 +16,9 @@ from .files import claim_folder, write_text
 from .grid import SCHEMA, Condition, Grid, belongings
 from .inputs import is_number
 from .network import Network
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
 
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
@@ -225,11 +225,11 @@ def sweep(
     return merged, outcome
 
 
-def _items(count: int) -> str:
+def items_are(count: int) -> str:
     return f"{count} item is" if count == 1 else f"{count} items are"
 
 
-def _cell(q: Mapping[str, Any] | None, key: str = "change", digits: int = 1) -> str:
+def change_cell(q: Mapping[str, Any] | None, key: str = "change", digits: int = 1) -> str:
     if q is None or key not in q:
         return ""
     text = f"{100 * q[key]:+.{digits}f}"
@@ -245,13 +245,13 @@ def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     for c in merged["conditions"]:
         by = {row["policy"]: row["cost"] for row in c["policies"]}
         if any(name in by for name in names):  # else nothing of it is done yet
-            out.append([c["name"], *(_cell(by.get(name)) for name in names)])
+            out.append([c["name"], *(change_cell(by.get(name)) for name in names)])
     by = {row["policy"]: row for row in merged["overall"]}
     if by:
         out.append(
             [
                 f"all {len(merged['conditions'])}",
-                *(_cell(by[n]["change"], "value") if n in by else "" for n in names),
+                *(change_cell(by[n]["change"], "value") if n in by else "" for n in names),
             ]
         )
         out.append(
@@ -273,131 +273,5 @@ def table(merged: Mapping[str, Any]) -> str:
         *("| " + " | ".join(line).replace("-", "−") + " |" for line in lines),
     ]
     if merged["missing"]:
-        text += ["", f"{_items(merged['missing'])} missing."]
+        text += ["", f"{items_are(merged['missing'])} missing."]
     return "\n".join(text) + "\n"
-
-
-def command(
-    grid: Annotated[
-        str,
-        typer.Argument(
-            help="The grid: policies, conditions, roads (TOML or JSON), or a built-in one: robust."
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option("--out", help="Folder of the results; what is in it is not done again.", metavar="DIR"),
-    ],
-    jobs: Annotated[int, typer.Option("--jobs", help="Processes of this machine.", min=1)] = 1,
-    which: Annotated[
-        str | None,
-        typer.Option(
-            "--shard", help="Run only every N-th item: 0/8 ... 7/8 in an array of 8 jobs.", metavar="I/N"
-        ),
-    ] = None,
-    engine: Annotated[
-        str, typer.Option("--engine", help="Where the items run: local, or ray for a Ray cluster.")
-    ] = "local",
-    address: Annotated[
-        str | None,
-        typer.Option("--address", help="Address of the Ray cluster; the one of this machine unless given."),
-    ] = None,
-) -> None:
-    """Drive policies through a grid of conditions, on many cores or machines; called again it goes on where it stopped.
-
-    Prints the change of J against the passive car of every condition with its 95 % paired interval, and writes it to
-    DIR/sweep.json and DIR/sweep.md. The exit status is 1 where something is missing.
-
-    Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
-    """
-    made = Grid.load(grid)
-    check_policies(made)
-    with resumable(), counted("items") as progress:
-        merged, outcome = sweep(
-            made,
-            out,
-            jobs=jobs,
-            which=which,
-            engine=engine,
-            address=address,
-            progress=progress,
-            say=lambda text: typer.echo(text, err=True),
-        )
-    _print(merged)
-    if outcome.failed:
-        typer.echo(f"{_items(len(outcome.failed))} missing; the same line tries again", err=True)
-        raise typer.Exit(1)
-    if merged["missing"] and which is None:
-        typer.echo(f"{_items(merged['missing'])} missing", err=True)
-        raise typer.Exit(1)
-
-
-def _print(merged: Mapping[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    from .errors import plain
-
-    names, lines = rows(merged)
-    console = printer()
-    # a figure is never cut: in a narrow console the interval goes on the line below the figure
-    wide = [max((len(line[k + 1]) for line in lines), default=0) for k in range(len(names))]
-    room = 34 + sum(w + 4 for w in wide) <= console.width
-    made = Table(box=box.SIMPLE_HEAD, title="change of J against passive [%]", title_justify="left")
-    made.add_column("condition", overflow="fold")
-    for name in names:
-        made.add_column(Text(plain(name, 40)), justify="right", overflow="fold")
-    for first, *cells in lines:
-        made.add_row(Text(plain(first, 60)), *(Text(c if room else c.replace(" [", "\n[")) for c in cells))
-    if lines:
-        console.print(made)
-    for row in merged["overall"][:1]:
-        for rival, q in row["against"].items():
-            console.print(
-                f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {_cell(q, 'value', 2)} points of J",
-                style="dim",
-            )
-    if merged["missing"]:
-        typer.echo(f"{_items(merged['missing'])} not there yet")
-
-
-def warm() -> None:
-    """Compile the kernel of simulations, policies and environments, once, into the cache of this machine (or NUMBA_CACHE_DIR).
-
-    On a fresh node the first step otherwise costs tens of seconds, in every worker at once.
-
-    Example: isd-gym warm
-    """
-    import time
-
-    from .policies import find
-    from .scoring import drive
-    from .simulate import simulate
-
-    def ready(what: str, begin: float) -> None:
-        typer.echo(f"{what}: ready after {time.perf_counter() - begin:.1f} s")
-
-    plant = Network.load("quarter-car-isd")
-    # the kernel with every law: what a model of one's own asks for, and the diagnosis
-    more = plant.with_element(
-        {"name": "more", "type": "cubic_stiffness", "between": ["body", "wheel"], "stiffness": 1.0}
-    )
-    times = np.linspace(0.0, 0.05, 51)
-    for what, network in (("simulation", plant), ("simulation with every law", more)):
-        begin = time.perf_counter()
-        simulate(network, times, {c.name: 0.0 * times for c in network.inputs})
-        for episodes in (1, 2):
-            drive(find("passive", network), network, episodes=episodes, duration=0.05)
-        ready(what, begin)
-    for name in ("lqg-preview", "mpc-friction", "mpc"):
-        begin = time.perf_counter()
-        for episodes in (1, 2):
-            drive(
-                find(name, plant),
-                plant,
-                episodes=episodes,
-                duration=0.05,
-                sensors=Condition(noise=1.0, road_error=1e-3).sensors,
-            )
-        ready(name, begin)

@@ -32,31 +32,32 @@ OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEAS
 
 @dataclass(frozen=True)
 class Options:
-    """Options that a single and a vector environment have in common.
+    """Options of the environments: keyword arguments of ``gymnasium.make`` and ``gymnasium.make_vec``.
 
     Raises:
         InputError: A value is none that the environment takes.
     """
 
-    # built-in name, file or content (`isd-model/1`), or the network itself
+    # vehicle: name of a built-in network, file or content (`isd-model/1`), or a `Network`
     network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd"
-    # paper, A ... H, bump, pothole, sweep, a file, a sum such as C+bump, or the road itself
+    # paper, A ... H, bump, pothole, sweep, a CSV file, a sum such as C+bump, or a `Road`
     road: str | Road = "paper"
-    # [m/s]
+    # speed of the vehicle [m/s]
     speed: float = 20.0
-    # measured, full or preview
+    # measured, full (adds the state) or preview (adds the road ahead)
     observation: str = "measured"
-    # stage cost, or those of its attributes that differ from the usual ones
+    # stage cost, a `StageCost` or its weights, such as {"tyre_load": 0.1}
     cost: StageCost | Mapping[str, Any] | None = None
-    # ranges drawn at every reset: factors on parameters of the network, speeds [m/s], roads
+    # ranges drawn at every reset: factors on parameters of the network, speeds [m/s], roads, such as
+    # {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}
     randomize: Mapping[str, Any] | None = None
-    # [s]
+    # time between two actions [s]
     control_step: float = CONTROL_STEP
-    # road ahead of the first axle that an observation shows [s]
+    # road ahead of the first axle in an observation [s], with observation preview
     preview: float = 0.25
-    # length of roads that are drawn whole [s]
+    # length of recorded and fixed roads [s]; the time limit is max_episode_steps
     duration: float = 20.0
-    # imperfections of the sensors
+    # imperfections of the sensors (`isd_gym.sensors.Sensors`), such as {"noise": 1.0, "road_error": 0.001}
     sensors: Sensors | Mapping[str, Any] | str | None = None
 
     def __post_init__(self) -> None:

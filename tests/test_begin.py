@@ -122,7 +122,7 @@ def test_simulate_fits_the_initial_state_when_asked(files, moving):
     ("data", "more", "told"),
     [
         ("road.csv", (), "none of the model's outputs"),
-        ("drive.csv", ("--initial", "body=0.1"), "leave the others"),
+        ("drive.csv", ("--initial", "body=0.1"), "leave out the other"),
     ],
 )
 def test_nothing_to_fit_by_and_two_wishes_are_one_line(files, data, more, told):

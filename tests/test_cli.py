@@ -154,11 +154,12 @@ def test_a_card_fits_a_narrow_terminal():
     import io
 
     from isd_gym import cards
+    from isd_gym.commands._card_table import print_track
 
     text = io.StringIO()
     with contextlib.redirect_stdout(text), pytest.MonkeyPatch.context() as narrow:
         narrow.setattr("rich.console.Console.width", 80)
-        cards.show(cards.load("ISDSuspension-v0"), "preview-0.2")
+        print_track(cards.load("ISDSuspension-v0"), "preview-0.2")
     lines = text.getvalue().splitlines()
     assert max(map(len, lines)) <= 80
     assert any("mpc-friction-preview" in line and "0.4074" in line for line in lines)
@@ -353,7 +354,7 @@ def test_the_list_of_commands_is_not_cut():
     done = run("--help", env={"COLUMNS": "80"})
     listed = done.stdout.split("Commands:")[1]
     assert "..." not in listed and max(map(len, done.stdout.splitlines())) <= 80
-    assert " ".join(done.stdout.split()).count("against the conventional passive car.") == 1
+    assert " ".join(done.stdout.split()).count("with the conventional passive car.") == 1
 
 
 def test_policies_lists_what_can_be_scored(tmp_path):

@@ -68,6 +68,23 @@ def test_found_without_an_installation(place, code, answer):
     assert python(code, place) == answer
 
 
+START = (ROOT / "isd_gym.pth").read_text()
+FOUND = "import gymnasium; print(gymnasium.make('ISDSuspension-v0').reset(seed=0)[0].shape)"
+
+
+def test_found_from_the_start_of_python(place):
+    """The line that Python runs at its start: no module is loaded by it, and Gymnasium finds the environments."""
+    assert START.count("\n") == 1 and START.startswith("import ")
+    loaded = f"import sys; known = set(sys.modules); exec({START!r}); print(set(sys.modules) - known)"
+    assert python(loaded, place) == "set()"
+    assert python(f"exec({START!r}); {FOUND}", place) == "(6,)"
+
+
+def test_what_python_ran_at_its_start_outlives_the_package(tmp_path):
+    code = f"exec({START!r}); import gymnasium; print('ISDSuspension-v0' in gymnasium.registry)"
+    assert python(code, tmp_path) == "False"
+
+
 @pytest.mark.slow  # a zip compiles the kernel afresh
 def test_scores_without_an_installation(place):
     assert python(SCORE, place) == "['passive', 'lqg']"

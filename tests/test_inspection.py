@@ -10,7 +10,7 @@ from isd_gym import cli
 from isd_gym.data import Table, write_table
 from isd_gym.discrepancy.records import read_record
 from isd_gym.errors import InputError
-from isd_gym.inspection import command, inspect, lines, page
+from isd_gym.inspection import inspect, lines, page
 from isd_gym.loggers import ChannelMap, Column, Logger, mended, rasters, runs
 from isd_gym.loggers.facts import sparkline
 from isd_gym.loggers.records import records_of, road_of
@@ -300,9 +300,6 @@ def test_iso_stamps_are_seconds(tmp_path):
 
 @pytest.fixture(scope="module")
 def program():
-    # a command line that was asked for something else has only mentioned it
-    cli.app.registered_commands[:] = [c for c in cli.app.registered_commands if c.name != "inspect"]
-    cli.app.command(name="inspect")(command)
     return cli.app
 
 

@@ -224,7 +224,7 @@ def test_a_rig_that_cannot_be_is_refused_with_one_line(choice: dict[str, Any], w
 def run(*words: str) -> Any:
     import typer
 
-    from isd_gym.testplan import command
+    from isd_gym.commands.plan import command
 
     app = typer.Typer()
     app.command()(command)

@@ -698,13 +698,15 @@ def test_the_tables_cut_no_figure(small_score, monkeypatch, width):
 
     import rich.console
 
+    from isd_gym.commands._score_table import print_score
+
     rows = [json.loads(json.dumps(row)) for row in small_score.policies]
     for row in rows:
         row["energy"]["value"], row["share_of_reachable_gain"] = 13456.0, 0.41
         row["limit_violations"] |= {"current": 98765}
     out, made = io.StringIO(), rich.console.Console
     monkeypatch.setattr(rich.console, "Console", lambda **k: made(file=out, width=width))
-    cli._print_score(replace(small_score, policies=rows))
+    print_score(replace(small_score, policies=rows))
     text = out.getvalue()
     assert "…" not in text and max(map(len, text.splitlines())) <= width
     for row in rows:

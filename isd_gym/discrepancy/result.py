@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..cosimulation import UnitModel
 from ..data import Table, write_table
 from ..files import claim_folder, write_text
+from ..fmi.cosimulation import UnitModel
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -81,94 +81,68 @@ def drive(
     """
     at = layout(ints)
     setup = ints[at.differs + at.laws :]
-    together = 1 if mats.shape[0] != at.size else TOGETHER
-    broken = 0
-    for group in range(begin, stop, together):
-        broken += control(
-            mats, ints, setup, states, cars, setup[ALL], ways, table, past, rings, ahead, history, settings, said,
-            seen_out, room, group, min(group + together, stop),
-        )  # fmt: skip
-    return broken
-
-
-def control(
-    mats,
-    ints,
-    setup,
-    states,
-    cars,
-    wide,
-    ways,
-    table,
-    past,
-    rings,
-    ahead,
-    history,
-    settings,
-    said,
-    seen_out,
-    room,
-    begin,
-    stop,
-):
-    """One control step of a few groups of cars; arguments as `drive`'s, rows of cars, ways, rings and said are `wide`.
-
-    The groups take turns step by step: while one waits for its friction, the processor has the next one's sums to do.
-    """
-    at = layout(ints)
+    wide = setup[ALL]
     substeps, shows = setup[SUBSTEPS], setup[SHOWS]
     own = mats.shape[0] != at.size
     nc, size = at.currents, at.height * WIDTH
     c_at = (substeps + 1) * at.inputs
     road_at = c_at + substeps * nc
     span = (road_at + substeps * (2 + CAR.tracks)) * WIDTH  # of a group
-    for group in range(begin, stop):
-        first = group * WIDTH
-        u = room[(group - begin) * span : (group - begin + 1) * span]
-        count = min(WIDTH, setup[COUNT] - first)
-        if setup[IS_COMMANDED]:
-            for j in range(CAR.currents):
-                current = load(cars, (CAR.current + j) * wide + first)
-                target = clip(load(cars, (CAR.target + j) * wide + first), spread(settings[CURRENT_LIMIT]))
-                current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
-                store(cars, (CAR.current + j) * wide + first, current)
-        tracks_at = ground(setup, cars, ways, table, rings, ahead, settings, u, road_at, wide, first, count)
-        wheels(setup, at.inputs, cars, history, u, tracks_at, mats[0], wide, group, count)
-        for j in range(nc):
-            row = setup[CAR.current_of + j]
-            if setup[DRIVE_ACTS]:
-                for k in range(substeps):
-                    for l in range(count):
-                        u[(c_at + k * nc + j) * WIDTH + l] = driven(
-                            cars, past, setup[DEPTH], row, wide, first + l
-                        )
-            else:
-                current = load(cars, (CAR.current + row) * wide + first)
-                for k in range(substeps):
-                    store(u, (c_at + k * nc + j) * WIDTH, current)
-    for k in range(substeps):
-        for group in range(begin, stop):
-            u = room[(group - begin) * span : (group - begin + 1) * span]
-            pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
-            count = min(WIDTH, setup[COUNT] - group * WIDTH)
-            march(pool, own, at, ints, state, u, u[c_at * WIDTH :], k, k, 1, WIDTH, 0, count, k + 1)
+    together = 1 if own else TOGETHER
     broken = 0
-    for group in range(begin, stop):
-        first = group * WIDTH
-        count = min(WIDTH, setup[COUNT] - first)
-        pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
-        outputs(pool, own, at, ints, state, count)
-        broken += judge(at, state, cars, settings, said, wide, first, count)
-        for l in range(count):
-            for j in range(CAR.measured):
-                seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
-            for j in range(CAR.currents):
-                seen_out[first + l, CAR.measured + j] = cars[U((CAR.current + j) * wide + first + l)]
-        if shows == WHOLE:
-            show_state(at, state, cars, settings, wide, first, count, seen_out)
-        elif shows == AHEAD:
-            for track in range(CAR.tracks):
-                look(setup, ahead, track, cars, wide, first, count, seen_out)
+    for head in range(begin, stop, together):
+        # these groups take turns step by step: while one waits for its friction, the processor has the next one's sums to do
+        tail = min(head + together, stop)
+        for group in range(head, tail):
+            first = group * WIDTH
+            u = room[(group - head) * span : (group - head + 1) * span]
+            count = min(WIDTH, setup[COUNT] - first)
+            if setup[IS_COMMANDED]:
+                for j in range(CAR.currents):
+                    current = load(cars, (CAR.current + j) * wide + first)
+                    target = clip(
+                        load(cars, (CAR.target + j) * wide + first), spread(settings[CURRENT_LIMIT])
+                    )
+                    current = current + clip(target - current, spread(settings[SLEW_LIMIT]))
+                    store(cars, (CAR.current + j) * wide + first, current)
+            tracks_at = ground(
+                setup, cars, ways, table, rings, ahead, settings, u, road_at, wide, first, count
+            )
+            wheels(setup, at.inputs, cars, history, u, tracks_at, mats[0], wide, group, count)
+            for j in range(nc):
+                row = setup[CAR.current_of + j]
+                if setup[DRIVE_ACTS]:
+                    for k in range(substeps):
+                        for l in range(count):
+                            u[(c_at + k * nc + j) * WIDTH + l] = driven(
+                                cars, past, setup[DEPTH], row, wide, first + l
+                            )
+                else:
+                    current = load(cars, (CAR.current + row) * wide + first)
+                    for k in range(substeps):
+                        store(u, (c_at + k * nc + j) * WIDTH, current)
+        for k in range(substeps):
+            for group in range(head, tail):
+                u = room[(group - head) * span : (group - head + 1) * span]
+                pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
+                count = min(WIDTH, setup[COUNT] - group * WIDTH)
+                march(pool, own, at, ints, state, u, u[c_at * WIDTH :], k, k, 1, WIDTH, 0, count, k + 1)
+        for group in range(head, tail):
+            first = group * WIDTH
+            count = min(WIDTH, setup[COUNT] - first)
+            pool, state = pool_of(mats, own, at, group), states[group * size : (group + 1) * size]
+            outputs(pool, own, at, ints, state, count)
+            broken += judge(at, state, cars, settings, said, wide, first, count)
+            for l in range(count):
+                for j in range(CAR.measured):
+                    seen_out[first + l, j] = state[U((at.outcome + j) * WIDTH + l)]
+                for j in range(CAR.currents):
+                    seen_out[first + l, CAR.measured + j] = cars[U((CAR.current + j) * wide + first + l)]
+            if shows == WHOLE:
+                show_state(at, state, cars, settings, wide, first, count, seen_out)
+            elif shows == AHEAD:
+                for track in range(CAR.tracks):
+                    look(setup, ahead, track, cars, wide, first, count, seen_out)
     return broken
 
 

@@ -100,7 +100,6 @@ _STEPS = (
     cars.show_state,
     cars.look,
     cars.judge,
-    cars.control,
 )
 _ENTRIES = (steps.advance, steps.measure, steps.record, cars.drive)
 _MODULES = (
@@ -137,7 +136,6 @@ _CLOSE = (
     contact.apply,
     contact.contact,
     contact.contacts,
-    cars.control,
     cars.ground,
     cars.wheels,
     cars.judge,

@@ -30,6 +30,10 @@ GENERAL, QUIET, CONTACT = 0, 1, 2
 #: what an observation shows beside the measured signals: nothing, the whole state, the road ahead
 MEASURED, WHOLE, AHEAD = 0, 1, 2
 
+# Sizes of a plant: the head of `ints`, the first fields of `Layout`.
+STATES, INPUTS, CURRENTS, LAWS, SMOOTH, WAY, OUTPUTS, ROWS, COLUMNS, DIFFER, PARAMETERS, INSTANT = range(12)
+SIZES = 12  # their number; the laws' codes follow
+
 # Whole numbers of a batch of cars: the head of `setup`.
 COUNT = 0  # cars
 SUBSTEPS = 1  # physics steps of a control step
@@ -209,8 +213,10 @@ class Layout(NamedTuple):
 
 def layout(ints: Any) -> Layout:
     """The `Layout` of `ints` (compiled code calls it, too)."""
-    n, m, nc, nl, ns = ints[0], ints[1], ints[2], ints[3], ints[4]
-    rows, columns, differ, parameters, instant = ints[7], ints[8], ints[9], ints[10], ints[11]
+    n, m, nc, nl, ns = ints[STATES], ints[INPUTS], ints[CURRENTS], ints[LAWS], ints[SMOOTH]
+    rows, columns, differ, parameters, instant = (
+        ints[ROWS], ints[COLUMNS], ints[DIFFER], ints[PARAMETERS], ints[INSTANT],
+    )  # fmt: skip
     start, end, current = n, n + m, n + 2 * m
     last = current + nc
     force = last + nl * differ
@@ -220,7 +226,7 @@ def layout(ints: Any) -> Layout:
     failed = acting + 9 * nl
     scratch = failed + 2
     outcome = scratch + (nl * (nl + 4) + WIDTH - 1) // WIDTH
-    ny = ints[6]
+    ny = ints[OUTPUTS]
     out_rows = (ny + 2 * nl * instant + 3) // 4 * 4
     gains = 1 + rows * step_columns
     spans = gains + nl * rows
@@ -229,8 +235,8 @@ def layout(ints: Any) -> Layout:
     out = upper + CLOSED * devices
     own = out + out_rows * columns
     return Layout(
-        n, m, nc, nl, ns, ints[5], ny, rows, columns, differ, parameters, instant,
-        12, 12 + nl,
+        n, m, nc, nl, ns, ints[WAY], ny, rows, columns, differ, parameters, instant,
+        SIZES, SIZES + nl,
         start, end, current, last, force,
         step, step + n, step + n + nl,
         acting, acting + nl, acting + 2 * nl, acting + 3 * nl, acting + 4 * nl, acting + 5 * nl, acting + 6 * nl,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from ...cosimulation import Port, Unit, UnitModel
+    from ...fmi.cosimulation import Port, Unit, UnitModel
     from ..simulation.problem import Array, Record
 
 Progress = Callable[[str], None]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ...cosimulation import Port, Unit, UnitModel
+    from ...fmi.cosimulation import Port, Unit, UnitModel
 
 UNCERTAINTY = 0.2  # relative standard deviation of parameters without a stated uncertainty
 MOST_FREE = 20  # parameters without a stated uncertainty that may be refitted

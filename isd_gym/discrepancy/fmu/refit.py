@@ -17,7 +17,7 @@ from ..result import Quantity
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ...cosimulation import UnitModel
+    from ...fmi.cosimulation import UnitModel
     from ..simulation.problem import Array
     from .comparison import FmuComparison, Progress, Segment
 

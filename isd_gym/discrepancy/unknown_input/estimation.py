@@ -287,7 +287,7 @@ def estimate_uncertainty(network: Network, fit: ModelFit) -> Estimates:
 def _estimate_scale(model: KalmanModel, x: Array, common: Array, information: Array) -> float:
     """Return the standard deviation of the logarithm of a common scale of masses and forces, from the records alone.
 
-    The smaller of two informations counts: the second difference of the deviance, and the profiled Fisher information.
+    The smaller of two estimates of the information counts: the second difference of the deviance, and the profiled Fisher information.
 
     Args:
         model: The Kalman model.

@@ -1,4 +1,4 @@
-"""The command `isd-gym plan`: prediction and design of a test before a diagnosis."""
+"""`isd-gym plan`: prediction and design of a test before a diagnosis."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .console import MapOption, RenameOption, UnitOption, channel_names, check_file, printer, progress
-from .errors import InputError, plain, shown
+from ..console import check_file, printer, progress
+from ..errors import InputError, plain, shown
+from ._options import ElementsOption, MapOption, ModelArgument, RenameOption, UnitOption, channel_names
 
 if TYPE_CHECKING:
-    from .data import Table
-    from .discrepancy.planning import Plan, Rig
-    from .network import Network
+    from ..data import Table
+    from ..discrepancy.planning import Plan, Rig
+    from ..network import Network
 
 AMOUNT = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*)")
 
 
 def command(
-    model: Annotated[str, typer.Argument(help="The model as you believe it: a file or a built-in network.")],
+    model: ModelArgument,
     data: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Records whose inputs are the test to be judged; their outputs, if any, give the noise. Without records the test is --excitation."
+            help="Records of the test: its inputs, and outputs for the noise if there are any. Without records the test is --excitation."
         ),
     ] = None,
     rename: RenameOption = None,
@@ -34,75 +35,73 @@ def command(
     map_file: MapOption = None,
     excitation: Annotated[
         str | None,
-        typer.Option(
-            help="The test to be judged where no DATA are given: multisine, sweep, steps, triangle."
-        ),
+        typer.Option(help="Test without DATA: multisine, sweep, steps, triangle."),
     ] = None,
     limit: Annotated[
         list[str] | None,
         typer.Option(
-            help="Largest value that the rig reaches at an input, and its speed: road=15mm or road=15mm,0.4m/s, force=200N, current=4.",
+            help="Largest value of an input on the rig, and its largest rate: road=15mm or road=15mm,0.4m/s, force=200N, current=4.",
             metavar="INPUT=REACH[,SPEED]",
         ),
     ] = None,
     band: Annotated[
-        str | None, typer.Option(help="Frequencies that the rig can play [Hz].", metavar="LOW:HIGH")
+        str | None, typer.Option(help="Frequency range of the rig [Hz].", metavar="LOW:HIGH")
     ] = None,
     length: Annotated[float | None, typer.Option(help="Length of the test [s].", min=1e-3)] = None,
     rate: Annotated[float | None, typer.Option(help="Sampling rate [Hz].", min=1e-3)] = None,
     noise: Annotated[
         list[str] | None,
         typer.Option(
-            help="RMS noise of an output, in its unit; otherwise that of the model file or DATA, or 1 % of the output's deviation.",
+            help="RMS noise of an output, in its unit. Default: from the model file or DATA, else 1 % of the output's standard deviation.",
             metavar="OUTPUT=VALUE",
         ),
     ] = None,
     only: Annotated[
         list[str] | None,
-        typer.Option(help="Only hypotheses of this effect, or at this node or channel.", metavar="WORD"),
+        typer.Option(
+            help="Only hypotheses with this effect, node or channel. May be repeated.", metavar="WORD"
+        ),
     ] = None,
-    sensors: Annotated[bool, typer.Option(help="Ask what one more sensor would bring.")] = True,
+    sensors: Annotated[bool, typer.Option(help="Also predict the gain of one more sensor.")] = True,
     design: Annotated[
         Path | None,
         typer.Option(
-            help="Choose the most informative test within the rig's limits, write it to this file, and judge it.",
+            help="Choose the most informative test within the limits, and write it to this file.",
             metavar="FILE.csv",
         ),
     ] = None,
     after: Annotated[
         Path | None,
         typer.Option(
-            help="With --design: the diagnosis.json of an undecided diagnosis; the test is chosen to separate its rivals.",
+            help="With --design: diagnosis.json of an undecided diagnosis. The test separates its candidates.",
             metavar="RESULT.json",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Write the plan to this file (isd-plan/1).", metavar="FILE.json"),
+        typer.Option("--out", help="Write the plan (isd-plan/1) to this file.", metavar="FILE.json"),
     ] = None,
     html: Annotated[
-        Path | None, typer.Option("--html", help="Write a page with a picture.", metavar="FILE.html")
+        Path | None,
+        typer.Option("--html", help="Write a page with a picture to this file.", metavar="FILE.html"),
     ] = None,
-    elements: Annotated[
-        list[Path] | None,
-        typer.Option(help="A Python file of yours that registers elements: it is run.", metavar="FILE.py"),
-    ] = None,
+    elements: ElementsOption = None,
 ) -> None:
-    """Predict what a test can show: which effects can be told apart, and how small each can be and still be named.
+    """Predict the result of a test: which missing effects a diagnosis could name, and from which size on.
 
-    Every effect of the library at every place is simulated under the test, the model and the rivals that come closest
-    are refitted to it, and the criteria of `isd-gym diagnose` decide on what is left, noise included. Prints each
-    effect's smallest size, what holds a smaller one back, and what one more sensor would bring.
+    Every effect of the library is simulated at every place under the test. The model and the closest other effects are
+    refitted to the simulated records, and the criteria of isd-gym diagnose are applied, noise included. The table shows
+    the smallest size of each effect that would be named, and the gain of one more sensor.
 
-    With --design the test itself is chosen: multisines, sweeps, steps and triangles within --limit, --band and --length,
-    or within the range of DATA. After a diagnosis that could not decide, --after makes it the test that separates its rivals.
+    With --design the test is chosen among multisines, sweeps, steps and triangles, within --limit, --band and --length or
+    the range of DATA. With --after the test separates the candidates of an undecided diagnosis.
 
     Example: isd-gym plan car.json --limit road=15mm --html plan.html
     """
-    from . import elements as el
-    from .discrepancy.planning import plan as run
-    from .loggers import files_of
-    from .network import Network
+    from .. import elements as el
+    from ..discrepancy.planning import plan as run
+    from ..loggers import files_of
+    from ..network import Network
 
     for file in (design, out, html):
         check_file(file, model, after, *(f for word in data or () for f in files_of(word)), *elements or ())
@@ -149,7 +148,7 @@ DECIDED = {
 
 def _check_undecided(after: Path) -> None:
     """Raise `InputError` for a diagnosis without a question for another test."""
-    from .inputs import read_json
+    from ..inputs import read_json
 
     data = read_json(after)
     verdict = data.get("verdict") if isinstance(data, dict) else None
@@ -159,10 +158,10 @@ def _check_undecided(after: Path) -> None:
 
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
     """The records of DATA with the inputs of the model, and its outputs where all of them are there."""
-    from .data import Table
-    from .loggers.grid import inputs_of
-    from .loggers.records import outputs_of, records_of
-    from .units import convert
+    from ..data import Table
+    from ..loggers.grid import inputs_of
+    from ..loggers.records import outputs_of, records_of
+    from ..units import convert
 
     out = []
     for word in data:
@@ -191,8 +190,8 @@ def _made(
     options: dict[str, Any],
 ) -> Plan:
     """The plan of a test that is made here, and the test written where it is asked for."""
-    from .discrepancy.planning import Limits, infer_rig, read_planned_record
-    from .discrepancy.planning import plan as run
+    from ..discrepancy.planning import Limits, infer_rig, read_planned_record
+    from ..discrepancy.planning import plan as run
 
     limit, band, length, rate = bounds
     records = [read_planned_record(table, network) for table in data]
@@ -227,8 +226,8 @@ def _designed(
     notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
-    from .discrepancy.planning import design_general_test, design_test, estimate_output_noise, read_rivals
-    from .discrepancy.planning import plan as run
+    from ..discrepancy.planning import design_general_test, design_test, estimate_output_noise, read_rivals
+    from ..discrepancy.planning import plan as run
 
     update = options["progress"]
     noise = estimate_output_noise(network, rig, options["noise"], records)
@@ -255,7 +254,7 @@ def amounts(
     own: Mapping[str, str] | None = None,
 ) -> dict[str, float]:
     """``NAME=VALUE [unit]`` as numbers in `units`; a bare number is in `own` units. Raises `InputError`."""
-    from .units import convert
+    from ..units import convert
 
     out = {}
     for text in values or ():
@@ -293,7 +292,7 @@ def _save(found: Plan, out: Path | None, html: Path | None) -> None:
     if out is not None:
         found.save(out)
     if html is not None:
-        from .report.plan import write_plan
+        from ..report.plan import write_plan
 
         write_plan(found, html)
 
@@ -306,8 +305,8 @@ def _print(found: Plan) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from .discrepancy.planning import STATUS
-    from .report.plan import size_of
+    from ..discrepancy.planning import STATUS
+    from ..report.plan import size_of
 
     console = printer()
     console.print(f"Test: {plain(found.test, 300)}")

@@ -1,6 +1,6 @@
 """Runs a functional mock-up unit in a process of its own, where its faults are only an error.
 
-`isd_gym.cosimulation` starts this text with ``python -c``; nothing of the package is imported here. A request is a line of
+`isd_gym.fmi.cosimulation` starts this text with ``python -c``; nothing of the package is imported here. A request is a line of
 JSON on standard input, followed by its arrays as float64; the answer is a line of JSON on standard output, followed by
 arrays. FMPy loads the unit: compiled code of whoever made it, which runs with the rights of this process.
 """

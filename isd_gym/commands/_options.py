@@ -1,0 +1,225 @@
+"""Options that several commands share, and readers of their values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..errors import InputError, hint, shown
+
+
+def complete(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return a completion for the shell. The names are looked up when the shell asks."""
+
+    def words(incomplete: str) -> list[str]:
+        return sorted(name for name in names() if name.startswith(incomplete))
+
+    return words
+
+
+def policy_names() -> Iterable[str]:
+    """Return the names of the policies that can be found."""
+    from ..policies import available
+
+    return available()
+
+
+def network_names() -> Iterable[str]:
+    """Return the names of the built-in networks."""
+    from ..network import builtin_networks
+
+    return builtin_networks()
+
+
+def road_names() -> Iterable[str]:
+    """Return the names of the roads."""
+    return ("paper", "paper-printed", "flat", *"ABCDEFGH", "bump", "pothole", "sweep")
+
+
+PolicyArgument = Annotated[
+    str,
+    typer.Argument(
+        help="A policy: passive, mpc, ... (isd-gym policies lists them), or a policy's folder or .zip.",
+        autocompletion=complete(policy_names),
+    ),
+]
+
+ModelArgument = Annotated[
+    str,
+    typer.Argument(
+        help="A model file (isd-model/1) or a built-in network.", autocompletion=complete(network_names)
+    ),
+]
+
+NetworkOption = Annotated[
+    str,
+    typer.Option(
+        help="The vehicle: a built-in network or a model file.", autocompletion=complete(network_names)
+    ),
+]
+
+RoadOption = Annotated[
+    str,
+    typer.Option(
+        help="paper, paper-printed, flat, A ... H, bump, pothole, sweep, C+bump, or a CSV file.",
+        autocompletion=complete(road_names),
+    ),
+]
+
+SpeedOption = Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)]
+
+DurationOption = Annotated[float, typer.Option(help="Length of an episode [s].", min=0.005)]
+
+SeedOption = Annotated[int, typer.Option(help="Seed of the first road. Episode i has seed + i.", min=0)]
+
+PreviewOption = Annotated[
+    float | None,
+    typer.Option(help="Length of road ahead [s] that policies with preview see.", min=0.0),
+]
+
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help="Write the results to this file.", metavar="FILE")
+]
+
+TrustOption = Annotated[
+    bool,
+    typer.Option(
+        "--trust-zip",
+        help="Open a Stable-Baselines3 .zip without converting it. The .zip can run code with your rights.",
+    ),
+]
+
+ColumnsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        help="Names of the columns of text files without a header, in order: 'time,force [kN],travel [mm]'.",
+        metavar="NAME,NAME,...",
+    ),
+]
+
+RenameOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--rename",
+        help="Column of the files and the channel of the model. May be repeated.",
+        metavar="COLUMN=CHANNEL",
+    ),
+]
+
+UnitOption = Annotated[
+    list[str] | None,
+    typer.Option("--unit", help="Unit of a channel in the files. May be repeated.", metavar="CHANNEL=UNIT"),
+]
+
+MapOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        help="File with the column of each channel, written by isd-gym inspect --out.",
+        metavar="FILE",
+    ),
+]
+
+ElementsOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--elements",
+        help="Python file that registers your own elements. The program runs the file.",
+        metavar="FILE.py",
+    ),
+]
+
+JobsOption = Annotated[int, typer.Option("--jobs", help="Number of processes on this machine.", min=1)]
+
+EngineOption = Annotated[
+    str, typer.Option("--engine", help="Where the work runs: local, or ray for a Ray cluster.")
+]
+
+
+def column_names(text: str | None) -> list[str] | None:
+    """Return the names of --columns, None without the option. Raise `InputError` for an empty or repeated name."""
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
+    if "" in names:
+        raise InputError(f"--columns: name {names.index('') + 1} of {len(names)} is empty")
+    if twice := next((n for n in names if names.count(n) > 1), None):
+        raise InputError(f"--columns names {shown(twice)} twice")
+    return names
+
+
+def pairs(values: list[str] | None, option: str, form: str) -> dict[str, str]:
+    """Return the values ``KEY=WORD`` of an option. Raise `InputError` for another form."""
+    out: dict[str, str] = {}
+    for value in values or []:
+        key, joined, word = value.partition("=")
+        if not (key and joined and word):
+            raise InputError(f"{option} wants {form}, not '{value}'")
+        out[key] = word
+    return out
+
+
+def check_channels(names: Iterable[str], known: Iterable[str], option: str) -> None:
+    """Raise `InputError` for a name that is not a channel of the model."""
+    known = list(known)
+    for name in names:
+        if name not in known:
+            raise InputError(f"{option}: the model has no channel '{name}'; {hint(name, known)}")
+
+
+def channel_names(
+    network: Any,
+    rename: list[str] | None,
+    unit: list[str] | None,
+    map_file: Path | None,
+    columns: str | None = None,
+) -> dict[str, Any]:
+    """Return the column of each channel from the options of a command, as arguments of `records_of`.
+
+    Args:
+        network: Model with the channels.
+        rename: Values of --rename.
+        unit: Values of --unit.
+        map_file: File of --map.
+        columns: Value of --columns.
+
+    Raises:
+        InputError: A channel is unknown, or --map is given with one of the others.
+    """
+    from ..loggers import ChannelMap
+
+    named: dict[str, Any] = {
+        "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
+        "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
+        "columns": column_names(columns),
+    }
+    channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
+    check_channels(named["rename"].values(), channels, "--rename")
+    check_channels(named["units"], [*channels, *named["rename"]], "--unit")
+    if map_file is None:
+        return named
+    if rename or unit:
+        raise InputError("--map replaces --rename and --unit: write their values into the map")
+    return {"by": ChannelMap.load(map_file), "columns": named["columns"]}
+
+
+def check_records(data: list[Path], validate: list[Path]) -> None:
+    """Raise `InputError` for a record given twice, or given for fitting and for validation."""
+    from ..loggers import files_of
+
+    seen: set[Path] = set()
+    fitted = [f for word in data for f in files_of(word)]
+    held = [f for word in validate for f in files_of(word)]
+    for file in (*fitted, *held):
+        if (own := file.resolve()) in seen:
+            both = file in held and own in {f.resolve() for f in fitted}
+            raise InputError(
+                f"{file}: is among the records to fit; --validate wants others"
+                if both
+                else f"{file}: is named twice"
+            )
+        seen.add(own)

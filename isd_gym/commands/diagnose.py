@@ -1,0 +1,223 @@
+"""`isd-gym diagnose`: what a model lacks, from measured records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..console import check_file, lines
+from ..errors import InputError, shown
+from ._diagnose_kinds import diagnose_fleet, diagnose_unit, identify_without_road
+from ._diagnose_result import print_diagnosis, write_result
+from ._options import (
+    ColumnsOption,
+    ElementsOption,
+    EngineOption,
+    JobsOption,
+    JsonOption,
+    MapOption,
+    RenameOption,
+    UnitOption,
+    channel_names,
+    check_channels,
+    check_records,
+    column_names,
+    complete,
+    network_names,
+    pairs,
+)
+
+
+def command(
+    data: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Measured records with time and the model's channels (CSV, Parquet, .mat, .mf4). Join files of several loggers "
+            "by +: body.csv+wheel.mf4."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the result.", metavar="DIR")],
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Nominal model: a file, a built-in network, or a unit for co-simulation (.fmu). Required, except for a folder of "
+            "cases with their own model.json.",
+            autocompletion=complete(network_names),
+        ),
+    ] = None,
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Validation records. Without this option some of DATA are held out.",
+            metavar="DATA...",
+        ),
+    ] = None,
+    rename: RenameOption = None,
+    unit: UnitOption = None,
+    map_file: MapOption = None,
+    columns: ColumnsOption = None,
+    accept: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Data check that only warns: held, jumps, magnitude, length, silent, copies, all. May be repeated.",
+            metavar="CHECK",
+        ),
+    ] = None,
+    elements: ElementsOption = None,
+    uncertain: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Relative standard deviation of a parameter (0.05 or 5%). The parameter is then refitted. Overrides the model file.",
+            metavar="PARAMETER=SHARE",
+        ),
+    ] = None,
+    trust_fmu: Annotated[
+        bool, typer.Option("--trust-fmu", help="Run the compiled code of an .fmu. The code has your rights.")
+    ] = False,
+    cut: Annotated[
+        str | None,
+        typer.Option(
+            help="Without a measured road: node with an accelerometer. Its motion drives the part above; the part below (tyre, "
+            "road) is left out.",
+            metavar="NODE",
+        ),
+    ] = None,
+    unmeasured: Annotated[
+        str | None,
+        typer.Option(
+            help="Without a measured road: the unmeasured input, taken as white velocity in the likelihood of a linear model. Default: "
+            'the input with "measured": false in the model file.',
+            metavar="INPUT",
+        ),
+    ] = None,
+    max_seconds: Annotated[
+        float,
+        typer.Option(help="With --unmeasured: largest processor time [s].", min=1.0, metavar="SECONDS"),
+    ] = 120.0,
+    max_lag: Annotated[
+        float, typer.Option(help="Largest offset between the clocks of two loggers [s].", min=0.0)
+    ] = 0.5,
+    jobs: JobsOption = 1,
+    engine: EngineOption = "local",
+    seed: Annotated[int, typer.Option(help="Seed of the resampling for the confidence.", min=0)] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Find where a model and measurements disagree, and which physical effect is missing.
+
+    Writes DIR/diagnosis.json, DIR/model.json (the model with the effects found) and DIR/report.html. Without --validate
+    whole records of DATA are held out for validation, or the last third of a single record.
+
+    For an .fmu the parameters are refitted (DIR/parameters.ssv). The inside of an .fmu is hidden, so no effect is named.
+
+    A folder with records, validation*.csv and model.json is one case. A folder of such folders (VEHICLE_2024-05-01) is a
+    fleet: every case is diagnosed, and the table is DIR/fleet.html. The same command continues an interrupted fleet.
+
+    Without a measured road, --cut diagnoses the part above a node with an accelerometer, and --unmeasured refits the
+    model by its likelihood (DIR/unmeasured.json, DIR/model.json).
+
+    Example: isd-gym diagnose test1.csv test2.csv --model rig.json --out found
+
+    Without a road: isd-gym diagnose drive.csv --model car.json --cut wheel --out found
+    """
+    from .. import elements as el
+    from ..discrepancy import SearchSettings
+    from ..discrepancy import diagnose as run
+    from ..loggers.records import records_of
+    from ..network import Network
+    from ..network import cut as cut_at
+    from ..report import check_target
+
+    check_file(json_file)
+    if len(data) == 1 and data[0].is_dir() and not validate:
+        from ..fleet import case_itself
+
+        case = case_itself(data[0], model)
+        if case is not None:  # the folder is one case
+            data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
+            model = model or case.model
+    if len(data) == 1 and data[0].is_dir():
+        if validate or rename or unit or columns or elements or cut or unmeasured or uncertain:
+            raise InputError(
+                "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
+            )
+        steps = {"map": map_file and str(map_file), "accept": accept or [], "seed": seed, "max_lag": max_lag}
+        diagnose_fleet(data[0], out, model, steps, jobs, engine, json_file)
+        return
+    if model is None:
+        raise InputError("--model is missing: name the model to compare the records with")
+    shares = _shares(uncertain)
+    check_records(data, validate or [])
+    about = {
+        "Model": model,
+        "Data": ", ".join(map(str, data)),
+        **({"Validation": ", ".join(map(str, validate))} if validate else {}),
+    }
+    if Path(model).suffix.lower() == ".fmu":
+        for option, given in (
+            ("--elements", elements),
+            ("--cut", cut),
+            ("--unmeasured", unmeasured),
+            ("--map", map_file),
+        ):
+            if given:
+                raise InputError(f"{option} wants a network (isd-model/1): the inside of an FMU is hidden")
+        check_target(out)
+        named = {
+            "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
+            "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
+            "header": column_names(columns),
+        }
+        result = diagnose_unit(model, trust_fmu, data, validate or [], accept or [], named, shares)
+        print_diagnosis(result, json_file, write_result(result, out, about))
+        return
+    for file in elements or ():
+        el.register_file(file)
+    network = Network.load(model)
+    if shares:
+        network = replace(network, uncertainty={**network.uncertainty, **shares})
+    options = channel_names(network, rename, unit, map_file, columns)
+    if "by" in options:
+        network = options["by"].measured(network)
+    unmeasured = unmeasured or next((c.name for c in network.inputs if not c.measured and cut is None), None)
+    if unmeasured is not None:
+        check_channels([unmeasured], [c.name for c in network.inputs], "--unmeasured")
+        if cut is not None:
+            raise InputError("--cut and --unmeasured exclude each other: use one of them")
+        files = [*data, *(validate or [])]
+        identify_without_road(files, network, unmeasured, accept or [], options, max_seconds, out, json_file)
+        return
+    check_target(out)
+    part = network if cut is None else cut_at(network, cut)
+    wanted = (*part.inputs, *part.outputs)
+    with lines() as say:
+        fitted, held = (
+            [r for f in files for r in records_of(f, network, wanted, **options)]
+            for files in (data, validate or [])
+        )
+        result = run(
+            fitted,
+            network,
+            validate=held,
+            accept=accept or (),
+            progress=say,
+            seed=seed,
+            cut=cut,
+            settings=SearchSettings(max_lag=max_lag),
+        )
+        say("writing the report")
+        page = write_result(result, out, about | {"Seed": str(seed)})
+    print_diagnosis(result, json_file, page)
+
+
+def _shares(uncertain: list[str] | None) -> dict[str, float]:
+    """Return the values of --uncertain as numbers."""
+    out = {}
+    for name, text in pairs(uncertain, "--uncertain", "PARAMETER=SHARE").items():
+        try:
+            out[name] = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        except ValueError:
+            raise InputError(f"--uncertain {name}: wants a share such as 0.05, not {shown(text)}") from None
+    return out

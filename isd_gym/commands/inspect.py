@@ -1,0 +1,81 @@
+"""`isd-gym inspect`: files of loggers, and which column is which channel of a model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..console import check_file, terminal_columns, write_json
+from ..errors import InputError, shown
+from ._options import ColumnsOption, JsonOption, column_names
+
+
+def command(
+    data: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Files of one run, one per logger: CSV, TSV, .lvm, .mat, Parquet, MDF.", metavar="FILE..."
+        ),
+    ],
+    model: Annotated[
+        str | None, typer.Option(help="Model with the channels to find: a model file or a built-in network.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Write the column found for each channel to this file, for --map.",
+            metavar="FILE",
+        ),
+    ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", help="Write a page with a picture of every column.", metavar="FILE"),
+    ] = None,
+    unit: Annotated[
+        list[str] | None, typer.Option(help="Unit of a column. May be repeated.", metavar="COLUMN=UNIT")
+    ] = None,
+    stamps: Annotated[str | None, typer.Option(help="Column with the time.", metavar="COLUMN")] = None,
+    columns: ColumnsOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """List columns, units, rates, gaps and oddities of loggers' files, and find the column of each channel of a model.
+
+    Pass the file of --out to --map of diagnose or simulate. Read it first: each channel has a probability and its reasons.
+
+    Example: isd-gym inspect body.csv wheel.mf4 --model car.json --out map.json
+    """
+    from ..files import write_text
+    from ..inspection import inspect, lines, page
+    from ..loggers.mapping import files_of
+    from ..network import Network
+
+    files = [file for word in data for file in files_of(word)]
+    for target in (out, html, json_file):
+        check_file(target, model, *files)
+    if out is not None and model is None:
+        raise InputError("--out wants --model: it writes the column of each of the model's channels")
+    given: dict[str, str] = {}
+    for word in unit or []:
+        name, joined, value = word.rpartition("=")
+        if not (name and joined and value):
+            raise InputError(f"--unit wants COLUMN=UNIT, not {shown(word)}")
+        from ..units import convert
+
+        convert(1.0, value, value)
+        given[name] = value
+    network = None if model is None else Network.load(model)
+    found = inspect(files, network, units=given, stamps=stamps, columns=column_names(columns))
+    for line in lines(found, max(60, min(terminal_columns(), 140))):
+        typer.echo(line)
+    if html is not None:
+        write_text(html, page(found))
+        typer.echo(f"page: {html}", err=True)
+    write_json(json_file, found.to_dict())
+    if out is not None and found.suggestion is not None:
+        made = found.suggestion
+        found.map(str(model)).save(out)
+        doubt = [n for n, (_, sure) in made.channels.items() if sure < 0.9]
+        typer.echo(f"map: {out}" + (f" (look at {', '.join(doubt)})" if doubt else ""), err=True)

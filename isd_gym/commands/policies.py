@@ -1,0 +1,20 @@
+"""`isd-gym policies`: the list of policies."""
+
+from __future__ import annotations
+
+from ..console import print_names, write_json
+from ._options import JsonOption
+
+
+def command(json_file: JsonOption = None) -> None:
+    """List the policies that score, show and record know by name.
+
+    These commands also take a trained policy's folder or .zip.
+
+    Example: isd-gym policies
+    """
+    from ..policies import available
+
+    known = available()
+    write_json(json_file, {"policies": known})
+    print_names(known)

@@ -1,0 +1,145 @@
+"""`isd-gym score`: policies on the same roads, paired with the passive car."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..console import check_file, progress, warm_up, write_json
+from ._card_table import print_track
+from ._options import (
+    DurationOption,
+    JsonOption,
+    MapOption,
+    NetworkOption,
+    PreviewOption,
+    RoadOption,
+    SeedOption,
+    SpeedOption,
+    TrustOption,
+    complete,
+    policy_names,
+)
+from ._score_bounds import bounds_beside, known_ceilings, known_optimum
+from ._score_table import print_score
+
+
+def command(
+    policies: Annotated[
+        list[str],
+        typer.Argument(
+            help="Policies: passive, mpc, ... (isd-gym policies lists them), or a policy's folder or .zip.",
+            autocompletion=complete(policy_names),
+        ),
+    ],
+    road: RoadOption = "paper",
+    map_file: MapOption = None,
+    speed: SpeedOption = 20.0,
+    episodes: Annotated[
+        int, typer.Option(help="Number of roads. All policies drive the same roads.", min=1)
+    ] = 32,
+    seed: SeedOption = 0,
+    duration: DurationOption = 20.0,
+    preview: PreviewOption = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            help="Compare with a benchmark card: ISDSuspension-v0, or a file. Its references are not driven again.",
+            metavar="CARD",
+        ),
+    ] = None,
+    sensors: Annotated[
+        str,
+        typer.Option(
+            help="Sensor imperfections, joined by commas: noise=1, delay=1 (control steps), road_error=0.001 (m), road_lag=0.01 (s), road_range=3 (m)."
+        ),
+    ] = "",
+    network: NetworkOption = "quarter-car-isd",
+    model: Annotated[
+        str | None, typer.Option(help="Model of the controllers. Default: the vehicle itself.")
+    ] = None,
+    point: Annotated[
+        str | None,
+        typer.Option(
+            help="Point of the body at which ISO 2631-1 is evaluated. Default: the driver, if the network has one."
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write a page with plots to this folder.", metavar="DIR")
+    ] = None,
+    trust_zip: TrustOption = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Score policies on the same roads and compare them with the conventional passive car.
+
+    The table shows the cost J and the RMS of body acceleration, suspension travel and dynamic tyre load. Each number has
+    its change against passive with a 95 % interval. For a half or full car the tables also have pitch and roll acceleration
+    and each corner. The paper's tables and the known bounds follow where their conditions
+    hold. They are means over random roads, so use at least 32 episodes of 20 s.
+
+    Example: isd-gym score passive isd-passive mpc
+    """
+    from ..loggers import ChannelMap
+    from ..loggers.records import road_of
+    from ..network import Network
+    from ..policies import find, passive
+    from ..road import road as find_road
+    from ..scoring import score as run
+    from ..scoring import unscored
+    from ..sensors import Sensors
+
+    check_file(json_file, network, model, road)
+    senses = Sensors.of(sensors)
+    if report is not None:
+        from ..report import check_report
+
+        check_report(report)
+    plant = Network.load(network)
+    ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
+    belief = Network.load(model) if model else None
+    ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    entries = [
+        find(name, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead) for name in policies
+    ]
+    drives: dict[str, Any] = {
+        "road": ground,
+        "speed": speed,
+        "episodes": episodes,
+        "seed": seed,
+        "duration": duration,
+        "sensors": senses,
+    }
+    card = track = None
+    if against is not None:
+        from .. import cards
+
+        card = cards.load(against)
+        track = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]
+    ceilings = known_ceilings(plant, ground, speed, duration)
+    known = known_optimum(plant, ground, speed, episodes, seed, duration)
+    with progress() as update:
+        warm_up(update)
+        result = run(
+            entries,
+            plant,
+            reference=passive(plant),
+            point=point,
+            clairvoyant=None if known is None else known["value"],
+            ceiling=ceilings,
+            progress=update,
+            **drives,
+        )
+    result.references |= bounds_beside(result, known, ceilings)
+    made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
+    write_json(json_file, made)
+    if report is not None:
+        from ..report import score_report
+
+        page = score_report(result, report)
+        typer.echo(f"report: {page}", err=True)
+    print_score(result)
+    if card is not None and track is not None:
+        print_track(card, track, [made])

@@ -1,0 +1,62 @@
+"""`isd-gym show`: a window or a film of policies that drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..console import check_file, progress, warm_up
+from ..errors import InputError
+from ._options import NetworkOption, PolicyArgument, PreviewOption, RoadOption, SpeedOption, TrustOption
+
+
+def command(
+    policy: PolicyArgument,
+    against: Annotated[
+        str | None, typer.Option(help="Second policy, on the same road.", metavar="POLICY")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", help="Write a film (.mp4 or .gif) instead of opening a window.", metavar="FILE"
+        ),
+    ] = None,
+    road: RoadOption = "paper",
+    speed: SpeedOption = 20.0,
+    seconds: Annotated[float, typer.Option(help="Length of the drive [s].", min=0.1)] = 10.0,
+    seed: Annotated[int, typer.Option(help="Seed of the road, as in score.", min=0)] = 0,
+    preview: PreviewOption = None,
+    network: NetworkOption = "quarter-car-isd",
+    trust_zip: TrustOption = False,
+) -> None:
+    """Show a policy that drives, alone or beside another, in a window or as a film.
+
+    Half and full cars (--network half-car-isd) are shown from the side, full cars also from behind.
+
+    Example: isd-gym show mpc --against passive --out mpc.mp4
+    """
+    from ..network import Network
+    from ..policies import find
+    from ..road import road as find_road
+    from ..show import check_window, film, live
+
+    check_file(out)
+    if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
+        raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
+    plant = Network.load(network)
+    ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
+    names = [name for name in (policy, against) if name is not None]
+    entries = [find(name, plant, speed=speed, trust_zip=trust_zip, **ahead) for name in names]
+    drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
+    if out is None:
+        check_window()
+        with progress() as update:
+            warm_up(update)
+        live(entries, plant, **drive)
+        return
+    with progress() as update:
+        warm_up(update)
+        film(entries, plant, out, progress=lambda share: update("filming", share), **drive)
+    typer.echo(f"{seconds:g} s of {' and '.join(e.name for e in entries)} in {out}")
