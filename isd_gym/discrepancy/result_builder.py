@@ -137,11 +137,16 @@ class ResultBuilder:
         weighted = measured.weighted
         if free.candidate is not None:
             weighted = weigh_candidates(self.search, scores, [free.candidate], self.seed)
-        named = frozenset[tuple[tuple[str, ...], str]]()
-        if decision.verdict == "missing_effect":
-            own = next(w.statements for w in weighted if w.candidate is scores.foremost)
-            named = frozenset((s.place, s.law) for s in own)
-        findings = find(self.search, weighted, measured.evidence, measured.quantities, named)
+        failed = {g.name for g in decision.gates if not g.passed}
+        findings = find(
+            self.search,
+            weighted,
+            measured.evidence,
+            measured.quantities,
+            next(w.statements for w in weighted if w.candidate is scores.foremost),
+            is_named=decision.verdict == "missing_effect",
+            is_doubted=bool(self.feedback) or not failed.isdisjoint({"predicts better", "lack of fit"}),
+        )
         if self.feedback:  # a controller imitates an element: no kind is certain
             return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings

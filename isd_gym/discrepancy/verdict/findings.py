@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,6 @@ from ..selection.weights import probability
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ..selection.criteria import Criteria
     from ..selection.forward_backward import Search
     from ..selection.weights import Statement, WeightedCandidate
     from .evidence import Evidence
@@ -66,7 +66,10 @@ def find(
     candidates: Sequence[WeightedCandidate],
     evidence: Evidence,
     quantities: Mapping[str, Quantity],
-    named: frozenset[tuple[tuple[str, ...], str]],
+    own: frozenset[Statement],
+    *,
+    is_named: bool,
+    is_doubted: bool,
 ) -> tuple[Finding, ...]:
     """Sum the weights of candidates to probabilities of places, kinds and laws.
 
@@ -75,26 +78,31 @@ def find(
         candidates: Candidates with weights.
         evidence: Evidence of the foremost candidate, which tells how reliable statements are.
         quantities: Parameters of the foremost candidate with intervals, by path.
-        named: Place and effect of the named effects.
+        own: Statements of the foremost candidate. Further effects of richer candidates did not pass the inclusion test.
+        is_named: Whether the verdict names the foremost candidate's effects.
+        is_doubted: Whether a free curve or a controller explains the force of the foremost candidate as well.
 
     Returns:
         Findings, largest probability of the kind first.
     """
     c = search.criteria
+    share = functools.partial(c.share_mistaken, explained=evidence.explained, support=evidence.support)
     every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
     for w in candidates:
         for s in sorted(w.statements, key=lambda s: (s.place, s.kind, s.law)):
             every.setdefault((s.place, s.kind), {})[s.law] = s
     found = []
+    passed = frozenset[tuple[tuple[str, ...], str]]() if is_doubted else {(s.place, s.kind) for s in own}
     for (place, kind), laws in every.items():
         at_place = probability(candidates, place=place)
         of_kind = probability(candidates, place=place, kind=kind)
         if of_kind < c.reported:
             continue
+        doubt = 0.0 if (place, kind) in passed else c.mistaken_extra
         entries = [
             LawProbability(
                 law,
-                _reliable(probability(candidates, place=place, law=law), "law", evidence, c),
+                probability(candidates, place=place, law=law) * (1.0 - max(doubt, share("law"))),
                 _values(candidates, statement, quantities),
             )
             for law, statement in laws.items()
@@ -102,19 +110,14 @@ def find(
         found.append(
             Finding(
                 place,
-                _reliable(at_place, "place", evidence, c),
+                at_place * (1.0 - share("place")),
                 kind,
-                _reliable(of_kind, "kind", evidence, c),
+                of_kind * (1.0 - max(doubt, share("kind"))),
                 tuple(sorted(entries, key=lambda e: (-e.probability, e.effect))),
-                any((place, law) in named for law in laws),
+                is_named and any(s in own for s in laws.values()),
             )
         )
     return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))
-
-
-def _reliable(weight: float, level: str, e: Evidence, c: Criteria) -> float:
-    """Return the stated probability of a statement: its weight times the share of such statements that are right."""
-    return weight * (1.0 - c.share_mistaken(level, e.explained, e.support))
 
 
 def _values(
