@@ -298,6 +298,17 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert api.count("Raises:") >= 3
 
 
+def test_drawings_have_no_ground_of_their_own():
+    """The style sheet turns them round in the dark: a white ground would be a box there."""
+    image = pytest.importorskip("PIL.Image")
+    for figure in (ROOT / "docs" / "figures").glob("*.svg"):
+        text = figure.read_text(encoding="utf-8")
+        assert 'style="fill: #ffffff"' not in text and 'fill="#fff"/>' not in text, figure.name
+    for figure in (ROOT / "docs" / "figures").glob("*.png"):
+        if figure.name != "show.png":
+            assert image.open(figure).convert("RGBA").getpixel((1, 1))[3] == 0, figure.name
+
+
 @pytest.mark.parametrize("path", cases(NOTEBOOKS, slow=SLOW))
 @pytest.mark.filterwarnings("default")  # the kernel's own libraries warn about each other
 def test_a_notebook_runs(path, tmp_path):
