@@ -262,6 +262,7 @@ def read_answers(folder: Path) -> None:
 #: page -> its tables
 PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "README.md": (headline,),
+    "docs/explanation/ceiling.md": (ceilings,),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview),
     "docs/validation/public-measurements.md": (measurements, sources),
