@@ -160,23 +160,29 @@ def learned() -> str:
 
 
 def learned_preview() -> str:
-    """PPO that sees the road against the MPC that sees as much."""
+    """PPO that sees the road against the controllers that see as much."""
     body = []
     for ahead in ("0.1", "0.2"):
         found = json.loads((BENCHMARKS / f"preview-{ahead}.json").read_text(encoding="utf-8"))
         by = study.groups(found["costs"]["training road"])
-        value, low, high = study.change(by["ppo"], by["mpc-friction-preview"][0], np.random.default_rng(0))
-        against = study.change(by["ppo"], by["passive"][0], np.random.default_rng(0))
-        body.append(
-            [
-                f"{ahead} s",
-                str(len(by["ppo"])),
-                f"{percent(against[0])} {interval(*against[1:])}",
-                f"{percent(value, 2)} {interval(low, high, 2)}",
-            ]
-        )
-    heads = ["road ahead", "training seeds", "PPO against `passive`", "PPO against `mpc-friction-preview`"]
-    return markdown(heads, body, "lrrr")
+        loads, shares = study.loads(found, "training road"), study.shares(found, "training road")
+        for name in ("lqg-preview", "mpc-friction-preview", "ppo"):
+            row = [f"{ahead} s", f"`{name}`", f"{study.iqm(by[name].mean(axis=1)):.4f}"]
+            row.append(percent(float(study.iqm(loads[name] / loads["passive"] - 1))))
+            row.append(f"{100 * shares[name]:.1f} %")
+            for rival, digits in (("passive", 1), ("mpc-friction-preview", 2)):
+                value, low, high = study.change(by[name], by[rival][0], np.random.default_rng(0))
+                same = name == rival
+                row.append("" if same else f"{percent(value, digits)} {interval(low, high, digits)}")
+            body.append(row)
+    heads = ["road ahead", "policy", "J", "tyre load", "of the reachable gain", "against `passive`", "against `mpc-friction-preview`"]  # fmt: skip
+    return markdown(heads, body, "llrrrrr")
+
+
+def study_table() -> str:
+    """Every policy of the study in every condition."""
+    found = json.loads((BENCHMARKS / "study.json").read_text(encoding="utf-8"))
+    return re.sub(r"-(?=\d)", "−", study.table(found).strip())
 
 
 # ---------------------------------------------------------------------------------------- public measurements
@@ -263,6 +269,7 @@ def read_answers(folder: Path) -> None:
 PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "README.md": (headline,),
     "docs/explanation/ceiling.md": (ceilings,),
+    "docs/explanation/study.md": (study_table, learned_preview),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview),
     "docs/validation/public-measurements.md": (measurements, sources),
