@@ -28,6 +28,8 @@ SLOW = {
     "docs/tutorials/diagnose.md",
     "docs/tutorials/plan.md",
     "docs/tutorials/effect.md",
+    "docs/explanation/study.md",  # its table, by bootstrap
+    "docs/validation/learning.md",
     "notebooks/2-train-and-compare.ipynb",
     "notebooks/3-from-a-csv-to-a-corrected-model.ipynb",
 }
@@ -231,7 +233,7 @@ def results():
 PAGES_OF_RESULTS = [p for p in PAGES if "python docs/results.py -->" in p.read_text(encoding="utf-8")]
 
 
-@pytest.mark.parametrize("page", cases(PAGES_OF_RESULTS))
+@pytest.mark.parametrize("page", cases(PAGES_OF_RESULTS, slow=SLOW))
 def test_tables_are_those_of_the_benchmarks_files(page, results):
     name = page.relative_to(ROOT).as_posix()
     assert results.fill(name) == page.read_text(encoding="utf-8"), "run python docs/results.py"
