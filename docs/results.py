@@ -134,6 +134,25 @@ def steps() -> str:
     return markdown(["controller", "own: median", "99.9 %", "processor: median", "99.9 %"], body, "lrrrr")
 
 
+def half_car() -> str:
+    """Controllers of the half car, with and without wheelbase preview."""
+    found = json.loads((BENCHMARKS / "half-car.json").read_text(encoding="utf-8"))
+    names = (
+        "body_acceleration_rms",
+        "pitch_acceleration_rms",
+        "suspension_travel_front_rms",
+        "suspension_travel_rear_rms",
+    )
+    body = []
+    for row in found["policies"]:
+        if row["policy"] != "passive":
+            body.append(
+                [f"`{row['policy']}`", change_of(row["cost"]), *(percent(row[n]["change"]) for n in names)]
+            )
+    heads = ["policy", "J", "vertical acceleration", "pitch acceleration", "travel front", "travel rear"]
+    return markdown(heads, body, "lrrrrr")
+
+
 # --------------------------------------------------------------------------------------------------- learning
 
 
@@ -268,6 +287,7 @@ def read_answers(folder: Path) -> None:
 #: page -> its tables
 PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "README.md": (headline,),
+    "docs/tutorials/half-car.md": (half_car,),
     "docs/explanation/ceiling.md": (ceilings,),
     "docs/explanation/study.md": (study_table, learned_preview),
     "docs/validation/controllers.md": (scores, ceilings, steps),
