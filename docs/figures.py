@@ -321,6 +321,23 @@ def preview() -> None:
     save(figure, "preview")
 
 
+def measured() -> None:
+    """The missing force of a measured drive (EMPS), where its records lie beside the repository."""
+    from isd_gym.discrepancy import diagnose
+    from isd_gym.report import write_report
+
+    records = Path(__file__).resolve().parents[2] / "shared" / "real" / "emps"
+    if not records.is_dir():
+        print("no records of EMPS: its figure stays")
+        return
+    found = diagnose(
+        [records / "estimation.csv"], records / "model.json", validate=[records / "validation.csv"]
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        write_report(found, Path(folder))
+        shutil.copy(Path(folder) / "plane.png", HERE / "measured_emps.png")
+
+
 def see_through(file: Path) -> None:
     """Make the white ground of a drawing transparent; the style sheet turns its lightness round in the dark.
 
@@ -347,7 +364,20 @@ def see_through(file: Path) -> None:
 if __name__ == "__main__":
     HERE.mkdir(exist_ok=True)
     road("paper")
-    every = (network, law, force_test, sticking, roads, response, projection, show, films, reports, preview)
+    every = (
+        network,
+        law,
+        force_test,
+        sticking,
+        roads,
+        response,
+        projection,
+        show,
+        films,
+        reports,
+        preview,
+        measured,
+    )
     for make in every:
         if not sys.argv[1:] or make.__name__ in sys.argv[1:]:
             make()

@@ -212,7 +212,7 @@ def measurements() -> str:
     body = []
     for entry in json.loads(MEASURED.read_text(encoding="utf-8")).values():
         answer = entry.get("diagnosis")
-        right = {True: "yes", False: "**no**", None: "open"}
+        judged = {"right": "yes", "wrong": "**no**", "missed": "undecided", None: "open"}
         body.append(
             [
                 entry["rig"],
@@ -220,7 +220,7 @@ def measurements() -> str:
                 f"{answer['answer']} <small>({answer['date']}, {answer['version']})</small>"
                 if answer
                 else "not run yet",
-                right[answer["right"]] + (f": {answer['remark']}" if answer.get("remark") else "")
+                judged[answer["grade"]] + (f": {answer['remark']}" if answer.get("remark") else "")
                 if answer
                 else "",
             ]
@@ -267,14 +267,12 @@ def read_answers(folder: Path) -> None:
         diagnosis = json.loads(file.read_text(encoding="utf-8"))
         before = entry.get("diagnosis", {})
         answer = answer_of(diagnosis)
-        right = before.get("right") if before.get("answer") == answer else None
+        grade = before.get("grade") if before.get("answer") == answer else None
         if name in expected:
-            right = (
-                grading.graded({"diagnosis": diagnosis, "answer": expected[name], "truth": None}) == "right"
-            )
+            grade = grading.graded({"diagnosis": diagnosis, "answer": expected[name], "truth": None})
         entry["diagnosis"] = {
             "answer": answer,
-            "right": right,
+            "grade": grade,
             "remark": before.get("remark", "") if before.get("answer") == answer else "",
             "date": datetime.date.fromtimestamp(file.stat().st_mtime).isoformat(),
             "version": importlib.metadata.version("isd-gym"),

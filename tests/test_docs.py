@@ -264,20 +264,27 @@ def test_citation_and_recipe_follow_the_package():
 
 
 def test_answers_of_diagnoses_are_read_into_the_table(tmp_path, results, monkeypatch):
-    """A right name, a wrong one, and a data set that was not run."""
+    """A right name, a wrong one, one that is not given, and data sets that were not run."""
     copy = tmp_path / "measured.json"
     copy.write_text(results.MEASURED.read_text(encoding="utf-8"), encoding="utf-8")
     monkeypatch.setattr(results, "MEASURED", copy)
     for name, effect in (("silverbox", "cubic_stiffness"), ("emps", "linear_stiffness")):
         (tmp_path / name).mkdir()
         found = {"effect": effect, "between": ["a", "ground"], "confidence": 0.94}
-        answer = {"verdict": "missing_effect", "effects": [found]}
+        answer = {"verdict": "missing_effect", "effects": [found], "findings": []}
         (tmp_path / name / "diagnosis.json").write_text(json.dumps(answer), encoding="utf-8")
+    (tmp_path / "mr_damper").mkdir()
+    kind = {"place": ["rod", "ground"], "kind": "dry_friction", "kind_probability": 0.95, "named": False}
+    answer = {"verdict": "ambiguous", "effects": [], "findings": [kind]}
+    (tmp_path / "mr_damper" / "diagnosis.json").write_text(json.dumps(answer), encoding="utf-8")
     results.read_answers(tmp_path)
     rows = results.measurements().splitlines()
-    (hit,), (miss,) = ([row for row in rows if word in row] for word in ("Silverbox", "EMPS"))
+    (hit,), (miss,), (open_,) = (
+        [r for r in rows if word in r] for word in ("Silverbox", "EMPS", "rheological")
+    )
     assert "`missing_effect`: cubic stiffness (a–ground, 0.94)" in hit and hit.endswith("| yes |")
     assert "linear stiffness" in miss and miss.endswith("| **no** |")
+    assert "`ambiguous`: dry friction (rod–ground, 0.95)" in open_ and open_.endswith("| undecided |")
 
 
 @pytest.mark.parametrize("page", cases(PAGES))
