@@ -383,5 +383,5 @@ if __name__ == "__main__":
             make()
             print(make.__name__)
     for figure in (*HERE.glob("*.svg"), *HERE.glob("*.png")):
-        if figure.name != "show.png":  # a scene, not a drawing
+        if not figure.name.startswith("show"):  # a scene, not a drawing
             see_through(figure)
