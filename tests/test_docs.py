@@ -221,6 +221,21 @@ def test_evidence_that_a_page_cites_exists(page):
         )
 
 
+@pytest.mark.parametrize("page", cases(sorted(ROOT.glob("*.md"))))
+def test_links_beside_the_site_lead_somewhere(page):
+    """Of the pages that mkdocs does not see: files, and headings in them."""
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"```.*?```", "", text, flags=re.DOTALL)):
+        if re.match(r"\w+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = ROOT / path if path else page
+        assert file.is_file(), target
+        if anchor:
+            heads = re.findall(r"^#+ (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in heads}, target
+
+
 @pytest.fixture(scope="module")
 def results():
     """The script that writes tables of results into pages."""
