@@ -153,6 +153,28 @@ def half_car() -> str:
     return markdown(heads, body, "lrrrrr")
 
 
+def wheelbase() -> str:
+    """The gain by wheelbase preview over the speed."""
+    body = []
+    for found in json.loads((BENCHMARKS / "wheelbase.json").read_text(encoding="utf-8"))["speeds"]:
+        rows, bound = found["policies"], found["lq_bound"]
+        body.append(
+            [
+                f"{found['speed']['value']:g} m/s",
+                f"{found['preview']['value']:.3f} s",
+                *(
+                    percent(rows[n]["cost"]["change"])
+                    for n in ("mpc-friction", "lqg-wheelbase", "mpc-wheelbase")
+                ),
+                change_of(rows["mpc-wheelbase"]["cost_against_mpc-friction"]),
+                percent(bound["change_without_rear_road"]),
+                percent(bound["change"]),
+            ]
+        )
+    heads = ["speed", "preview", "`mpc-friction`", "`lqg-wheelbase`", "`mpc-wheelbase`", "`mpc-wheelbase` against `mpc-friction`", "LQ bound without the rear road", "with it"]  # fmt: skip
+    return markdown(heads, body, "lrrrrrrr")
+
+
 # --------------------------------------------------------------------------------------------------- learning
 
 
@@ -286,6 +308,7 @@ def read_answers(folder: Path) -> None:
 PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "README.md": (headline,),
     "docs/tutorials/half-car.md": (half_car,),
+    "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
     "docs/explanation/study.md": (study_table, learned_preview),
     "docs/validation/controllers.md": (scores, ceilings, steps),
