@@ -4,7 +4,7 @@ How good the next second will be depends on the road that comes far more than on
 the same road with their own exploration, so that what the road does to all of them cancels in their difference (a
 group's mean as baseline, as in GRPO: Shao et al., 2024, here at every step). The others' rewards do not depend on a car's
 own actions, so that nothing is biased. A critic was worse than none: near the optimum its errors, small beside the
-values, were larger than what is left of the gradient, and pointed elsewhere (docs/guides/study.md).
+values, were larger than what is left of the gradient, and pointed elsewhere (docs/explanation/study.md).
 """
 
 from __future__ import annotations

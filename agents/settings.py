@@ -4,7 +4,7 @@ Two things decide most of it. What one action of 5 ms changes is a thousandth of
 must not be noise: cars in groups on one road learn from how they differ (`ppo`, `sac`). And a critic's errors lead the
 policy astray: PPO has none, SAC's looks over many steps, starts alone and learns faster than the policy. The simulation
 runs at millions of steps a second, so that the learner is what costs: small networks, large batches. What was tried,
-with figures: docs/guides/study.md.
+with figures: docs/explanation/study.md.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ control variates.
 
 **What is computed** is the clairvoyant's descent on the penalised cost, through the real kernel with friction, stop and
 limits. It ends in a local optimum of a problem that friction makes non-convex, so `Ceiling.value` is searched, not proven: a
-better search lowers it. What other starts find is in docs/ceiling.md. `Ceiling.proven` is the relaxation of `relaxed` with the
+better search lowers it. What other starts find is in docs/explanation/ceiling.md. `Ceiling.proven` is the relaxation of `relaxed` with the
 same penalty: a proven bound of the car without end stops, and a loose one. `Ceiling.sentence` says both.
 """
 

@@ -112,8 +112,10 @@ class WholeCarController(BatchController):
     Subclasses give `_start` and `_command`, with signals (signals, cars) in and wanted currents (currents, cars) out.
 
     Attributes:
-        car: Car that is believed in.
-        signals: Its signals in an observation.
+        name: Name under which it is scored.
+        model: Network of the car that is believed in.
+        car: The network as a car.
+        signals: Places of the signals in an observation.
     """
 
     def __init__(self, name: str, model: Network) -> None:

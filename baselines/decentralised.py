@@ -76,7 +76,7 @@ def at_each_corner(
 
 
 class Decentralised(Controller):
-    """A controller at each corner, which knows nothing of the others.
+    """One controller at each corner, without knowledge of the other corners.
 
     Attributes:
         corners: Controllers of quarter cars, in the order of the currents.

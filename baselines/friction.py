@@ -10,7 +10,7 @@ no OSQP; the optimum is a local one.
 
 Tuned one setting at a time on roads 1000-1015, J against passive: -23.86 % as shipped; horizon 40 -23.87, six sweeps
 -23.86, no weight on tyre load -23.86 (and +3.0 % of it for +2.5), centring 0.01/0.1 -23.29/-23.48, move 0.01/0.1
--23.67/-23.35; with the true state for the estimate -24.21. It is a plateau; `docs/controllers.md` has the whole table.
+-23.67/-23.35; with the true state for the estimate -24.21. It is a plateau; `docs/explanation/baselines.md` has the whole table.
 """
 
 from __future__ import annotations

@@ -51,7 +51,11 @@ class LawSettings:
 
 @dataclass(frozen=True)
 class LqgSettings(LawSettings):
-    """preview [s]: road ahead that is seen and planned with. The others are those of `LawSettings`."""
+    """preview [s]: road ahead that is seen and planned with.
+
+    Those of `LawSettings`: effort, tyre_load, centring, compensation, lead, foresight, width, friction_noise, sensors,
+    road_intensity.
+    """
 
     preview: float = 0.0
 

@@ -53,7 +53,7 @@ class MpcSettings:
     regulator after the horizon. friction: "equivalent" leaves it at the damper of equation (9); "planned" adds what the
     friction is beyond the damper along the last plan, known in advance as its rates are, averaged over what the road
     may add to them (`spread` [-] scales that). solver: osqp, daqp or piqp (the last two to be installed; compared in
-    `docs/controllers.md`). friction_noise [N]: how little the estimate trusts its friction.
+    `docs/explanation/baselines.md`). friction_noise [N]: how little the estimate trusts its friction.
 
     sensors: how well the estimate takes them to measure. road_intensity [m^2/s]: of the road's velocity, two-
     sided.

@@ -15,7 +15,7 @@ of measured rigs: benchmarks/real.json says what may be named there.
 --limit S      processor seconds per case; one that needs more is counted as missed (600)
 --json FILE    figures and rows in one file
 --freeze FILE  verdicts, effects and values, to hold later states against; --against FILE does so. benchmarks/goldens.json is
-               such a file: ../shared/rigs, ../shared/blind and the clean rigs of every suite, seeds 306 to 308 (see VALIDATION)
+               such a file: ../shared/rigs, ../shared/blind and the clean rigs of every suite, seeds 306 to 308
 --figure FILE  the reliability curve
 """
 

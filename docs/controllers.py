@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs" / "controllers.md"
+PAGE = ROOT / "docs" / "explanation" / "baselines.md"
 SOURCES = {"times": "mpc.json", "solvers": "mpc.json", "robustness": "robustness.json"}
 
 

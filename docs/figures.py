@@ -332,11 +332,67 @@ def preview() -> None:
     save(figure, "preview")
 
 
+def measured() -> None:
+    """The missing force of a measured drive (EMPS), where its records lie beside the repository."""
+    from isd_gym.discrepancy import diagnose
+    from isd_gym.report import write_report
+
+    records = Path(__file__).resolve().parents[2] / "shared" / "real" / "emps"
+    if not records.is_dir():
+        print("no records of EMPS: its figure stays")
+        return
+    found = diagnose(
+        [records / "estimation.csv"], records / "model.json", validate=[records / "validation.csv"]
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        write_report(found, Path(folder))
+        shutil.copy(Path(folder) / "plane.png", HERE / "measured_emps.png")
+
+
+def see_through(file: Path) -> None:
+    """Make the white ground of a drawing transparent; the style sheet turns its lightness round in the dark.
+
+    Args:
+        file: SVG or PNG on white, changed in place. The same again changes nothing.
+    """
+    if file.suffix == ".svg":
+        text = file.read_text(encoding="utf-8")
+        text = text.replace('style="fill: #ffffff"', 'style="fill: none"')
+        text = re.sub(r'<rect width="\d+" height="\d+" fill="#fff"/>', "", text)
+        file.write_text(text, encoding="utf-8")
+        return
+    picture = Image.open(file).convert("RGBA")
+    if picture.getextrema()[3][0] < 255:
+        return
+    rgb = np.asarray(picture, float)[..., :3] / 255
+    alpha = 1 - rgb.min(axis=2, keepdims=True)  # the least ink that gives this colour on white
+    ink = np.where(alpha > 0, 1 - (1 - rgb) / np.maximum(alpha, 1e-3), 0.0)
+    pixels = np.concatenate([ink, alpha], axis=2).clip(0, 1)
+    drawn = Image.fromarray(np.rint(255 * pixels).astype(np.uint8))  # RGBA
+    drawn.quantize(256, method=Image.Quantize.FASTOCTREE).save(file, optimize=True)
+
+
 if __name__ == "__main__":
     HERE.mkdir(exist_ok=True)
     road("paper")
-    every = (network, law, force_test, sticking, roads, response, projection, show, films, reports, preview)
+    every = (
+        network,
+        law,
+        force_test,
+        sticking,
+        roads,
+        response,
+        projection,
+        show,
+        films,
+        reports,
+        preview,
+        measured,
+    )
     for make in every:
         if not sys.argv[1:] or make.__name__ in sys.argv[1:]:
             make()
             print(make.__name__)
+    for figure in (*HERE.glob("*.svg"), *HERE.glob("*.png")):
+        if not figure.name.startswith("show"):  # a scene, not a drawing
+            see_through(figure)

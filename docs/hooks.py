@@ -1,7 +1,7 @@
-"""What the site makes of the code itself: formulas, the list of elements, the commands' help, the schemas.
+"""Parts of the site that are made from the code: formulas, the list of elements, the help of commands, the schemas.
 
 Formulas become MathML when the site is built, so that a page needs no script from elsewhere. A line ``{{ elements }}``
-or ``{{ commands }}`` in a page is replaced by what the package says.
+or ``{{ commands }}`` in a page is replaced by the package's own list.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FORMULA = re.compile(
 
 
 def on_files(files, config):
-    """The shipped schemas, beside the page that explains them."""
+    """Add the shipped schemas to the files of the site."""
     from isd_gym import schemas
 
     for name in schemas.NAMES:
@@ -65,7 +65,7 @@ def elements() -> str:
             for key, allowed in cls.choices.items():
                 default = cls.__dataclass_fields__[key].default
                 rows.append(f"| `{key}` | | {', '.join(allowed)} | {default} |")
-            parts += ["\n".join(rows) + "\n", f"Told by: {cls.signature}. Source: {cls.source}.\n"]
+            parts += ["\n".join(rows) + "\n", f"Recognised by: {cls.signature}. Source: {cls.source}.\n"]
     return "\n".join(parts)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from isd_gym import cards
 
-PAGE = Path(__file__).parent / "benchmark.md"
+PAGE = Path(__file__).parent / "reference" / "benchmark.md"
 
 
 def fill(page: str) -> str:

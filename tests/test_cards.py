@@ -118,6 +118,25 @@ def test_the_shipped_cards_are_whole():
             assert np.allclose(own, track["roads"][:2], rtol=1e-6, atol=1e-9)
 
 
+def test_the_reward_threshold_parts_the_best_classical_controllers_from_the_rest():
+    from gymnasium.envs.registration import registry
+
+    from isd_gym.registration import EPISODE_STEPS, REWARD_THRESHOLDS
+
+    for name, threshold in REWARD_THRESHOLDS.items():
+        assert registry[name].reward_threshold == threshold
+        rows = {
+            r["policy"]: -EPISODE_STEPS * r["cost"]["value"]
+            for r in cards.ranking(cards.load(name), "standard")
+        }
+        assert {policy for policy, total in rows.items() if total >= threshold} == {
+            "ppo",
+            "sac",
+            "mpc-friction",
+            "lqg",
+        }
+
+
 def test_the_page_carries_the_cards_figures():
     import importlib.util
     from pathlib import Path

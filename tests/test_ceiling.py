@@ -147,7 +147,9 @@ def test_the_shipped_ceiling_is_above_every_causal_controller():
         assert own / idle - 1 > found.change
 
 
-@pytest.mark.parametrize("page", ["README.md", "VALIDATION.md", "docs/ceiling.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/validation/controllers.md", "docs/explanation/ceiling.md"]
+)
 def test_the_ceiling_is_told_in_one_sentence(page):
     """Searched, with the proven bound beside it; the shipped figures."""
     found = known("quarter-car-isd")

@@ -22,10 +22,11 @@ def test_the_completed_model_drives_the_car_better_than_the_owners() -> None:
     ]
     level = found.effects[0].parameters["level"]
     assert level.value == pytest.approx(500.0, rel=0.03)
-    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+    page = Path(__file__).resolve().parents[1] / "docs" / "validation" / "diagnosis.md"
     # where friction holds, the refit of the old model ends in one of several optima, by the rounding of the processor
     told = re.search(
-        r"names the friction at its place, (\S+) to (\S+) N .* from (\S+) to (\S+) % down to (\S+) %", readme
+        r"names the friction at its place, (\S+) to (\S+) N .* from (\S+) to (\S+) % down to (\S+) %",
+        page.read_text(encoding="utf-8"),
     )
     assert told is not None
     least, most, least_before, most_before, after = map(float, told.groups())

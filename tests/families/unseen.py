@@ -1,7 +1,7 @@
 """Families that are kept aside: other benches, other laws that no library has. Looked at once, when all else is settled.
 
 Nothing may be developed on these. `KINDS` does not hold them; `benchmarks/diagnose.py --suite unseen --seeds N` runs them,
-with a seed that has not been used before, and VALIDATION says which seeds were.
+with a seed that has not been used before, and docs/validation/diagnosis.md says which seeds were.
 """
 
 from __future__ import annotations

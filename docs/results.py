@@ -1,0 +1,350 @@
+"""Write the tables of results into README and the validation pages, from the files that the benchmarks wrote.
+
+python docs/results.py               every table
+python docs/results.py --read DIR    first copy the answers of diagnoses in DIR into benchmarks/measured.json:
+                                     DIR/NAME/diagnosis.json for every NAME there
+
+A table stands between the comments ``<!-- NAME: python docs/results.py -->`` and ``<!-- end of NAME -->``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import importlib.metadata
+import json
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+import grading
+import study
+
+from baselines.ceiling import known
+from isd_gym import cards
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCHMARKS = ROOT / "benchmarks"
+MEASURED = BENCHMARKS / "measured.json"
+
+#: policies of README's table, with a few words each
+SHOWN = {
+    "passive": "spring and damper, no device",
+    "skyhook": "a textbook law",
+    "mpc-friction": "predictive control that knows the friction",
+    "ppo": "a trained policy, shipped",
+}
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """A share as a signed percentage."""
+    return f"{100 * share:+.{digits}f} %".replace("-", "−")
+
+
+def interval(low: float, high: float, digits: int = 1) -> str:
+    """A 95 % interval of a share, in per cent."""
+    return f"[{100 * low:+.{digits}f}, {100 * high:+.{digits}f}]".replace("-", "−")
+
+
+def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], align: str) -> str:
+    """A Markdown table; `align` has one letter for each column, l or r."""
+    rule = ["---:" if letter == "r" else "---" for letter in align]
+    lines = [f"| {' | '.join(heads)} |", f"|{'|'.join(rule)}|"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+# ------------------------------------------------------------------------------------------------ controllers
+
+
+def card_rows(track: str = "standard") -> dict[str, dict[str, Any]]:
+    """The rows of the shipped card by policy."""
+    return {row["policy"]: row for row in cards.ranking(cards.load("ISDSuspension-v0"), track)}
+
+
+def change_of(quantity: dict[str, Any]) -> str:
+    """The change against the passive car with its interval."""
+    return f"{percent(quantity['change'])} {interval(quantity['low'], quantity['high'])}"
+
+
+def headline() -> str:
+    """README: four policies."""
+    rows = card_rows()
+    body = []
+    for name, words in SHOWN.items():
+        row = rows[name]
+        body.append(
+            [
+                f"`{name}`: {words}",
+                f"{row['cost']['value']:.3f}",
+                "" if name == "passive" else change_of(row["cost"]),
+                f"{row['body_acceleration_rms']['value']:.3f} m/s²",
+                f"{1e3 * row['suspension_travel_rms']['value']:.2f} mm",
+            ]
+        )
+    heads = ["controller", "J", "change against `passive` [95 % interval]", "acceleration", "travel"]
+    return markdown(heads, body, "lrrrr")
+
+
+def scores() -> str:
+    """Every reference of the standard track, short."""
+    body = []
+    for name, row in card_rows().items():
+        if name == "passive":
+            continue
+        names = ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
+        body.append([f"`{name}`", change_of(row["cost"]), *(percent(row[n]["change"]) for n in names)])
+    return markdown(["policy", "J", "acceleration", "travel", "tyre load"], body, "lrrrr")
+
+
+def ceilings() -> str:
+    """Searched and proven bounds, by the seconds of road ahead."""
+    body = []
+    for preview in (0.0, 0.1, 0.2):
+        found = known("quarter-car-isd", preview=preview)
+        assert found is not None
+        body.append(
+            [
+                "none" if preview == 0 else f"{preview:g} s",
+                str(found["roads"]),
+                f"{percent(found['change'])} ± {100 * found['change_standard_error']:.1f} %",
+                f"{percent(found['proven_without_stops'])} ± {100 * found['proven_standard_error']:.1f} %",
+            ]
+        )
+    heads = ["road ahead", "roads", "ceiling (searched)", "proven bound, without end stops"]
+    return markdown(heads, body, "lrrr")
+
+
+def steps() -> str:
+    """Time per step of the controllers on the paper's road."""
+    found = json.loads((BENCHMARKS / "mpc.json").read_text(encoding="utf-8"))["steps"]
+    body = []
+    for label in ("lqg", "mpc-paper, horizon 20", "mpc", "mpc-friction", "mpc-friction-preview"):
+        row = found[f"{label}, road paper"]
+        name, comma, rest = label.partition(",")
+        times = [f"{row[k][q]:.3f} ms" for k in ("own", "cpu") for q in ("median", "p99_9")]
+        body.append([f"`{name}`{comma}{rest}", *times])
+    return markdown(["controller", "own: median", "99.9 %", "processor: median", "99.9 %"], body, "lrrrr")
+
+
+def half_car() -> str:
+    """Controllers of the half car, with and without wheelbase preview."""
+    found = json.loads((BENCHMARKS / "half-car.json").read_text(encoding="utf-8"))
+    names = (
+        "body_acceleration_rms",
+        "pitch_acceleration_rms",
+        "suspension_travel_front_rms",
+        "suspension_travel_rear_rms",
+    )
+    body = []
+    for row in found["policies"]:
+        if row["policy"] != "passive":
+            body.append(
+                [f"`{row['policy']}`", change_of(row["cost"]), *(percent(row[n]["change"]) for n in names)]
+            )
+    heads = ["policy", "J", "vertical acceleration", "pitch acceleration", "travel front", "travel rear"]
+    return markdown(heads, body, "lrrrrr")
+
+
+def wheelbase() -> str:
+    """The gain by wheelbase preview over the speed."""
+    body = []
+    for found in json.loads((BENCHMARKS / "wheelbase.json").read_text(encoding="utf-8"))["speeds"]:
+        rows, bound = found["policies"], found["lq_bound"]
+        body.append(
+            [
+                f"{found['speed']['value']:g} m/s",
+                f"{found['preview']['value']:.3f} s",
+                *(
+                    percent(rows[n]["cost"]["change"])
+                    for n in ("mpc-friction", "lqg-wheelbase", "mpc-wheelbase")
+                ),
+                change_of(rows["mpc-wheelbase"]["cost_against_mpc-friction"]),
+                percent(bound["change_without_rear_road"]),
+                percent(bound["change"]),
+            ]
+        )
+    heads = ["speed", "preview", "`mpc-friction`", "`lqg-wheelbase`", "`mpc-wheelbase`", "`mpc-wheelbase` against `mpc-friction`", "LQ bound without the rear road", "with it"]  # fmt: skip
+    return markdown(heads, body, "lrrrrrrr")
+
+
+# --------------------------------------------------------------------------------------------------- learning
+
+
+def learned() -> str:
+    """Trained policies against the best MPC and the LQG, condition by condition."""
+    found = json.loads((BENCHMARKS / "study.json").read_text(encoding="utf-8"))
+    body = []
+    for condition, costs in found["costs"].items():
+        by = study.groups(costs)
+        cells = [condition]
+        for name in ("ppo", "sac"):
+            for rival in (study.best_mpc(by), "lqg"):
+                value, low, high = study.change(by[name], by[rival][0], np.random.default_rng(0))
+                cells.append(f"{percent(value, 2)} {interval(low, high, 2)}")
+        body.append(cells)
+    heads = [
+        "condition",
+        "PPO against the best MPC",
+        "PPO against LQG",
+        "SAC against the best MPC",
+        "SAC against LQG",
+    ]
+    return markdown(heads, body, "lrrrr")
+
+
+def learned_preview() -> str:
+    """PPO that sees the road against the controllers that see as much."""
+    body = []
+    for ahead in ("0.1", "0.2"):
+        found = json.loads((BENCHMARKS / f"preview-{ahead}.json").read_text(encoding="utf-8"))
+        by = study.groups(found["costs"]["training road"])
+        loads, shares = study.loads(found, "training road"), study.shares(found, "training road")
+        for name in ("lqg-preview", "mpc-friction-preview", "ppo"):
+            row = [f"{ahead} s", f"`{name}`", f"{study.iqm(by[name].mean(axis=1)):.4f}"]
+            row.append(percent(float(study.iqm(loads[name] / loads["passive"] - 1))))
+            row.append(f"{100 * shares[name]:.1f} %")
+            for rival, digits in (("passive", 1), ("mpc-friction-preview", 2)):
+                value, low, high = study.change(by[name], by[rival][0], np.random.default_rng(0))
+                same = name == rival
+                row.append("" if same else f"{percent(value, digits)} {interval(low, high, digits)}")
+            body.append(row)
+    heads = ["road ahead", "policy", "J", "tyre load", "of the reachable gain", "against `passive`", "against `mpc-friction-preview`"]  # fmt: skip
+    return markdown(heads, body, "llrrrrr")
+
+
+def study_table() -> str:
+    """Every policy of the study in every condition."""
+    found = json.loads((BENCHMARKS / "study.json").read_text(encoding="utf-8"))
+    return re.sub(r"-(?=\d)", "−", study.table(found).strip())
+
+
+# ---------------------------------------------------------------------------------------- public measurements
+
+
+def measurements() -> str:
+    """What is known of every public data set, what the diagnosis answers, and whether that is right."""
+    body = []
+    for entry in json.loads(MEASURED.read_text(encoding="utf-8")).values():
+        answer = entry.get("diagnosis")
+        judged = {"right": "yes", "wrong": "**no**", "missed": "undecided", None: "open"}
+        body.append(
+            [
+                entry["rig"],
+                entry["known"],
+                f"{answer['answer']} <small>({answer['date']}, {answer['version']})</small>"
+                if answer
+                else "not run yet",
+                judged[answer["grade"]] + (f": {answer['remark']}" if answer.get("remark") else "")
+                if answer
+                else "",
+            ]
+        )
+    return markdown(["rig", "what is known", "answer of the diagnosis", "right?"], body, "llll")
+
+
+def sources() -> str:
+    """Where the public data sets are, their licences, and the records that are compared."""
+    body = [
+        [f"`{name}`", entry["source"], entry["licence"], entry["records"], entry["model"]]
+        for name, entry in json.loads(MEASURED.read_text(encoding="utf-8")).items()
+    ]
+    return markdown(["name", "source", "licence", "records", "nominal model"], body, "lllll")
+
+
+def answer_of(diagnosis: dict[str, Any]) -> str:
+    """The verdict, and the deepest statement of a diagnosis with its probability."""
+    effects = [
+        f"{e['effect'].replace('_', ' ')} ({'–'.join(e.get('between') or [e.get('channel', '')])}, {e['confidence']:.2f})"
+        for e in diagnosis["effects"]
+    ]
+    kinds = [
+        f"{f['kind'].replace('_', ' ')} ({'–'.join(f['place'])}, {f['kind_probability']:.2f})"
+        for f in diagnosis.get("findings", [])
+        if f.get("kind") and not f.get("named")
+    ]
+    said = effects or kinds
+    return f"`{diagnosis['verdict']}`" + (f": {', '.join(said)}" if said else "")
+
+
+def read_answers(folder: Path) -> None:
+    """Copy the answers of diagnoses into `benchmarks/measured.json`.
+
+    Args:
+        folder: holds NAME/diagnosis.json for every data set that was run.
+    """
+    entries = json.loads(MEASURED.read_text(encoding="utf-8"))
+    expected = json.loads((BENCHMARKS / "real.json").read_text(encoding="utf-8"))
+    for name, entry in entries.items():
+        file = folder / name / "diagnosis.json"
+        if not file.exists():
+            continue
+        diagnosis = json.loads(file.read_text(encoding="utf-8"))
+        before = entry.get("diagnosis", {})
+        answer = answer_of(diagnosis)
+        grade = before.get("grade") if before.get("answer") == answer else None
+        if name in expected:
+            grade = grading.graded({"diagnosis": diagnosis, "answer": expected[name], "truth": None})
+        entry["diagnosis"] = {
+            "answer": answer,
+            "grade": grade,
+            "remark": before.get("remark", "") if before.get("answer") == answer else "",
+            "date": datetime.date.fromtimestamp(file.stat().st_mtime).isoformat(),
+            "version": importlib.metadata.version("isd-gym"),
+        }
+    MEASURED.write_text(json.dumps(entries, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+# ------------------------------------------------------------------------------------------------------ pages
+
+#: page -> its tables
+PAGES: dict[str, tuple[Callable[[], str], ...]] = {
+    "README.md": (headline,),
+    "docs/tutorials/half-car.md": (half_car,),
+    "docs/explanation/baselines.md": (wheelbase,),
+    "docs/explanation/ceiling.md": (ceilings,),
+    "docs/explanation/study.md": (study_table, learned_preview),
+    "docs/validation/controllers.md": (scores, ceilings, steps),
+    "docs/validation/learning.md": (learned, learned_preview),
+    "docs/validation/public-measurements.md": (measurements, sources),
+}
+
+
+def fill(page: str) -> str:
+    """The text of a page with its tables made anew.
+
+    Args:
+        page: path below the root of the repository, a key of `PAGES`.
+
+    Returns:
+        The whole page.
+    """
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for make in PAGES[page]:
+        name = make.__name__
+        start, end = f"<!-- {name}: python docs/results.py -->", f"<!-- end of {name} -->"
+        block = f"{start}\n\n{make()}\n\n{end}"
+        pattern = f"{re.escape(start)}.*?{re.escape(end)}"
+        text, count = re.subn(pattern, lambda _, block=block: block, text, flags=re.DOTALL)
+        if count != 1:
+            raise SystemExit(f"{page}: no place for {name}")
+    return text
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--read", type=Path, metavar="DIR")
+    folder = parser.parse_args().read
+    if folder is not None:
+        read_answers(folder)
+    for path in PAGES:
+        (ROOT / path).write_text(fill(path), encoding="utf-8")
