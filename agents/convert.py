@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from isd_gym.batch import CURRENT_LIMIT
-from isd_gym.env import N_MEASURED
 from isd_gym.errors import InputError, shown
 from isd_gym.inputs import number, parse_json, read_bytes, too_large
 from isd_gym.network import Network
+from isd_gym.vehicle import vehicle
 
 from .memory import Memory
 from .pickles import STORAGES, Name, Stored, Thing, array, mapping, read_pickle, tensor
@@ -226,15 +226,18 @@ def convert(
     seen = _space(data, "observation_space", where)
     acts = _space(data, "action_space", where)
     memory = memory or Memory()
-    wanted = memory.width(N_MEASURED)
+    car = vehicle(Network.load(network if network is not None else "quarter-car-isd"))
+    wanted, currents = memory.width(len(car.measured)), len(car.driven)
     if seen.get("_shape") != [wanted]:
         raise InputError(
             f"{where} was trained on observations of shape {_shape(seen)}, this car gives [{wanted}]"
         )
-    if acts.get("_shape") != [1]:
-        raise InputError(f"{where} was trained for actions of shape {_shape(acts)}, the car has one current")
+    if acts.get("_shape") != [currents]:
+        raise InputError(
+            f"{where} was trained for actions of shape {_shape(acts)}, network '{car.network.name}' takes [{currents}]"
+        )
     try:
-        high = float(str(acts.get("high", "[1.]"))[:40].strip("[] "))
+        (high,) = {float(word) for word in str(acts.get("high", "[1.]"))[:200].strip("[] ").split()}
     except ValueError:
         raise InputError(f"{where}: the bound of its actions is {shown(acts.get('high'))}") from None
     if high not in (1.0, CURRENT_LIMIT):

@@ -40,6 +40,8 @@ def open_policy(
             f"policy '{name}' was trained with {first.preview:g} s of road ahead, not {asked:g} s"
         )
     first.check(model)
+    if (speed := options.get("speed")) is not None:
+        first = first.at_speed(speed)
     return Entry(first.name, first.copy)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from isd_gym.errors import InputError
 from isd_gym.files import whole
 
-from .policy import CURRENT_SIGNAL, Policy
+from .policy import Policy
 
 OPSET = 17
 
@@ -19,7 +19,8 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
     """Write one control step of `policy` to `path`.
 
     Inputs: ``observation`` (cars, signals) in SI units, ``memory`` (cars, features), ``first`` (cars, 1), 1 where an
-    episode begins and 0 elsewhere. Outputs: ``current`` (cars, 1) [A] and ``next_memory``, to be handed back at the next step.
+    episode begins and 0 elsewhere. Outputs: ``current`` (cars, currents) [A] and ``next_memory``, to be handed back at the
+    next step.
     """
     try:
         import onnx
@@ -44,6 +45,11 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         raise InputError(
             f"policy '{policy.name}' sees the road ahead, which the ONNX export does not know: write it as C (--c DIR)"
         )
+    if memory.echo is not None:
+        raise InputError(
+            f"policy '{policy.name}' keeps the road that the front wheels met, which the ONNX export does not know: "
+            "write it as C (--c DIR)"
+        )
     recall = memory.start(np.zeros((1, n), np.float32))
     width = recall.features.shape[1]
 
@@ -54,7 +60,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
                 f"policy '{policy.name}': the ONNX export knows one dry friction, not {filter.nf}"
             )
         given = filter.given
-        current = part("observation", given.current, given.current + 1, "present")
+        current = part("observation", given.current, given.current + filter.m, "present")
         now = node("Concat", [part("memory", at, at + filter.n, "estimate"), current], "before", axis=1)
         rest = node("MatMul", [now, constant("stick", filter.stick)], "rest")
         friction = node("Clip", [rest, constant("left", -1.0), constant("right", 1.0)], "friction")
@@ -63,9 +69,9 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         heard = part("observation", 0, filter.ny, "heard")
         told = node("MatMul", [heard, constant("gain", filter.gain)], "told")
         z = node("Mul", [node("Sum", [free, held, told], "z0"), "keep"], "z")
-        law = node("MatMul", [z, constant("law", filter.rows[:, :1])], "linear")
-        turn = node("Tanh", [node("MatMul", [z, constant("rate", filter.rows[:, 1:])], "rates")], "turn")
-        push = node("Mul", [turn, constant("push", given.force)], "pushed")
+        law = node("MatMul", [z, constant("law", filter.rows[:, : filter.m])], "linear")
+        turn = node("Tanh", [node("MatMul", [z, constant("rate", filter.rows[:, filter.m :])], "rates")], "turn")
+        push = node("Mul", [turn, constant("push", filter.push)], "pushed")
         wanted = node("Sub", [law, push], "law_current")
         ahead = node(
             "Div", [node("Sub", [wanted, current], "lacking"), constant("law_slew", given.slew)], "ahead"
@@ -78,7 +84,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
             z,
             node("Mul", [friction, "keep"], "held_on"),
             node("Mul", [ahead, "keep"], "law_share"),
-            node("Mul", [part("memory", end - 1, end, "old_offset"), "keep"], "offset"),
+            node("Mul", [part("memory", end - filter.m, end, "old_offset"), "keep"], "offset"),
         ]
 
     def part(source: str, begin: int, end: int, output: str) -> str:
@@ -130,7 +136,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         node("Mul", [x, constant("limit", head.limit)], "current")
     else:
         step = node("Mul", [x, constant("slew", head.slew)], "step")
-        wanted = node("Add", [part("observation", CURRENT_SIGNAL, CURRENT_SIGNAL + 1, "now"), step], "wanted")
+        wanted = node("Add", [part("observation", n - policy.currents, n, "now"), step], "wanted")
         node("Clip", [wanted, constant("lowest", -head.limit), constant("highest", head.limit)], "current")
 
     node("Concat", blocks, "next_memory", axis=1)
@@ -142,7 +148,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         nodes,
         policy.name,
         [tensor("observation", n), tensor("memory", width), tensor("first", 1)],
-        [tensor("current", 1), tensor("next_memory", width)],
+        [tensor("current", policy.currents), tensor("next_memory", width)],
         constants,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="isd_gym")

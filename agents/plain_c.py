@@ -11,19 +11,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.env import MEASURED
 from isd_gym.files import make_folder, write_text
+from isd_gym.network import Network
+from isd_gym.vehicle import vehicle
 
-from .policy import CURRENT_SIGNAL, Policy
+from .policy import Policy
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from .memory import Recall
+
 HEADER = """\
 /* Policy {name}: {origin}.
  *
- * One call of {id}_step every {step:g} s with what was measured at its end; it returns the commanded current [A],
- * within +-{limit:g} A. The drive slews it by 0.5 A a step.
+ * One call of {id}_step every {step:g} s with what was measured at its end; it {returns},
+ * within +-{limit:g} A. The drive slews {them} by 0.5 A a step.
  *
  * observation, float, SI units, in this order:
 {order}
@@ -39,12 +42,12 @@ HEADER = """\
 
 typedef struct {{
     float features[{ID}_FEATURES];
-    float wanted; /* A, of the law that the estimate follows */
+    float wanted[{currents}]; /* A, of the law that the estimate follows */{met}
     int begun;
 }} {id}_state;
 
 void {id}_reset({id}_state *s);
-float {id}_step({id}_state *s, const float observation[{ID}_SIGNALS]);
+{step_function};
 
 #endif
 """
@@ -77,7 +80,7 @@ def export_c(policy: Policy, folder: str | Path) -> tuple[Path, Path]:
 
 def _header(policy: Policy, name: str) -> str:
     n, ahead, step = policy.signals, policy.memory.ahead, policy.memory.step
-    known = [f"{signal} [{unit}]" for signal, unit, _ in MEASURED] if n == len(MEASURED) else []
+    known = _signals(policy)
     order = [f" *   {i}: {known[i] if known else 'signal'}" for i in range(n)]
     if ahead:
         order.append(
@@ -88,7 +91,19 @@ def _header(policy: Policy, name: str) -> str:
     command = training.get("command") if isinstance(training, dict) else None
     # what a file says of itself may not end the comment it stands in
     origin = re.sub(r"[^ -~]|[*/\\]", " ", str(command or "a policy folder"))
+    echo, several = policy.memory.echo, policy.currents > 1
+    met = ""
+    if echo is not None:
+        leaders, ages, _ = echo.weights(step).shape
+        met = (
+            f"\n    float met[{leaders}][{ages}]; /* m, rises of the road under the leading wheels; for {echo.speed:g} m/s */"
+        )
     return HEADER.format(
+        currents=policy.currents,
+        met=met,
+        returns=f"writes {policy.currents} commanded currents [A]" if several else "returns the commanded current [A]",
+        them="each" if several else "it",
+        step_function=_signature(policy, name),
         name=name,
         id=name,
         ID=name.upper(),
@@ -99,6 +114,20 @@ def _header(policy: Policy, name: str) -> str:
         signals=n + ahead,
         features=policy.weights[0][0].shape[1],
     )
+
+
+def _signals(policy: Policy) -> list[str]:
+    """Return the names of the signals of the car that a policy was made for; of a quarter car where none is known."""
+    car = vehicle(policy.model or Network.load("quarter-car-isd"))
+    known = [f"{signal.name} [{signal.unit}]" for signal in car.measured]
+    return known if len(known) == policy.signals else []
+
+
+def _signature(policy: Policy, name: str) -> str:
+    given = f"{name}_state *s, const float observation[{name.upper()}_SIGNALS]"
+    if policy.currents == 1:
+        return f"float {name}_step({given})"
+    return f"void {name}_step({given}, float current[{policy.currents}])"
 
 
 def _source(policy: Policy, name: str) -> str:
@@ -118,16 +147,23 @@ def _source(policy: Policy, name: str) -> str:
         see.append(f"    f[{j}] = f[{j}] * {_number(keep)} + y[{i}] * {_number(gain)};")
     road = at + len(recall.leaks)
     rises = ""
+    width = recall.echo.weights.shape[1] if recall.echo is not None else memory.ahead
+    if recall.echo is not None and recall.filter is not None and recall.filter.given.roads:
+        of = f"f[{road} + i * {width // recall.filter.given.roads}] * {_number(recall.memory.echo.rise)}"
+        see += [
+            f"    float risen[{recall.filter.given.roads}];",
+            f"    for (int i = 0; i < {recall.filter.given.roads}; i++) risen[i] = {of};",
+        ]
     if memory.ahead:
         rises = (
             f"    for (int i = 0; i < {memory.ahead}; i++)\n        f[{road} + i] = y[{n} + i] / {_number(memory.rise)} - "
             f"(i > 0 ? y[{n} + i - 1] / {_number(memory.rise)} : 0.0f);"
         )
         if recall.filter is not None and recall.filter.given.road:
-            see.append(f"    const float risen = f[{road}] * {_number(memory.rise)};")
+            see.append(f"    const float risen[1] = {{f[{road}] * {_number(memory.rise)}}};")
         see.append(rises)
     if recall.filter is not None:
-        made, lines = _filter(recall.filter, road + memory.ahead, road, memory)
+        made, lines = _filter(recall, road + width, road)
         constants += made
         see += lines
     constants += [_array("mean", policy.mean), _array("spread", policy.scale)]
@@ -147,42 +183,53 @@ def _source(policy: Policy, name: str) -> str:
             *see,
             "}\n",
             *_network(policy),
-            f"float {name}_step({name}_state *s, const float observation[{name.upper()}_SIGNALS]) {{",
+            f"{_signature(policy, name)} {{",
             f"    float y[{name.upper()}_SIGNALS];",
             f"    for (int i = 0; i < {name.upper()}_SIGNALS; i++) y[i] = isfinite(observation[i]) ? observation[i] : 0.0f;",
             "    if (s->begun) see(s, y); else begin(s, y);",
             "    s->begun = 1;",
-            "    const float share = network(s->features);",
+            f"    float share[{policy.currents}];",
+            "    network(s->features, share);",
             *_head(policy),
             "}\n",
         ]
     )
 
 
-def _filter(filter: Any, at: int, road: int, memory: Any) -> tuple[list[str], list[str]]:
-    """The estimate and the law behind it, whose features begin at `at`: constants, and lines of `see`."""
-    given, n, nf, ny = filter.given, filter.n, filter.nf, filter.ny
+def _filter(recall: Recall, at: int, road: int) -> tuple[list[str], list[str]]:
+    """Return constants, and lines of `see`, of the estimate and the law behind it.
+
+    Args:
+        recall: Memory of one car, with a filter.
+        at: Place of the first feature of the filter.
+        road: Place of the first rise of the road ahead.
+    """
+    filter = recall.filter
+    assert filter is not None
+    given, n, nf, ny, m = filter.given, filter.n, filter.nf, filter.ny, filter.m
+    now = n + m
     # columns of each product lie side by side
     constants = [
         _array("filter_free", filter.free.T),
         _array("filter_gain", filter.gain.T),
         _array("filter_rows", filter.rows.T),
+        _array("filter_push", filter.push),
     ]
     lines = [
-        f"    float x[{n + 1}], z[{n}];",
+        f"    float x[{now}], z[{n}];",
         f"    for (int i = 0; i < {n}; i++) x[i] = f[{at} + i];",
-        f"    x[{n}] = y[{given.current}];",
+        f"    for (int i = 0; i < {m}; i++) x[{n} + i] = y[{given.current} + i];",
     ]
-    seen = bool(memory.ahead and given.road)
+    roads = given.roads if recall.memory.ahead or recall.echo is not None else 0
     if nf:
         constants += [_array("filter_stick", filter.stick.T), _array("filter_force", filter.force.T)]
-        constants += [_array("filter_road_stick", filter.road_stick)] if seen else []
-        known = " + risen * filter_road_stick[j]" if seen else ""
+        constants += [_array("filter_road_stick", filter.road_stick.T)] if roads else []
+        known = f"\n        for (int i = 0; i < {roads}; i++) t += risen[i] * filter_road_stick[j * {roads} + i];"
         lines += [
             f"    float rest[{nf}], held[{nf}];",
             f"    for (int j = 0; j < {nf}; j++) {{\n        float t = 0.0f;",
-            f"        for (int i = 0; i < {n + 1}; i++) t += x[i] * filter_stick[j * {n + 1} + i];",
-            f"        rest[j] = t{known};\n        held[j] = limited(rest[j], -1.0f, 1.0f);\n    }}",
+            f"        for (int i = 0; i < {now}; i++) t += x[i] * filter_stick[j * {now} + i];{known if roads else ''}",
+            "        rest[j] = t;\n        held[j] = limited(rest[j], -1.0f, 1.0f);\n    }",
         ]
     if nf > 1:
         constants.append(_array("filter_others", filter.others.T))
@@ -194,36 +241,83 @@ def _filter(filter: Any, at: int, road: int, memory: Any) -> tuple[list[str], li
         ]
     lines += [
         f"    for (int k = 0; k < {n}; k++) {{\n        float t = 0.0f;",
-        f"        for (int i = 0; i < {n + 1}; i++) t += x[i] * filter_free[k * {n + 1} + i];",
+        f"        for (int i = 0; i < {now}; i++) t += x[i] * filter_free[k * {now} + i];",
     ]
     if nf:
         lines.append(f"        for (int j = 0; j < {nf}; j++) t += held[j] * filter_force[k * {nf} + j];")
     lines.append(f"        for (int i = 0; i < {ny}; i++) t += y[i] * filter_gain[k * {ny} + i];")
-    if seen:
-        constants.append(_array("filter_road", filter.road))
-        lines.append("        t += risen * filter_road[k];")
+    if roads:
+        constants.append(_array("filter_road", filter.road.T))
+        lines.append(f"        for (int i = 0; i < {roads}; i++) t += risen[i] * filter_road[k * {roads} + i];")
     lines += ["        z[k] = t;\n    }", f"    for (int k = 0; k < {n}; k++) f[{at} + k] = z[k];"]
     if nf:
         lines.append(f"    for (int j = 0; j < {nf}; j++) f[{at + n} + j] = held[j];")
+    if recall.echo is not None:
+        made, more = _echo(recall, road)
+        constants += made
+        lines += more
+    points = len(filter.ahead) if recall.memory.ahead or recall.echo is not None else 0
     lines += [
-        "    float law = 0.0f, rate = 0.0f;",
-        f"    for (int k = 0; k < {n}; k++) {{\n        law += z[k] * filter_rows[k];\n        rate += z[k] * filter_rows[{n} + k];\n    }}",
+        f"    for (int j = 0; j < {m}; j++) {{\n        float law = 0.0f, rate = 0.0f;",
+        f"        for (int k = 0; k < {n}; k++) {{\n            law += z[k] * filter_rows[j * {n} + k];",
+        f"            rate += z[k] * filter_rows[(j + {m}) * {n} + k];\n        }}",
     ]
-    points = len(filter.ahead)
-    if memory.ahead and points:
+    if points:
         constants.append(_array("filter_ahead", filter.ahead.T))
+        rise = _number(recall.memory.echo.rise if recall.memory.echo else recall.memory.rise)
         lines += [
-            "    float law_ahead = 0.0f, rate_ahead = 0.0f;",
-            f"    for (int i = 0; i < {points}; i++) {{\n        law_ahead += f[{road} + i] * filter_ahead[i];",
-            f"        rate_ahead += f[{road} + i] * filter_ahead[{points} + i];\n    }}",
-            f"    law += law_ahead * {_number(memory.rise)};\n    rate += rate_ahead * {_number(memory.rise)};",
+            "        float law_ahead = 0.0f, rate_ahead = 0.0f;",
+            f"        for (int i = 0; i < {points}; i++) {{",
+            f"            law_ahead += f[{road} + i] * filter_ahead[j * {points} + i];",
+            f"            rate_ahead += f[{road} + i] * filter_ahead[(j + {m}) * {points} + i];\n        }}",
+            f"        law += law_ahead * {rise};\n        rate += rate_ahead * {rise};",
         ]
-    reach = _number(given.reach)
+    reach, slew = _number(given.reach), _number(given.slew)
+    wanted = f"(s->wanted[j] - y[{given.current} + j]) / {slew}"
     lines += [
-        f"    s->wanted = law - {_number(given.force)} * tanhf(rate);",
-        f"    f[{at + n + nf}] = limited((s->wanted - y[{given.current}]) / {_number(given.slew)}, -{reach}, {reach});",
+        "        s->wanted[j] = law - filter_push[j] * tanhf(rate);",
+        f"        f[{at + n + nf} + j] = limited({wanted}, -{reach}, {reach});\n    }}",
     ]
     return constants, lines
+
+
+def _echo(recall: Recall, road: int) -> tuple[list[str], list[str]]:
+    """Return constants and lines that keep the rises met by the leading wheels, and tell those ahead of the others."""
+    assert recall.echo is not None
+    _, leaders, ages = recall.echo.met.shape
+    n, width = recall.echo.rows.shape[0], recall.echo.weights.shape[1]
+    constants = [
+        _array("echo_rows", recall.echo.rows.T),
+        # most of them are 0: of each rise ahead, the first age that tells it, and the shares of that age and the next
+        *_sparse(recall.echo.weights),
+    ]
+    lines = [
+        f"    for (int l = 0; l < {leaders}; l++) {{",
+        f"        for (int a = {ages - 1}; a > 0; a--) s->met[l][a] = s->met[l][a - 1];",
+        "        float t = 0.0f;",
+        f"        for (int k = 0; k < {n}; k++) t += z[k] * echo_rows[l * {n} + k];",
+        "        s->met[l][0] = t;\n    }",
+        "    const float *met = &s->met[0][0];",
+        f"    for (int i = 0; i < {width}; i++)",
+        f"        f[{road} + i] = met[echo_first[i]] * echo_share[2 * i] + met[echo_second[i]] * echo_share[2 * i + 1];",
+    ]
+    return constants, lines
+
+
+def _sparse(weights: np.ndarray) -> list[str]:
+    """Return the constants of a matrix (rows, columns) of which each column has two entries at most."""
+    first, second, shares = [], [], []
+    for column in weights.T:
+        places = [int(i) for i in np.flatnonzero(column)]
+        places += [places[0] if places else 0] * (2 - len(places)) if len(places) < 2 else []
+        first.append(places[0])
+        second.append(places[1])
+        shares += [column[places[0]], column[places[1]] if places[1] != places[0] else 0.0]
+    integers = [
+        f"static const int {name}[{len(values)}] = {{{', '.join(map(str, values))}}};\n"
+        for name, values in (("echo_first", first), ("echo_second", second))
+    ]
+    return [*integers, _array("echo_share", shares)]
 
 
 def _network(policy: Policy) -> list[str]:
@@ -231,7 +325,7 @@ def _network(policy: Policy) -> list[str]:
     widest = max(inputs, *(w.shape[0] for w, _ in policy.weights))
     squash = {"tanh": "tanhf(t)", "relu": "t > 0.0f ? t : 0.0f"}[policy.activation]
     lines = [
-        "static float network(const float *f) {",
+        "static void network(const float *f, float *share) {",
         f"    float a[{widest}], b[{widest}];",
         f"    for (int i = 0; i < {inputs}; i++) {{\n        const float x = (f[i] - mean[i]) / spread[i];",
     ]
@@ -247,20 +341,27 @@ def _network(policy: Policy) -> list[str]:
             f"        t += bias{k}[r];\n        {other}[r] = {'t' if last else squash};\n    }}",
         ]
         have, other = other, have
-    out = f"tanhf({have}[0])" if policy.output == "tanh" else f"limited({have}[0], -1.0f, 1.0f)"
-    return [*lines, f"    return {out};", "}\n"]
+    out = f"tanhf({have}[j])" if policy.output == "tanh" else f"limited({have}[j], -1.0f, 1.0f)"
+    return [*lines, f"    for (int j = 0; j < {policy.currents}; j++) share[j] = {out};", "}\n"]
 
 
 def _head(policy: Policy) -> list[str]:
-    head, limit = policy.head, _number(policy.head.limit)
+    """Return the lines that make currents of the output of the network."""
+    head, limit, m = policy.head, _number(policy.head.limit), policy.currents
+    present = policy.signals - m
     if head.mode == "target":
-        return [f"    return share * {limit};"]
-    if head.mode == "increment":
-        wanted = f"y[{CURRENT_SIGNAL}] + share * {_number(head.slew)}"
-        return [f"    return limited({wanted}, -{limit}, {limit});"]
-    last = policy.weights[0][0].shape[1] - 1
-    return [
-        f"    float *offset = s->features + {last};",
-        f"    *offset = *offset * {_number(head.keep)} + {_number(head.gain)} * share;",
-        f"    return limited(s->wanted + *offset, -{limit}, {limit});",
-    ]
+        wanted = f"share[j] * {limit}"
+    elif head.mode == "increment":
+        wanted = f"limited(y[{present} + j] + share[j] * {_number(head.slew)}, -{limit}, {limit})"
+    else:
+        wanted = f"limited(s->wanted[j] + offset[j], -{limit}, {limit})"
+    lines = []
+    if head.mode == "residual":
+        first = policy.weights[0][0].shape[1] - m
+        lines = [
+            f"    float *offset = s->features + {first};",
+            f"    for (int j = 0; j < {m}; j++) offset[j] = offset[j] * {_number(head.keep)} + {_number(head.gain)} * share[j];",
+        ]
+    if m == 1:
+        return [*lines, f"    return {wanted.replace('[j]', '[0]').replace(' + j]', ']')};"]
+    return [*lines, f"    for (int j = 0; j < {m}; j++) current[j] = {wanted};"]

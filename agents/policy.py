@@ -15,7 +15,7 @@ import math
 import os
 import struct
 from copy import copy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from isd_gym.errors import InputError, plain, shown
 from isd_gym.files import whole_folder
 from isd_gym.inputs import number, parse_json, read_bytes
 from isd_gym.network import Network
+from isd_gym.vehicle import vehicle
 
 from .memory import LARGEST, Memory, Recall
 from .pickles import sizes
@@ -39,13 +40,12 @@ POLICY = ("policy", JSON_NAME, (JSON_NAME, WEIGHTS_NAME))
 #: what a policy's files may ask for: bytes of a file, tensors, layers, neurons of a layer
 FILE_LIMIT, TENSORS, LAYERS, WIDTH = 256 * 2**20, 256, 32, 8192
 FEATURE_LIMIT = 10.0  # features beyond ten times their scale tell the policy nothing more
-CURRENT_SIGNAL = 5  # of the observation
 SHIPPED = Path(__file__).parent / "policies"
 
 
 @dataclass(frozen=True)
 class Head:
-    """From a number in [-1, 1] to the commanded current [A].
+    """From a number in [-1, 1] for each motor to its commanded current [A].
 
     mode `target`: the share of `limit` [A]; `increment`: the present current plus the share of `slew` [A]; `residual`: what
     the law of the memory's filter commands plus an offset, which keeps `keep` of itself at each step and
@@ -70,35 +70,38 @@ class Head:
         if abs(number(self.gain, "the action's gain")) > 2 * CURRENT_LIMIT:
             raise InputError(f"the action's gain must be at most {2 * CURRENT_LIMIT:g} A, not {self.gain:g}")
 
-    def current(
-        self, share: np.ndarray, observations: np.ndarray, recall: Recall | None = None
-    ) -> np.ndarray:
-        """Commanded current (count, 1) [A] of `share` (count, 1) and `observations` (count, signals).
+    def current(self, share: np.ndarray, present: np.ndarray, recall: Recall | None = None) -> np.ndarray:
+        """Return the commanded currents [A] (count, currents).
 
-        `recall`: the cars' memory, which a residual reads, and where its offset is kept.
+        Args:
+            share: Output of the network (count, currents), in [-1, 1].
+            present: Present currents [A] (count, currents).
+            recall: Memory of the cars, which a residual reads, and where its offset is kept.
         """
         if self.mode == "target":
             return share * np.float32(self.limit)
         if self.mode == "residual":
             assert recall is not None and recall.filter is not None
-            offset = recall.features[:, -1:]
+            offset = recall.features[:, -share.shape[1] :]
             offset *= np.float32(self.keep)
             offset += np.float32(self.gain) * share
             return np.clip(recall.filter.wanted + offset, -self.limit, self.limit)
-        now = observations[:, CURRENT_SIGNAL : CURRENT_SIGNAL + 1]
-        return np.clip(now + share * np.float32(self.slew), -self.limit, self.limit)
+        return np.clip(present + share * np.float32(self.slew), -self.limit, self.limit)
 
-    def share(self, current: np.ndarray, observations: np.ndarray) -> np.ndarray:
-        """The number in [-1, 1] (count, 1) that commands `current` (count, 1) [A], as nearly as there is one.
+    def share(self, current: np.ndarray, present: np.ndarray) -> np.ndarray:
+        """Return the output (count, currents) in [-1, 1] that commands `current`, as nearly as there is one.
 
-        None of a residual: it starts from the law itself.
+        A residual starts from the law itself: 0.
+
+        Args:
+            current: Wanted currents [A] (count, currents).
+            present: Present currents [A] (count, currents).
         """
         if self.mode == "residual":
             return np.zeros_like(current)
         if self.mode == "target":
             return np.clip(current / np.float32(self.limit), -1.0, 1.0)
-        now = observations[:, CURRENT_SIGNAL : CURRENT_SIGNAL + 1]
-        return np.clip((current - now) / np.float32(self.slew), -1.0, 1.0)
+        return np.clip((current - present) / np.float32(self.slew), -1.0, 1.0)
 
 
 # ---------------------------------------------------------------------------------------- safetensors
@@ -165,6 +168,8 @@ OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash theirs
 class Policy:
     """A multilayer perceptron on features of the observations. Same interface as every controller of `baselines`.
 
+    The observation ends with the present currents, one for each output of the network.
+
     weights: [(W (out, in), b (out,)), ...]. mean, scale (features,): (feature - mean) / scale, clipped at `clip`.
     info: the rest of policy.json (origin, training, score).
 
@@ -218,9 +223,12 @@ class Policy:
                 raise InputError(f"layer {i} of the weights has sizes {w.shape}, at most {WIDTH} are run")
             if not ((np.abs(w) <= LARGEST).all() and (np.abs(b) <= LARGEST).all()):
                 raise InputError(f"layer {i} of the weights is not finite, or larger than {LARGEST:g}")
-        if self.weights[-1][0].shape[0] != 1:
+        #: number of currents that it commands
+        self.currents = len(self.weights[-1][1])
+        motors = 1 if network is None else len(vehicle(network).driven)
+        if self.currents != motors and network is not None:
             raise InputError(
-                f"the policy has {self.weights[-1][0].shape[0]} outputs, the car has one current"
+                f"the policy has {_counted(self.currents, 'output')}, network '{network.name}' has {_counted(motors, 'current')}"
             )
         features = self.weights[0][0].shape[1]
         with np.errstate(over="ignore", under="ignore"):
@@ -239,9 +247,16 @@ class Policy:
             raise InputError(
                 f"the policy has {features} inputs, its memory gives {self.memory.width(self.signals)}"
             )
-        needed = [CURRENT_SIGNAL] if self.head.mode == "increment" else []
+        if self.signals <= self.currents:
+            raise InputError(
+                f"the policy reads {_counted(self.signals, 'signal')} and commands {_counted(self.currents, 'current')}"
+            )
+        needed = []
         if self.memory.filter is not None:
-            needed += [self.memory.filter.current, len(self.memory.filter.D) - 1]
+            own = self.memory.filter.currents
+            needed += [self.memory.filter.current + own - 1, len(self.memory.filter.D) - 1]
+            if own != self.currents:
+                raise InputError(f"the policy commands {self.currents} currents, its memory's filter {own}")
         if not max(needed, default=0) < self.signals:
             raise InputError(f"the policy reads signal {max(needed)}, the observation has {self.signals}")
         if self.memory.ahead:
@@ -257,16 +272,25 @@ class Policy:
         """Forget the past: a new episode begins."""
         self._recall = None
 
-    def act(self, observation: np.ndarray) -> float:
-        """Commanded current [A] for the next control step, of an observation (signals,)."""
-        return float(self.act_batch(np.asarray(observation, np.float32)[None])[0])
+    def act(self, observation: np.ndarray) -> float | np.ndarray:
+        """Return the commanded current [A] for the next control step, or currents (currents,) of a car with several.
+
+        Args:
+            observation: What the car measures (signals,).
+        """
+        wanted: np.ndarray = self.act_batch(np.asarray(observation, np.float32)[None])[0]
+        return float(wanted) if self.currents == 1 else wanted
 
     def reset_batch(self, count: int) -> None:
         """Forget the past of `count` cars."""
         self._recall = None
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Commanded currents (count,) float32 [A], of observations (count, signals); car i has its own memory."""
+        """Return commanded currents float32 [A]: (count,), or (count, currents) of cars with several.
+
+        Args:
+            observations: What the cars measure (count, signals); car i has its own memory.
+        """
         obs = np.asarray(observations, np.float32)
         if not math.isfinite(obs.sum()):  # a broken sensor reads nothing
             obs = np.where(np.isfinite(obs), obs, np.float32(0.0))
@@ -281,13 +305,16 @@ class Policy:
             features = recall.features
         else:
             features = recall.see(obs)
-        wanted = self.head.current(self.share(features), obs, recall)[:, 0]
+        present = obs[:, self.signals - self.currents : self.signals]
+        wanted = self.head.current(self.share(features), present, recall)
+        if self.currents == 1:
+            wanted = wanted[:, 0]
         if not math.isfinite(wanted.sum()):  # numbers that overflowed on the way command nothing
             wanted = np.where(np.isfinite(wanted), wanted, np.float32(0.0))
         return wanted
 
     def share(self, features: np.ndarray) -> np.ndarray:
-        """The network itself: features (count, features) -> (count, 1) in [-1, 1]."""
+        """The network itself: features (count, features) -> (count, currents) in [-1, 1]."""
         with np.errstate(over="ignore", invalid="ignore"):
             x = np.clip((features - self.mean) / self.scale, -self.clip, self.clip)
             for w, b in self._transposed[:-1]:
@@ -302,9 +329,32 @@ class Policy:
         other._recall = None
         return other
 
+    def at_speed(self, speed: float) -> Policy:
+        """Return the policy with the delay of the rear road set for a speed; itself if it knows no such delay.
+
+        Args:
+            speed: Speed of the car [m/s].
+
+        Raises:
+            InputError: The speed is so low that the delay cannot be kept.
+        """
+        echo = self.memory.echo
+        if echo is None or echo.speed == speed:
+            return self
+        other = self.copy()
+        other.memory = replace(self.memory, echo=replace(echo, speed=float(speed)))
+        other.memory.echo.weights(self.memory.step)  # type: ignore[union-attr]
+        return other
+
     def check(self, network: Network | str | Path) -> None:
         """`InputError` unless `network` has the signals of the one that the policy was made for."""
         net = Network.load(network)
+        motors = len(vehicle(net).driven)
+        if self.model is not None and motors != self.currents:
+            raise InputError(
+                f"policy '{self.name}' was made for network '{self.model.name}' with {_counted(self.currents, 'current')}; "
+                f"'{net.name}' has {motors}: choose a policy that was trained on such a car"
+            )
         if self.model is not None and [c.to_dict() for c in net.inputs] != [
             c.to_dict() for c in self.model.inputs
         ]:
@@ -388,6 +438,10 @@ class Policy:
             raise InputError(f"{where}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"{where}: {JSON_NAME} lacks or garbles {error}") from None
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}{'s' * (count != 1)}"
 
 
 def _read(folder: Path, name: str) -> bytes:

@@ -77,24 +77,28 @@ class First(BaseFeaturesExtractor):
 
 
 class Critic(nn.Module):
-    """Action values (cars, 1) of observations and actions: `Bilinear`, the action being one more column of the state.
+    """Action values (cars, 1) of observations and actions: `Bilinear`, the actions being columns of the state.
 
-    Beside it ``a f(s) + a^2 g(s)``, with a network of the actor's size: all that the actor learns from is the slope by the
-    action a, which must be as fine a function of what it sees as the actor itself.
+    Beside it ``a f(s) + a^2 g(s)``, summed over the actions, with a network of the actor's size: all that the actor learns
+    from is the slope by the action a, which must be as fine a function of what it sees as the actor itself.
     """
 
-    def __init__(self, inputs: int, seen: int, core: list[int], width: int) -> None:
+    def __init__(self, inputs: int, seen: int, core: list[int], width: int, actions: int = 1) -> None:
         super().__init__()
-        self.seen = seen
-        self.body = Bilinear(inputs + 1, seen + 1, [0, *(c + 1 for c in core)], width)
+        self.seen, self.actions = seen, actions
+        columns = [*range(actions), *(c + actions for c in core)]
+        self.body = Bilinear(inputs + actions, seen + actions, columns, width)
         self.out = nn.Linear(self.body.width, 1)
-        layers = (nn.Linear(seen, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, 2))
+        last = nn.Linear(width, 2 * actions)
+        layers = (nn.Linear(seen, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), last)
         self.slope = nn.Sequential(*layers)
         self.optimizer: Any = None
 
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         slope = self.slope(observations[:, : self.seen])
-        own = actions * slope[:, :1] + actions.square() * slope[:, 1:]
+        own = actions * slope[:, : self.actions] + actions.square() * slope[:, self.actions :]
+        if self.actions > 1:
+            own = own.sum(dim=1, keepdim=True)
         return (0.1 * own + self.out(self.body(torch.cat([actions, observations], dim=1))),)
 
     def set_training_mode(self, mode: bool) -> None:
@@ -117,7 +121,8 @@ class SACPolicy(_SACPolicy):
         arch: Any = self.net_arch
         (inputs,) = self.observation_space.shape  # type: ignore[misc]
         core = self.core or list(range(self.seen))
-        return Critic(inputs, self.seen, core, arch["qf"][0])
+        (actions,) = self.action_space.shape  # type: ignore[misc]
+        return Critic(inputs, self.seen, core, arch["qf"][0], actions)
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)

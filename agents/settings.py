@@ -12,17 +12,44 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from isd_gym.network import Network
 from isd_gym.sensors import Sensors
+from isd_gym.vehicle import Vehicle, vehicle
 
 from .memory import Memory
 from .policy import Head
 
-#: RMS of each signal on the paper's road, rounded: body acceleration [m/s^2], travel [m], its rate [m/s], device travel [m],
-#: its rate [m/s], current [A]; and of its change in one step
-SCALE = (1.0, 0.01, 0.2, 0.01, 0.05, 2.5)
-CHANGE = (0.25, 0.001, 0.06, 0.0005, 0.012, 0.45)
-#: second changes of the signals, and the body's absolute velocity as a leaky integral (1 s) of its acceleration
-MEMORY = Memory(SCALE, CHANGE, order=2, leak=((0, 1.0, 0.07),))
+CONTROL_STEP = 5e-3  # s, between the actions of a policy
+#: RMS of each kind of signal on the paper's road, rounded, and of its change in one step, in SI units
+SCALE = {
+    "body_acceleration": (1.0, 0.25),
+    "pitch_acceleration": (0.5, 0.12),
+    "roll_acceleration": (0.8, 0.2),
+    "suspension_travel": (0.01, 0.001),
+    "suspension_travel_rate": (0.2, 0.06),
+    "device_travel": (0.01, 0.0005),
+    "device_travel_rate": (0.05, 0.012),
+    "current": (2.5, 0.45),
+}
+#: the velocities of the body are leaky integrals of its accelerations: time constant [s], and scale over that of the acceleration
+LEAK = (1.0, 0.07)
+
+
+def memory_of(car: Vehicle) -> Memory:
+    """Return what a policy remembers of a car's signals: first and second changes, and velocities of the body.
+
+    Args:
+        car: The car.
+    """
+    kinds = [signal.kind for signal in car.measured]
+    scale, change = (tuple(SCALE[kind][k] for kind in kinds) for k in (0, 1))
+    tau, share = LEAK
+    leak = tuple((i, tau, share * scale[i]) for i in range(1 + len(car.axes)))
+    return Memory(scale, change, order=2, leak=leak, step=CONTROL_STEP)
+
+
+#: memory of a quarter car
+MEMORY = memory_of(vehicle(Network.load("quarter-car-isd")))
 
 
 def robust() -> tuple[dict[str, Any], Sensors]:
@@ -42,7 +69,7 @@ class Settings:
 
     steps: int  # control steps of all cars together
     cars: int
-    memory: Memory = MEMORY
+    memory: Memory | None = None  # `memory_of` the car unless given
     filter: bool = True  # the LQG's estimate and law among the features
     ahead: float = 0.0  # s of road ahead that the policy sees
     # increments of the current: exploration noise adds up to a smooth current instead of drowning in the drive's slew
@@ -51,7 +78,8 @@ class Settings:
     head: Head = field(default_factory=lambda: Head("increment"))
     reward_scale: float = 0.1
     reward_offset: float = 0.8  # near the mean, so that values are small; it changes no optimum
-    teacher: str | None = "mpc-friction"  # imitated at the start, see `warm`; None: from nothing
+    # imitated at the start, see `warm`; None: from nothing; "law": the law of the memory's filter
+    teacher: str | None = "mpc-friction"
     warm_steps: int = 2500  # of 64 cars
     warm_updates: int = 2500
     averaging: float = 0.97  # kept of the mean of the actor's weights at an update; the mean is the policy
@@ -201,6 +229,27 @@ def with_preview(settings: PPOSettings | SACSettings, preview: float) -> PPOSett
     0.4086 with these and still falling; `mpc-friction-preview` 0.4107.
     """
     settings = replace(settings, ahead=preview)
-    if preview and isinstance(settings, PPOSettings):
+    return _far(settings) if preview else settings
+
+
+def _far(settings: PPOSettings | SACSettings) -> PPOSettings | SACSettings:
+    if isinstance(settings, PPOSettings):
         return replace(settings, gamma=0.995, tail=192, horizon=384)
+    return settings
+
+
+def tuned(algorithm: str, car: Vehicle, preview: float = 0.0) -> PPOSettings | SACSettings:
+    """Return the tuned settings of an algorithm for a car.
+
+    A car whose rear wheels follow its front wheels knows the road before the rear ones: PPO looks as far as with preview, and
+    starts from the law that knows it too.
+
+    Args:
+        algorithm: A name in `SETTINGS`.
+        car: The car.
+        preview: Road ahead that the policy sees [s].
+    """
+    settings = with_preview(SETTINGS[algorithm](), preview)
+    if len(car.corners) > 1:
+        settings = replace(_far(settings), teacher="law")
     return settings

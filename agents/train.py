@@ -30,10 +30,11 @@ from isd_gym.policies import find, passive
 from isd_gym.road import road as find_road
 from isd_gym.scoring import Entry, drive, score
 from isd_gym.sensors import Sensors
+from isd_gym.vehicle import vehicle
 
 from . import checkpoint
-from .policy import Policy
-from .settings import SETTINGS, PPOSettings, SACSettings, robust, with_preview
+from .policy import Head, Policy
+from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, memory_of, robust, tuned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -47,7 +48,8 @@ FOLDER = (
     "run.json",
     ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"),
 )
-ENV_ID = "ISDSuspension-v0"
+#: environment, and ending of the names of policies, by number of corners
+CARS = {1: ("ISDSuspension-v0", ""), 2: ("ISDHalfCar-v0", "-half-car"), 4: ("ISDFullCar-v0", "-full-car")}
 #: validation roads, seen neither in training (seeds from 2e6) nor in scoring (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
@@ -88,11 +90,20 @@ def train(
         raise InputError(f"training needs Stable-Baselines3 and torch: {how_to_install('agents')}")
     if algorithm not in SETTINGS:
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
+    plant = Network.load(network)
+    corners = len(vehicle(plant).corners)
+    if corners not in CARS:
+        raise InputError(f"network '{plant.name}' has {corners} corners: policies are trained for 1, 2 or 4")
+    if preview and corners > 1:
+        raise InputError(
+            f"network '{plant.name}' has {corners} corners: its front wheels tell the road before the rear ones; leave the "
+            "preview out"
+        )
     if settings is None:
-        settings = with_preview(SETTINGS[algorithm](), preview)
+        settings = tuned(algorithm, vehicle(plant), preview)
     elif preview:
         settings = replace(settings, ahead=preview)
-    steps_ahead(preview, settings.memory.step)
+    steps_ahead(preview, CONTROL_STEP)
     if steps is not None:
         if steps < 1:
             raise InputError(f"steps must be at least 1, not {steps}")
@@ -105,7 +116,6 @@ def train(
             say(
                 f"the critic learns alone for {settings.alone} steps: with {steps} the policy stays the imitation"
             )
-    plant = Network.load(network)
     find_road(road)
     senses = Sensors.of(sensors)
     spread: dict[str, Any] | None
@@ -138,6 +148,7 @@ class Run:
         self.out, self.algorithm, self.seed, self.plant = out, algorithm, seed, plant
         self.road, self.speed, self.spread, self.settings, self.say = road, speed, spread, settings, say
         self.progress, self.sensors = progress, sensors
+        self.car = vehicle(plant)
         self.memory = self._memory()
         self.asked = {
             "schema": SCHEMA,
@@ -162,6 +173,7 @@ class Run:
         """What the policy is called."""
         ahead = self.settings.ahead
         name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
+        name += CARS[len(self.car.corners)][1]
         return f"{name}-robust" if self.spread else name
 
     @property
@@ -173,10 +185,16 @@ class Run:
     def _memory(self) -> Memory:
         """What the policy sees: the settings' memory, with the filter of this network if it is asked for and exists."""
         s = self.settings
-        memory = replace(s.memory, ahead=steps_ahead(s.ahead, s.memory.step))
+        memory = s.memory or memory_of(self.car)
+        memory = replace(memory, ahead=steps_ahead(s.ahead, memory.step))
         if not s.filter:
             return memory
         try:
+            if len(self.car.corners) > 1:
+                from .wheelbase import car_filter
+
+                known, echo = car_filter(self.plant, self.speed, memory.step, self._noise)
+                return replace(memory, filter=known, echo=echo)
             from .estimate import lqg_filter
 
             return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead, self._noise))
@@ -319,7 +337,7 @@ class Run:
 
         begin = time.perf_counter()
         try:
-            entry = self._rival(str(self.settings.teacher))
+            entry = self._law() if self.settings.teacher == "law" else self._rival(str(self.settings.teacher))
         except (InputError, ImportError) as error:
             self.say(f"no teacher, training starts from nothing: {error}")
             return
@@ -336,6 +354,15 @@ class Run:
         )
         env.close()
         self.state["seconds"] += time.perf_counter() - begin
+
+    def _law(self) -> Entry:
+        """Return the law of the memory's filter as a policy."""
+        if self.memory.filter is None:
+            raise InputError("the memory has no filter, and so no law")
+        signals = len(self.car.measured)
+        layer = (np.zeros((len(self.car.driven), self.memory.width(signals))), np.zeros(len(self.car.driven)))
+        policy = Policy([layer], memory=self.memory, head=Head("residual"), name="law", network=self.plant)
+        return Entry("the law of the estimate", policy.copy)
 
     def _seed(self, done: int) -> int:
         return 2_000_000 + (self.seed * 1_000_003 + done) % 4_000_000_000
@@ -387,7 +414,7 @@ class Run:
             seed=VALIDATION_SEED,
             timed=0,
         )
-        return run.cost(StageCost())
+        return run.cost(StageCost.of(None, self.car.axes, len(self.car.corners)))
 
     def _references(self) -> dict[str, float]:
         """Cost of the passive car and of the baselines there are, on the validation roads, once in a process."""
@@ -432,7 +459,7 @@ class Run:
 
     def command(self, out: Path | str = "DIR") -> str:
         """What to type for this run, or how it differs from what can be typed."""
-        s, usual = self.settings, with_preview(SETTINGS[self.algorithm](), self.settings.ahead)
+        s, usual = self.settings, tuned(self.algorithm, self.car, self.settings.ahead)
         if describe(replace(s, steps=usual.steps)) != describe(usual):
             return "agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
@@ -461,7 +488,7 @@ class Run:
         policy.info = {
             "algorithm": self.algorithm,
             "env": {
-                "id": ENV_ID,
+                "id": CARS[len(self.car.corners)][0],
                 "road": self.road,
                 "speed": {"value": self.speed, "unit": "m/s"},
                 "randomize": self.asked["randomize"],

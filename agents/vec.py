@@ -9,10 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from isd_gym.env import N_MEASURED
 from isd_gym.road import road
 
-from .policy import CURRENT_SIGNAL, FEATURE_LIMIT, Head
+from .policy import FEATURE_LIMIT, Head
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,9 +26,9 @@ ROAD_RISE = 2e-3  # m, RMS of the paper's road over them
 
 
 class Remember(VecEnvWrapper):
-    """Observations become features of `memory`; actions in [-1, 1] become currents by `head`.
+    """Observations become features of `memory`; actions in [-1, 1], one a motor, become currents by `head`.
 
-    The rises of `critic` points of the road ahead follow, for a critic; `seen` columns are the policy's.
+    The rises of `critic` points of the road ahead of each track follow, for a critic; `seen` columns are the policy's.
 
     Cars in groups of `group` drive on the same road, see `ppo` and `sac`.
 
@@ -49,15 +48,22 @@ class Remember(VecEnvWrapper):
         critic: int = 0,
         even: bool = False,
     ) -> None:
-        self._width = N_MEASURED + memory.ahead  # columns of an observation that the policy sees
-        self.seen = memory.width(N_MEASURED)
+        task: Any = venv.env.task  # type: ignore[attr-defined]
+        signals, currents = len(task.measured), task.batch.of.currents
+        self._width = signals + memory.ahead  # columns of an observation that the policy sees
+        self._present = slice(signals - currents, signals)
+        self.seen = memory.width(signals)
         # the columns that are a state: the estimate and the current
         kept = memory.filter.width if memory.filter else 0
-        self.core = [CURRENT_SIGNAL, *range(self.seen - kept, self.seen)] if kept else []
+        self.core = [*range(signals - currents, signals), *range(self.seen - kept, self.seen)] if kept else []
+        begins = range(signals, signals + task.batch.of.tracks * task.points, max(task.points, 1))
+        #: columns of the road ahead that a critic knows, track after track
+        self._roads = [slice(b + ROAD_STRIDE - 1, b + critic, ROAD_STRIDE) for b in begins] if critic else []
         self._points = critic // ROAD_STRIDE
-        self._road = slice(N_MEASURED + ROAD_STRIDE - 1, N_MEASURED + critic, ROAD_STRIDE)
-        box = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (self.seen + self._points,), np.float32)
-        super().__init__(venv, observation_space=box, action_space=spaces.Box(-1.0, 1.0, (1,), np.float32))
+        width = self.seen + self._points * len(self._roads)
+        box = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (width,), np.float32)
+        acts = spaces.Box(-1.0, 1.0, (currents,), np.float32)
+        super().__init__(venv, observation_space=box, action_space=acts)
         self.memory, self.head, self.group = memory, head, group
         self.reward_scale, self.reward_offset = reward_scale, reward_offset
         self.even = even
@@ -89,15 +95,16 @@ class Remember(VecEnvWrapper):
         if self.even:
             inner: Any = self.venv
             batch = inner.env.task.batch
-            usual = road("paper").noise(USUAL_SPEED, batch.plant.step)[0] ** 2
+            usual = _level(batch)
             levels = np.where(batch.levels > 0.0, batch.levels, usual)  # a bump counts as it is
             self._weights = (usual / levels).astype(np.float32)
 
     def _features(self, obs: np.ndarray) -> np.ndarray:
         out = np.empty((len(obs), self.observation_space.shape[0]), np.float32)  # type: ignore[index]
         out[:, : self.seen] = self._recall.features
-        if self._points:
-            heights, rises = obs[:, self._road], out[:, self.seen :]
+        for k, columns in enumerate(self._roads):
+            begin = self.seen + k * self._points
+            heights, rises = obs[:, columns], out[:, begin : begin + self._points]
             rises[:, 0] = heights[:, 0]
             np.subtract(heights[:, 1:], heights[:, :-1], out=rises[:, 1:])
             rises *= np.float32(1 / ROAD_RISE)
@@ -108,8 +115,13 @@ class Remember(VecEnvWrapper):
         """What the policy sees now (cars, signals, then the road ahead), in SI units."""
         return self._obs[:, : self._width]
 
+    @property
+    def present(self) -> np.ndarray:
+        """Present currents [A] (cars, currents)."""
+        return self._obs[:, self._present]
+
     def step_async(self, actions: np.ndarray) -> None:
-        self.venv.step_async(self.head.current(actions, self._obs, self._recall))
+        self.venv.step_async(self.head.current(actions, self.present, self._recall))
 
     def step_wait(self) -> VecEnvStepReturn:
         begin = time.perf_counter()
@@ -134,3 +146,11 @@ class Remember(VecEnvWrapper):
         if done.any():
             self._weigh()
         return features, rewards, done, infos
+
+
+def _level(batch: Any) -> float:
+    """Return the level of the paper's road at the usual speed, as `Batch.levels` counts it."""
+    usual, step = road("paper"), batch.plant.step
+    if batch.of.tracks == 1:
+        return float(usual.noise(USUAL_SPEED, step)[0] ** 2)
+    return float(usual.track_filters(batch.vehicle.wheels.width, USUAL_SPEED, step)[1][0] ** 2)

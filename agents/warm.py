@@ -33,8 +33,8 @@ def demonstrate(
 ) -> dict[str, torch.Tensor]:
     """What `entry` does in the training environment `env` (`Remember`), shuffled.
 
-    features (n, width), wanted (n, 1) in [-1, 1]: the teacher's actions; done (n, 1): with noise; value (n, 1): discounted
-    scaled rewards that followed.
+    features (n, width), wanted (n, currents) in [-1, 1]: the teacher's actions; done (n, currents): with noise; value (n, 1):
+    discounted scaled rewards that followed.
     """
     teacher: Any = entry.make()
     teacher.reset_batch(env.num_envs)
@@ -43,8 +43,9 @@ def demonstrate(
     for k in range(steps):
         if k % 50 == 0:
             progress(k / steps)
-        now = env.observations
-        share = env.head.share(np.asarray(teacher.act_batch(now), np.float32).reshape(-1, 1), now)
+        present = env.present
+        commanded = np.asarray(teacher.act_batch(env.observations), np.float32)
+        share = env.head.share(commanded.reshape(present.shape), present)
         noisy = np.clip(share + NOISE * rng.standard_normal(share.shape, np.float32), -1.0, 1.0)
         seen.append(features)
         wanted.append(share)

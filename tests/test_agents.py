@@ -151,11 +151,12 @@ def test_a_memory_that_makes_no_sense_is_refused(bad):
 
 
 def test_increment_and_target_are_currents_within_the_drive_s_limits(rng):
-    obs = np.zeros((3, 6), np.float32)
-    obs[:, 5] = [-4.8, 0.0, 4.9]
+    present = np.array([[-4.8], [0.0], [4.9]], np.float32)
     share = np.array([[-1.0], [0.5], [1.0]], np.float32)
-    np.testing.assert_allclose(Head("increment").current(share, obs)[:, 0], [-5.0, 0.25, 5.0])
-    np.testing.assert_allclose(Head("target").current(share, obs)[:, 0], [-5.0, 2.5, 5.0])
+    np.testing.assert_allclose(Head("increment").current(share, present)[:, 0], [-5.0, 0.25, 5.0])
+    np.testing.assert_allclose(Head("target").current(share, present)[:, 0], [-5.0, 2.5, 5.0])
+    two = Head("increment").current(np.array([[1.0, -1.0]], np.float32), np.array([[4.9, 0.0]], np.float32))
+    np.testing.assert_allclose(two, [[5.0, -0.5]])
 
 
 def test_one_car_and_many_get_the_same_currents(rng):

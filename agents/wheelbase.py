@@ -1,0 +1,480 @@
+"""Estimate and law of a car with several corners, whose rear wheels meet the road of the front wheels later.
+
+The model is the whole car: states of the network, heights of the road under the wheels, and the last heights under the
+leading wheels. A steady Kalman filter estimates all of them from the measured signals. The smoothed height under a leading
+wheel, delayed by the distance between the axles over the speed, is the height under the wheel behind it (`memory.Echo`).
+The law is the linear-quadratic regulator with preview of the rear road (Tomizuka, ASME Journal of Dynamic Systems 97,
+1975), its currents shifted past the dry friction as in `baselines.lqg`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.linalg import block_diag, expm, solve_discrete_are
+
+from baselines.lqg import LqgSettings
+from baselines.model import SLIDING, device_reach
+from isd_gym import elements as el
+from isd_gym.batch import SLEW_LIMIT
+from isd_gym.cost import StageCost
+from isd_gym.env import ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+from isd_gym.network import assemble
+from isd_gym.road import paper_road
+from isd_gym.sensors import ANGULAR_NOISE, NOISE
+from isd_gym.vehicle import state_channels, vehicle
+
+from .memory import Echo, Filter, Memory, tuples
+
+if TYPE_CHECKING:
+    from isd_gym.network import Network
+    from isd_gym.vehicle import Vehicle
+
+LAG = 2  # control steps after which the height under a leading wheel is read: later readings correct it
+ROAD_MEMORY = 2.0  # s, time constant with which the estimate forgets the height of the road
+TRUST = 0.1  # standard deviation of an error of the road told by the leading wheel, over that of the road
+ANGULAR = 0.02  # rad/s^2, standard deviation of angular accelerations that the filter assumes
+CARS, STEPS, FORGET = 32, 1500, 300  # of the drive that gives the spread of the state
+SEED = 800_000  # roads that nothing else uses
+
+
+@dataclass(frozen=True)
+class CarModel:
+    """One control step of a whole car: ``x+ = A x + B I + P w + G f``, ``y = C x + D I + F f``, ``v = S x + SF f``.
+
+    Attributes:
+        car: The car.
+        step: Control step [s].
+        A: (n, n). The states are those of the network and, last, the heights of the road under the corners [m].
+        B: (n, currents), response to currents [A] held over the step.
+        P: (n, corners), response to a rise of the road by 1 m under a corner over the step.
+        W: (corners, n, n), covariance per m^2/s of white velocity of the road under a corner.
+        G: (n, laws), response to friction forces [N] held over the step.
+        C: (channels, n), channels of the car at the end of the step (`Vehicle.channels`).
+        D: (channels, currents).
+        F: (channels, laws).
+        S: (laws, n), sliding rates [m/s] of the frictions.
+        SF: (laws, laws).
+        laws: Dry frictions.
+        rigid: (n, motions), states of a car that moves as a whole at 1 m/s or 1 rad/s.
+    """
+
+    car: Vehicle
+    step: float
+    A: np.ndarray
+    B: np.ndarray
+    P: np.ndarray
+    W: np.ndarray
+    G: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    F: np.ndarray
+    S: np.ndarray
+    SF: np.ndarray
+    laws: tuple[el.Element, ...]
+    rigid: np.ndarray
+
+    @property
+    def levels(self) -> np.ndarray:
+        """Friction level [N] of each law (laws,)."""
+        return np.array([e.bound(np.array(e.law_parameters()), 0.0, SLIDING) for e in self.laws])  # type: ignore[misc]
+
+
+def car_model(network: Network, step: float) -> CarModel:
+    """Return the prediction model of a car with any number of corners.
+
+    Every law that is no dry friction counts by its slope at rest; end stops count as open.
+
+    Args:
+        network: Network of a car.
+        step: Control step [s].
+
+    Raises:
+        InputError: The network is no car.
+    """
+    car = vehicle(network)
+    elements = tuple(e for e in network.elements if e.place == "between")
+    bare = replace(network, elements=elements, outputs=(), uncertainty={})
+    channels, nodes = [*car.channels], state_channels(network)
+    asm = assemble(bare, [*channels, *nodes])
+    columns = {part: asm.columns(part) for part in ("x", "r", "v", "I", "f")}
+    dry = [j for j, e in enumerate(asm.laws) if e.bound is not None and not asm.by_difference[j]]
+    slopes = np.array([_slopes(e) if j not in dry else (0.0, 0.0) for j, e in enumerate(asm.laws)])
+    slopes = slopes.reshape(-1, 2)
+    rows = slopes[:, :1] * asm.elongation + slopes[:, 1:] * asm.elongation_rate
+    forces = columns["f"]
+    gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, forces], rows)
+    gain[:, forces] = 0.0
+
+    def close(block: np.ndarray) -> np.ndarray:
+        return block + block[:, forces] @ gain
+
+    rate, out, slide = close(asm.rate), close(asm.outputs), close(asm.elongation_rate)[dry]
+    # the order of corners and of driven corners, whatever the order of the network's inputs
+    moved = [network.moved_nodes.index(c.road) for c in car.corners]
+    named = [c.name for c in network.inputs if c.quantity == "current"]
+    driven = [named.index(str(c.current_input)) for c in car.driven if c.current_input is not None]
+    x = list(range(columns["x"].stop))
+    r, v = ([columns[part].start + i for i in moved] for part in ("r", "v"))
+    currents = [columns["I"].start + i for i in driven]
+    laws = [forces.start + j for j in dry]
+    n, corners, given = len(x), len(moved), [*currents, *v, *laws]
+    big = np.zeros((n + corners + len(given),) * 2)
+    big[:n, : n + corners] = rate[:, [*x, *r]] * step
+    big[:n, n + corners :] = rate[:, given] * step
+    places = n + corners + len(currents) + np.arange(corners)
+    big[n + np.arange(corners), places] = step
+    phi = expm(big)[: n + corners]
+    states = slice(0, n + corners)
+    phi[n:, n : n + corners] *= np.exp(-step / ROAD_MEMORY)
+    ends = np.cumsum([n + corners, len(currents), corners, len(laws)])
+    b, p, g = (phi[:, begin:end] for begin, end in zip(ends[:-1], ends[1:], strict=True))
+    white = np.vstack([rate[:, v], np.eye(corners)])
+    W = [_covariance(big[: n + corners, : n + corners], white[:, i], step) for i in range(corners)]
+    seen, all_nodes = out[: len(channels)], out[len(channels) :]
+    return CarModel(
+        car=car,
+        step=step,
+        A=phi[:, states],
+        B=b,
+        P=p / step,
+        W=np.array(W),
+        G=g,
+        C=seen[:, [*x, *r]],
+        D=seen[:, currents],
+        F=seen[:, laws],
+        S=slide[:, [*x, *r]],
+        SF=slide[:, laws],
+        laws=tuple(asm.laws[j] for j in dry),
+        rigid=_rigid(car, channels, nodes, seen[:, x], all_nodes[:, x], corners),
+    )
+
+
+def _covariance(motion: np.ndarray, white: np.ndarray, step: float) -> np.ndarray:
+    """Return the covariance (n, n) after a step of a state with the matrix `motion` / step and unit white noise (Van Loan)."""
+    n = len(motion)
+    both = np.zeros((2 * n, 2 * n))
+    both[:n, :n], both[:n, n:], both[n:, n:] = -motion, np.outer(white, white) * step, motion.T
+    found = expm(both)
+    return found[n:, n:].T @ found[:n, n:]
+
+
+def _slopes(e: el.Element) -> tuple[float, float]:
+    """Return stiffness [N/m] and damping [N s/m] of a law at rest, nothing for laws without a force there."""
+    if e.law is None:
+        return 0.0, 0.0
+    p, d = np.array(e.law_parameters()), 1e-7
+    stiffness = (e.law(p, d, 0.0, 0.0, 0.0, 1e-9)[0] - e.law(p, -d, 0.0, 0.0, 0.0, 1e-9)[0]) / (2 * d)
+    damping = (e.law(p, 0.0, d, 0.0, 0.0, 1e-9)[0] - e.law(p, 0.0, -d, 0.0, 0.0, 1e-9)[0]) / (2 * d)
+    return float(stiffness), float(damping)
+
+
+def _rigid(
+    car: Vehicle, channels: list[Any], nodes: list[Any], seen: np.ndarray, whole: np.ndarray, corners: int
+) -> np.ndarray:
+    """Return the states (n, motions) of a car that heaves, pitches or rolls as a whole, nothing in it moving."""
+    at = {car.body: (0.0, 0.0)} | {c.wheel: (c.x, c.y) for c in car.corners}
+    still = [i for i, c in enumerate(channels) if c.quantity in ("displacement", "velocity")]
+    keep = [
+        i
+        for i, c in enumerate(nodes)
+        if c.quantity == "displacement" or c.at in at or c.at in car.angles.values()
+    ]
+    rows = np.vstack([whole[keep], seen[still]])
+    out = []
+    for motion in ("heave", *car.axes):
+        wanted = np.zeros(len(rows))
+        for k, i in enumerate(keep):
+            if nodes[i].quantity != "velocity":
+                continue
+            node = str(nodes[i].at)
+            if node in at:
+                px, py = at[node]
+                wanted[k] = {"heave": 1.0, "pitch": -px, "roll": py}[motion]
+            else:
+                wanted[k] = float(car.angles.get(motion) == node)
+        out.append(np.append(np.linalg.lstsq(rows, wanted, rcond=None)[0], np.zeros(corners)))
+    return np.array(out).T
+
+
+# ----------------------------------------------------------------------------------------------- the law
+
+
+@dataclass(frozen=True)
+class Law:
+    """``I = law x + law_ahead . rises - force tanh((rate x + rate_ahead . rises) / width)``.
+
+    Attributes:
+        law: (currents, n).
+        rate: (currents, n), rate of the device [m/s] that the law is about to cause.
+        law_ahead: (currents, followers * points) [A/m], of the rises of the road before each wheel that follows.
+        rate_ahead: (currents, followers * points) [1/s].
+        force: Friction over thrust constant of each motor [A] (currents,).
+    """
+
+    law: np.ndarray
+    rate: np.ndarray
+    law_ahead: np.ndarray
+    rate_ahead: np.ndarray
+    force: np.ndarray
+
+
+def preview_law(model: CarModel, settings: LqgSettings, followers: list[int], points: int) -> Law:
+    """Return the linear-quadratic regulator that knows the road before some wheels.
+
+    Args:
+        model: Car.
+        settings: Weights and leads, those of `baselines.lqg`.
+        followers: Corners before which the road is known.
+        points: Control steps for which it is known.
+    """
+    m, car = model, model.car
+    weights, effort = _weights(m, settings)
+    q = weights[:, None]
+    C, D = m.C @ m.A, m.C @ m.B + m.D
+    Q, R, N = C.T @ (q * C), D.T @ (q * D) + effort * np.eye(D.shape[1]), C.T @ (q * D)
+    try:
+        V = solve_discrete_are(m.A, m.B, Q, R, s=N)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"network '{car.network.name}' has no linear-quadratic controller: something in it neither decays nor "
+            "can be moved"
+        ) from None
+    K = np.linalg.solve(R + m.B.T @ V @ m.B, m.B.T @ V @ m.A + N.T)
+    value = V + m.C.T @ (q * m.C)
+    across = m.B.T @ value + m.D.T @ (q * m.C)
+    size = across @ m.B + m.B.T @ m.C.T @ (q * m.D) + m.D.T @ (q * m.D) + effort * np.eye(D.shape[1])
+    loop, P = m.A - m.B @ K, m.P[:, followers]
+    slope = m.A.T @ value @ P - K.T @ (across @ P)
+    gains = np.zeros((points, *(across @ P).shape))
+    for i in range(points):
+        gains[i] = np.linalg.solve(size, across @ P if i == 0 else m.B.T @ slope)
+        if i > 0:
+            slope = loop.T @ slope
+    rates = [i for i, c in enumerate(car.channels) if c.name in _rates(car)]
+    lead, foresight = settings.lead / m.step, settings.foresight / m.step
+    at, by, later = _ahead(m, K, gains, P, lead)
+    law, law_ahead = -K @ at, -np.einsum("mn,pnq->pmq", K, by) - later
+    at, by, _ = _ahead(m, K, gains, P, foresight)
+    row = m.C[rates]
+    levels = {frozenset(e.where): level for e, level in zip(m.laws, m.levels, strict=True)}
+    force = []
+    for c in car.driven:
+        motor = next(e for e in car.network.elements if e.name == c.motor)
+        assert isinstance(motor, el.Motor)
+        level = levels.get(frozenset(motor.where), 0.0)
+        force.append(settings.compensation * level / (motor.thrust_constant * motor.ratio))
+
+    def flat(block: np.ndarray) -> np.ndarray:  # (points, currents, followers) -> (currents, followers * points)
+        return block.transpose(1, 2, 0).reshape(block.shape[1], -1)
+
+    return Law(law, row @ at, flat(law_ahead), flat(np.einsum("mn,pnq->pmq", row, by)), np.array(force))
+
+
+def _rates(car: Vehicle) -> list[str]:
+    return [c.named("device_travel_rate") for c in car.driven]
+
+
+def _weights(m: CarModel, settings: LqgSettings) -> tuple[np.ndarray, float]:
+    """Return the weights (channels,) of the regulator on the channels, and its weight on each current [1/A^2]."""
+    car = m.car
+    cost = StageCost.of(None, car.axes, len(car.corners))
+    cost = replace(cost, tyre_load=cost.tyre_load + settings.tyre_load)
+    corners, currents = len(car.corners), len(car.driven)
+    factors = list(cost.factors(car.axes, corners, currents))
+    motions = 1 + len(car.axes)
+    travels, loads = factors[motions : motions + corners], factors[motions + corners : motions + 2 * corners]
+    out = factors[:motions]
+    centring = settings.centring / device_reach(car.network) ** 2 / corners
+    for travel in travels:
+        out += [travel, 0.0, centring, 0.0]
+    return np.array([*out, *loads]), factors[-1] + settings.effort / currents
+
+
+def _ahead(
+    m: CarModel, K: np.ndarray, gains: np.ndarray, P: np.ndarray, steps: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the state some steps later in the closed loop, by the state now (n, n) and the rises ahead (points, n, followers).
+
+    Third, the gains (points, currents, followers) on the rises as they will be then.
+    """
+    points = len(gains)
+    low, part = int(steps), steps - int(steps)
+    at, by = np.eye(len(m.A)), np.zeros((points, len(m.A), P.shape[1]))
+    out = []
+    for k in range(low + 2):
+        later = np.zeros_like(gains)
+        later[k:] = gains[: max(points - k, 0)]
+        out.append((at, by, later))
+        current = -np.einsum("mn,pnq->pmq", K, by) - later
+        by = np.einsum("ij,pjq->piq", m.A, by) + np.einsum("nm,pmq->pnq", m.B, current)
+        if k < points:
+            by[k] += P
+        at = (m.A - m.B @ K) @ at
+    first, second = out[low], out[low + 1]
+    return tuple((1 - part) * a + part * b for a, b in zip(first, second, strict=True))  # type: ignore[return-value]
+
+
+# ------------------------------------------------------------------------------------------ the estimate
+
+
+def car_filter(
+    network: Network, speed: float, control_step: float = 5e-3, noise: float = 0.0
+) -> tuple[Filter, Echo | None]:
+    """Return the estimate and law of a car, in coordinates of unit spread, and the delay of its rear road.
+
+    Args:
+        network: Network of a car with a motor at some corners.
+        speed: Speed [m/s] for which the delay is set.
+        control_step: Control step [s].
+        noise: White noise of the sensors that the filter assumes, as a multiple of `sensors.NOISE`.
+
+    Returns:
+        The filter, and the delay line; None for a car whose wheels all meet new road.
+
+    Raises:
+        InputError: The network is no car, or has no motor.
+    """
+    car = vehicle(network)
+    if not any(c.motor for c in car.driven):
+        raise InputError(f"network '{network.name}' has no motor")
+    settings = LqgSettings()
+    m = car_model(network, control_step)
+    wheels = car.wheels
+    leaders = [
+        min((behind, i) for i, behind in enumerate(wheels.behind) if wheels.track[i] == track)[1]
+        for track in range(wheels.tracks)
+    ]
+    followers = [i for i, behind in enumerate(wheels.behind) if behind > 0.0]
+    sources = [leaders[wheels.track[i]] for i in followers]
+    delays = wheels.delays(speed, control_step)
+    points = max((int(delays[i]) - LAG + 1 for i in followers), default=0)
+    if points < 1:
+        followers, sources = [], []
+    law = preview_law(m, settings, followers, max(points, 0))
+    # states beside those of the model: the heights of the last steps under the leading wheels
+    leading = sorted(set(sources))
+    n, kept = len(m.A), len(leading) * LAG
+    corners = len(car.corners)
+    A = block_diag(m.A, np.zeros((kept, kept)))
+    for k, leader in enumerate(leading):
+        A[n + k * LAG, n - corners + leader] = 1.0
+        for j in range(1, LAG):
+            A[n + k * LAG + j, n + k * LAG + j - 1] = 1.0
+
+    def longer(block: np.ndarray, axis: int = 1) -> np.ndarray:
+        width = [(0, kept if i == axis else 0) for i in range(2)]
+        return np.pad(block, width)
+
+    measured = [i for i, c in enumerate(car.channels) if not c.name.startswith("tyre_load")]
+    B, P, G = (longer(block, 0) for block in (m.B, m.P, m.G))
+    rough = block_diag(sum(W * (TRUST**2 if i in followers else 1.0) for i, W in enumerate(m.W)), np.zeros((kept, kept)))
+    C, S, rigid = longer(m.C[measured]), longer(m.S), longer(m.rigid, 0)
+    D, F = m.D[measured], m.F[measured]
+    gain = _kalman_gain(m, A, rough, G, C, rigid, settings, noise)
+    rows = np.zeros((len(leading), n + kept))
+    for k, leader in enumerate(leading):
+        oldest = n + k * LAG + LAG - 1
+        rows[k, oldest] = -1.0
+        rows[k, oldest - 1 if LAG > 1 else n - corners + leader] = 1.0
+    levels = m.levels
+    plain = dict(
+        A=A,
+        B=B,
+        G=G * levels,
+        S=S,
+        K=-(S @ G + m.SF) * levels,
+        C=C,
+        D=D,
+        F=F * levels,
+        L=gain,
+        law=longer(law.law),
+        rate=longer(law.rate) / settings.width,
+        force=law.force,
+        road=P[:, followers],
+        law_ahead=law.law_ahead,
+        rate_ahead=law.rate_ahead / settings.width,
+    )
+    echo = None
+    if followers:
+        echo = Echo(
+            rows=tuples(rows.tolist()),
+            followers=tuple(
+                (leading.index(s), float(wheels.behind[i])) for i, s in zip(followers, sources, strict=True)
+            ),
+            speed=float(speed),
+            lag=LAG,
+            points=points,
+            rise=float(paper_road().noise(20.0, control_step)[0]),
+        )
+    current = len(measured)
+    first = _filter(plain, current)
+    back = np.linalg.cholesky(_spread(first, echo, network, speed, control_step))
+    T = np.linalg.inv(back)
+    for name in ("A", "B", "G", "L", "road"):
+        plain[name] = T @ plain[name]
+    for name in ("A", "S", "C", "law", "rate"):
+        plain[name] = plain[name] @ back
+    if echo is not None:
+        echo = replace(echo, rows=tuples((rows @ back).tolist()))
+    return _filter(plain, current), echo
+
+
+def _filter(matrices: dict[str, np.ndarray], current: int) -> Filter:
+    values: dict[str, Any] = {k: tuples(np.asarray(v).tolist()) for k, v in matrices.items()}
+    return Filter(**values, slew=SLEW_LIMIT, current=current)
+
+
+def _kalman_gain(
+    m: CarModel,
+    A: np.ndarray,
+    rough: np.ndarray,
+    G: np.ndarray,
+    C: np.ndarray,
+    rigid: np.ndarray,
+    settings: LqgSettings,
+    noise: float,
+) -> np.ndarray:
+    """Return the steady Kalman gain (n, signals) on the measured signals."""
+    intensity, step = settings.road_intensity, m.step
+    W = intensity * rough + settings.friction_noise**2 * G @ G.T
+    W += intensity * step / settings.sensors.memory**2 * rigid @ rigid.T
+    W += 1e-12 * np.eye(len(W)) * np.trace(W)
+    kinds = [signal.kind for signal in m.car.measured if signal.kind != "current"]
+    usual = NOISE | ANGULAR_NOISE
+    deviations = [getattr(settings.sensors, k, ANGULAR) for k in kinds]
+    R = np.diag([d**2 + (noise * usual[k]) ** 2 for d, k in zip(deviations, kinds, strict=True)])
+    try:
+        V = solve_discrete_are(A.T, C.T, W, R)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"network '{m.car.network.name}' has no Kalman filter: the measured signals do not show all of its motion"
+        ) from None
+    return np.linalg.solve(C @ V @ C.T + R, C @ V).T
+
+
+def _spread(
+    given: Filter, echo: Echo | None, network: Network, speed: float, control_step: float
+) -> np.ndarray:
+    """Return second moments (n, n) of the estimate while the law drives `network` on the paper's road."""
+    env = ISDSuspensionVectorEnv(
+        CARS, network=network, speed=speed, control_step=control_step, autoreset_mode="disabled"
+    )
+    memory = Memory(step=control_step, filter=given, echo=echo)
+    obs, _ = env.reset(seed=SEED)
+    recall = memory.start(obs)
+    assert recall.filter is not None
+    n = len(given.B)
+    seen = []
+    for k in range(STEPS):
+        obs, *_ = env.step(np.clip(recall.filter.wanted, -5.0, 5.0))
+        recall.see(obs)
+        if k >= FORGET:
+            begin = recall.features.shape[1] - given.width
+            seen.append(recall.features[:, begin : begin + n].astype(float))
+    x = np.concatenate(seen)
+    moments = x.T @ x / len(x)
+    return moments + 1e-6 * np.diag(np.diag(moments))
