@@ -190,6 +190,9 @@ class Echo:
         ):
             if not low <= number(getattr(self, name), f"memory: echo's {name}") <= high:
                 raise InputError(f"memory: echo's {name} must be {low:g} to {high:g}")
+        for name in ("lag", "points"):
+            if not isinstance(getattr(self, name), int):
+                raise InputError(f"memory: echo's {name} must be a whole number of control steps")
         try:
             rows = np.array(self.rows, float)
             pairs = [(int(leader), float(distance)) for leader, distance in self.followers]
@@ -279,9 +282,13 @@ class Memory:
             raise InputError(f"memory: ahead must be 0 to {SIGNALS} points and rise > 0")
         if self.echo is not None:
             if self.ahead:
-                raise InputError("memory: the road ahead is told by an echo or by the observation, not by both")
+                raise InputError(
+                    "memory: the road ahead is told by an echo or by the observation, not by both"
+                )
             if self.filter is None or len(self.echo.rows[0]) != len(self.filter.B):
-                raise InputError("memory: an echo needs a filter with as many states as its rows have numbers")
+                raise InputError(
+                    "memory: an echo needs a filter with as many states as its rows have numbers"
+                )
             if self.filter.roads not in (0, len(self.echo.followers)):
                 raise InputError("memory: its filter knows the road under other wheels than its echo")
         elif self.filter and self.filter.roads > 1:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym.errors import InputError
 from isd_gym.files import whole
 
-from .policy import Policy
+if TYPE_CHECKING:
+    from .policy import Policy
 
 OPSET = 17
 
@@ -70,7 +71,9 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         told = node("MatMul", [heard, constant("gain", filter.gain)], "told")
         z = node("Mul", [node("Sum", [free, held, told], "z0"), "keep"], "z")
         law = node("MatMul", [z, constant("law", filter.rows[:, : filter.m])], "linear")
-        turn = node("Tanh", [node("MatMul", [z, constant("rate", filter.rows[:, filter.m :])], "rates")], "turn")
+        turn = node(
+            "Tanh", [node("MatMul", [z, constant("rate", filter.rows[:, filter.m :])], "rates")], "turn"
+        )
         push = node("Mul", [turn, constant("push", filter.push)], "pushed")
         wanted = node("Sub", [law, push], "law_current")
         ahead = node(

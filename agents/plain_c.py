@@ -15,12 +15,11 @@ from isd_gym.files import make_folder, write_text
 from isd_gym.network import Network
 from isd_gym.vehicle import vehicle
 
-from .policy import Policy
-
 if TYPE_CHECKING:
     from pathlib import Path
 
     from .memory import Recall
+    from .policy import Policy
 
 HEADER = """\
 /* Policy {name}: {origin}.
@@ -95,13 +94,13 @@ def _header(policy: Policy, name: str) -> str:
     met = ""
     if echo is not None:
         leaders, ages, _ = echo.weights(step).shape
-        met = (
-            f"\n    float met[{leaders}][{ages}]; /* m, rises of the road under the leading wheels; for {echo.speed:g} m/s */"
-        )
+        met = f"\n    float met[{leaders}][{ages}]; /* m, rises of the road under the leading wheels; for {echo.speed:g} m/s */"
     return HEADER.format(
         currents=policy.currents,
         met=met,
-        returns=f"writes {policy.currents} commanded currents [A]" if several else "returns the commanded current [A]",
+        returns=f"writes {policy.currents} commanded currents [A]"
+        if several
+        else "returns the commanded current [A]",
         them="each" if several else "it",
         step_function=_signature(policy, name),
         name=name,
@@ -224,7 +223,9 @@ def _filter(recall: Recall, at: int, road: int) -> tuple[list[str], list[str]]:
     if nf:
         constants += [_array("filter_stick", filter.stick.T), _array("filter_force", filter.force.T)]
         constants += [_array("filter_road_stick", filter.road_stick.T)] if roads else []
-        known = f"\n        for (int i = 0; i < {roads}; i++) t += risen[i] * filter_road_stick[j * {roads} + i];"
+        known = (
+            f"\n        for (int i = 0; i < {roads}; i++) t += risen[i] * filter_road_stick[j * {roads} + i];"
+        )
         lines += [
             f"    float rest[{nf}], held[{nf}];",
             f"    for (int j = 0; j < {nf}; j++) {{\n        float t = 0.0f;",
@@ -248,7 +249,9 @@ def _filter(recall: Recall, at: int, road: int) -> tuple[list[str], list[str]]:
     lines.append(f"        for (int i = 0; i < {ny}; i++) t += y[i] * filter_gain[k * {ny} + i];")
     if roads:
         constants.append(_array("filter_road", filter.road.T))
-        lines.append(f"        for (int i = 0; i < {roads}; i++) t += risen[i] * filter_road[k * {roads} + i];")
+        lines.append(
+            f"        for (int i = 0; i < {roads}; i++) t += risen[i] * filter_road[k * {roads} + i];"
+        )
     lines += ["        z[k] = t;\n    }", f"    for (int k = 0; k < {n}; k++) f[{at} + k] = z[k];"]
     if nf:
         lines.append(f"    for (int j = 0; j < {nf}; j++) f[{at + n} + j] = held[j];")

@@ -120,6 +120,11 @@ def train(
     senses = Sensors.of(sensors)
     spread: dict[str, Any] | None
     if randomize is True:
+        if corners > 1:
+            raise InputError(
+                f"network '{plant.name}' has {corners} corners, and the ranges of the robust track are those of a quarter car: "
+                'give ranges to agents.train.train, such as randomize={"body.mass": (0.8, 1.2)}'
+            )
         spread, seen = robust()
         senses = seen if senses.perfect else senses
     else:

@@ -268,7 +268,9 @@ def preview_law(model: CarModel, settings: LqgSettings, followers: list[int], po
         level = levels.get(frozenset(motor.where), 0.0)
         force.append(settings.compensation * level / (motor.thrust_constant * motor.ratio))
 
-    def flat(block: np.ndarray) -> np.ndarray:  # (points, currents, followers) -> (currents, followers * points)
+    def flat(
+        block: np.ndarray,
+    ) -> np.ndarray:  # (points, currents, followers) -> (currents, followers * points)
         return block.transpose(1, 2, 0).reshape(block.shape[1], -1)
 
     return Law(law, row @ at, flat(law_ahead), flat(np.einsum("mn,pnq->pmq", row, by)), np.array(force))
@@ -371,7 +373,9 @@ def car_filter(
 
     measured = [i for i, c in enumerate(car.channels) if not c.name.startswith("tyre_load")]
     B, P, G = (longer(block, 0) for block in (m.B, m.P, m.G))
-    rough = block_diag(sum(W * (TRUST**2 if i in followers else 1.0) for i, W in enumerate(m.W)), np.zeros((kept, kept)))
+    rough = block_diag(
+        sum(W * (TRUST**2 if i in followers else 1.0) for i, W in enumerate(m.W)), np.zeros((kept, kept))
+    )
     C, S, rigid = longer(m.C[measured]), longer(m.S), longer(m.rigid, 0)
     D, F = m.D[measured], m.F[measured]
     gain = _kalman_gain(m, A, rough, G, C, rigid, settings, noise)

@@ -1,0 +1,497 @@
+"""Policies of half and full cars: the rear road told by the front wheels, several currents, training and files."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from functools import cache
+from importlib.util import find_spec
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from agents.entry import open_policy
+from agents.memory import Echo, Memory, _Echo
+from agents.policy import Head, Policy
+from agents.settings import PPOSettings, SACSettings, memory_of, tuned
+from agents.wheelbase import car_filter, car_model
+from isd_gym.cost import StageCost
+from isd_gym.env import ISDSuspensionVectorEnv
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.vehicle import vehicle
+
+CARS = {"half-car-isd": "ISDHalfCar-v0", "full-car-isd": "ISDFullCar-v0"}
+both = pytest.mark.parametrize("network", CARS)
+needs_sb3 = pytest.mark.skipif(
+    find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
+)
+STEP = 5e-3
+ROUNDING = 5e-3  # A, of float32 in an estimate that remembers seconds, in another order of sums
+
+
+@cache
+def memory(network: str, speed: float = 20.0) -> Memory:
+    """The memory of a trained policy: signals, rear road and estimate."""
+    known, echo = car_filter(Network.load(network), speed)
+    return replace(memory_of(vehicle(Network.load(network))), filter=known, echo=echo)
+
+
+def renamed(x_front: float = 1.35, x_rear: float = -1.35) -> Network:
+    """The half car with its wheels and roads under other names, and axles elsewhere."""
+    text = json.dumps(Network.load("half-car-isd").to_dict())
+    for old, new in (("front", "a"), ("rear", "b")):
+        text = text.replace(old, new)
+    data = json.loads(text)
+    points = data["bodies"]["body"]["points"]
+    points["body_a"]["x"], points["body_b"]["x"] = x_front, x_rear
+    return Network.load(data)
+
+
+def policy_of(network: str, head: Head | None = None, seed: int = 0, hidden: int = 8) -> Policy:
+    rng, plant = np.random.default_rng(seed), Network.load(network)
+    car = vehicle(plant)
+    sizes = [memory(network).width(len(car.measured)), hidden, len(car.driven)]
+    layers = [(rng.normal(size=(b, a)) / a, 0.1 * rng.normal(size=b)) for a, b in pairwise(sizes)]
+    return Policy(layers, memory=memory(network), head=head or Head("increment"), network=plant)
+
+
+def law(network: str, speed: float = 20.0) -> Policy:
+    """The law of the estimate: a residual of nothing."""
+    plant = Network.load(network)
+    car, own = vehicle(plant), memory(network, speed)
+    layer = (np.zeros((len(car.driven), own.width(len(car.measured)))), np.zeros(len(car.driven)))
+    return Policy([layer], memory=own, head=Head("residual"), network=plant)
+
+
+def cost(policy: Policy, speed: float = 20.0, cars: int = 8, steps: int = 1500) -> float:
+    """Mean cost on the paper's road."""
+    env = ISDSuspensionVectorEnv(cars, network=policy.model, speed=speed, autoreset_mode="disabled")
+    obs, _ = env.reset(seed=40)
+    policy.reset_batch(cars)
+    total = 0.0
+    for _ in range(steps):
+        obs, reward, *_ = env.step(policy.act_batch(obs))
+        total -= reward.mean()
+    return total / steps
+
+
+# ---------------------------------------------------------------------------------- the rear road
+
+
+def roads(network: Network, speed: float, steps: int, policy: Policy | None = None) -> np.ndarray:
+    """Heights of the road under the corners (steps, corners) of one car."""
+    env = ISDSuspensionVectorEnv(1, network=network, speed=speed, autoreset_mode="disabled")
+    env.reset(seed=2)
+    idle = np.zeros((1, len(vehicle(network).driven)))
+    seen = [env.task.batch.road_heights[:, 0].copy()]
+    for _ in range(steps):
+        env.step(idle)
+        seen.append(env.task.batch.road_heights[:, 0].copy())
+    return np.array(seen)
+
+
+@pytest.mark.parametrize(
+    ("network", "speed"),
+    [
+        (Network.load("half-car-isd"), 20.0),  # 27 steps
+        (Network.load("half-car-isd"), 13.5),  # 40 steps
+        (Network.load("full-car-isd"), 20.0),
+        (renamed(1.2, -1.8), 15.0),  # 40 steps
+    ],
+    ids=["half", "slow", "full", "renamed"],
+)
+def test_what_the_front_met_is_what_the_rear_meets_to_the_step(network, speed):
+    """Fed with the true rises under the leading wheels, the memory tells those under the others to the last digit."""
+    wheels = vehicle(network).wheels
+    _, echo = car_filter(network, speed)
+    leaders = [i for i, behind in enumerate(wheels.behind) if behind == 0.0]
+    followers = [i for i, behind in enumerate(wheels.behind) if behind > 0.0]
+    assert [distance for _, distance in echo.followers] == [wheels.behind[i] for i in followers]
+    delay = round(max(wheels.behind) / speed / STEP)
+    assert echo.points == delay - echo.lag + 1
+    heights = roads(network, speed, 300)
+    rises = np.diff(heights, axis=0)
+    given = replace(echo, rows=tuple(tuple(map(float, row)) for row in np.eye(len(leaders))), rise=1.0)
+    keeper = _Echo(given, STEP, 1)  # the arithmetic alone: its input is the truth instead of an estimate
+    for k in range(echo.lag, 299):
+        # at time k the estimate is of the step that began `lag` steps ago
+        ahead = keeper.see(rises[k - echo.lag, leaders][None].astype(np.float32))[0]
+        if k < delay + echo.lag:
+            continue
+        told = ahead.reshape(len(followers), echo.points)
+        true = np.array([rises[k : k + echo.points, i] for i in followers])
+        known = min(echo.points, 299 - k)
+        np.testing.assert_allclose(told[:, :known], true[:, :known], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [20.0, 17.3])
+@both
+def test_the_measured_signals_tell_the_rear_road(network, speed):
+    """The correlation of the feature with the next rise under the rear wheels is greatest at the right step."""
+    plant = Network.load(network)
+    own = memory(network, speed)
+    env = ISDSuspensionVectorEnv(8, network=plant, speed=speed, autoreset_mode="disabled")
+    obs, _ = env.reset(seed=5)
+    recall = own.start(obs)
+    followers = [i for i, behind in enumerate(vehicle(plant).wheels.behind) if behind > 0.0]
+    told, met = [], []
+    for _ in range(1200):
+        told.append(recall.features[:, recall._next].copy())
+        met.append(env.task.batch.road_heights[followers].T.copy())
+        obs, *_ = env.step(np.clip(recall.filter.wanted, -5, 5))
+        recall.see(obs)
+    rises = np.diff(np.array(met), axis=0)[300:]
+
+    def correlation(shift: int) -> float:
+        first = np.array(told)[300 + shift : 300 + shift + 800]
+        return float(np.corrcoef(first.ravel(), rises[:800].ravel())[0, 1])
+
+    found = {shift: correlation(shift) for shift in (-3, -2, -1, 0, 1, 2)}
+    assert found[0] == max(found.values()) and found[0] > 0.7
+    if speed == 20.0:  # a whole number of steps
+        assert found[0] > 0.8 and max(found[-1], found[1]) < 0.35
+        # the best estimate of what it tells: truth on estimate has the slope 1
+        first = own.echo.rise * np.array(told)[300:1100].ravel()
+        assert first @ rises[:800].ravel() / (first @ first) == pytest.approx(1.0, abs=0.1)
+
+
+def test_names_do_not_matter():
+    own, other = car_filter(Network.load("half-car-isd"), 20.0), car_filter(renamed(), 20.0)
+    assert own == other
+
+
+@both
+def test_the_law_gains_from_what_the_front_met(network):
+    """Each rear wheel has 0.13 s of its road in sight: a third more is gained than without."""
+    passive = network.replace("isd", "passive")
+    own = memory(network)
+    rows = tuple(tuple(0.0 for _ in row) for row in own.filter.law_ahead)
+    blind = law(network)
+    blind.memory = replace(own, filter=replace(own.filter, law_ahead=rows, rate_ahead=rows))
+    idle = Policy(
+        [
+            (
+                np.zeros((len(own.filter.law), len(vehicle(Network.load(network)).measured))),
+                np.zeros(len(own.filter.law)),
+            )
+        ],
+        head=Head("target"),
+        network=Network.load(network),
+    )
+    idle.model = Network.load(passive)
+    ground, told, untold = cost(idle), cost(law(network)), cost(blind)
+    assert told / ground < 0.71 and 0.74 < untold / ground < 0.80
+
+
+def test_the_delay_follows_the_speed():
+    """A law that was made at 20 m/s serves at 28 m/s, if it is told so."""
+    made = law("half-car-isd")
+    late, right = cost(made, speed=28.0), cost(made.at_speed(28.0), speed=28.0)
+    best = cost(law("half-car-isd", 28.0), speed=28.0)
+    assert best * 0.99 < right < 0.96 * late
+    assert right == pytest.approx(best, rel=0.02)
+    assert made.at_speed(20.0) is made
+    with pytest.raises(InputError, match="m/s or more"):
+        made.at_speed(0.05)
+    quarter = Policy.load("ppo")
+    assert quarter.at_speed(7.0) is quarter
+
+
+def test_a_quarter_car_s_model_is_that_of_the_baselines():
+    """The whole-car model of a car with one corner: same matrices up to the choice of the state, by its transfer."""
+    from baselines.model import prediction_model
+
+    network = Network.load("quarter-car-isd")
+    own, known = car_model(network, STEP), prediction_model(network, STEP)
+    a = np.zeros((own.A.shape[0], 1)) + own.B
+    b = known.B[:, None]
+    for _ in range(40):  # response of the measured signals to a current over one step
+        np.testing.assert_allclose(own.C[:5] @ a, known.C[:5] @ b, atol=1e-9)
+        a, b = own.A @ a, known.A @ b
+    forces = (own.C[:5] @ own.G + own.F[:5])[:, 0]
+    dry = known.friction[0]
+    np.testing.assert_allclose(forces, known.C[:5] @ known.G[:, dry] + known.F[:5, dry], atol=1e-12)
+
+
+# -------------------------------------------------------------------------------- several currents
+
+
+@both
+@pytest.mark.parametrize("mode", ["target", "increment", "residual"])
+def test_one_car_and_many_get_the_same_currents(network, mode):
+    policy = policy_of(network, Head(mode))
+    motors = len(vehicle(Network.load(network)).driven)
+    env = ISDSuspensionVectorEnv(3, network=network, autoreset_mode="disabled")
+    obs, _ = env.reset(seed=1)
+    alone = policy.copy()
+    for _ in range(60):
+        many, one = policy.act_batch(obs), alone.act(obs[1])
+        assert many.shape == (3, motors) and one.shape == (motors,)
+        np.testing.assert_allclose(many[1], one, atol=ROUNDING)
+        obs, *_ = env.step(many)
+    assert np.ptp(many, axis=1).min() > 0
+
+
+@both
+def test_a_folder_gives_the_same_policy_back(network, tmp_path):
+    policy = policy_of(network)
+    back = Policy.load(policy.save(tmp_path / "p"))
+    assert back.memory == policy.memory and back.model == policy.model
+    assert cost(policy, steps=50) == cost(back, steps=50)
+
+
+def test_a_policy_of_another_car_is_one_line(tmp_path):
+    half, quarter = policy_of("half-car-isd").save(tmp_path / "half"), "ppo"
+    for name, network, says in (
+        (str(half), "quarter-car-isd", "2 currents; 'quarter-car-isd' has 1"),
+        (str(half), "full-car-isd", "2 currents; 'full-car-isd' has 4"),
+        (quarter, "half-car-isd", "1 current; 'half-car-isd' has 2"),
+    ):
+        plant = Network.load(network)
+        with pytest.raises(InputError, match=says) as error:
+            open_policy(name, plant, StageCost(), STEP, {})
+        assert "\n" not in str(error.value) and "choose a policy" in str(error.value)
+    with pytest.raises(InputError, match="outputs"):
+        Policy(
+            policy_of("half-car-isd").weights,
+            memory=memory("half-car-isd"),
+            network=Network.load("full-car-isd"),
+        )
+
+
+def test_scoring_sets_the_speed_of_a_policy(tmp_path):
+    folder = policy_of("half-car-isd").save(tmp_path / "p")
+    plant = Network.load("half-car-isd")
+    entry = open_policy(str(folder), plant, StageCost(), STEP, {"speed": 30.0})
+    assert entry.make().memory.echo.speed == 30.0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        ({"speed": 0.0}, "speed"),
+        ({"lag": 1.5}, "whole number"),
+        ({"points": 10**6}, "points"),
+        ({"rows": [[1.0, 2.0]]}, "as many states"),
+        ({"rows": [["x"]]}, "rows"),
+        ({"followers": []}, "rises"),
+        ({"followers": [[3, 2.7]]}, "follower"),
+        ({"followers": [[0, -1.0]]}, "follower"),
+        ({"followers": [[0, 2.7], [0, 2.7]]}, "other wheels"),
+        ({"more": 1}, "memory"),
+    ],
+)
+def test_a_spoilt_echo_is_one_line(spoil, says):
+    data = memory("half-car-isd").to_dict()
+    with pytest.raises(InputError, match=says) as error:
+        Memory.from_dict({**data, "echo": {**data["echo"], **spoil}})
+    assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match="both"):
+        Memory.from_dict({**data, "ahead": 3})
+
+
+# --------------------------------------------------------------------------------------- exports
+
+compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+@pytest.mark.skipif(compiler is None, reason="no C compiler")
+@both
+@pytest.mark.parametrize("mode", ["increment", "residual"])
+def test_c_commands_what_python_commands(network, mode, tmp_path):
+    from agents.plain_c import export_c
+
+    policy = policy_of(network, Head(mode))
+    motors = policy.currents
+    header, source = export_c(policy, tmp_path)
+    library = tmp_path / "policy.so"
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
+    subprocess.run([compiler, *flags, "-shared", "-fPIC", str(source), "-o", str(library), "-lm"], check=True)
+    loaded = ctypes.CDLL(str(library))
+    state, out = (ctypes.c_float * 4096)(), (ctypes.c_float * motors)()
+    env = ISDSuspensionVectorEnv(1, network=network, autoreset_mode="disabled")
+    for _ in range(2):  # a reset forgets everything
+        obs, _ = env.reset(seed=3)
+        policy.reset()
+        getattr(loaded, f"{source.stem}_reset")(state)
+        for _ in range(200):
+            own = policy.act(obs[0])
+            row = np.ascontiguousarray(obs[0], np.float32)
+            getattr(loaded, f"{source.stem}_step")(
+                state, row.ctypes.data_as(ctypes.POINTER(ctypes.c_float)), out
+            )
+            np.testing.assert_allclose(np.array(out), own, atol=ROUNDING)
+            obs, *_ = env.step(own[None])
+    text = header.read_text()
+    assert f"float current[{motors}]" in text and "pitch_acceleration [rad/s^2]" in text
+
+
+def test_onnx_commands_several_currents(tmp_path):
+    runtime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from agents.onnx import export_onnx
+
+    with pytest.raises(InputError, match="--c DIR"):
+        export_onnx(policy_of("half-car-isd"), tmp_path / "p.onnx")
+    network = Network.load("half-car-isd")
+    own, rng = memory_of(vehicle(network)), np.random.default_rng(1)
+    sizes = [own.width(12), 8, 2]
+    layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
+    policy = Policy(layers, memory=own, head=Head("increment"), network=network)
+    session = runtime.InferenceSession(export_onnx(policy, tmp_path / "p.onnx"))
+    kept, first = np.zeros((2, sizes[0]), np.float32), np.ones((2, 1), np.float32)
+    policy.reset_batch(2)
+    for row in rng.normal(size=(8, 2, 12)).astype(np.float32) * np.array(own.scale, np.float32):
+        current, kept = session.run(None, {"observation": row, "memory": kept, "first": first})
+        first = np.zeros((2, 1), np.float32)
+        np.testing.assert_allclose(current, policy.act_batch(row), atol=2e-5)
+
+
+# --------------------------------------------------------------------------------------- training
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Settings of a training of a few thousand steps, and nothing scored that takes long."""
+    if find_spec("stable_baselines3") is None:
+        pytest.skip("Stable-Baselines3 (and torch) not installed")
+    import agents.train as module
+    import agents.wheelbase as wheelbase
+
+    def known(network: Network, *_: object) -> tuple:  # made once for all runs
+        own = memory(network.name)
+        return own.filter, own.echo
+
+    monkeypatch.setattr(wheelbase, "car_filter", known)
+    monkeypatch.setattr(module, "BASELINES", ())
+    monkeypatch.setattr(module, "VALIDATION_EPISODES", 2)
+    monkeypatch.setattr(module, "SCORE_EPISODES", 2)
+    small = dict(
+        teacher="law", warm_steps=300, warm_updates=30, checkpoint_seconds=0.0, averaging=0.5, evaluations=4
+    )
+    ppo = PPOSettings(
+        steps=4096, cars=16, horizon=32, tail=16, batch=128, epochs=1, learning_rate=1e-4, **small
+    )
+    sac = SACSettings(
+        steps=2048,
+        cars=16,
+        batch=64,
+        warm_up=256,
+        buffer=4096,
+        n_steps=4,
+        critic_updates=10,
+        actor=(16,),
+        critic=(16,),
+        **small,
+    )
+    return {"ppo": ppo, "sac": sac}
+
+
+class Killed(Exception):
+    pass
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@both
+def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_path):
+    """Killed half-way, a run goes on from its checkpoint, twice to the same result; its policy drives and is scored."""
+    from agents.train import train
+
+    settings, out, twin = brief[algorithm], tmp_path / "run", tmp_path / "twin"
+
+    def until_half(line: str) -> None:
+        if line.strip().startswith(("50", "56", "62")):
+            raise Killed
+
+    with pytest.raises(Killed):
+        train(algorithm, out, settings=settings, network=network, say=until_half)
+    shutil.copytree(out, twin)
+    reports = []
+    for folder in (out, twin):
+        lines: list[str] = []
+        reports.append(train(algorithm, folder, settings=settings, network=network, say=lines.append))
+        assert lines[0].startswith("resuming")
+    costs = [[row["cost"] for row in report["training"]["curve"]] for report in reports]
+    assert costs[0] == costs[1] and len(costs[0]) >= 4
+    assert reports[0]["score"]["cost"] == reports[1]["score"]["cost"]
+    policy, other = (Policy.load(folder / "policy") for folder in (out, twin))
+    for (w, b), (v, c) in zip(policy.weights, other.weights, strict=True):
+        np.testing.assert_array_equal(w, v)
+        np.testing.assert_array_equal(b, c)
+    assert (
+        policy.name == f"{algorithm}-{CARS[network][3:7].lower()}-car"
+        and policy.info["env"]["id"] == CARS[network]
+    )
+    assert policy.memory.echo is not None and policy.currents == len(vehicle(Network.load(network)).driven)
+    found = open_policy(str(out / "policy"), Network.load(network), StageCost(), STEP, {}).make()
+    assert np.isfinite(cost(found, steps=100))
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")
+def test_a_warm_start_drives_like_the_law(brief, tmp_path):
+    from agents.train import train
+
+    settings = replace(brief["ppo"], steps=512, warm_steps=900, warm_updates=600)
+    report = train("ppo", tmp_path / "run", settings=settings, network="half-car-isd", say=lambda line: None)
+    # level with no controller that is blind to the rear road: some 24 % below the passive car
+    assert report["training"]["curve"][0]["cost"] < 0.73 * report["training"]["references"]["passive"]
+
+
+@needs_sb3
+def test_the_tuned_settings_of_a_car_can_be_typed(tmp_path):
+    from agents.train import train
+
+    half = tuned("ppo", vehicle(Network.load("half-car-isd")))
+    assert half.gamma == 0.995 and half.teacher == "law"
+    assert tuned("ppo", vehicle(Network.load("quarter-car-isd"))) == PPOSettings()
+    with pytest.raises(InputError, match="leave the preview out"):
+        train("ppo", tmp_path / "run", network="half-car-isd", preview=0.1)
+    with pytest.raises(InputError, match="quarter car: give ranges"):
+        train("ppo", tmp_path / "run", network="half-car-isd", randomize=True)
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")
+def test_numpy_does_what_sb3_would(brief, tmp_path):
+    import stable_baselines3 as sb3
+
+    from agents.convert import convert
+    from isd_gym.sb3 import make_vec_env
+
+    env = make_vec_env(4, env_id="ISDHalfCar-v0")
+    model = sb3.PPO("MlpPolicy", env, n_steps=16, batch_size=16, seed=1, device="cpu").learn(64)
+    model.save(tmp_path / "m.zip")
+    policy = convert(tmp_path / "m.zip", network="half-car-isd")
+    obs = np.random.default_rng(0).uniform(-1, 1, (50, 12)).astype(np.float32)
+    wanted, _ = model.predict(obs, deterministic=True)
+    np.testing.assert_allclose(policy.act_batch(obs), 5.0 * wanted, atol=2e-5)
+    with pytest.raises(InputError, match=r"12.*this car gives"):
+        convert(tmp_path / "m.zip")
+
+
+def test_an_echo_can_be_of_several_axles():
+    """A third axle follows the first one as well, each at its own distance."""
+    echo = Echo(((1.0,),), ((0, 1.0), (0, 2.0)), speed=20.0, lag=1, points=5, rise=1.0)
+    weights = echo.weights(STEP)  # 10 and 20 steps
+    assert weights.shape == (1, 21, 10)
+    for i in range(5):
+        assert np.flatnonzero(weights[0, :, i]).tolist() == [9 - i]
+        assert np.flatnonzero(weights[0, :, 5 + i]).tolist() == [19 - i]
+    part = replace(echo, speed=30.0).weights(STEP)  # 6.67 and 13.33 steps
+    np.testing.assert_allclose(part[0, [5, 6], 0], [1 / 3, 2 / 3])
+    # a rise that has not been met is none: 1 m at 100 m/s are two steps, of which the first one is told
+    assert replace(echo, speed=100.0).weights(STEP)[0, :, :5].any(axis=0).tolist() == [
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
