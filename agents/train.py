@@ -54,7 +54,9 @@ CARS = {1: ("ISDSuspension-v0", ""), 2: ("ISDHalfCar-v0", "-half-car"), 4: ("ISD
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
-BASELINES = ("lqg", "mpc-friction")  # shown beside the progress, where they exist
+#: shown beside the progress, where they exist: for quarter cars, and for cars with several corners
+BASELINES = ("lqg", "mpc-friction")
+CAR_BASELINES = ("lqg", "mpc-friction", "mpc-wheelbase")
 #: their costs, for a process that trains several seeds
 _REFERENCES: dict[str, dict[str, float]] = {}
 
@@ -334,7 +336,8 @@ class Run:
             return find(f"{name}-preview", self.plant, preview=self.settings.ahead)
         if self.spread and name == "mpc-friction":
             name = "mpc-robust"
-        return find(name, self.plant)
+        told = {"speed": self.speed} if name.endswith("-wheelbase") else {}
+        return find(name, self.plant, **told)
 
     def _imitate(self, model: Any) -> None:
         """Start from the teacher, if there is one for this network."""
@@ -424,13 +427,14 @@ class Run:
     def _references(self) -> dict[str, float]:
         """Cost of the passive car and of the baselines there are, on the validation roads, once in a process."""
         same = [self.asked[k] for k in ("network", "road", "speed", "randomize", "sensors")]
-        key = json.dumps([same, self.settings.ahead, VALIDATION_EPISODES, BASELINES], sort_keys=True)
+        names = BASELINES if len(self.car.corners) == 1 else CAR_BASELINES
+        key = json.dumps([same, self.settings.ahead, VALIDATION_EPISODES, names], sort_keys=True)
         if key in _REFERENCES:
             return dict(_REFERENCES[key])
         # on a spread of cars the same cars without current: the conventional car has no such parameters to spread
         idle = find("isd-passive", self.plant) if self.spread else passive(self.plant)
         out = {idle.name: self.cost(idle)}
-        for name in BASELINES:
+        for name in names:
             try:
                 rival = self._rival(name)
                 out[rival.name] = self.cost(rival)

@@ -10,19 +10,19 @@ The law is the linear-quadratic regulator with preview of the rear road (Tomizuk
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
-from baselines.lqg import LqgSettings
-from baselines.model import SLIDING, device_reach
+from baselines.lqg import LawSettings
+from baselines.model import device_reach, dry, equations, friction_levels, white_covariance
 from isd_gym import elements as el
 from isd_gym.batch import SLEW_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
-from isd_gym.network import assemble
 from isd_gym.road import paper_road
 from isd_gym.sensors import ANGULAR_NOISE, NOISE
 from isd_gym.vehicle import state_channels, vehicle
@@ -77,11 +77,6 @@ class CarModel:
     laws: tuple[el.Element, ...]
     rigid: np.ndarray
 
-    @property
-    def levels(self) -> np.ndarray:
-        """Friction level [N] of each law (laws,)."""
-        return np.array([e.bound(np.array(e.law_parameters()), 0.0, SLIDING) for e in self.laws])  # type: ignore[misc]
-
 
 def car_model(network: Network, step: float) -> CarModel:
     """Return the prediction model of a car with any number of corners.
@@ -96,49 +91,38 @@ def car_model(network: Network, step: float) -> CarModel:
         InputError: The network is no car.
     """
     car = vehicle(network)
-    elements = tuple(e for e in network.elements if e.place == "between")
-    bare = replace(network, elements=elements, outputs=(), uncertainty={})
     channels, nodes = [*car.channels], state_channels(network)
-    asm = assemble(bare, [*channels, *nodes])
-    columns = {part: asm.columns(part) for part in ("x", "r", "v", "I", "f")}
-    dry = [j for j, e in enumerate(asm.laws) if e.bound is not None and not asm.by_difference[j]]
-    slopes = np.array([_slopes(e) if j not in dry else (0.0, 0.0) for j, e in enumerate(asm.laws)])
-    slopes = slopes.reshape(-1, 2)
-    rows = slopes[:, :1] * asm.elongation + slopes[:, 1:] * asm.elongation_rate
-    forces = columns["f"]
-    gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, forces], rows)
-    gain[:, forces] = 0.0
-
-    def close(block: np.ndarray) -> np.ndarray:
-        return block + block[:, forces] @ gain
-
-    rate, out, slide = close(asm.rate), close(asm.outputs), close(asm.elongation_rate)[dry]
+    parts = equations(network, [*channels, *nodes], {})
+    dry_laws = dry(parts.laws)
     # the order of corners and of driven corners, whatever the order of the network's inputs
-    moved = [network.moved_nodes.index(c.road) for c in car.corners]
+    moving = [c.name for c in network.moving]
     named = [c.name for c in network.inputs if c.quantity == "current"]
-    driven = [named.index(str(c.current_input)) for c in car.driven if c.current_input is not None]
-    x = list(range(columns["x"].stop))
-    r, v = ([columns[part].start + i for i in moved] for part in ("r", "v"))
-    currents = [columns["I"].start + i for i in driven]
-    laws = [forces.start + j for j in dry]
-    n, corners, given = len(x), len(moved), [*currents, *v, *laws]
-    big = np.zeros((n + corners + len(given),) * 2)
-    big[:n, : n + corners] = rate[:, [*x, *r]] * step
-    big[:n, n + corners :] = rate[:, given] * step
-    places = n + corners + len(currents) + np.arange(corners)
-    big[n + np.arange(corners), places] = step
-    phi = expm(big)[: n + corners]
-    states = slice(0, n + corners)
-    phi[n:, n : n + corners] *= np.exp(-step / ROAD_MEMORY)
-    ends = np.cumsum([n + corners, len(currents), corners, len(laws)])
-    b, p, g = (phi[:, begin:end] for begin, end in zip(ends[:-1], ends[1:], strict=True))
-    white = np.vstack([rate[:, v], np.eye(corners)])
-    W = [_covariance(big[: n + corners, : n + corners], white[:, i], step) for i in range(corners)]
-    seen, all_nodes = out[: len(channels)], out[len(channels) :]
+
+    def columns(part: str, places: list[int]) -> list[int]:
+        return [parts.columns[part].start + i for i in places]
+
+    x = list(range(parts.columns["x"].stop))
+    moved = [moving.index(c.road_input) for c in car.corners]
+    r, v = columns("r", moved), columns("v", moved)
+    currents = columns("I", [named.index(c.current_input) for c in car.driven if c.current_input is not None])
+    laws = [parts.apart[j] for j in dry_laws]
+    n, corners = len(x), len(moved)
+    size = n + corners
+    given = [*currents, *v, *laws]
+    big = np.zeros((size + len(given),) * 2)
+    big[:n, :size], big[:n, size:] = parts.rate[:, [*x, *r]], parts.rate[:, given]
+    big[n:size, size + len(currents) : size + len(currents) + corners] = np.eye(corners)
+    white = big[:size, size + len(currents) : size + len(currents) + corners]
+    W = [white_covariance(big[:size, :size], white[:, [i]], 1.0, step) for i in range(corners)]
+    phi = expm(big * step)[:size]
+    phi[n:, n:size] *= np.exp(-step / ROAD_MEMORY)
+    ends = np.cumsum([size, len(currents), corners, len(laws)])
+    b, p, g = (phi[:, begin:end] for begin, end in pairwise(ends))
+    seen, slide = parts.out[: len(channels)], parts.R[dry_laws]
     return CarModel(
         car=car,
         step=step,
-        A=phi[:, states],
+        A=phi[:, :size],
         B=b,
         P=p / step,
         W=np.array(W),
@@ -148,28 +132,9 @@ def car_model(network: Network, step: float) -> CarModel:
         F=seen[:, laws],
         S=slide[:, [*x, *r]],
         SF=slide[:, laws],
-        laws=tuple(asm.laws[j] for j in dry),
-        rigid=_rigid(car, channels, nodes, seen[:, x], all_nodes[:, x], corners),
+        laws=tuple(parts.laws[j] for j in dry_laws),
+        rigid=_rigid(car, channels, nodes, seen[:, x], parts.out[len(channels) :, x], corners),
     )
-
-
-def _covariance(motion: np.ndarray, white: np.ndarray, step: float) -> np.ndarray:
-    """Return the covariance (n, n) after a step of a state with the matrix `motion` / step and unit white noise (Van Loan)."""
-    n = len(motion)
-    both = np.zeros((2 * n, 2 * n))
-    both[:n, :n], both[:n, n:], both[n:, n:] = -motion, np.outer(white, white) * step, motion.T
-    found = expm(both)
-    return found[n:, n:].T @ found[:n, n:]
-
-
-def _slopes(e: el.Element) -> tuple[float, float]:
-    """Return stiffness [N/m] and damping [N s/m] of a law at rest, nothing for laws without a force there."""
-    if e.law is None:
-        return 0.0, 0.0
-    p, d = np.array(e.law_parameters()), 1e-7
-    stiffness = (e.law(p, d, 0.0, 0.0, 0.0, 1e-9)[0] - e.law(p, -d, 0.0, 0.0, 0.0, 1e-9)[0]) / (2 * d)
-    damping = (e.law(p, 0.0, d, 0.0, 0.0, 1e-9)[0] - e.law(p, 0.0, -d, 0.0, 0.0, 1e-9)[0]) / (2 * d)
-    return float(stiffness), float(damping)
 
 
 def _rigid(
@@ -222,7 +187,7 @@ class Law:
     force: np.ndarray
 
 
-def preview_law(model: CarModel, settings: LqgSettings, followers: list[int], points: int) -> Law:
+def preview_law(model: CarModel, settings: LawSettings, followers: list[int], points: int) -> Law:
     """Return the linear-quadratic regulator that knows the road before some wheels.
 
     Args:
@@ -260,7 +225,7 @@ def preview_law(model: CarModel, settings: LqgSettings, followers: list[int], po
     law, law_ahead = -K @ at, -np.einsum("mn,pnq->pmq", K, by) - later
     at, by, _ = _ahead(m, K, gains, P, foresight)
     row = m.C[rates]
-    levels = {frozenset(e.where): level for e, level in zip(m.laws, m.levels, strict=True)}
+    levels = {frozenset(e.where): level for e, level in zip(m.laws, friction_levels(m.laws), strict=True)}
     force = []
     for c in car.driven:
         motor = next(e for e in car.network.elements if e.name == c.motor)
@@ -280,7 +245,7 @@ def _rates(car: Vehicle) -> list[str]:
     return [c.named("device_travel_rate") for c in car.driven]
 
 
-def _weights(m: CarModel, settings: LqgSettings) -> tuple[np.ndarray, float]:
+def _weights(m: CarModel, settings: LawSettings) -> tuple[np.ndarray, float]:
     """Return the weights (channels,) of the regulator on the channels, and its weight on each current [1/A^2]."""
     car = m.car
     cost = StageCost.of(None, car.axes, len(car.corners))
@@ -343,7 +308,7 @@ def car_filter(
     car = vehicle(network)
     if not any(c.motor for c in car.driven):
         raise InputError(f"network '{network.name}' has no motor")
-    settings = LqgSettings()
+    settings = LawSettings()
     m = car_model(network, control_step)
     wheels = car.wheels
     leaders = [
@@ -384,7 +349,7 @@ def car_filter(
         oldest = n + k * LAG + LAG - 1
         rows[k, oldest] = -1.0
         rows[k, oldest - 1 if LAG > 1 else n - corners + leader] = 1.0
-    levels = m.levels
+    levels = friction_levels(m.laws)
     plain = dict(
         A=A,
         B=B,
@@ -439,7 +404,7 @@ def _kalman_gain(
     G: np.ndarray,
     C: np.ndarray,
     rigid: np.ndarray,
-    settings: LqgSettings,
+    settings: LawSettings,
     noise: float,
 ) -> np.ndarray:
     """Return the steady Kalman gain (n, signals) on the measured signals."""

@@ -368,7 +368,7 @@ def brief(monkeypatch):
         return own.filter, own.echo
 
     monkeypatch.setattr(wheelbase, "car_filter", known)
-    monkeypatch.setattr(module, "BASELINES", ())
+    monkeypatch.setattr(module, "CAR_BASELINES", ())
     monkeypatch.setattr(module, "VALIDATION_EPISODES", 2)
     monkeypatch.setattr(module, "SCORE_EPISODES", 2)
     small = dict(
@@ -450,7 +450,7 @@ def test_the_tuned_settings_of_a_car_can_be_typed(tmp_path):
     from agents.train import train
 
     half = tuned("ppo", vehicle(Network.load("half-car-isd")))
-    assert half.gamma == 0.995 and half.teacher == "law"
+    assert half.gamma == 0.995 and half.teacher == "mpc-wheelbase"
     assert tuned("ppo", vehicle(Network.load("quarter-car-isd"))) == PPOSettings()
     with pytest.raises(InputError, match="leave the preview out"):
         train("ppo", tmp_path / "run", network="half-car-isd", preview=0.1)
