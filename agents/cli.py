@@ -28,12 +28,15 @@ def train(
     steps: Annotated[
         int | None,
         typer.Option(
-            help="Control steps of all cars together, to within a rollout (ppo: 327680 steps, with --preview 393216; sac: 4096); tuned unless given.",
+            help="Control steps of all cars together, to within a rollout (ppo: 327680 steps, with --preview or of a half or full car 393216; sac: 4096); tuned unless given.",
             min=1,
         ),
     ] = None,
     network: Annotated[
-        str, typer.Option(help="The plant: a built-in network or a model file.")
+        str,
+        typer.Option(
+            help="The plant: a built-in network, such as half-car-isd or full-car-isd, or a model file."
+        ),
     ] = "quarter-car-isd",
     road: Annotated[str, typer.Option(help="paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
     speed: Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)] = 20.0,
@@ -45,7 +48,10 @@ def train(
         ),
     ] = False,
     preview: Annotated[
-        float, typer.Option(help="Road ahead that the policy sees [s], e.g. 0.1; none unless given.", min=0.0)
+        float,
+        typer.Option(
+            help="Road ahead that the policy of a quarter car sees [s], e.g. 0.1; none unless given.", min=0.0
+        ),
     ] = 0.0,
     sensors: Annotated[
         str,
@@ -59,7 +65,8 @@ def train(
 ) -> None:
     """Train a policy; called again with the same folder it resumes where it stopped.
 
-    The policy first imitates the friction-aware MPC, then PPO or SAC trains it. Ctrl-C saves the run and prints the
+    The policy first imitates the friction-aware MPC, then PPO or SAC trains it. A policy of a half or full car commands a
+    current for each motor; what its front wheels have met tells it the road before its rear wheels. Ctrl-C saves the run and prints the
     command that continues it. Shows the cost J on validation roads, after the passive car's and the baselines'. The best
     policy is in DIR/policy, for `isd-gym score DIR/policy`; the log of TensorBoard is in DIR/tensorboard.
 

@@ -59,8 +59,9 @@ def about() -> dict[str, str]:
         try:
             held = json.loads((SHIPPED / name / "policy.json").read_text(encoding="utf-8"))
             change = held["score"]["cost"]["change"]
+            car = "" if held["env"]["id"] == "ISDSuspension-v0" else f" for {held['env']['id']}"
             out[name] = (
-                f"shipped {held['algorithm'].upper()} policy, cost J {100 * change:+.1f} % against passive when it was trained"
+                f"shipped {held['algorithm'].upper()} policy{car}, cost J {100 * change:+.1f} % against passive when it was trained"
             )
         except (OSError, ValueError, KeyError, TypeError):
             out[name] = "shipped policy"

@@ -28,6 +28,7 @@ from agents.settings import MEMORY, SETTINGS
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
+from isd_gym.policies import conventional
 
 needs_sb3 = pytest.mark.skipif(
     find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
@@ -270,14 +271,15 @@ def test_policies_load_and_run_without_torch(rng, tmp_path):
 def test_a_shipped_policy_is_what_its_score_says(name):
     policy = Policy.load(name)
     looks = {"observation": policy.observation, "preview": policy.preview or 0.25}
-    env = gymnasium.make_vec("ISDSuspension-v0", 8, autoreset_mode="disabled", **looks)
-    car = gymnasium.make_vec("ISDSuspension-v0", 8, network="quarter-car-passive", autoreset_mode="disabled")
+    kind, shape = policy.info["env"]["id"], (8, policy.currents)
+    env = gymnasium.make_vec(kind, 8, autoreset_mode="disabled", **looks)
+    car = gymnasium.make_vec(kind, 8, network=conventional(policy.model), autoreset_mode="disabled")
     (obs, _), _ = env.reset(seed=0), car.reset(seed=0)
     own = other = 0.0
     for _ in range(2000):
-        obs, reward, *_ = env.step(policy.act_batch(obs)[:, None])
+        obs, reward, *_ = env.step(policy.act_batch(obs).reshape(shape))
         own -= reward.sum()
-        other -= car.step(np.zeros((8, 1)))[1].sum()
+        other -= car.step(np.zeros(shape))[1].sum()
     change = own / other - 1
     assert change == pytest.approx(policy.info["score"]["cost"]["change"], abs=0.04)
     assert policy.info["training"]["command"].startswith(f"isd-gym train {policy.info['algorithm']}")

@@ -33,23 +33,29 @@ def _compiled(policy: Policy, folder: Path):
     loaded = ctypes.CDLL(str(library))
     name, width = source.stem, policy.weights[0][0].shape[1]
     step = getattr(loaded, f"{name}_step")
-    step.restype = ctypes.c_float
-    state = (ctypes.c_float * (width + 16))()
+    met = 0 if policy.memory.echo is None else policy.memory.echo.weights(policy.memory.step)[:, :, 0].size
+    state, several = (ctypes.c_float * (width + met + 16))(), (ctypes.c_float * policy.currents)()
 
-    def command(observation: np.ndarray) -> float:
-        row = np.ascontiguousarray(observation, np.float32)
-        return float(step(state, row.ctypes.data_as(ctypes.POINTER(ctypes.c_float))))
+    def command(observation: np.ndarray) -> float | np.ndarray:
+        row = np.ascontiguousarray(observation, np.float32).ctypes.data_as(ctypes.POINTER(ctypes.c_float))
+        if policy.currents > 1:
+            step.restype = None
+            step(state, row, several)
+            return np.array(several)
+        step.restype = ctypes.c_float
+        return float(step(state, row))
 
     return lambda: getattr(loaded, f"{name}_reset")(state), command, header.read_text()
 
 
 def _observations(policy: Policy, steps: int) -> np.ndarray:
-    env = gym.make("ISDSuspension-v0", observation=policy.observation, preview=policy.preview or 0.25)
+    kind = policy.info["env"]["id"]
+    env = gym.make(kind, observation=policy.observation, preview=policy.preview or 0.25)
     obs, _ = env.reset(seed=3)
     policy.reset()
     seen = [obs]
     for _ in range(steps - 1):
-        obs, *_ = env.step(np.array([policy.act(obs)]))
+        obs, *_ = env.step(np.atleast_1d(policy.act(obs)))
         seen.append(obs)
     return np.array(seen)
 
@@ -60,7 +66,7 @@ def test_a_shipped_policy_is_the_same_in_c(name, tmp_path):
     policy = Policy.load(name)
     reset, command, header = _compiled(policy, tmp_path / "c")
     seen = _observations(policy, 400)
-    assert np.abs(seen[:, 5]).max() > 1.0  # it drives
+    assert np.abs(seen[:, policy.signals - policy.currents : policy.signals]).max() > 1.0  # it drives
     for _ in range(2):  # a reset forgets everything
         policy.reset()
         reset()
