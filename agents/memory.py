@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: what a policy's file may ask for: states of a filter, signals, orders of change, the size of any number
 STATES, SIGNALS, ORDERS, LARGEST = 64, 1024, 8, 1e12
-LONGEST = 4096  # control steps of a delay
+LONGEST, LEADERS = 1024, 8  # control steps of a delay, and wheels that lead
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Filter:
             raise InputError(f"memory: filter has more than {STATES} states or {SIGNALS} signals")
         if known not in (0, n) or roads > STATES:
             raise InputError(f"memory: filter's road must have {n} rows or none, not {known}")
-        shapes = dict(
+        shapes: dict[str, tuple[int, ...]] = dict(
             A=(n, n), B=(n, m), G=(n, nf), S=(nf, n), K=(nf, nf), C=(ny, n), D=(ny, m), F=(ny, nf), L=(n, ny)
         )
         shapes |= dict(law=(m, n), rate=(m, n), force=(m,))
@@ -198,8 +198,10 @@ class Echo:
             pairs = [(int(leader), float(distance)) for leader, distance in self.followers]
         except (TypeError, ValueError, OverflowError):
             raise InputError("memory: echo's rows and followers must be lists of numbers") from None
-        if rows.ndim != 2 or not 0 < rows.size <= STATES**2 or not (np.abs(rows) <= LARGEST).all():
-            raise InputError("memory: echo's rows must be finite numbers, one row for each leading wheel")
+        if not (rows.ndim == 2 and 0 < len(rows) <= LEADERS and 0 < rows.shape[1] <= STATES):
+            raise InputError(f"memory: echo's rows must be 1 to {LEADERS}, one for each leading wheel")
+        if not (np.abs(rows) <= LARGEST).all():
+            raise InputError(f"memory: echo's rows must be finite, at most {LARGEST:g}")
         if not 0 < len(pairs) <= STATES or len(pairs) * self.points > SIGNALS:
             raise InputError(f"memory: echo must have 1 to {SIGNALS} rises ahead")
         for leader, distance in pairs:
@@ -289,6 +291,7 @@ class Memory:
                 raise InputError(
                     "memory: an echo needs a filter with as many states as its rows have numbers"
                 )
+            self.echo.weights(self.step)  # its delays can be kept
             if self.filter.roads not in (0, len(self.echo.followers)):
                 raise InputError("memory: its filter knows the road under other wheels than its echo")
         elif self.filter and self.filter.roads > 1:

@@ -253,6 +253,4 @@ def tuned(algorithm: str, car: Vehicle, preview: float = 0.0) -> PPOSettings | S
     if len(car.corners) > 1:
         # half car, J on the validation roads after 24 million steps: 0.6103 from the law of the estimate, 0.596 from this teacher
         settings = replace(_far(settings), teacher="mpc-wheelbase")
-        if isinstance(settings, PPOSettings):
-            settings = replace(settings, steps=60_000_000)
     return settings

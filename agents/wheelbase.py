@@ -1,9 +1,10 @@
 """Estimate and law of a car with several corners, whose rear wheels meet the road of the front wheels later.
 
 The model is the whole car: states of the network, heights of the road under the wheels, and the last heights under the
-leading wheels. A steady Kalman filter estimates all of them from the measured signals. The smoothed height under a leading
-wheel, delayed by the distance between the axles over the speed, is the height under the wheel behind it (`memory.Echo`).
-The law is the linear-quadratic regulator with preview of the rear road (Tomizuka, ASME Journal of Dynamic Systems 97,
+leading wheels. A steady Kalman filter estimates all of them from the measured signals. The smoothed rise under a leading
+wheel, delayed by the distance between the axles over the speed, is the rise under the wheel behind it (`memory.Echo`).
+The delay line stays outside the model, unlike that of `baselines.car`: it can be set for another speed, and the features of
+a policy keep their meaning. The law is the linear-quadratic regulator with preview of the rear road (Tomizuka, ASME Journal of Dynamic Systems 97,
 1975), its currents shifted past the dry friction as in `baselines.lqg`.
 """
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from isd_gym.network import Network
     from isd_gym.vehicle import Vehicle
 
-LAG = 2  # control steps after which the height under a leading wheel is read: later readings correct it
+LAG = 2  # control steps since the beginning of the step whose rise is read: later signals correct it
 ROAD_MEMORY = 2.0  # s, time constant with which the estimate forgets the height of the road
 TRUST = 0.1  # standard deviation of an error of the road told by the leading wheel, over that of the road
 ANGULAR = 0.02  # rad/s^2, standard deviation of angular accelerations that the filter assumes
@@ -42,8 +43,8 @@ SEED = 800_000  # roads that nothing else uses
 
 
 @dataclass(frozen=True)
-class CarModel:
-    """One control step of a whole car: ``x+ = A x + B I + P w + G f``, ``y = C x + D I + F f``, ``v = S x + SF f``.
+class RoadModel:
+    """One control step of a whole car and the road under its wheels: ``x+ = A x + B I + P w + G f``, ``y = C x + D I + F f``, ``v = S x + SF f``.
 
     Attributes:
         car: The car.
@@ -78,8 +79,8 @@ class CarModel:
     rigid: np.ndarray
 
 
-def car_model(network: Network, step: float) -> CarModel:
-    """Return the prediction model of a car with any number of corners.
+def road_model(network: Network, step: float) -> RoadModel:
+    """Return the prediction model of a car with any number of corners, the heights of the road among its states.
 
     Every law that is no dry friction counts by its slope at rest; end stops count as open.
 
@@ -119,7 +120,7 @@ def car_model(network: Network, step: float) -> CarModel:
     ends = np.cumsum([size, len(currents), corners, len(laws)])
     b, p, g = (phi[:, begin:end] for begin, end in pairwise(ends))
     seen, slide = parts.out[: len(channels)], parts.R[dry_laws]
-    return CarModel(
+    return RoadModel(
         car=car,
         step=step,
         A=phi[:, :size],
@@ -187,7 +188,7 @@ class Law:
     force: np.ndarray
 
 
-def preview_law(model: CarModel, settings: LawSettings, followers: list[int], points: int) -> Law:
+def preview_law(model: RoadModel, settings: LawSettings, followers: list[int], points: int) -> Law:
     """Return the linear-quadratic regulator that knows the road before some wheels.
 
     Args:
@@ -245,7 +246,7 @@ def _rates(car: Vehicle) -> list[str]:
     return [c.named("device_travel_rate") for c in car.driven]
 
 
-def _weights(m: CarModel, settings: LawSettings) -> tuple[np.ndarray, float]:
+def _weights(m: RoadModel, settings: LawSettings) -> tuple[np.ndarray, float]:
     """Return the weights (channels,) of the regulator on the channels, and its weight on each current [1/A^2]."""
     car = m.car
     cost = StageCost.of(None, car.axes, len(car.corners))
@@ -262,7 +263,7 @@ def _weights(m: CarModel, settings: LawSettings) -> tuple[np.ndarray, float]:
 
 
 def _ahead(
-    m: CarModel, K: np.ndarray, gains: np.ndarray, P: np.ndarray, steps: float
+    m: RoadModel, K: np.ndarray, gains: np.ndarray, P: np.ndarray, steps: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the state some steps later in the closed loop, by the state now (n, n) and the rises ahead (points, n, followers).
 
@@ -309,7 +310,7 @@ def car_filter(
     if not any(c.motor for c in car.driven):
         raise InputError(f"network '{network.name}' has no motor")
     settings = LawSettings()
-    m = car_model(network, control_step)
+    m = road_model(network, control_step)
     wheels = car.wheels
     leaders = [
         min((behind, i) for i, behind in enumerate(wheels.behind) if wheels.track[i] == track)[1]
@@ -398,7 +399,7 @@ def _filter(matrices: dict[str, np.ndarray], current: int) -> Filter:
 
 
 def _kalman_gain(
-    m: CarModel,
+    m: RoadModel,
     A: np.ndarray,
     rough: np.ndarray,
     G: np.ndarray,

@@ -18,7 +18,7 @@ from agents.entry import open_policy
 from agents.memory import Echo, Memory, _Echo
 from agents.policy import Head, Policy
 from agents.settings import PPOSettings, SACSettings, memory_of, tuned
-from agents.wheelbase import car_filter, car_model
+from agents.wheelbase import car_filter, road_model
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
@@ -188,6 +188,15 @@ def test_the_law_gains_from_what_the_front_met(network):
     assert told / ground < 0.71 and 0.74 < untold / ground < 0.80
 
 
+def test_at_a_speed_that_leaves_no_time_there_is_no_rear_road():
+    """At 400 m/s the rear wheels follow after 1.35 steps, sooner than the front wheels tell their road."""
+    known, echo = car_filter(Network.load("half-car-isd"), 400.0)
+    assert echo is None and known.roads == known.points == 0
+    recall = Memory(filter=known).start(np.zeros((1, 12), np.float32))
+    recall.see(np.full((1, 12), 0.01, np.float32))
+    assert np.isfinite(recall.features).all() and np.abs(recall.filter.wanted).min() > 0
+
+
 def test_the_delay_follows_the_speed():
     """A law that was made at 20 m/s serves at 28 m/s, if it is told so."""
     made = law("half-car-isd")
@@ -207,7 +216,7 @@ def test_a_quarter_car_s_model_is_that_of_the_baselines():
     from baselines.model import prediction_model
 
     network = Network.load("quarter-car-isd")
-    own, known = car_model(network, STEP), prediction_model(network, STEP)
+    own, known = road_model(network, STEP), prediction_model(network, STEP)
     a = np.zeros((own.A.shape[0], 1)) + own.B
     b = known.B[:, None]
     for _ in range(40):  # response of the measured signals to a current over one step
@@ -275,6 +284,8 @@ def test_scoring_sets_the_speed_of_a_policy(tmp_path):
     ("spoil", "says"),
     [
         ({"speed": 0.0}, "speed"),
+        ({"speed": 0.1}, "m/s or more"),
+        ({"rows": [[1.0] * 18] * 9}, "leading wheel"),
         ({"lag": 1.5}, "whole number"),
         ({"points": 10**6}, "points"),
         ({"rows": [[1.0, 2.0]]}, "as many states"),
