@@ -56,7 +56,7 @@ SCORE_EPISODES = 32
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
 #: shown beside the progress, where they exist: for quarter cars, and for cars with several corners
 BASELINES = ("lqg", "mpc-friction")
-CAR_BASELINES = ("lqg", "mpc-friction", "mpc-wheelbase")
+CAR_BASELINES = ("lqg", "lqg-wheelbase")
 #: their costs, for a process that trains several seeds
 _REFERENCES: dict[str, dict[str, float]] = {}
 
