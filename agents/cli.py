@@ -66,7 +66,7 @@ def train(
     """Train a policy; called again with the same folder it resumes where it stopped.
 
     The policy first imitates the friction-aware MPC, then PPO or SAC trains it. A policy of a half or full car commands a
-    current for each motor; what its front wheels have met tells it the road before its rear wheels. Ctrl-C saves the run and prints the
+    current for each motor, and knows the road ahead of the rear wheels from the front wheels. Ctrl-C saves the run and prints the
     command that continues it. Shows the cost J on validation roads, after the passive car's and the baselines'. The best
     policy is in DIR/policy, for `isd-gym score DIR/policy`; the log of TensorBoard is in DIR/tensorboard.
 

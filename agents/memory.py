@@ -3,8 +3,7 @@
 One observation is not the state of the car. Changes over the last steps carry what the sensors do not measure (the
 tyre's force follows from the balance of forces, the oil's deflection from the body's acceleration), and the leaky
 integral of the body's acceleration is its absolute velocity. A `Filter` says the same in the coordinates of the state:
-the estimate that the LQG acts on, and what the LQG would do. An `Echo` is the road before the rear wheels of a car, as
-its front wheels have met it. Fixed scales instead of running statistics: a
+the estimate that the LQG acts on, and what the LQG would do. An `Echo` is the road ahead of the rear wheels. Fixed scales instead of running statistics: a
 policy means the same thing in training, in a checkpoint and in a car. Numpy alone, float32, one row a car.
 """
 
@@ -159,9 +158,9 @@ class Filter:
 
 @dataclass(frozen=True)
 class Echo:
-    """Road before the wheels that follow others in their track: what the leading wheels met, later.
+    """Road ahead of the rear wheels, as the leading wheels of the same track met it.
 
-    A filter's estimate contains the rise of the road under each leading wheel in the control step that began `lag` steps
+    The filter's estimate contains the rise of the road under each leading wheel in the control step that began `lag` steps
     ago. A wheel at a distance behind it meets that rise after distance / speed. The rises of the next `points` steps
     under it are features; those that no wheel has met yet are 0. A delay of a fraction of a step interpolates linearly.
 

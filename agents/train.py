@@ -77,16 +77,30 @@ def train(
     say: Callable[[str], None] = print,
     progress: Callable[[str, float], None] = lambda task, share: None,
 ) -> dict[str, Any]:
-    """Train `algorithm` (ppo, sac) in folder `out`, or go on where the run in it stopped; returns the report.
+    """Train a policy in a folder, or continue the run in that folder; Ctrl-C saves the run first.
 
-    `say` is given lines of progress, `progress` (task, share of it done); Ctrl-C saves where it is before it leaves.
+    The policy kept is the one of least cost on the validation roads.
 
-    `preview` [s]: how much of the road ahead the policy sees. `randomize`: True for the cars, roads and
-    sensors of the robust track, or ranges as the environment takes them. `sensors`: what it sees by. The policy kept is the one of
-    least cost on the validation roads. Raises `InputError`, e.g. when `out` holds another run.
+    Args:
+        algorithm: ppo or sac.
+        out: Folder of the run.
+        seed: Seed of the training.
+        steps: Control steps of all cars together.
+        network: Network of the car: a quarter, half or full car.
+        road: Road of the training.
+        speed: Speed [m/s].
+        randomize: True for the cars, roads and sensors of the robust track (quarter cars), or ranges as the environment takes them.
+        preview: Road ahead that the policy of a quarter car sees [s].
+        sensors: Imperfections of the sensors.
+        settings: Settings of the algorithm; the tuned ones unless given.
+        say: Function that is given lines of progress.
+        progress: Function that is given a task and the finished share of that task.
 
-    seed: of everything that is drawn. steps: of all cars together. network, road, speed [m/s]: what it is trained on.
-    settings: those of the algorithm; the tuned ones unless given.
+    Returns:
+        Report (`isd-training/1`): the policy's folder, its training and its score.
+
+    Raises:
+        InputError: A value is not valid, or the folder holds another run.
     """
     if not (find_spec("stable_baselines3") and find_spec("torch")):
         raise InputError(f"training needs Stable-Baselines3 and torch: {how_to_install('agents')}")

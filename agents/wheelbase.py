@@ -301,7 +301,7 @@ def car_filter(
         noise: White noise of the sensors that the filter assumes, as a multiple of `sensors.NOISE`.
 
     Returns:
-        The filter, and the delay line; None for a car whose wheels all meet new road.
+        The filter, and the delay line; None where no wheel follows another one, or too soon.
 
     Raises:
         InputError: The network is no car, or has no motor.
