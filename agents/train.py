@@ -350,8 +350,7 @@ class Run:
             return find(f"{name}-preview", self.plant, preview=self.settings.ahead)
         if self.spread and name == "mpc-friction":
             name = "mpc-robust"
-        told = {"speed": self.speed} if name.endswith("-wheelbase") else {}
-        return find(name, self.plant, **told)
+        return find(name, self.plant, speed=self.speed)
 
     def _imitate(self, model: Any) -> None:
         """Start from the teacher, if there is one for this network."""
