@@ -61,7 +61,7 @@ def lqg_filter(
             rate_ahead=controller._rate_ahead / controller.settings.width,
         )
     plain: dict[str, Any] = {k: tuples(np.asarray(v).tolist()) for k, v in matrices.items()}
-    return Filter(**plain, force=float(controller._force), slew=SLEW_LIMIT)
+    return Filter(**plain, force=(float(controller._force),), slew=SLEW_LIMIT)
 
 
 def _spread(controller: Lqg, network: Network, control_step: float) -> np.ndarray:

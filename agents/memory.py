@@ -291,7 +291,7 @@ class Memory:
                     "memory: an echo needs a filter with as many states as its rows have numbers"
                 )
             self.echo.weights(self.step)  # its delays can be kept
-            if self.filter.roads not in (0, len(self.echo.followers)):
+            if self.filter.roads != len(self.echo.followers):
                 raise InputError("memory: its filter knows the road under other wheels than its echo")
         elif self.filter and self.filter.roads > 1:
             raise InputError("memory: its filter knows the road under several wheels, and no echo tells it")

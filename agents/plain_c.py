@@ -146,12 +146,13 @@ def _source(policy: Policy, name: str) -> str:
         see.append(f"    f[{j}] = f[{j}] * {_number(keep)} + y[{i}] * {_number(gain)};")
     road = at + len(recall.leaks)
     rises = ""
-    width = recall.echo.weights.shape[1] if recall.echo is not None else memory.ahead
-    if recall.echo is not None and recall.filter is not None and recall.filter.given.roads:
-        of = f"f[{road} + i * {width // recall.filter.given.roads}] * {_number(recall.memory.echo.rise)}"
+    width = memory.ahead
+    if memory.echo is not None:
+        width, followers = memory.echo.width, len(memory.echo.followers)
+        of = f"f[{road} + i * {memory.echo.points}] * {_number(memory.echo.rise)}"
         see += [
-            f"    float risen[{recall.filter.given.roads}];",
-            f"    for (int i = 0; i < {recall.filter.given.roads}; i++) risen[i] = {of};",
+            f"    float risen[{followers}];",
+            f"    for (int i = 0; i < {followers}; i++) risen[i] = {of};",
         ]
     if memory.ahead:
         rises = (
