@@ -50,12 +50,12 @@ class Rig:
     training: tuple[Table, ...]
     validation: tuple[Table, ...]
 
-    def diagnose(self) -> Diagnosis:
+    def diagnose(self, jobs: int = 2) -> Diagnosis:
         return diagnose(
             self.training,
             self.model,
             validate=self.validation,
-            settings=SearchSettings(first_round=4, finals=2, turns=0),
+            settings=SearchSettings(first_round=4, finals=2, turns=0, jobs=jobs),
         )
 
     def with_tables(self, change: Any) -> Rig:
@@ -175,3 +175,11 @@ def test_the_name_does_not_depend_on_the_order_of_hypotheses(monkeypatch: pytest
 
     monkeypatch.setattr(screening, "hypotheses", backward)
     assert stated(measured(hidden=True).diagnose()) == NAMED
+
+
+@pytest.mark.slow
+def test_the_result_does_not_depend_on_the_number_of_threads() -> None:
+    rig = measured(hidden=True)
+    one, three = (rig.diagnose(jobs).to_dict() for jobs in (1, 3))
+    kept = one.keys() - {"seconds", "search", "settings"}
+    assert {k: one[k] for k in kept} == {k: three[k] for k in kept}

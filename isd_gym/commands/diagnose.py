@@ -16,7 +16,6 @@ from ._options import (
     ColumnsOption,
     ElementsOption,
     EngineOption,
-    JobsOption,
     JsonOption,
     MapOption,
     RenameOption,
@@ -100,7 +99,14 @@ def command(
     max_lag: Annotated[
         float, typer.Option(help="Largest offset between the clocks of two loggers [s].", min=0.0)
     ] = 0.5,
-    jobs: JobsOption = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs",
+            help="Threads of a diagnosis (default 2), or processes of a fleet (default 1). The result is the same for any number.",
+            min=1,
+        ),
+    ] = None,
     engine: EngineOption = "local",
     seed: Annotated[int, typer.Option(help="Seed of the resampling for the confidence.", min=0)] = 0,
     json_file: JsonOption = None,
@@ -144,7 +150,7 @@ def command(
                 "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
             )
         steps = {"map": map_file and str(map_file), "accept": accept or [], "seed": seed, "max_lag": max_lag}
-        diagnose_fleet(data[0], out, model, steps, jobs, engine, json_file)
+        diagnose_fleet(data[0], out, model, steps, jobs or 1, engine, json_file)
         return
     if model is None:
         raise InputError("--model is missing: name the model to compare the records with")
@@ -205,7 +211,7 @@ def command(
             progress=say,
             seed=seed,
             cut=cut,
-            settings=SearchSettings(max_lag=max_lag),
+            settings=SearchSettings(max_lag=max_lag, jobs=jobs or 2),
         )
         say("writing the report")
         page = write_result(result, out, about | {"Seed": str(seed)})
