@@ -183,7 +183,8 @@ def main() -> None:
     if args.markdown:
         args.markdown.write_text(text)
     if args.json:
-        args.json.write_text(json.dumps([vars(c) for c in changes], indent=1) + "\n")
+        found = {"diagnoses": len(replays), "changes": [vars(c) for c in changes]}
+        args.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":

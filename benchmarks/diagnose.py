@@ -14,6 +14,8 @@ of measured rigs: benchmarks/real.json says what may be named there.
 --jobs N       processes, one thread each (all cores without)
 --limit S      processor seconds per case; one that needs more is counted as missed (600)
 --json FILE    figures and rows in one file
+--summary FILE adds the figures to a file of summaries under the name of the suite or folder and the seeds: benchmarks/diagnosis.json
+               is such a file, from which docs/results.py makes the tables of the validation pages
 --freeze FILE  verdicts, effects and values, to hold later states against; --against FILE does so. benchmarks/goldens.json is
                such a file: ../shared/rigs, ../shared/blind and the clean rigs of every suite, seeds 306 to 308
 --figure FILE  the reliability curve
@@ -23,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import datetime
 import hashlib
 import io
 import json
@@ -33,6 +36,7 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -293,6 +297,23 @@ def draw(rows: list[Row], path: Path) -> None:
     plt.close(figure)
 
 
+def summarise(rows: list[Row], path: Path) -> None:
+    """Add the figures of a run to a file of summaries.
+
+    Args:
+        rows: Rows of the cases.
+        path: The file; it is made if it does not exist.
+    """
+    known = json.loads(path.read_text()) if path.exists() else {}
+    seeds = sorted(
+        {r["name"].rpartition("-")[2] for r in rows if r["suite"] in ("home", "families", "unseen")}
+    )
+    name = " ".join([*sorted({r["suite"] for r in rows}), *seeds])
+    today = datetime.date.today().isoformat()
+    known[name] = {"date": today, "version": version("isd-gym"), **grading.figures(rows)}
+    path.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -306,6 +327,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--limit", type=float, default=600.0)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--summary", type=Path)
     parser.add_argument("--freeze", type=Path)
     parser.add_argument("--against", type=Path)
     parser.add_argument("--figure", type=Path)
@@ -323,6 +345,8 @@ def main() -> None:
     print("\n" + grading.report(rows))
     if args.json:
         args.json.write_text(json.dumps({"figures": grading.figures(rows), "rows": rows}))
+    if args.summary:
+        summarise(rows, args.summary)
     if args.freeze:
         args.freeze.write_text(grading.freeze(rows))
     if args.against:

@@ -318,6 +318,12 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         "right": rate("effect", "right"),
         "wrong": rate("effect", "wrong"),
         "missed": rate("effect", "missed"),
+        "counts": {
+            s: sum(v for (k, _), v in count.items() if k == s) for s in ("effect", "clean", "unknown")
+        },
+        "kind_wrong": float(np.mean([kind_graded(r) == "wrong" for r in rows if sort(r) == "effect"]))
+        if any(sort(r) == "effect" for r in rows)
+        else None,
         "clean_left_alone": rate("clean", "right"),
         "unknown_recognised": rate("unknown", "right"),
         "unknown_named": rate("unknown", "wrong"),

@@ -27,6 +27,7 @@ import study
 
 from baselines.ceiling import known
 from isd_gym import cards
+from isd_gym.discrepancy.selection import criteria
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -229,6 +230,90 @@ def study_table() -> str:
 # ---------------------------------------------------------------------------------------- public measurements
 
 
+# -------------------------------------------------------------------------------------------------- diagnosis
+
+
+def suites() -> str:
+    """Rigs of known truth: shares of right and wrong answers, by suite."""
+
+    def share(value: float | None, count: int) -> str:
+        return "–" if value is None else f"{100 * value:.0f} % of {count}"
+
+    body = []
+    for name, f in json.loads((BENCHMARKS / "diagnosis.json").read_text(encoding="utf-8")).items():
+        n = f["counts"]
+        body.append(
+            [
+                f"`{name}`",
+                str(f["rigs"]),
+                share(f["right"], n["effect"]),
+                share(f["kind_right"], n["effect"]),
+                share(f["wrong"], n["effect"]),
+                share(f["clean_left_alone"], n["clean"]),
+                share(f["unknown_recognised"], n["unknown"]),
+                f"{f['seconds_median']:.0f} s / {f['seconds_longest']:.0f} s",
+                f"{f['date']}, {f['version']}",
+            ]
+        )
+    heads = ["suite, seed", "rigs", "right", "place and kind right", "wrong name", "clean left alone"]
+    heads += ["unknown recognised", "processor time: median / longest", "date, version"]
+    return markdown(heads, body, "lrrrrrrrl")
+
+
+def calibration() -> str:
+    """Stated probability against the share of true statements, by level."""
+    body = []
+    for name, f in json.loads((BENCHMARKS / "diagnosis.json").read_text(encoding="utf-8")).items():
+        for level in grading.LEVELS:
+            for b in f["reliability"][level]:
+                if b["stated"] >= 0.5:
+                    body.append(
+                        [
+                            f"`{name}`",
+                            level,
+                            f"{b['stated']:.2f}",
+                            str(b["names"]),
+                            f"{b['right']:.2f}",
+                            f"{b['least']:.2f} to {b['most']:.2f}",
+                        ]
+                    )
+    heads = ["suite, seed", "level", "stated", "statements", "true", "95 % interval"]
+    return markdown(heads, body, "llrrrr")
+
+
+def limits() -> str:
+    """Every limit of the verdict, with the verdicts that change where the limit is halved or doubled."""
+    found = json.loads((BENCHMARKS / "ablation.json").read_text(encoding="utf-8"))
+    changes: dict[str, list[str]] = {}
+    for c in found["changes"]:
+        if c["variation"].startswith(("× 0.5 ", "× 2 ")):
+            changes.setdefault(c["rule"], []).append(f"{len(c['better'])} / {len(c['worse'])}")
+    body = [
+        [
+            f"`{row['id']}`",
+            f"{row['limit']:.3g}",
+            str(row["unit"]),
+            str(row["why"]),
+            str(row["source"]),
+            *changes.get(str(row["id"]), ["", ""]),
+        ]
+        for row in criteria.table()
+    ]
+    heads = ["limit", "value", "unit", "reason", "source", "halved", "doubled"]
+    return markdown(heads, body, "lrlllrr")
+
+
+def gates() -> str:
+    """The verdicts that change where a gate always passes."""
+    found = json.loads((BENCHMARKS / "ablation.json").read_text(encoding="utf-8"))
+    body = [
+        [c["rule"].removeprefix("gate "), str(len(c["better"])), str(len(c["worse"]))]
+        for c in found["changes"]
+        if c["variation"] == "removed"
+    ]
+    return markdown(["gate removed", "better", "worse"], body, "lrr")
+
+
 def measurements() -> str:
     """What is known of every public data set, what the diagnosis answers, and whether that is right."""
     body = []
@@ -313,7 +398,9 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/explanation/study.md": (study_table, learned_preview),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview),
+    "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, sources),
+    "docs/reference/limits.md": (gates, limits),
 }
 
 
