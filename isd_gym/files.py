@@ -234,7 +234,7 @@ def check_file(path: str | Path, *read: str | Path | None) -> None:
             and os.path.isfile(source)
             and os.path.realpath(source) == os.path.realpath(path)
         ):
-            raise InputError(f"cannot write '{path}': it is read; give another name")
+            raise InputError(f"cannot write '{path}': it is an input file; give another name")
 
 
 def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequence[str] = ()) -> None:
@@ -253,7 +253,7 @@ def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequ
     path = Path(path)
     _nameable(path)
     if os.path.islink(path) or (os.path.exists(path) and not os.path.isdir(path)):
-        raise InputError(f"cannot write a {kind} to '{path}': it is no folder")
+        raise InputError(f"cannot write a {kind} to '{path}': it is not a folder")
     if not path.name or os.path.realpath(path) == os.getcwd():
         raise InputError(f"cannot write a {kind} to '{path}': name a folder of its own")
     if not os.path.isdir(path):

@@ -84,7 +84,7 @@ def plain_file(path: str | Path) -> int:
         why = "no such file" if missing else f"cannot be read ({error.strerror})"  # type: ignore[union-attr]
         raise InputError(f"{path}: {why}") from None
     if stat.S_ISDIR(found.st_mode):
-        raise InputError(f"{path}: it is a folder")
+        raise InputError(f"{path}: is a folder, not a file")
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: is a pipe or a device, not a file")
     return found.st_size
@@ -156,7 +156,7 @@ def parse_json(data: bytes | str, where: str) -> Any:
     except json.JSONDecodeError as error:
         raise InputError(f"{where}: not JSON, line {error.lineno}: {error.msg}") from None
     except RecursionError:
-        raise InputError(f"{where}: more than {DEPTH} levels within each other") from None
+        raise InputError(f"{where}: more than {DEPTH} nested levels") from None
     _check_tree(found, where)
     return found
 
@@ -179,7 +179,7 @@ def _check_tree(found: Any, where: str) -> None:
         if not below:
             return
         level = below
-    raise InputError(f"{where}: more than {DEPTH} levels within each other")
+    raise InputError(f"{where}: more than {DEPTH} nested levels")
 
 
 def read_json(path: str | Path, where: str | None = None, limit: int = JSON_LIMIT) -> Any:

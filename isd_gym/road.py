@@ -508,7 +508,7 @@ def profiled(
     wrong = (~np.isfinite(sides) | (np.abs(sides) > 1e5)).any(axis=0)
     bad = np.flatnonzero(~np.isfinite(x) | (np.abs(x) > 1e9) | wrong)
     if len(bad):
-        raise InputError(f"road '{source}', {line(bad[0])}: not finite, or no road any more")
+        raise InputError(f"road '{source}', {line(bad[0])}: not finite, or too large for a road")
     if len(x) < 2:
         raise InputError(f"road '{source}' has fewer than two points")
     steps = np.diff(x)

@@ -135,7 +135,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
             phi = expm(big) if np.isfinite(big).all() else big
         if not np.isfinite(phi).all():
             raise InputError(
-                f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part grows beyond all numbers"
+                f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part overflows"
             )
         Ad, hold, late = phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
     else:
@@ -735,7 +735,7 @@ def simulate(
     plant = Plant(network, dt / every, extra=extra)
     if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
         raise InputError(
-            f"initial: wants the state ({plant.n},) in the assembly's coordinates, as isd_gym.loggers.start.state_of makes it of nodes' motions"
+            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.loggers.start.state_of makes a state from motions of nodes"
         )
     needs = plant.differentiated
     fine, slopes = {}, {}
@@ -761,13 +761,9 @@ def simulate(
     if not sound.all():
         failure = plant.unsolved[0]
         at = time[0] + plant.step * failure[0] if failure else time[int(np.argmin(sound))]
-        why = (
-            f"the force of '{failure[1]}' cannot be found"
-            if failure
-            else "the motion grows beyond all numbers"
-        )
+        why = f"the force of '{failure[1]}' cannot be found" if failure else "the motion overflows"
         raise InputError(
-            f"model '{network.name}' breaks down at t = {at:.6g} s: {why} (a smaller step may help, or the model is unstable)"
+            f"model '{network.name}' fails at t = {at:.6g} s: {why} (try a smaller step, or check the stability of the model)"
         )
     named = {c.name: convert(out[:, j, 0], c.si, c.unit) for j, c in enumerate(plant.channels)}
     return sense(network, named, dt)

@@ -160,5 +160,5 @@ def convert(value: Value, unit: str, target: str) -> Value:
         pair.append(TABLE[key])
     (si, factor), (si_target, factor_target) = pair
     if si != si_target:
-        raise InputError(f"unit '{unit}' cannot be turned into '{target}'")
+        raise InputError(f"unit '{unit}' cannot be converted to '{target}'")
     return value * (factor / factor_target)

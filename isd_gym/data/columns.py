@@ -138,7 +138,7 @@ def column_for(name: str, columns: Collection[str], unit: str = "") -> str:
     if same:
         told = " and ".join(shown(n) for n in same[:4])
         raise InputError(
-            f"column {shown(name)} is there as {told}: --rename COLUMN=CHANNEL says which is meant"
+            f"several columns are called {shown(name)}: {told}; choose one with --rename COLUMN=CHANNEL"
         )
     return name
 

@@ -97,7 +97,7 @@ def read(
             _stop()
     if found is None:
         raise InputError(
-            f"{path}: cannot be read (the library that reads it broke down, or took more than {seconds:.0f} s)"
+            f"{path}: cannot be read (the library that reads it crashed, or took more than {seconds:.0f} s)"
         )
     head, arrays = found
     if "lacks" in head:

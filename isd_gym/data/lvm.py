@@ -98,7 +98,7 @@ def _stamped(path: Path, head: dict[str, str], segment: _Segment) -> list[Column
     for i, (k, name, unit) in enumerate(zip(places, channels, units, strict=True)):
         dimension = told[1][i] if i < len(told[1]) and told[1][i] else "Time"
         if dimension.lower() != "time":
-            raise InputError(f"{path}: {shown(name)} is told over {shown(dimension)}, not over time")
+            raise InputError(f"{path}: {shown(name)} is recorded over {shown(dimension)}, not over time")
         values = numbers_of(path, segment.rows, k + shift, name, comma)
         axis = max((j for j, n in enumerate(names[:k]) if n == X), default=None)
         if head.get("X_Columns", "One").lower() == "no" or axis is None:
@@ -135,7 +135,7 @@ def _first(path: Path, key: str, row: list[str], channel: int, comma: bool) -> f
         return 0.0
     if not math.isfinite(value) or (key == "Delta_X" and value <= 0):
         raise InputError(
-            f"{path}: its header has no {key} for channel {channel + 1}, and there are no stamps"
+            f"{path}: the header has no {key} for channel {channel + 1}, and the channel has no time stamps"
         )
     return value
 
@@ -166,7 +166,7 @@ def read_lvm_rasters(path: Path, columns: Sequence[str] | None = None) -> list[C
     names = [[list(c.values) for c in part] for part in parts]
     if other := next((k for k, n in enumerate(names) if n != names[0]), None):
         raise InputError(
-            f"{path}: segment {other + 1} has other channels than the first: save one segment a file"
+            f"{path}: segment {other + 1} has other channels than the first: save one segment per file"
         )
     origin = segments[0].start()
     out = parts[0]

@@ -173,7 +173,7 @@ def _header(
     if not block:
         what = f"the header has {len(heads[-1])}" if heads else "no header row names them"
         told = f"line {rows[first][0]} has {width} fields, {what}"
-        raise InputError(f"{path}: {told}: --columns NAME,NAME,... names the columns of such a file")
+        raise InputError(f"{path}: {told}: name the columns with --columns NAME,NAME,...")
     below = [row for row in block[1:] if _rank(row) <= 0]
     unit_row = next((row for row in reversed(below) if _are_units([x.strip("[]() ") for x in row])), None)
     named = [row for row in block if row is not unit_row]

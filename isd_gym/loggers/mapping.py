@@ -263,7 +263,7 @@ class ChannelMap:
         found = network.with_outputs(self.channels)
         if not found.outputs:
             raise InputError(
-                f"{self.source}: it maps none of the model's outputs ({', '.join(c.name for c in network.outputs)})"
+                f"{self.source}: no output of the model has a column ({', '.join(c.name for c in network.outputs)})"
             )
         return found
 
@@ -449,7 +449,7 @@ def _by_name(
         holders = [i for i, names in enumerate(full, 1) if names]
         if len(holders) > 1:
             names = " and ".join(str(files[i - 1]) for i in holders)
-            raise InputError(f"column {shown(column)} is in {names}: --map FILE says which is meant")
+            raise InputError(f"column {shown(column)} is in {names}: choose one with --map FILE")
         channels[c.name] = Column(column, (holders or [1])[0], units.get(c.name) or units.get(column))
     return ChannelMap(channels, source="by name")
 
@@ -479,7 +479,7 @@ def _find(
     told = JOIN.join(map(str, files))
     if by.source == "by name":
         raise InputError(
-            f"{told}: no column {shown(source.column)}{hint} (--map FILE or --rename COLUMN={channel.name} says which it is; "
+            f"{told}: no column {shown(source.column)}{hint} (name the column with --map FILE or --rename COLUMN={channel.name}; "
             f"isd-gym inspect suggests a map){without(network, channel.name)}"
         )
     raise InputError(

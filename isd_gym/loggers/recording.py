@@ -108,7 +108,7 @@ def stamps_of(found: Columns, path: str | Path, wanted: str | None = None) -> st
         if len(names) == 1 or (names and names[0] == next(iter(found.values))):
             return names[0]
     raise InputError(
-        f"{path}: no column 'time' [s]: --rename COLUMN=time says which it is (it has: {_listed(found)})"
+        f"{path}: no column 'time' [s]: name the time column with --rename COLUMN=time (it has: {_listed(found)})"
     )
 
 
@@ -198,7 +198,7 @@ def mended(raster: Raster, notes: list[str]) -> list[Raster]:
         k = int(np.argmax(d < 0))
         raise InputError(
             f"{raster.source}: stamps run backwards after sample {k + 1}, from {_at(raster.time[k])} to {_at(raster.time[k + 1])}: "
-            "overlapping or reversed pieces; cut the file there and name the pieces as records of their own"
+            "overlapping or reversed pieces; cut the file there and give the pieces as separate records"
         )
     if (d == 0).any():
         raster = _without_repeats(raster, notes)
@@ -243,8 +243,8 @@ def _without_repeats(raster: Raster, notes: list[str]) -> Raster:
         )
         return replace(raster, time=even)
     raise InputError(
-        f"{raster.source}: {len(at)} stamps occur twice with other values, first {first} after its begin: two pieces overlap; "
-        "cut the file and name the pieces as records of their own"
+        f"{raster.source}: {len(at)} time stamps occur twice with different values, first {first} after the start: two pieces overlap; "
+        "cut the file and give the pieces as separate records"
     )
 
 

@@ -39,11 +39,11 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
         if not joined:
             if not os.path.exists(word) and "." not in word:  # a node without a value
                 raise InputError(
-                    f"--initial {shown(word)}: wants NODE=VALUE, NODE.velocity=VALUE (SI), a file, or fit"
+                    f"--initial {shown(word)}: give NODE=VALUE or NODE.velocity=VALUE (SI units), a file, or fit"
                 )
             data = read_json(Path(word))
             if not isinstance(data, dict) or not all(isinstance(v, dict) for v in data.values()):
-                raise InputError(f"{word}: wants {{node: {{displacement, velocity}}}}")
+                raise InputError(f"{word}: must be an object {{node: {{displacement, velocity}}}}")
             for node, motion in data.items():
                 for key, x in motion.items():
                     _put(out, node, key, number(x, f"{word}: {shown(node)}"), word)
@@ -56,7 +56,9 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
         except ValueError:
             x = math.nan
         if not math.isfinite(x):
-            raise InputError(f"--initial {word}: wants NODE=VALUE or NODE.velocity=VALUE in SI, or a file")
+            raise InputError(
+                f"--initial {word}: give NODE=VALUE or NODE.velocity=VALUE in SI units, or a file"
+            )
         _put(out, node, key, x, word)
     return out
 

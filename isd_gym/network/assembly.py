@@ -179,7 +179,7 @@ def _schedule(
 # ---------------------------------------------------------------------------------- the parts of an assembly
 
 #: message for equations that are not finite
-TOO_FAR_APART = "the model's numbers lie too far apart: its equations are not finite"
+TOO_FAR_APART = "the model's parameters differ by too many orders of magnitude: its equations are not finite"
 
 NO_MASS = 1e-10  # share of the largest singular value below which a direction carries no momentum or damping
 NO_SHARE = 1e-9  # share of a direction in a row below which the direction is rounding

@@ -189,14 +189,12 @@ def _behind(network: Network, node: str) -> set[str]:
                 frontier += links[here]
         parts.append(part)
     if not parts:
-        raise InputError(f"cut: nothing that an input moves lies behind '{node}'")
+        raise InputError(f"cut: no moved node is behind '{node}'")
     out = set().union(*parts)
     if out >= set(network.nodes) - {node} and len(parts) > 1:
         out -= max(parts, key=lambda part: sum(m for n, m in network.carried.items() if n in part))
     if out >= set(network.nodes) - {node}:
-        raise InputError(
-            f"cut: everything hangs together beside '{node}': leaving out what moves would leave nothing"
-        )
+        raise InputError(f"cut: the other nodes are all connected without '{node}': nothing would be left")
     return out
 
 

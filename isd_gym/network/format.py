@@ -67,7 +67,9 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
         if os.path.isdir(source):
             raise InputError(f"cannot read {where}: it is a folder")
         if text_name.lower().endswith(".fmu"):
-            raise InputError(f"{where}: an FMU shows no inside; only `isd-gym diagnose --model` takes one")
+            raise InputError(
+                f"{where}: the content of an FMU is hidden; only `isd-gym diagnose --model` accepts an FMU"
+            )
         data = parse_json(read_bytes(source), where)
     try:
         return from_dict(data)
@@ -109,7 +111,7 @@ def from_dict(data: Any) -> Network:
             raise InputError(f"{key} must be an object of node: {unit}")
     for node in inertias:
         if node in masses:
-            raise InputError(f"inertias: '{node}' has a mass already; what turns has an inertia alone")
+            raise InputError(f"inertias: '{node}' has a mass already; a rotational node has only an inertia")
     for key in ("elements", "levers", "inputs", "outputs"):
         if not isinstance(data.get(key, []), list):
             raise InputError(f"{key} must be a list")
@@ -344,7 +346,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     if found != si:
         other = next((q for q, (_, unit) in QUANTITIES.items() if unit == found), None)
         hint = f' (that is the unit of "quantity": "{other}")' if other else ""
-        raise InputError(f"{where}: unit '{data['unit']}' cannot be turned into '{si}'{hint}")
+        raise InputError(f"{where}: unit '{data['unit']}' cannot be converted to '{si}'{hint}")
     noise = data.get("noise")
     if noise is not None and (
         isinstance(noise, bool) or not isinstance(noise, int | float) or not 0 < noise < math.inf
@@ -402,7 +404,9 @@ def _axis_of(data: Mapping[str, Any], quantity: str, where: str) -> tuple[str, s
             f"{shown(axis)}"
         )
     if {"at", "between", "element"} & set(data):
-        raise InputError(f'{where}: "body" and "axis" say all: leave out "at", "between" and "element"')
+        raise InputError(
+            f'{where}: "body" and "axis" are sufficient: leave out "at", "between" and "element"'
+        )
     if QUANTITIES[quantity][1] not in TURNING:
         raise InputError(
             f'{where}: "{quantity}" is no motion about an axis; for that of the centre of gravity write "at": "{body}"'

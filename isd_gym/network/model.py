@@ -43,7 +43,7 @@ def check_name(name: Any, what: str) -> str:
     """
     if not isinstance(name, str) or not 0 < len(name) <= NAME_LENGTH or not harmless(name):
         raise InputError(
-            f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, none that steers a terminal)"
+            f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, without control characters)"
         )
     return name
 
@@ -257,7 +257,7 @@ class Network:
         outputs = {c.name for c in self.outputs}
         for e in self.elements:
             if e.place == "between" and len(set(e.where)) != 2:
-                raise InputError(f"element '{e.name}' stands between '{e.where[0]}' and itself")
+                raise InputError(f"element '{e.name}' connects '{e.where[0]}' to itself")
             if e.place == "element" and e.where[0] not in motors:
                 raise InputError(f"element '{e.name}': no motor '{e.where[0]}'")
             if e.place == "channel" and e.where[0] not in outputs:
@@ -368,12 +368,12 @@ class Network:
             raise InputError(f"input '{c.name}': only outputs have a noise")
         if not c.measured and c.quantity != "displacement":
             raise InputError(
-                f"input '{c.name}': only a moved node's displacement may go unmeasured, not a {c.quantity}"
+                f"input '{c.name}': only a moved node's displacement may be unmeasured, not a {c.quantity}"
             )
 
     def _check_output(self, c: Channel, by_name: Mapping[str, el.Element]) -> None:
         if not c.measured:
-            raise InputError(f"output '{c.name}': only an input may go unmeasured: leave the output away")
+            raise InputError(f"output '{c.name}': only an input may be unmeasured: remove the output")
         if c.offset not in (None, "free", "record"):
             raise InputError(
                 f"output '{c.name}': offset must be 'free', 'record' or None, not {shown(c.offset)}"
@@ -405,7 +405,7 @@ class Network:
         for node, others in links.items():
             if node not in held and len(others) < 2:
                 raise InputError(
-                    f"node '{node}' floats: it has no mass and no input and hangs on one element "
+                    f"node '{node}' floats: it has no mass and no input, and only one element is connected to it "
                     f"(give it a mass, an input, or call it 'ground')"
                 )
         # an inerter to the ground is an inertia: a force may drive its node
