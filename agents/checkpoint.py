@@ -1,8 +1,9 @@
-"""A learner's state as a folder that holds numbers alone: nothing in it is run when a training goes on from it.
+"""A learner's state as a folder of plain numbers; resuming a training executes no code from the folder.
 
-`learner.safetensors`: the networks' weights, the optimisers' moments and the free variables of a Stable-Baselines3 learner;
-`average.npz`: the running mean of the actor; `NAME.npy`: the columns of a replay buffer; `state.json`: all else. The learner itself is made
-from the run's settings, as at its start, and must have the shapes of what is read.
+`learner.safetensors` holds the networks' weights, the optimisers' moments and the free variables of a
+Stable-Baselines3 learner; `average.npz` the running mean of the actor; `NAME.npy` the columns of a replay
+buffer; `state.json` everything else. The learner is created from the run's settings as at the start, and must
+have the shapes of the stored arrays.
 """
 
 from __future__ import annotations
@@ -26,11 +27,18 @@ SCHEMA = "isd-checkpoint/1"
 NAME = re.compile(r"checkpoint-(\d{12})")
 LEARNER, AVERAGE, STATE = "learner.safetensors", "average.npz", "state.json"
 BUFFER = ("explored", "observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-STEPS = 10**12  # more than any run has
+STEPS = 10**12  # above the number of steps of any run
 
 
 def newest(folder: Path) -> Path | None:
-    """The newest checkpoint in the folder of a run, if any; what was cut short is removed."""
+    """Return the newest checkpoint of a run, and remove incomplete checkpoints.
+
+    Args:
+        folder: Folder of the run.
+
+    Returns:
+        Folder of the checkpoint; None without a checkpoint.
+    """
     for stale in folder.glob(".checkpoint-*"):
         shutil.rmtree(stale)
     found = sorted(p for p in folder.glob("checkpoint-*") if NAME.fullmatch(p.name))
@@ -38,12 +46,26 @@ def newest(folder: Path) -> Path | None:
 
 
 def steps(checkpoint: Path) -> int:
-    """Steps of all cars that its learner had done."""
+    """Return the number of control steps of all cars at a checkpoint.
+
+    Args:
+        checkpoint: Folder of the checkpoint.
+
+    Returns:
+        Number of steps.
+    """
     return int(checkpoint.name.removeprefix("checkpoint-"))
 
 
 def write(folder: Path, model: Any, average: dict[str, np.ndarray], state: dict[str, Any]) -> None:
-    """Keep `model` in `folder` under a name that it gets once it is whole; older checkpoints go after that."""
+    """Write a checkpoint atomically, then remove older checkpoints.
+
+    Args:
+        folder: Folder of the run.
+        model: Learner of Stable-Baselines3.
+        average: Running mean of the actor's weights.
+        state: Further state, as plain data.
+    """
     from safetensors.numpy import save
 
     place = folder / f"checkpoint-{model.num_timesteps:012d}"
@@ -51,7 +73,8 @@ def write(folder: Path, model: Any, average: dict[str, np.ndarray], state: dict[
         return
     temporary = folder / f".{place.name}"
     temporary.mkdir()
-    (temporary / LEARNER).write_bytes(save(_tensors(model)))  # its own writer has errors of its own
+    # the library's own file writer raises other errors
+    (temporary / LEARNER).write_bytes(save(_tensors(model)))
     arrays: dict[str, Any] = average
     np.savez(temporary / AVERAGE, **arrays)
     held = {"updates": int(model._n_updates), "episodes": int(model._episode_num)}
@@ -71,9 +94,17 @@ def write(folder: Path, model: Any, average: dict[str, np.ndarray], state: dict[
 
 
 def read(checkpoint: Path, model: Any) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Put what `write` kept into `model`, which was made by the same settings; returns the mean of the actor and the state.
+    """Restore a learner from a checkpoint.
 
-    Raises `InputError` for what is no checkpoint of such a learner.
+    Args:
+        checkpoint: Folder of the checkpoint.
+        model: Learner with the same settings; changed in place.
+
+    Returns:
+        Running mean of the actor's weights, and the further state.
+
+    Raises:
+        InputError: The folder is no checkpoint of such a learner.
     """
     where = f"'{checkpoint}' is no checkpoint to go on from"
     state = read_json(checkpoint / STATE, where)
@@ -99,27 +130,27 @@ def read(checkpoint: Path, model: Any) -> tuple[dict[str, np.ndarray], dict[str,
                 rows[: _filled(buffer)] = _like(key, saved, rows[: _filled(buffer)])
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    except Exception as error:  # whatever it is, it is the files' fault
+    except Exception as error:  # any error is a fault of the files
         raise InputError(f"{where} ({type(error).__name__}: {error})") from None
     return average, state
 
 
 def _numbers(state: dict[str, Any]) -> bool:
-    """Whether a state's times, costs and curve are what a run writes."""
+    """Return whether the times, costs and learning curve of a state have the form that a run writes."""
     numbers = [state["seconds"], state["environment_seconds"], *state["references"].values()]
     numbers += [row[key] for row in state["curve"] for key in ("steps", "seconds", "cost")]
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
 
 
 def _filled(buffer: Any) -> int:
-    """Rows of a replay buffer that hold something."""
+    """Return the number of filled rows of a replay buffer."""
     if not 0 <= buffer.pos <= buffer.buffer_size:
         raise InputError("its buffer's position cannot be")
     return int(buffer.buffer_size if buffer.full else buffer.pos)
 
 
 def _like(name: str, value: np.ndarray, wanted: Any) -> np.ndarray:
-    """`value`, if it is numbers of the shape of `wanted`."""
+    """Return an array of numbers with the shape of `wanted`; raise `InputError` for other arrays."""
     if value.dtype.kind not in "fiub" or value.shape != tuple(wanted.shape):
         raise InputError(f"{shown(name)} is {value.dtype} of shape {value.shape}, not {tuple(wanted.shape)}")
     return value
@@ -129,13 +160,13 @@ def _like(name: str, value: np.ndarray, wanted: Any) -> np.ndarray:
 
 
 def _optimizers(model: Any) -> dict[str, Any]:
-    """Name -> optimiser, as Stable-Baselines3 names them."""
+    """Return optimisers by their names in Stable-Baselines3."""
     names = model._get_torch_save_params()[0]
     return {n: attrgetter(n)(model) for n in names if n.endswith("optimizer")}
 
 
 def _tensors(model: Any) -> dict[str, np.ndarray]:
-    """All that a learner has learnt, by unambiguous names."""
+    """Return all learned arrays of a learner by unique names."""
     modules, variables = model._get_torch_save_params()
     out: dict[str, Any] = {}
     for name in modules:

@@ -1,4 +1,4 @@
-"""Commands of the agents: `isd-gym train`, `isd-gym convert`."""
+"""The commands `isd-gym train` and `isd-gym convert`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ import typer
 
 
 class Algorithm(StrEnum):
+    """Learning algorithms by name."""
+
     ppo = "ppo"
     sac = "sac"
 
@@ -63,12 +65,13 @@ def train(
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Train a policy; called again with the same folder it resumes where it stopped.
+    """Train a policy; a repeated call with the same folder continues an unfinished run.
 
-    The policy first imitates the friction-aware MPC, then PPO or SAC trains it. A policy of a half or full car commands a
-    current for each motor, and knows the road ahead of the rear wheels from the front wheels. Ctrl-C saves the run and prints the
-    command that continues it. Shows the cost J on validation roads, after the passive car's and the baselines'. The best
-    policy is in DIR/policy, for `isd-gym score DIR/policy`; the log of TensorBoard is in DIR/tensorboard.
+    The policy first imitates the friction-aware MPC, then PPO or SAC trains it. A policy of a half or full
+    car commands one current per motor, and knows the road ahead of the rear wheels from the front wheels.
+    Ctrl-C saves the run and prints the command that continues it. Shows the cost J on validation roads, after
+    the costs of the passive car and the baselines. The best policy is in DIR/policy, for `isd-gym score
+    DIR/policy`; the log of TensorBoard is in DIR/tensorboard.
 
     Example: isd-gym train sac --out runs/sac
     """
@@ -101,7 +104,7 @@ def train(
 
 @contextmanager
 def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]]]:
-    """Lines on stderr, and below them a bar with the time gone and the time to go where stderr is a terminal."""
+    """Give functions for lines on stderr, and for a bar with elapsed and remaining time on a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -127,7 +130,7 @@ def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]
         bar.update(tasks[name], completed=min(share, 1.0))
 
     with bar:
-        # wrapped at words, but for a command that is to be typed again
+        # wrapped at words, except for a command to be typed again
         yield (lambda line: console.print(line, soft_wrap="isd-gym train" in line)), progress
 
 
@@ -155,9 +158,11 @@ def convert(
         ),
     ] = None,
 ) -> None:
-    """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX, plain C or a folder for a hub.
+    """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX, plain C or a
+    folder for a hub.
 
-    The controllers mpc-friction, mpc-friction-preview and mpc-robust, with --network as their model, can be written as C, too.
+    The controllers mpc-friction, mpc-friction-preview and mpc-robust, with --network as their model, can be
+    written as C, too.
 
     Example: isd-gym convert model.zip --normalize norm.pkl --out my-policy
     """
@@ -198,7 +203,7 @@ def convert(
 
 
 def _controller(name: str, out: Path | None, onnx: Path | None, plain_c: Path | None, network: str) -> bool:
-    """Write the baseline of that name as C, if there is one; False if there is none."""
+    """Write the baseline of a name as C; return False for other names."""
     from baselines import CONTROLLERS, make
     from isd_gym.errors import InputError
 

@@ -1,8 +1,8 @@
-"""Policies of Stable-Baselines3 (.zip, with or without VecNormalize) as policies that numpy alone can run.
+"""Conversion of Stable-Baselines3 policies (.zip, with or without VecNormalize) to policies that need only numpy.
 
-An archive of Stable-Baselines3 holds pickles, and loading a pickle runs whatever code its maker put in. Here none is
-run: `pickles` reads what a pickle says and calls nothing. Even so, convert once and keep the folder: it says what it
-is, and no other program needs to be as careful with it.
+An archive of Stable-Baselines3 holds pickles, and loading a pickle executes code from the archive. No code is
+executed here: `pickles` reads the content of a pickle without calling anything. Even so, convert an archive
+once and keep the folder, which documents its content and is safe for other programs.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ WARNING = (
 )
 
 
-#: bytes that an archive's parts may have together, unpacked
+#: limit of the total unpacked size of an archive's parts [bytes]
 ARCHIVE_LIMIT = 512 * 2**20
 
 
 class _Zip:
-    """The parts of a zip archive, read only after their sizes were found bearable; raises `InputError`."""
+    """The parts of a zip archive, whose sizes are checked before reading; raises `InputError`."""
 
     def __init__(self, data: bytes, where: str) -> None:
         self.where = where
         try:
             self.file = zipfile.ZipFile(io.BytesIO(data))
             self.parts = {part.filename: part for part in self.file.infolist()}
-        except Exception as error:  # a zip can be broken in any way
+        except Exception as error:  # a zip archive can be broken in many ways
             raise InputError(f"{where}: not a zip archive ({type(error).__name__})") from None
         total = sum(part.file_size for part in self.parts.values())
         if total > ARCHIVE_LIMIT:
             raise too_large(where, total, ARCHIVE_LIMIT)
 
     def read(self, name: str) -> bytes:
-        """The bytes of a part."""
+        """Return the bytes of a part."""
         part = self.parts.get(name)
         if part is None:
             raise InputError(f"{self.where}: no part {shown(name)}")
@@ -61,7 +61,7 @@ class _Zip:
             )
         try:
             with self.file.open(part) as stream:
-                found = stream.read(part.file_size)  # never more than was told, whatever lies there
+                found = stream.read(part.file_size)  # never more than the declared size
         except Exception as error:
             raise InputError(f"{self.where}: part {shown(name)} is broken ({type(error).__name__})") from None
         if len(found) != part.file_size:
@@ -70,7 +70,18 @@ class _Zip:
 
 
 def read_torch(data: bytes, where: str) -> dict[str, np.ndarray]:
-    """The arrays of a state dict saved by `torch.save`, without torch and without running its pickle."""
+    """Return the arrays of a state dict saved by `torch.save`, without torch and without executing its pickle.
+
+    Args:
+        data: Content of the file.
+        where: Name of the file, for messages.
+
+    Returns:
+        Array by name.
+
+    Raises:
+        InputError: The file holds no weights saved by torch.
+    """
     archive = _Zip(data, where)
     inside = {name.partition("/")[2]: name for name in archive.parts}
     if "data.pkl" not in inside:
@@ -113,7 +124,17 @@ _TENSOR = Name("torch._utils", "_rebuild_tensor_v2")
 
 
 def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
-    """(mean, scale, clip) of the observations in a saved VecNormalize, without running its pickle."""
+    """Return the normalisation of the observations in a saved VecNormalize, without executing its pickle.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Mean (n,), scale (n,) and clip.
+
+    Raises:
+        InputError: The file is no saved VecNormalize.
+    """
     try:
         thing = read_pickle(read_bytes(path))
         if not isinstance(thing, Thing) or not isinstance(thing.state, dict):
@@ -139,7 +160,18 @@ def read_normalize(path: str | Path) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.ndarray, np.ndarray]]]:
-    """(algorithm, layers) of the deterministic actor in an SB3 state dict: ppo (and a2c), sac or td3 (and ddpg)."""
+    """Return the layers of the deterministic actor in a state dict of Stable-Baselines3.
+
+    Args:
+        state: Array by name.
+
+    Returns:
+        Algorithm ('ppo' includes A2C, 'td3' includes DDPG, or 'sac'), and weights (out, in) and biases (out,)
+            of the layers.
+
+    Raises:
+        InputError: The state dict is no flat MlpPolicy of PPO, SAC or TD3.
+    """
     if "action_net.weight" in state:
         kind, hidden, last = "ppo", "mlp_extractor.policy_net.", "action_net"
     elif "actor.mu.weight" in state:
@@ -175,11 +207,27 @@ def build(
     high: float = 1.0,
     **options: Any,
 ) -> Policy:
-    """Policy of an SB3 state dict (arrays); `high` is the bound of the action space it was trained on."""
+    """Return the policy of a state dict of Stable-Baselines3.
+
+    Args:
+        state: Array by name.
+        activation: 'tanh' or 'relu'.
+        memory: Features of the observations.
+        head: Conversion of the output to a current.
+        high: Bound of the action space in training.
+        options: Further arguments of `Policy`.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The weights are unsuitable.
+    """
     kind, layers = actor_layers(state)
     if any(value.dtype.kind != "f" for layer in layers for value in layer):
         raise InputError("weights that are no floats")
-    if kind == "ppo" and high != 1.0:  # PPO's mean is in the action's unit, SAC's and TD3's in [-1, 1]
+    # PPO's mean is in the unit of the action, that of SAC and TD3 in [-1, 1]
+    if kind == "ppo" and high != 1.0:
         layers[-1] = (layers[-1][0] / high, layers[-1][1] / high)
     return Policy(
         layers,
@@ -213,10 +261,23 @@ def convert(
     head: Head | None = None,
     name: str | None = None,
 ) -> Policy:
-    """The deterministic policy of an SB3 PPO, SAC or TD3 .zip; `normalize`: its saved VecNormalize.
+    """Return the deterministic policy of a PPO, SAC or TD3 archive of Stable-Baselines3.
 
-    An action space of +-1 is taken as a share of the current's limit. Raises `InputError` in one line for anything
-    that is no such archive or was trained for other spaces.
+    Actions in [-1, 1] are shares of the current's limit.
+
+    Args:
+        archive: The .zip file.
+        normalize: File of its saved VecNormalize; None without normalisation.
+        network: Network of the training; None if unknown.
+        memory: Features of the observations; None for unchanged signals.
+        head: Conversion of the output to a current; None for the usual one.
+        name: Name of the policy; None for the stem of the file.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The file is no such archive, or was trained for other spaces.
     """
     path, where = Path(archive), shown(str(archive), 200)
     file = _Zip(read_bytes(path, ARCHIVE_LIMIT), where)

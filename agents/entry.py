@@ -1,4 +1,4 @@
-"""Trained policies, offered to `isd-gym score` by the name of a shipped one, a policy folder or an SB3 .zip."""
+"""Entry point of trained policies for `isd-gym score`: a shipped policy, a policy folder or an archive of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -20,7 +20,21 @@ if TYPE_CHECKING:
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """The trained policy called `name`, or None if that is neither a shipped policy, a folder nor a .zip."""
+    """Return a trained policy as an entry of a score.
+
+    Args:
+        name: Name of a shipped policy, a policy folder, or a .zip file.
+        model: Network of the score.
+        cost: Without effect.
+        control_step: Control step [s].
+        options: `preview` [s], which must agree with the policy's.
+
+    Returns:
+        The entry; None for other names.
+
+    Raises:
+        InputError: The policy cannot be read, or does not fit the network, the control step or the preview.
+    """
     path = Path(name)
     if path.suffix == ".zip":
         from .convert import WARNING, convert
@@ -46,12 +60,20 @@ def open_policy(
 
 
 def names() -> list[str]:
-    """The shipped policies."""
+    """Return the names of the shipped policies.
+
+    Returns:
+        Names, sorted.
+    """
     return sorted(p.parent.name for p in SHIPPED.glob("*/policy.json"))
 
 
 def about() -> dict[str, str]:
-    """What each of them is, in a line, from its own file."""
+    """Return one-line descriptions of the shipped policies, from their files.
+
+    Returns:
+        Description by name.
+    """
     import json
 
     out = {}

@@ -1,4 +1,4 @@
-"""The LQG's estimate and law as a `Filter`: what a policy may remember instead of finding it out."""
+"""Estimate and law of the LQG as a `Filter`: memory that a policy need not learn."""
 
 from __future__ import annotations
 
@@ -18,18 +18,26 @@ from .memory import Filter, tuples
 if TYPE_CHECKING:
     from isd_gym.network import Network
 
-CARS, STEPS, FORGET = 32, 1500, 300  # of the drive that gives the spread of the state
-SEED = 800_000  # roads that nothing else uses
+CARS, STEPS, FORGET = 32, 1500, 300  # drive that gives the spread of the state
+SEED = 800_000  # seed of roads without other use
 
 
 def lqg_filter(
     network: Network, control_step: float = 5e-3, preview: float = 0.0, noise: float = 0.0
 ) -> Filter:
-    """The filter and law of `baselines.lqg` for `network`, in coordinates of unit spread as the LQG drives it.
+    """Return filter and law of `baselines.lqg` for a network, in coordinates of unit spread under the LQG.
 
-    `preview` [s]: of road ahead that both know. noise [-]: what the filter takes the sensors' to be, see `baselines.noisy`.
+    Args:
+        network: The car.
+        control_step: Control step [s].
+        preview: Known road ahead [s].
+        noise: Sensor noise that the filter assumes [-], see `baselines.noisy`.
 
-    Raises `InputError` for a network that has none: no car, no motor.
+    Returns:
+        The filter.
+
+    Raises:
+        InputError: The network is no car, or has no motor.
     """
     controller = Lqg(
         network, control_step=control_step, settings=LqgSettings(preview=preview, sensors=noisy(noise))
@@ -65,7 +73,7 @@ def lqg_filter(
 
 
 def _spread(controller: Lqg, network: Network, control_step: float) -> np.ndarray:
-    """Second moments (n, n) of the estimate while `controller` drives `network`."""
+    """Return the second moments (n, n) of the estimate while `controller` drives `network`."""
     env = ISDSuspensionVectorEnv(
         CARS,
         network=network,
@@ -84,5 +92,5 @@ def _spread(controller: Lqg, network: Network, control_step: float) -> np.ndarra
     x = np.concatenate(seen)
     moments = x.T @ x / len(x)
     size = np.sqrt(np.diag(moments))
-    # a hair on the diagonal: two coordinates may move as one
+    # a small diagonal term: two coordinates may move together
     return moments + 1e-6 * np.diag(size**2)

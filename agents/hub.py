@@ -1,8 +1,8 @@
-"""A policy as a folder for a model hub: the policy itself, a card with its results, and a film.
+"""A policy as a folder for a model hub: the policy, a card with its results, and a film.
 
-The card is `README.md` with the metadata that the Hugging Face Hub reads (`model-index`: task, environment, mean reward), and
-the table of the benchmark with this policy in it; `score.json` holds its single episodes, so that anybody can pair their own
-with them (`isd-gym card score.json`), and `replay.mp4` is shown beside the card. Nothing is uploaded.
+The card is `README.md` with the metadata of the Hugging Face Hub (`model-index`: task, environment, mean
+reward) and the benchmark's table including this policy. `score.json` holds the single episodes for paired
+comparisons (`isd-gym card score.json`). `replay.mp4` is shown beside the card. Nothing is uploaded.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 ENVIRONMENT = "ISDSuspension-v0"
 CARD, SCORE, FILM = "README.md", "score.json", "replay.mp4"
 HUB = ("hub folder", CARD, (CARD, SCORE, FILM, JSON_NAME, WEIGHTS_NAME))
-STEPS = 4000  # of an episode: its return is -J times that
+STEPS = 4000  # control steps of an episode; the return is -J times this number
 
 TEXT = """\
 # {title}
@@ -70,10 +70,20 @@ def write(
     seconds: float = 10.0,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Score `policy` on the benchmark's roads, film it beside the passive car, and write the folder; returns it.
+    """Score a policy on the benchmark's roads, film it beside the passive car, and write the folder.
 
-    episodes: fewer than the benchmark's 32 are paired with nobody. seconds: of the film. progress(task, share). The folder is
-    new, empty or an earlier one of the same kind; raises `InputError` for any other, and where films cannot be made.
+    Args:
+        policy: The policy.
+        folder: A new or empty folder, or an earlier hub folder.
+        episodes: Number of episodes; fewer than the benchmark's 32 cannot be paired.
+        seconds: Length of the film [s].
+        progress: Called with a task and its finished share.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: The folder holds other files, or films cannot be made.
     """
     check_folder(folder, *HUB)
     plant = Network.load("quarter-car-isd")
@@ -86,7 +96,7 @@ def write(
         for part in (JSON_NAME, WEIGHTS_NAME):
             (place / "policy" / part).rename(place / part)
         (place / "policy").rmdir()
-        # the film first: it is what may lack a library
+        # the film first, since it may lack a library
         film(
             [entry, passive(plant)],
             plant,
@@ -107,7 +117,7 @@ def _preview(policy: Policy) -> str:
 
 
 def _card(policy: Policy, title: str, found: dict[str, Any]) -> str:
-    """README.md: the hub's metadata, then the text."""
+    """Return README.md: the hub's metadata, then the text."""
     ours = next(name for name in found["raw"] if name != "passive")
     returns = -STEPS * np.array(found["raw"][ours]["cost"])
     row = next(r for r in found["policies"] if r["policy"] == ours)
@@ -116,7 +126,7 @@ def _card(policy: Policy, title: str, found: dict[str, Any]) -> str:
     try:
         references = cards.load(ENVIRONMENT)
         table = cards.table(references, cards.match(found, references)["track"], [found])
-    except InputError:  # fewer episodes, or a length of sight, that the references do not have
+    except InputError:  # fewer episodes, or another preview, than the references
         today = datetime.date.today().isoformat()
         own = cards.make(ENVIRONMENT, [cards.track(found, "own", found["command"])], today)
         table = cards.table(own, "own")

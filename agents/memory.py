@@ -1,10 +1,13 @@
-"""What a policy sees: measured signals, their changes, leaky integrals, the road ahead and a Kalman estimate, over fixed scales.
+"""Features of a policy: measured signals, their changes, leaky integrals, the road ahead and a Kalman estimate,
+over fixed scales.
 
-One observation is not the state of the car. Changes over the last steps carry what the sensors do not measure (the
-tyre's force follows from the balance of forces, the oil's deflection from the body's acceleration), and the leaky
-integral of the body's acceleration is its absolute velocity. A `Filter` says the same in the coordinates of the state:
-the estimate that the LQG acts on, and what the LQG would do. An `Echo` is the road ahead of the rear wheels. Fixed scales instead of running statistics: a
-policy means the same thing in training, in a checkpoint and in a car. Numpy alone, float32, one row a car.
+A single observation is not the state of the car. Changes over the last steps contain quantities without a
+sensor (the force of the tyre follows from the balance of forces, the deflection of the oil from the body's
+acceleration). The leaky integral of the body's acceleration is its absolute velocity. A `Filter` gives the
+same information in the coordinates of the state: the estimate and the command of the LQG. An `Echo` is the
+road ahead of the rear wheels. Scales are fixed instead of running statistics, so that a policy has the same
+meaning in training, in a checkpoint and in a car. The code needs only numpy, uses float32, and has one row
+per car.
 """
 
 from __future__ import annotations
@@ -21,41 +24,45 @@ from isd_gym.inputs import number
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-#: what a policy's file may ask for: states of a filter, signals, orders of change, the size of any number
+#: limits of a policy's file: states of a filter, signals, orders of change, magnitude of numbers
 STATES, SIGNALS, ORDERS, LARGEST = 64, 1024, 8, 1e12
 LONGEST, LEADERS = 1024, 8  # control steps of a delay, and wheels that lead
 
 
 @dataclass(frozen=True)
 class Filter:
-    """A steady Kalman filter and the law behind it as plain matrices, in coordinates z of about unit size.
+    """A steady Kalman filter with a control law as plain matrices, in coordinates z of about unit size.
 
-    ``free = A z + B I``; friction f in [-1, 1] of its level holds, ``S free = K f``, or slides, one row of S and K each;
-    ``z+ = x + L (y - C x - D I - F f)`` with ``x = free + G f``. Then the law ``I* = law z - force tanh(rate z)`` [A], of
-    which ``(I* - I) / slew`` within ±`reach` is a feature of each current. The offset [A] that the policy's head keeps from
-    the law is another one.
+    ``free = A z + B I``. Friction f in [-1, 1] of its level holds, ``S free = K f``, or slides; each friction
+    has one row of S and K. ``z+ = x + L (y - C x - D I - F f)`` with ``x = free + G f``. The law is ``I* =
+    law z - force tanh(rate z)`` [A]. Features of each current are ``(I* - I) / slew`` within ±`reach`, and
+    the offset [A] from the law in a policy's head.
 
-    With one current, B, D, law, rate, road, law_ahead, rate_ahead and force may be given flat.
+    With one current, B, D, law, rate, road, law_ahead, rate_ahead and force may be flat.
 
     Attributes:
-        A: (n, n).
-        B: (n, currents).
-        G: (n, frictions).
-        S: (frictions, n).
-        K: (frictions, frictions).
-        C: (signals, n), of the first signals y.
-        D: (signals, currents).
-        F: (signals, frictions).
-        L: (n, signals).
-        law: (currents, n).
-        rate: (currents, n).
-        force: Friction over thrust constant [A] (currents,).
-        slew: [A].
-        reach: [-].
-        current: Place of the first present current among the signals; the others follow.
-        road: (n, roads), effect on z of a known rise by 1 m over the last step; empty where no road is known.
-        law_ahead: (currents, points), what the rises of the next steps add to the law [1/m], road after road.
-        rate_ahead: (currents, points), what they add to the rate.
+        A: State matrix (n, n).
+        B: Response to the currents (n, currents).
+        G: Response to the frictions (n, frictions).
+        S: Rates of the frictions (frictions, n).
+        K: Rates of the frictions per friction (frictions, frictions).
+        C: Output matrix of the first signals y (signals, n).
+        D: Response of the signals to the currents (signals, currents).
+        F: Response of the signals to the frictions (signals, frictions).
+        L: Gain of the filter (n, signals).
+        law: Currents by the state (currents, n).
+        rate: Rates in the friction compensation by the state (currents, n).
+        force: Friction over thrust constant (currents,) [A].
+        slew: Scale of the law's features [A].
+        reach: Bound of the law's features [-].
+        current: Index of the first present current among the signals; the others follow.
+        road: Change of z per known rise of the road by 1 m over the last step (n, roads); empty without a
+            known road.
+        law_ahead: Currents per rise of the road in the next steps (currents, points) [A/m], road after road.
+        rate_ahead: Rates in the friction compensation per rise of the road (currents, points).
+
+    Raises:
+        InputError: A shape or a number is invalid.
     """
 
     A: tuple[tuple[float, ...], ...]
@@ -133,7 +140,7 @@ class Filter:
 
     @property
     def currents(self) -> int:
-        """Number of currents that the law commands."""
+        """Number of commanded currents."""
         return len(self.law)
 
     @property
@@ -148,29 +155,45 @@ class Filter:
 
     @property
     def width(self) -> int:
-        """Number of features: the estimate, the frictions, and for each current the law and the offset from it."""
+        """Number of features: the estimate, the frictions, and for each current the law and the offset from the law."""
         return len(self.B) + len(self.K) + 2 * self.currents
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Filter:
+        """Return a filter from plain data.
+
+        Args:
+            data: Value by attribute.
+
+        Returns:
+            The filter.
+
+        Raises:
+            InputError: A shape or a number is invalid.
+        """
         return cls(**{k: tuples(v) for k, v in data.items()})
 
 
 @dataclass(frozen=True)
 class Echo:
-    """Road ahead of the rear wheels, as the leading wheels of the same track met it.
+    """Road ahead of the rear wheels: the delayed road of the leading wheels in the same track.
 
-    The filter's estimate contains the rise of the road under each leading wheel in the control step that began `lag` steps
-    ago. A wheel at a distance behind it meets that rise after distance / speed. The rises of the next `points` steps
-    under it are features; those that no wheel has met yet are 0. A delay of a fraction of a step interpolates linearly.
+    The filter's estimate contains the rise of the road under each leading wheel in the control step that
+    began `lag` steps ago. A following wheel meets that rise after distance / speed. The rises of the next
+    `points` steps under each following wheel are features; unknown rises are 0. A delay with a fraction of a
+    step is interpolated linearly.
 
     Attributes:
-        rows: (leaders, n), rise [m] under each leading wheel by the filter's estimate.
-        followers: For each wheel that follows: the number of its leading wheel, and its distance behind that wheel [m].
+        rows: Rise under each leading wheel by the filter's estimate (leaders, n) [m].
+        followers: Index of the leading wheel, and distance behind the leading wheel [m], of each following
+            wheel.
         speed: Speed [m/s].
-        lag: Steps since the beginning of the step of that rise.
-        points: Number of rises of each follower.
+        lag: Age of the estimated rise [control steps].
+        points: Number of rises per following wheel.
         rise: Scale of a rise [m].
+
+    Raises:
+        InputError: A shape or a number is invalid.
     """
 
     rows: tuple[tuple[float, ...], ...]
@@ -216,18 +239,32 @@ class Echo:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Echo:
+        """Return an echo from plain data.
+
+        Args:
+            data: Value by attribute.
+
+        Returns:
+            The echo.
+
+        Raises:
+            InputError: A shape or a number is invalid.
+        """
         return cls(**{k: tuples(v) for k, v in data.items()})
 
     def weights(self, step: float) -> np.ndarray:
-        """Return how the rises ahead follow from those that were met (leaders, ages, followers * points).
+        """Return the weights of the measured rises in the rises ahead.
 
         A rise of age j was met in the step that began `lag` + j steps ago.
 
         Args:
             step: Control step [s].
 
+        Returns:
+            Weights (leaders, ages, followers * points).
+
         Raises:
-            InputError: At this speed, a delay is longer than `LONGEST` steps.
+            InputError: A delay is longer than `LONGEST` steps at this speed.
         """
         delays = [distance / (self.speed * step) for _, distance in self.followers]
         if max(delays) > LONGEST:
@@ -250,18 +287,36 @@ class Echo:
 
 
 def tuples(value: Any) -> Any:
+    """Return nested lists as nested tuples.
+
+    Args:
+        value: Nested lists, or any other value.
+
+    Returns:
+        Nested tuples, or the value.
+    """
     return tuple(tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True)
 class Memory:
-    """How features are made of observations.
+    """Definition of the features of observations. Without scales, the signals are unchanged.
 
-    scale: of each signal [its SI unit]. change: of its change over one control step; changes of order 1 to `order` are
-    fed, each over it. leak: signal index -> (time constant [s], scale) of leaky integrals.
-    ahead: points of the road ahead that follow the signals in an observation, one a control step; their rises are fed over
-    `rise` [m]. filter: an estimate fed besides. echo: road before the rear wheels, fed before the estimate. step: control
-    step [s]. No scale means that the signals pass unchanged.
+    Attributes:
+        scale: Scale of each signal [SI unit of the signal].
+        change: Scale of each signal's change over a control step.
+        order: Highest order of change among the features.
+        leak: Index of the signal, time constant [s] and scale of each leaky integral.
+        step: Control step [s].
+        filter: Estimate among the features; None without an estimate.
+        ahead: Number of heights of the road ahead after the signals in an observation, one per control step.
+        rise: Scale of the rises of the road ahead [m]; RMS of the paper's road over a control step by
+            default.
+        echo: Road before following wheels, before the estimate among the features; None without following
+            wheels.
+
+    Raises:
+        InputError: A value is outside its limits.
     """
 
     scale: tuple[float, ...] = ()
@@ -271,7 +326,7 @@ class Memory:
     step: float = 5e-3
     filter: Filter | None = None
     ahead: int = 0
-    rise: float = 1.4e-3  # RMS of the paper's road over a control step
+    rise: float = 1.4e-3
     echo: Echo | None = None
 
     def __post_init__(self) -> None:
@@ -312,7 +367,17 @@ class Memory:
                 )
 
     def width(self, signals: int) -> int:
-        """Number of features of `signals` measured signals (the road ahead not among them)."""
+        """Return the number of features.
+
+        Args:
+            signals: Number of measured signals, without the road ahead.
+
+        Returns:
+            Number of features.
+
+        Raises:
+            InputError: The memory was made for another number of signals.
+        """
         if self.scale and signals != len(self.scale):
             raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
         return signals * (1 + self.order) + self.extra
@@ -324,10 +389,26 @@ class Memory:
         return len(self.leak) + self.ahead + echo + (self.filter.width if self.filter else 0)
 
     def to_dict(self) -> dict[str, Any]:
+        """Return the memory as plain data.
+
+        Returns:
+            Value by attribute.
+        """
         return asdict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Memory:
+        """Return a memory from plain data.
+
+        Args:
+            data: Value by attribute.
+
+        Returns:
+            The memory.
+
+        Raises:
+            InputError: A value is missing or invalid.
+        """
         try:
             return cls(
                 scale=tuple(float(s) for s in data.get("scale", ())),
@@ -346,12 +427,24 @@ class Memory:
             raise InputError(f"memory: {error}") from None
 
     def start(self, observations: np.ndarray) -> Recall:
-        """Memory of cars that begin now, at `observations` (count, signals, then the road ahead)."""
+        """Return the memory of cars at the start of an episode.
+
+        Args:
+            observations: Observations (count, signals, then the road ahead).
+
+        Returns:
+            The cars' memory.
+        """
         return Recall(self, observations)
 
 
 class Recall:
-    """The memory of `count` cars: `features` (count, width) float32 of what was seen so far."""
+    """The memory of several cars; `features` (count, width) float32 are the present features.
+
+    Args:
+        memory: Definition of the features.
+        observations: Observations (count, signals, then the road ahead) at the start of an episode.
+    """
 
     def __init__(self, memory: Memory, observations: np.ndarray) -> None:
         self.memory = memory
@@ -378,7 +471,12 @@ class Recall:
         self.begin(np.ones(count, bool), observations)
 
     def begin(self, which: np.ndarray, observations: np.ndarray) -> None:
-        """Forget the cars `which` (mask): they start anew at `observations` (count, signals)."""
+        """Restart the memory of some cars.
+
+        Args:
+            which: Mask of the cars (count,).
+            observations: Observations of all cars (count, signals, then the road ahead).
+        """
         f, n = self.features, self._signals
         f[which] = 0.0
         f[which, :n] = observations[which, :n] / self.scale
@@ -390,14 +488,21 @@ class Recall:
             self.filter.wanted[which] = 0.0
 
     def _rises(self, observations: np.ndarray) -> np.ndarray:
-        """By how much the road rises in the next control steps, over its scale (count, ahead)."""
+        """Return the scaled rises of the road in the next control steps (count, ahead)."""
         heights = observations[:, self._signals :]
         out = heights / self._rise
         out[:, 1:] -= heights[:, :-1] / self._rise
         return out
 
     def see(self, observations: np.ndarray) -> np.ndarray:
-        """Take in the next observations (count, signals); returns `features`, valid until the next call."""
+        """Update the features with the next observations.
+
+        Args:
+            observations: Observations (count, signals, then the road ahead).
+
+        Returns:
+            Features (count, width), valid until the next call.
+        """
         f, n = self.features, self._signals
         new: np.ndarray = observations[:, :n] / self.scale
         for k, ratio in enumerate(self.ratios):
@@ -443,7 +548,7 @@ class _Echo:
 
 
 class _Filter:
-    """The arithmetic of `Filter`, on rows of its features."""
+    """The arithmetic of `Filter` on rows of its features."""
 
     def __init__(self, given: Filter, count: int) -> None:
         n, nf, ny, m = len(given.B), len(given.K), len(given.D), given.currents
@@ -468,7 +573,8 @@ class _Filter:
         self.gain = L.T.astype(np.float32)
         self.rows = np.concatenate([array("law", m, n), array("rate", m, n)]).T.astype(np.float32)
         self.push = np.array(given.force, np.float32)
-        # the road: how a rise moves the rate at which a friction would slide, and the estimate; and the law ahead
+        # effect of a rise of the road on the sliding rate of each friction and on the estimate; and the law
+        # ahead
         roads = given.roads
         road = array("road", n, roads) if roads else np.zeros((n, 0))
         self.road_stick = (S @ road / np.diag(K)[:, None]).T.astype(np.float32)

@@ -1,4 +1,4 @@
-"""ONNX export, for people who deploy: one control step as a graph, the memory an input and an output of it."""
+"""ONNX export for deployment: one control step as a graph, with the memory as an input and an output."""
 
 from __future__ import annotations
 
@@ -17,11 +17,21 @@ OPSET = 17
 
 
 def export_onnx(policy: Policy, path: str | Path) -> Path:
-    """Write one control step of `policy` to `path`.
+    """Write one control step of a policy as an ONNX graph.
 
-    Inputs: ``observation`` (cars, signals) in SI units, ``memory`` (cars, features), ``first`` (cars, 1), 1 where an
-    episode begins and 0 elsewhere. Outputs: ``current`` (cars, currents) [A] and ``next_memory``, to be handed back at the
-    next step.
+    Inputs are ``observation`` (cars, signals) in SI units, ``memory`` (cars, features), and ``first`` (cars,
+    1), which is 1 at the start of an episode and 0 otherwise. Outputs are ``current`` (cars, currents) [A]
+    and ``next_memory``, the memory of the next step.
+
+    Args:
+        policy: The policy.
+        path: File to write.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: The package onnx is missing, or the policy cannot be exported.
     """
     try:
         import onnx
@@ -55,7 +65,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
     width = recall.features.shape[1]
 
     def estimate(filter: Any, at: int) -> list[str]:
-        """The blocks of a filter's features, which begin at column `at`; the law's current is named `wanted`."""
+        """Return the blocks of a filter's features from column `at`; the current of the law is named `wanted`."""
         if filter.nf > 1:
             raise InputError(
                 f"policy '{policy.name}': the ONNX export knows one dry friction, not {filter.nf}"

@@ -1,9 +1,9 @@
-"""What a pickle says, without doing it.
+"""The content of a pickle, without executing the pickle.
 
-`pickle.Unpickler` calls what the file tells it to call, and even an allowed constructor of arrays can be told to make
-pointers out of bytes. Here the opcodes are read one by one and nothing is ever called: a class or function of
-the file is a `Name`, a call of it a `Thing` with its arguments and its state, and `array` makes the few kinds of
-arrays that there may be, from a fixed list of numeric types and with every size checked beforehand.
+`pickle.Unpickler` calls functions that the file names; even a permitted array constructor can be made to
+interpret bytes as pointers. Here the opcodes are read one by one, and nothing is called. A class or function
+in the file becomes a `Name`, and a call becomes a `Thing` with its arguments and its state. `array` makes the
+few permitted kinds of arrays from a fixed list of numeric types, after a check of every size.
 """
 
 from __future__ import annotations
@@ -25,7 +25,12 @@ DIMENSIONS = 8
 
 
 class Name(NamedTuple):
-    """A class or function that the pickle names."""
+    """A class or function in a pickle.
+
+    Attributes:
+        module: Name of the module.
+        name: Name in the module.
+    """
 
     module: str
     name: str
@@ -33,7 +38,13 @@ class Name(NamedTuple):
 
 @dataclass(eq=False)
 class Thing:
-    """A call that the pickle asks for: of what, with which arguments, and the state set afterwards."""
+    """A call in a pickle.
+
+    Attributes:
+        made: The called `Name`.
+        arguments: Arguments.
+        state: State that is set after the call.
+    """
 
     made: Any
     arguments: tuple[Any, ...]
@@ -42,7 +53,11 @@ class Thing:
 
 @dataclass(frozen=True)
 class Stored:
-    """A reference to data outside the pickle (torch keeps the numbers there)."""
+    """A reference to data outside the pickle (the numbers of torch's tensors).
+
+    Attributes:
+        key: Persistent id.
+    """
 
     key: Any
 
@@ -55,17 +70,25 @@ _MARK = _Mark()
 
 
 def read_pickle(data: bytes) -> Any:
-    """The outline of a pickle: plain values, lists, tuples, dicts, `Name`, `Thing` and `Stored`.
+    """Return the outline of a pickle: plain values, lists, tuples, dicts, `Name`, `Thing` and `Stored`.
 
-    Keys of dicts that are no plain values are passed over. Raises `InputError` for what is no pickle of at most
-    `OPCODES` steps.
+    Keys of dicts that are no plain values are skipped.
+
+    Args:
+        data: The pickle.
+
+    Returns:
+        The outline.
+
+    Raises:
+        InputError: The data are no pickle of at most `OPCODES` steps.
     """
     stack: list[Any] = []
     memo: dict[int, Any] = {}
 
     def since_mark() -> list[Any]:
         at = len(stack) - 1
-        while stack[at] is not _MARK:  # runs out with an IndexError where there is none
+        while stack[at] is not _MARK:  # IndexError without a mark
             at -= 1
         items = stack[at + 1 :]
         del stack[at:]
@@ -160,11 +183,11 @@ def read_pickle(data: bytes) -> Any:
                     stack[-1].state = state
             elif name == "BINPERSID":
                 stack.append(Stored(stack.pop()))
-            else:  # extension codes, out-of-band buffers: nothing that is read here has them
+            else:  # extension codes and out-of-band buffers do not occur in supported files
                 raise ValueError(name)
     except InputError:
         raise
-    except Exception as error:  # an opcode that finds nothing on the stack, a text that is none
+    except Exception as error:  # an opcode on an empty stack, or an invalid text
         raise InputError(f"not a pickle that can be read ({type(error).__name__})") from None
     raise InputError("a pickle without an end")
 
@@ -179,14 +202,24 @@ ORDERED = Name("collections", "OrderedDict")
 
 
 def _items_of(thing: Thing) -> dict[Any, Any]:
-    """Where the items of something like a dict are kept: in the first argument of an `OrderedDict` of the outline."""
+    """Return the items of an outlined `OrderedDict`, which are kept in its first argument."""
     if not (thing.arguments and isinstance(thing.arguments[0], dict)):
         thing.arguments = ({}, *thing.arguments[1:])
     return thing.arguments[0]
 
 
 def mapping(value: Any) -> Mapping[Any, Any]:
-    """The items of a dict or an `OrderedDict`; raises `InputError` for anything else."""
+    """Return the items of a dict or an `OrderedDict`.
+
+    Args:
+        value: Part of an outline.
+
+    Returns:
+        The items.
+
+    Raises:
+        InputError: The value is no dictionary.
+    """
     if isinstance(value, dict):
         return value
     if isinstance(value, Thing) and value.made == ORDERED:
@@ -196,7 +229,7 @@ def mapping(value: Any) -> Mapping[Any, Any]:
 
 # ------------------------------------------------------------------------------------------- arrays
 
-#: the only kinds of numbers there are, by numpy's letter and torch's storage
+#: supported kinds of numbers, by numpy's letter and torch's storage
 KINDS: dict[str, np.dtype[Any]] = {
     "f4": np.dtype("<f4"),
     "f8": np.dtype("<f8"),
@@ -214,7 +247,18 @@ STORAGES: dict[str, np.dtype[Any]] = {
 
 
 def sizes(value: Any, what: str) -> tuple[int, ...]:
-    """A tuple of at most eight whole numbers >= 0; raises `InputError`."""
+    """Return the sizes of an array.
+
+    Args:
+        value: Part of an outline.
+        what: Description of the value, for messages.
+
+    Returns:
+        At most eight integers >= 0.
+
+    Raises:
+        InputError: The value is no such tuple.
+    """
     if (
         not isinstance(value, tuple | list)
         or len(value) > DIMENSIONS
@@ -225,7 +269,20 @@ def sizes(value: Any, what: str) -> tuple[int, ...]:
 
 
 def from_bytes(data: Any, kind: np.dtype[Any], shape: Any, fortran: bool = False) -> np.ndarray:
-    """An array of the bytes `data`, which must be exactly as many as `shape` holds; raises `InputError`."""
+    """Return an array from its bytes.
+
+    Args:
+        data: Bytes of the array.
+        kind: Numeric type.
+        shape: Shape.
+        fortran: Whether the order is column-major.
+
+    Returns:
+        The array.
+
+    Raises:
+        InputError: The number of bytes does not fit the shape.
+    """
     dims = sizes(shape, "an array's sizes")
     if isinstance(data, Thing):  # protocols below 3 have no bytes
         text = data.arguments[0] if data.made == Name("_codecs", "encode") and data.arguments else ""
@@ -236,9 +293,19 @@ def from_bytes(data: Any, kind: np.dtype[Any], shape: Any, fortran: bool = False
 
 
 def tensor(storage: np.ndarray, offset: Any, size: Any, stride: Any) -> np.ndarray:
-    """The tensor of torch's `size` and `stride` [elements] at `offset` of a storage, copied; raises `InputError`.
+    """Return a tensor as a copy of elements of a storage.
 
-    Every element lies in the storage, and there are no more of them than the storage has.
+    Args:
+        storage: Storage (n,).
+        offset: First element.
+        size: Shape.
+        stride: Strides [elements].
+
+    Returns:
+        The tensor.
+
+    Raises:
+        InputError: An element is outside the storage, or the tensor has more elements than the storage.
     """
     (start,) = sizes((offset,), "a tensor's offset")
     dims, steps = sizes(size, "a tensor's sizes"), sizes(stride, "a tensor's strides")
@@ -256,7 +323,17 @@ def tensor(storage: np.ndarray, offset: Any, size: Any, stride: Any) -> np.ndarr
 
 
 def kind_of(value: Any) -> np.dtype[Any]:
-    """The numeric type that a pickled `numpy.dtype` names; raises `InputError` for any other, or a foreign byte order."""
+    """Return the numeric type of a pickled `numpy.dtype`.
+
+    Args:
+        value: Part of an outline.
+
+    Returns:
+        Numeric type.
+
+    Raises:
+        InputError: Another type, or a foreign byte order.
+    """
     if isinstance(value, Thing) and value.made == Name("numpy", "dtype") and value.arguments:
         code, state = value.arguments[0], value.state
         plain = state is None or (
@@ -271,7 +348,17 @@ def kind_of(value: Any) -> np.dtype[Any]:
 
 
 def array(value: Any) -> np.ndarray:
-    """The array or scalar that numpy pickled, or a plain number; raises `InputError` for anything else."""
+    """Return a pickled numpy array or scalar, or a plain number.
+
+    Args:
+        value: Part of an outline.
+
+    Returns:
+        The array.
+
+    Raises:
+        InputError: The value is no array of numbers.
+    """
     if isinstance(value, int | float) and not isinstance(value, bool):
         try:
             return np.array(float(value))

@@ -1,7 +1,7 @@
-"""A policy as plain C without dependencies (C99 and libm): what a controller on a car or a bench compiles in.
+"""A policy as plain C without dependencies (C99 and libm), for a controller on a car or a bench.
 
-The memory, the estimate and the network are written out as numbers; a step allocates nothing and takes a fixed number of
-operations. The header says inputs, units, order and step.
+Memory, estimate and network are written as numbers. A step allocates nothing and has a fixed number of
+operations. The header documents inputs, units, order and step.
 """
 
 from __future__ import annotations
@@ -64,9 +64,19 @@ def _array(name: str, values: Any) -> str:
 
 
 def export_c(policy: Policy, folder: str | Path) -> tuple[Path, Path]:
-    """Write `policy` as NAME.h and NAME.c into `folder`, which is made; their paths.
+    """Write a policy as C code.
 
-    Arithmetic is that of `Policy`, in float: commands agree to rounding. Raises `InputError` where nothing can be written.
+    The arithmetic is that of `Policy` in float: commands agree to rounding.
+
+    Args:
+        policy: The policy.
+        folder: Folder of the files; created if missing.
+
+    Returns:
+        Paths of the header NAME.h and the source NAME.c.
+
+    Raises:
+        InputError: A file cannot be written.
     """
     folder = make_folder(folder)
     name = re.sub(r"\W", "_", policy.name, flags=re.ASCII)
@@ -88,7 +98,7 @@ def _header(policy: Policy, name: str) -> str:
         )
     training = policy.info.get("training")
     command = training.get("command") if isinstance(training, dict) else None
-    # what a file says of itself may not end the comment it stands in
+    # text from a file must not end the surrounding comment
     origin = re.sub(r"[^ -~]|[*/\\]", " ", str(command or "a policy folder"))
     echo, several = policy.memory.echo, policy.currents > 1
     met = ""
@@ -208,7 +218,7 @@ def _filter(recall: Recall, at: int, road: int) -> tuple[list[str], list[str]]:
     assert filter is not None
     given, n, nf, ny, m = filter.given, filter.n, filter.nf, filter.ny, filter.m
     now = n + m
-    # columns of each product lie side by side
+    # columns of each product are contiguous
     constants = [
         _array("filter_free", filter.free.T),
         _array("filter_gain", filter.gain.T),

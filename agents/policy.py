@@ -1,4 +1,4 @@
-"""A policy folder: weights as safetensors and `policy.json`; loads and runs with numpy alone, and never runs code.
+"""A policy folder: weights as safetensors and `policy.json`; needs only numpy, and executes no code.
 
 from agents.policy import Policy
 
@@ -37,19 +37,26 @@ if TYPE_CHECKING:
 SCHEMA = "isd-policy/1"
 JSON_NAME, WEIGHTS_NAME = "policy.json", "weights.safetensors"
 POLICY = ("policy", JSON_NAME, (JSON_NAME, WEIGHTS_NAME))
-#: what a policy's files may ask for: bytes of a file, tensors, layers, neurons of a layer
+#: limits of a policy's files: bytes of a file, tensors, layers, neurons of a layer
 FILE_LIMIT, TENSORS, LAYERS, WIDTH = 256 * 2**20, 256, 32, 8192
-FEATURE_LIMIT = 10.0  # features beyond ten times their scale tell the policy nothing more
+FEATURE_LIMIT = 10.0  # features are clipped at ten times their scale
 SHIPPED = Path(__file__).parent / "policies"
 
 
 @dataclass(frozen=True)
 class Head:
-    """From a number in [-1, 1] for each motor to its commanded current [A].
+    """Conversion of a policy's output in [-1, 1] to the commanded current of each motor.
 
-    mode `target`: the share of `limit` [A]; `increment`: the present current plus the share of `slew` [A]; `residual`: what
-    the law of the memory's filter commands plus an offset, which keeps `keep` of itself at each step and
-    gains the share of `gain` [A].
+    Attributes:
+        mode: 'target' for a share of `limit`; 'increment' for the present current plus a share of `slew`;
+            'residual' for the law of the memory's filter plus an offset.
+        limit: Largest current [A].
+        slew: Largest change of current per control step [A].
+        keep: Factor on the offset of a residual at each step [-].
+        gain: Change of the offset of a residual at output 1 [A].
+
+    Raises:
+        InputError: A value is outside its limits.
     """
 
     mode: str = "target"
@@ -71,12 +78,15 @@ class Head:
             raise InputError(f"the action's gain must be at most {2 * CURRENT_LIMIT:g} A, not {self.gain:g}")
 
     def current(self, share: np.ndarray, present: np.ndarray, recall: Recall | None = None) -> np.ndarray:
-        """Return the commanded currents [A] (count, currents).
+        """Return the commanded currents.
 
         Args:
-            share: Output of the network (count, currents), in [-1, 1].
-            present: Present currents [A] (count, currents).
-            recall: Memory of the cars, which a residual reads, and where its offset is kept.
+            share: Output of the network (count, currents) in [-1, 1].
+            present: Present currents (count, currents) [A].
+            recall: Memory of the cars, with the law and the offset of a residual.
+
+        Returns:
+            Currents (count, currents) [A].
         """
         if self.mode == "target":
             return share * np.float32(self.limit)
@@ -89,13 +99,14 @@ class Head:
         return np.clip(present + share * np.float32(self.slew), -self.limit, self.limit)
 
     def share(self, current: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """Return the output (count, currents) in [-1, 1] that commands `current`, as nearly as there is one.
-
-        A residual starts from the law itself: 0.
+        """Return the output that commands given currents, as nearly as possible; zero for a residual.
 
         Args:
-            current: Wanted currents [A] (count, currents).
-            present: Present currents [A] (count, currents).
+            current: Wanted currents (count, currents) [A].
+            present: Present currents (count, currents) [A].
+
+        Returns:
+            Output (count, currents) in [-1, 1].
         """
         if self.mode == "residual":
             return np.zeros_like(current)
@@ -110,7 +121,14 @@ _DTYPES: dict[str, np.dtype[Any]] = {"F32": np.dtype("<f4"), "F64": np.dtype("<f
 
 
 def write_safetensors(tensors: Mapping[str, np.ndarray]) -> bytes:
-    """The tensors (float32) in the safetensors format: length of the header, JSON header, bytes."""
+    """Return tensors (float32) in the safetensors format: length of the header, JSON header, bytes.
+
+    Args:
+        tensors: Array by name.
+
+    Returns:
+        Content of the file.
+    """
     header, parts, offset = {}, [], 0
     for name, value in sorted(tensors.items()):
         data = np.ascontiguousarray(value, "<f4").tobytes()
@@ -127,7 +145,18 @@ def write_safetensors(tensors: Mapping[str, np.ndarray]) -> bytes:
 
 
 def read_safetensors(data: bytes, where: str = "weights") -> dict[str, np.ndarray]:
-    """The tensors of a safetensors file as float arrays; `InputError` if it is not one."""
+    """Return the tensors of a safetensors file.
+
+    Args:
+        data: Content of the file.
+        where: Name of the file, for messages.
+
+    Returns:
+        Float array by name.
+
+    Raises:
+        InputError: The data are no safetensors file of floats.
+    """
     try:
         (length,) = struct.unpack_from("<Q", data)
         if length > len(data) - 8:
@@ -162,24 +191,34 @@ def _relu(x: np.ndarray) -> np.ndarray:
 
 
 ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
-OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash theirs
+OUTPUTS = ("clip", "tanh")  # PPO clips its mean; SAC and TD3 squash their output
 
 
 class Policy:
-    """A multilayer perceptron on features of the observations. Same interface as every controller of `baselines`.
+    """A multilayer perceptron on features of the observations, with the interface of the controllers in `baselines`.
 
-    The observation ends with the present currents, one for each output of the network.
+    An observation ends with the present currents, one per output of the network.
 
-    weights: [(W (out, in), b (out,)), ...]. mean, scale (features,): (feature - mean) / scale, clipped at `clip`.
-    info: the rest of policy.json (origin, training, score).
+    Args:
+        weights: Weights (out, in) and biases (out,) of each layer.
+        memory: Features of the observations; None for unchanged signals.
+        head: Conversion of the output to a current; None for the target current.
+        activation: Activation between the layers, 'tanh' or 'relu'.
+        output: Activation after the last layer, 'tanh' or 'clip'.
+        mean: Mean of the features (features,); None for zero.
+        scale: Scale of the features (features,); None for one.
+        clip: Bound of the normalised features.
+        name: Name in scores.
+        network: Network of the training; None if unknown.
+        info: Further content of policy.json (origin, training, score).
 
-    memory: what makes features of observations. head: what makes a current of the output. activation: between the
-    layers; output: after the last, tanh or clip. name: under which it is scored. network: what it was trained on.
+    Raises:
+        InputError: A shape or a value is invalid.
     """
 
     observation = "measured"
     preview = 0.0
-    #: times the policy could not answer and something else stood in: never
+    #: number of steps with a substitute command: always 0
     fallbacks = 0
 
     def __init__(
@@ -209,7 +248,7 @@ class Policy:
         if not (isinstance(clip, int | float) and clip > 0):
             raise InputError(f"clip must be > 0, not {shown(clip)}")
         self.activation, self.output, self.clip, self.name = activation, output, float(clip), name
-        #: the network it was trained on
+        #: network of the training
         self.model = network
         self.info = dict(info or {})
         if len(weights) > LAYERS:
@@ -260,7 +299,7 @@ class Policy:
         if not max(needed, default=0) < self.signals:
             raise InputError(f"the policy reads signal {max(needed)}, the observation has {self.signals}")
         if self.memory.ahead:
-            #: what it wants to see: this many seconds of the road ahead
+            #: length of the previewed road [s]
             self.observation, self.preview = "preview", self.memory.ahead * self.memory.step
         self._transposed = [(np.ascontiguousarray(w.T), b) for w, b in self.weights]
         self._act = ACTIVATIONS[activation]
@@ -269,30 +308,43 @@ class Policy:
     # -------------------------------------------------------------------------------------- running
 
     def reset(self) -> None:
-        """Forget the past: a new episode begins."""
+        """Clear the memory: a new episode begins."""
         self._recall = None
 
     def act(self, observation: np.ndarray) -> float | np.ndarray:
-        """Return the commanded current [A] for the next control step, or currents (currents,) of a car with several.
+        """Return the commanded current for the next control step.
 
         Args:
-            observation: What the car measures (signals,).
+            observation: Observation (signals,).
+
+        Returns:
+            Current [A], or currents (currents,) [A] of a car with several motors.
         """
         wanted: np.ndarray = self.act_batch(np.asarray(observation, np.float32)[None])[0]
         return float(wanted) if self.currents == 1 else wanted
 
     def reset_batch(self, count: int) -> None:
-        """Forget the past of `count` cars."""
+        """Clear the memory of all cars.
+
+        Args:
+            count: Number of cars.
+        """
         self._recall = None
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return commanded currents float32 [A]: (count,), or (count, currents) of cars with several.
+        """Return the commanded currents; each car has a separate memory.
 
         Args:
-            observations: What the cars measure (count, signals); car i has its own memory.
+            observations: Observations (count, signals).
+
+        Returns:
+            Currents float32 [A], (count,) or (count, currents).
+
+        Raises:
+            InputError: The observations have another width.
         """
         obs = np.asarray(observations, np.float32)
-        if not math.isfinite(obs.sum()):  # a broken sensor reads nothing
+        if not math.isfinite(obs.sum()):  # an invalid sensor value is read as zero
             obs = np.where(np.isfinite(obs), obs, np.float32(0.0))
         recall = self._recall
         if recall is None or len(recall.features) != len(obs):
@@ -309,12 +361,19 @@ class Policy:
         wanted = self.head.current(self.share(features), present, recall)
         if self.currents == 1:
             wanted = wanted[:, 0]
-        if not math.isfinite(wanted.sum()):  # numbers that overflowed on the way command nothing
+        if not math.isfinite(wanted.sum()):  # an overflow commands zero current
             wanted = np.where(np.isfinite(wanted), wanted, np.float32(0.0))
         return wanted
 
     def share(self, features: np.ndarray) -> np.ndarray:
-        """The network itself: features (count, features) -> (count, currents) in [-1, 1]."""
+        """Return the output of the network.
+
+        Args:
+            features: Features (count, features).
+
+        Returns:
+            Output (count, currents) in [-1, 1].
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             x = np.clip((features - self.mean) / self.scale, -self.clip, self.clip)
             for w, b in self._transposed[:-1]:
@@ -324,19 +383,26 @@ class Policy:
         return np.tanh(y) if self.output == "tanh" else np.clip(y, -1.0, 1.0)
 
     def copy(self) -> Policy:
-        """The same policy with a memory of its own."""
+        """Return the policy with a separate memory.
+
+        Returns:
+            The copy.
+        """
         other = copy(self)
         other._recall = None
         return other
 
     def at_speed(self, speed: float) -> Policy:
-        """Return the policy with the delay of the rear road set for a speed; itself if it knows no such delay.
+        """Return the policy with the delay of the rear road for a speed.
 
         Args:
             speed: Speed of the car [m/s].
 
+        Returns:
+            A changed copy; the same policy if it has no such delay.
+
         Raises:
-            InputError: The speed is so low that the delay cannot be kept.
+            InputError: The speed is too low for the delay.
         """
         echo = self.memory.echo
         if echo is None or echo.speed == speed:
@@ -347,7 +413,14 @@ class Policy:
         return other
 
     def check(self, network: Network | str | Path) -> None:
-        """`InputError` unless `network` has the signals of the one that the policy was made for."""
+        """Check that a network has the inputs of the policy's network.
+
+        Args:
+            network: A network, a built-in name or a file.
+
+        Raises:
+            InputError: The inputs differ.
+        """
         net = Network.load(network)
         motors = len(vehicle(net).driven)
         if self.model is not None and motors != self.currents:
@@ -365,9 +438,16 @@ class Policy:
     # ---------------------------------------------------------------------------------------- files
 
     def save(self, folder: str | Path) -> Path:
-        """Write `policy.json` and the weights into `folder`; returns it.
+        """Write `policy.json` and the weights atomically.
 
-        The folder is new, empty or an earlier policy, which is replaced as a whole; raises `InputError` for any other.
+        Args:
+            folder: A new or empty folder, or an earlier policy, which is replaced as a whole.
+
+        Returns:
+            The folder.
+
+        Raises:
+            InputError: The folder holds other files, or cannot be written.
         """
         folder = Path(folder)
         tensors = {"normalisation.mean": self.mean, "normalisation.scale": self.scale}
@@ -396,7 +476,17 @@ class Policy:
 
     @classmethod
     def load(cls, folder: str | Path) -> Policy:
-        """Read a policy folder, or a shipped policy by its name (ppo, sac); `InputError` if anything is amiss."""
+        """Read a policy.
+
+        Args:
+            folder: A policy folder, or the name of a shipped policy (ppo, sac).
+
+        Returns:
+            The policy.
+
+        Raises:
+            InputError: A file is missing, altered or invalid.
+        """
         given, folder = folder, Path(folder)
         where = f"policy {shown(str(given), 200)}"
         if not os.path.exists(folder) and os.path.isfile(SHIPPED / str(given) / JSON_NAME):

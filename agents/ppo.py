@@ -1,10 +1,11 @@
-"""What Stable-Baselines3's PPO is given here: advantages relative to a group of cars, and no critic.
+"""Parts of PPO for Stable-Baselines3: advantages relative to a group of cars, and no critic.
 
-How good the next second will be depends on the road that comes far more than on one action. Cars of a group drive on
-the same road with their own exploration, so that what the road does to all of them cancels in their difference (a
-group's mean as baseline, as in GRPO: Shao et al., 2024, here at every step). The others' rewards do not depend on a car's
-own actions, so that nothing is biased. A critic was worse than none: near the optimum its errors, small beside the
-values, were larger than what is left of the gradient, and pointed elsewhere (docs/explanation/study.md).
+The reward of the next second depends on the coming road far more than on one action. Cars of a group drive on
+the same road with separate exploration, so that the common effect of the road cancels in their difference (a
+group's mean as baseline, as in GRPO: Shao et al., 2024, here at every step). The rewards of the other cars do
+not depend on a car's own actions, so that the gradient is unbiased. A critic was worse than none: near the
+optimum its errors, small relative to the values, exceeded the remaining gradient, and had another direction
+(docs/explanation/study.md).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class PPOPolicy(ActorCriticPolicy):
-    """`ActorCriticPolicy` whose values are zero, and stay so where the loss leaves them out."""
+    """`ActorCriticPolicy` with zero values, which stay zero if the loss excludes values."""
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
@@ -33,9 +34,18 @@ class PPOPolicy(ActorCriticPolicy):
 
 
 class GroupBuffer(RolloutBuffer):
-    """Advantages are discounted rewards to come, less their mean over the `group` cars on the same road.
+    """Rollout buffer whose advantages are discounted future rewards minus their mean over the cars on the same road.
 
-    The last `tail` steps of a rollout only tell what those before them led to; nothing is learnt at them.
+    The last `tail` steps of a rollout only complete the returns of earlier steps, and are not learned from.
+
+    Args:
+        args: Arguments of `RolloutBuffer`.
+        group: Number of consecutive cars on one road.
+        tail: Number of steps at the end of a rollout.
+        kwargs: Arguments of `RolloutBuffer` by name.
+
+    Raises:
+        InputError: The tail is negative or not shorter than the rollout.
     """
 
     def __init__(self, *args: Any, group: int = 1, tail: int = 0, **kwargs: Any) -> None:
@@ -47,6 +57,12 @@ class GroupBuffer(RolloutBuffer):
             )
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
+        """Compute the advantages of a finished rollout.
+
+        Args:
+            last_values: Without effect.
+            dones: Ends of episodes after the last step (cars,).
+        """
         grouped = self.rewards.reshape(self.buffer_size, -1, self.group)
         relative = (grouped - grouped.mean(axis=2, keepdims=True)).reshape(self.rewards.shape)
         follows = np.append(self.episode_starts[1:], dones[None].astype(np.float32), axis=0)
@@ -57,7 +73,14 @@ class GroupBuffer(RolloutBuffer):
         self.returns = self.advantages
 
     def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
-        """Minibatches of whole groups: rows that lie side by side are fetched more quickly than single ones."""
+        """Return minibatches of whole groups; contiguous rows are faster than single rows.
+
+        Args:
+            batch_size: Number of samples per minibatch; None for all.
+
+        Returns:
+            Minibatches.
+        """
         steps = self.buffer_size - self.tail
         total = steps * self.n_envs // self.group
         data = (self.observations, self.actions, self.values, self.log_probs, self.advantages, self.returns)

@@ -1,10 +1,11 @@
-"""Stable-Baselines3's SAC with a critic that learns how the cars of a group differ, and next to nothing else.
+"""SAC of Stable-Baselines3 with a critic that learns little more than the differences between the cars of a group.
 
-The gradient of a deterministic part of the policy is the critic's slope by the action, and one step of 5 ms changes
-a value by a thousandth of what the road does. Cars of a group drive on the same road; the critic is fitted to
-the temporal differences less their mean over the group, so that the road is no noise. What a value has in common for
-all cars of a road stays open, and no gradient of the actor depends on it. The critic knows the road ahead, which no action
-changes (Mao et al., ICLR 2019); the actor sees the first `seen` columns, which are all that a car can measure.
+The gradient of a deterministic part of the policy is the critic's slope by the action, and a step of 5 ms
+changes a value by a thousandth of the road's effect. Cars of a group drive on the same road. The critic is
+fitted to the temporal differences minus their mean over the group, so that the road adds no noise. The common
+value of all cars of a road stays undetermined; no gradient of the actor depends on it. The critic knows the
+road ahead, which no action changes (Mao et al., ICLR 2019). The actor sees the first `seen` columns, the
+measurable ones.
 """
 
 from __future__ import annotations
@@ -28,16 +29,23 @@ if TYPE_CHECKING:
 
 
 class Bilinear(nn.Module):
-    """``[s s', s (W r), hidden(x)]``: products of the state's columns s, with each other and with the road ahead r.
+    """Features ``[s s', s (W r), hidden(x)]``: products of the state's columns s with each other and with the road ahead r.
 
-    What a linear car's future costs is a sum of just these, so that the critic is nearly linear in what it learns.
+    The future cost of a linear car is a sum of these products, so that the critic is nearly linear in its
+    parameters.
+
+    Args:
+        inputs: Number of columns.
+        seen: Number of columns before the road ahead.
+        core: Columns of the state.
+        width: Number of hidden units.
     """
 
     def __init__(self, inputs: int, seen: int, core: list[int], width: int) -> None:
         super().__init__()
         self.seen, self.core, k = seen, core, len(core)
         one, other = torch.triu_indices(k, k)
-        # products of columns by way of matrices, which is quicker than gathering columns
+        # products of columns by matrices, faster than gathered columns
         self.one: torch.Tensor
         self.other: torch.Tensor
         self.register_buffer("one", torch.eye(k)[:, one], persistent=False)
@@ -48,15 +56,31 @@ class Bilinear(nn.Module):
         self.width = k * (k + 1) // 2 + 2 * k + width
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the features.
+
+        Args:
+            x: Columns (cars, inputs).
+
+        Returns:
+            Features (cars, width of the features).
+        """
         s = x[:, self.core]
         road = x[:, self.seen :] if self.road else torch.zeros_like(x[:, :1])
         return torch.cat([(s @ self.one) * (s @ self.other), s, s * self.cross(road), self.hidden(x)], dim=1)
 
 
 class Adam(torch.optim.Adam):
-    """Adam whose parameter groups may have a `factor` on the learning rate, which Stable-Baselines3 sets for all alike."""
+    """Adam with an optional `factor` on the learning rate per parameter group; Stable-Baselines3 sets one rate for all groups."""
 
     def step(self, closure: Any = None) -> Any:
+        """Run one step of the optimiser.
+
+        Args:
+            closure: Function that returns the loss; None without re-evaluation.
+
+        Returns:
+            Loss; None without a closure.
+        """
         rates = [group["lr"] for group in self.param_groups]
         for group in self.param_groups:
             group["lr"] *= group.get("factor", 1.0)
@@ -67,20 +91,41 @@ class Adam(torch.optim.Adam):
 
 
 class First(BaseFeaturesExtractor):
-    """The first columns."""
+    """The first columns.
+
+    Args:
+        space: Observation space.
+        seen: Number of columns.
+    """
 
     def __init__(self, space: spaces.Box, seen: int) -> None:
         super().__init__(space, seen)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the first columns.
+
+        Args:
+            x: Columns (cars, inputs).
+
+        Returns:
+            Columns (cars, seen).
+        """
         return x[:, : self.features_dim]
 
 
 class Critic(nn.Module):
-    """Action values (cars, 1) of observations and actions: `Bilinear`, the actions being columns of the state.
+    """Action values (cars, 1) of observations and actions: `Bilinear` with the actions as additional columns of the state.
 
-    Beside it ``a f(s) + a^2 g(s)``, summed over the actions, with a network of the actor's size: all that the actor learns
-    from is the slope by the action a, which must be as fine a function of what it sees as the actor itself.
+    The term ``a f(s) + a^2 g(s)`` is added, summed over the actions, with a network of the actor's size: the
+    actor learns from the slope by the action a alone, which must therefore be as flexible a function as the
+    actor.
+
+    Args:
+        inputs: Number of columns.
+        seen: Number of columns of the actor.
+        core: Columns of the state.
+        width: Number of hidden units.
+        actions: Number of actions.
     """
 
     def __init__(self, inputs: int, seen: int, core: list[int], width: int, actions: int = 1) -> None:
@@ -95,6 +140,15 @@ class Critic(nn.Module):
         self.optimizer: Any = None
 
     def forward(self, observations: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return the action values.
+
+        Args:
+            observations: Observations (cars, inputs).
+            actions: Actions (cars, 1).
+
+        Returns:
+            Tuple of one tensor (cars, 1).
+        """
         slope = self.slope(observations[:, : self.seen])
         own = actions * slope[:, : self.actions] + actions.square() * slope[:, self.actions :]
         if self.actions > 1:
@@ -102,11 +156,24 @@ class Critic(nn.Module):
         return (0.1 * own + self.out(self.body(torch.cat([actions, observations], dim=1))),)
 
     def set_training_mode(self, mode: bool) -> None:
+        """Set training or evaluation mode.
+
+        Args:
+            mode: Whether the mode is training.
+        """
         self.train(mode)
 
 
 class SACPolicy(_SACPolicy):
-    """SAC's policy with an actor that sees the first `seen` columns, and the critic above."""
+    """SAC's policy with an actor on the first `seen` columns, and `Critic` as critic.
+
+    Args:
+        args: Arguments of Stable-Baselines3's policy.
+        seen: Number of columns of the actor.
+        core: Columns of the state; None for all seen columns.
+        critic_rate: Learning rate of the critic as a multiple of the actor's.
+        kwargs: Arguments of Stable-Baselines3's policy by name.
+    """
 
     def __init__(
         self, *args: Any, seen: int, core: list[int] | None = None, critic_rate: float = 1.0, **kwargs: Any
@@ -115,9 +182,25 @@ class SACPolicy(_SACPolicy):
         super().__init__(*args, **kwargs)
 
     def make_actor(self, features_extractor: Any = None) -> Actor:
+        """Return the actor.
+
+        Args:
+            features_extractor: Without effect.
+
+        Returns:
+            The actor.
+        """
         return super().make_actor(First(self.observation_space, self.seen))  # type: ignore[arg-type]
 
     def make_critic(self, features_extractor: Any = None) -> Any:
+        """Return the critic.
+
+        Args:
+            features_extractor: Without effect.
+
+        Returns:
+            The critic.
+        """
         arch: Any = self.net_arch
         (inputs,) = self.observation_space.shape  # type: ignore[misc]
         core = self.core or list(range(self.seen))
@@ -136,25 +219,41 @@ class SACPolicy(_SACPolicy):
 
 
 class GroupReplayBuffer(ReplayBuffer):
-    """Samples whole groups: `group` cars in a row drove on the same road at the same time; returns over `n_steps`."""
+    """Replay buffer that samples whole groups of consecutive cars on the same road at the same time, with returns over `n_steps`.
+
+    Args:
+        args: Arguments of `ReplayBuffer`.
+        group: Number of consecutive cars on one road.
+        n_steps: Number of steps of a return.
+        gamma: Discount factor.
+        kwargs: Arguments of `ReplayBuffer` by name.
+    """
 
     def __init__(
         self, *args: Any, group: int = 1, n_steps: int = 1, gamma: float = 1.0, **kwargs: Any
     ) -> None:
         self.group, self.n_steps, self.gamma = group, n_steps, gamma
         super().__init__(*args, **kwargs)
-        #: whether a group explored (steps, groups): windows begin there
+        #: exploration of each group (steps, groups); windows begin at exploration steps
         self.explored = np.ones((self.buffer_size, self.n_envs // group), bool)
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
-        """`discounts` (rows, 1) is what is left of the value after the steps: episodes end by time alone."""
+        """Return a sample of whole groups; episodes end by time alone.
+
+        Args:
+            batch_size: Number of rows.
+            env: Normalisation of Stable-Baselines3.
+
+        Returns:
+            Rows; `discounts` (rows, 1) are the factors on the values after the steps.
+        """
         count = max(batch_size // self.group, 1)
         held = self.buffer_size if self.full else self.pos
         steps = min(self.n_steps, held)
         # the newest transitions begin no whole window
         begin = (np.arange(held - steps + 1) + (self.pos if self.full else 0)) % self.buffer_size
         known = np.flatnonzero(self.explored[begin])
-        if not len(known):  # so early that nobody has
+        if not len(known):  # no exploration so early
             known = np.arange(len(begin) * self.explored.shape[1])
         chosen = known[np.random.randint(len(known), size=count)]  # noqa: NPY002 (seeded by SB3)
         start, group = np.divmod(chosen, self.explored.shape[1])
@@ -165,7 +264,7 @@ class GroupReplayBuffer(ReplayBuffer):
 
         reward, lived = see(self.rewards), np.full(len(group) * self.group, steps)
         ends = see(self.dones)
-        if ends.any():  # what an episode leaves at its end is the value of its last state
+        if ends.any():  # the value at the end of an episode is that of its last state
             running = np.cumprod(1.0 - ends, axis=1)
             reward[:, 1:] *= running[:, :-1]
             lived = 1 + running[:, :-1].sum(axis=1).astype(int).ravel()
@@ -187,11 +286,19 @@ class GroupReplayBuffer(ReplayBuffer):
 
 
 class GroupSAC(SAC):
-    """SAC whose critic is fitted to what differs within a group of `group` cars.
+    """SAC with a critic that is fitted to the differences within a group of cars.
 
-    A group explores at a share `explore` of its steps, drawn at random, and is learnt from at those alone: what its cars do
-    in between adds no noise to what follows. `exploration`: standard deviation of noise on the actions besides the
-    policy's own, which vanishes near the limits. The actor learns at every `delay`-th update.
+    A group explores at a random share `explore` of its steps, and is learned from at these steps alone: the
+    actions in between add no noise to the returns.
+
+    Args:
+        args: Arguments of `SAC`.
+        group: Number of consecutive cars on one road.
+        explore: Share of steps at which a group explores.
+        exploration: Standard deviation of noise on the actions in addition to the policy's, which vanishes
+            near the limits.
+        delay: Number of critic updates per actor update.
+        kwargs: Arguments of `SAC` by name.
     """
 
     def __init__(
@@ -225,13 +332,26 @@ class GroupSAC(SAC):
         return actions, actions
 
     def common(self, error: torch.Tensor) -> torch.Tensor:
-        """The error (rows, 1) less its mean over the group."""
+        """Return an error minus its mean over the group.
+
+        Args:
+            error: Errors (rows, 1).
+
+        Returns:
+            Errors (rows, 1).
+        """
         if self.group == 1:
             return error
         grouped = error.reshape(-1, self.group)
         return (grouped - grouped.mean(dim=1, keepdim=True)).reshape(-1, 1)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
+        """Run updates of critic and actor.
+
+        Args:
+            gradient_steps: Number of updates.
+            batch_size: Number of rows per update.
+        """
         actor, critic, target = self.actor, self.critic, self.critic_target
         self._update_learning_rate([actor.optimizer, critic.optimizer])
         moves = next(actor.parameters()).requires_grad
@@ -251,7 +371,7 @@ class GroupSAC(SAC):
             if moves and self._n_updates % self.delay == 0:
                 critic.requires_grad_(False)
                 actions, log_prob = actor.action_log_prob(data.observations)
-                # not the averaged critic's slope, which lags behind the actor and makes it swing
+                # not the slope of the averaged critic, whose lag makes the actor oscillate
                 actor_loss = alpha * log_prob.mean() - critic(data.observations, actions)[0].mean()
                 actor.optimizer.zero_grad()
                 actor_loss.backward()

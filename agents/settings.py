@@ -1,10 +1,11 @@
-"""The tuned settings of training, one block per algorithm: everything that was chosen, and why.
+"""Tuned settings of training, one class per algorithm, with the reasons.
 
-Two things decide most of it. What one action of 5 ms changes is a thousandth of what the road does, so that the road
-must not be noise: cars in groups on one road learn from how they differ (`ppo`, `sac`). And a critic's errors lead the
-policy astray: PPO has none, SAC's looks over many steps, starts alone and learns faster than the policy. The simulation
-runs at millions of steps a second, so that the learner is what costs: small networks, large batches. What was tried,
-with figures: docs/explanation/study.md.
+Two facts decide most of the settings. First, an action of 5 ms has a thousandth of the road's effect, so that
+the road must not be noise: groups of cars on one road learn from their differences (`ppo`, `sac`). Second,
+errors of a critic mislead the policy: PPO has no critic; SAC's critic looks over many steps, starts alone and
+learns faster than the policy. The simulation runs at millions of steps per second, so that the learner
+dominates the time: networks are small and batches large. docs/explanation/study.md lists the trials with
+figures.
 """
 
 from __future__ import annotations
@@ -31,15 +32,19 @@ SCALE = {
     "device_travel_rate": (0.05, 0.012),
     "current": (2.5, 0.45),
 }
-#: the velocities of the body are leaky integrals of its accelerations: time constant [s], and scale over that of the acceleration
+#: velocities of the body are leaky integrals of its accelerations: time constant [s], and scale over that of
+#: the acceleration
 LEAK = (1.0, 0.07)
 
 
 def memory_of(car: Vehicle) -> Memory:
-    """Return what a policy remembers of a car's signals: first and second changes, and velocities of the body.
+    """Return the memory of a car's signals: first and second changes, and velocities of the body.
 
     Args:
         car: The car.
+
+    Returns:
+        The memory.
     """
     kinds = [signal.kind for signal in car.measured]
     scale, change = (tuple(SCALE[kind][k] for kind in kinds) for k in (0, 1))
@@ -53,7 +58,11 @@ MEMORY = memory_of(vehicle(Network.load("quarter-car-isd")))
 
 
 def robust() -> tuple[dict[str, Any], Sensors]:
-    """What ``--randomize`` varies: the ranges of the robust track, as the environment takes them, and its sensors."""
+    """Return the variations of ``--randomize``: those of the robust track.
+
+    Returns:
+        Ranges for the environment, and sensors.
+    """
     from isd_gym.grid import Grid
 
     given = dict(Grid.load("robust").random)
@@ -65,46 +74,84 @@ def robust() -> tuple[dict[str, Any], Sensors]:
 
 @dataclass(frozen=True)
 class Settings:
-    """What is common to both algorithms."""
+    """Settings of both algorithms.
 
-    steps: int  # control steps of all cars together
+    Attributes:
+        steps: Control steps of all cars.
+        cars: Number of cars.
+        memory: Features of the observations; None for `memory_of` the car.
+        filter: Whether the LQG's estimate and law are among the features.
+        ahead: Preview of the policy [s].
+        head: Conversion of an output to a current.
+        reward_scale: Factor on the reward.
+        reward_offset: Offset of the reward, near the mean reward for small values; changes no optimum.
+        teacher: Policy that is imitated at the start, see `warm`; "law" for the law of the memory's filter;
+            None for no imitation.
+        warm_steps: Control steps of 64 cars for the imitation.
+        warm_updates: Updates of the imitation.
+        averaging: Factor on the mean of the actor's weights per update; the mean is the policy.
+        evaluations: Number of evaluations in a training.
+        checkpoint_seconds: Interval between checkpoints [s].
+    """
+
+    steps: int
     cars: int
-    memory: Memory | None = None  # `memory_of` the car unless given
-    filter: bool = True  # the LQG's estimate and law among the features
-    ahead: float = 0.0  # s of road ahead that the policy sees
-    # increments of the current: exploration noise adds up to a smooth current instead of drowning in the drive's slew
-    # (PPO from nothing for 3 minutes, passive J 0.874: increments 0.700, targets 0.892); a residual on the LQG's law
-    # explores more, and was led astray by its critic (0.657 to 0.663 in 4 million steps)
+    memory: Memory | None = None
+    filter: bool = True
+    ahead: float = 0.0
+    # increments of the current: exploration noise adds up to a smooth current instead of being lost in the
+    # drive's slew limit (PPO without teacher for 3 minutes, passive J 0.874: increments 0.700, targets
+    # 0.892); a residual on the LQG's law explores more, and was misled by its critic (0.657 to 0.663 in 4
+    # million steps)
     head: Head = field(default_factory=lambda: Head("increment"))
     reward_scale: float = 0.1
-    reward_offset: float = 0.8  # near the mean, so that values are small; it changes no optimum
-    # imitated at the start, see `warm`; None: from nothing; "law": the law of the memory's filter
+    reward_offset: float = 0.8
     teacher: str | None = "mpc-friction"
-    warm_steps: int = 2500  # of 64 cars
+    warm_steps: int = 2500
     warm_updates: int = 2500
-    averaging: float = 0.97  # kept of the mean of the actor's weights at an update; the mean is the policy
-    evaluations: int = 12  # over the whole training
+    averaging: float = 0.97
+    evaluations: int = 12
     checkpoint_seconds: float = 60.0
 
     @property
     def rollout(self) -> int:
-        """Control steps of all cars between updates: a training ends after a whole number of rollouts."""
+        """Control steps of all cars between updates; a training ends after an integer number of rollouts."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class PPOSettings(Settings):
+    """Settings of PPO, in addition to `Settings`.
+
+    Attributes:
+        steps: Control steps of all cars.
+        cars: Number of cars.
+        group: Number of cars on one road, see `ppo`.
+        horizon: Steps of each car between updates.
+        tail: Last of these steps, which only complete the returns of earlier steps.
+        batch: Number of samples per minibatch.
+        epochs: Passes over a rollout; fresh roads cost less than another pass.
+        learning_rate: Learning rate at the start, which falls linearly to a fiftieth.
+        gamma: Discount factor: half a second, longer than the effect of an action.
+        clip_range: Clipping of the probability ratio.
+        log_std: Logarithm of the exploration's standard deviation: increments of 0.4 of the slew limit, since
+            a good law is nearly always at one of the limits.
+        averaging: Factor on the mean of the actor's weights per update.
+        actor: Hidden units of the actor.
+    """
+
     steps: int = 24_000_000
     cars: int = 1024
-    group: int = 8  # cars on one road, see `ppo`
-    horizon: int = 320  # steps of each car between updates
-    tail: int = 128  # of them at the end only to see what the others led to
+    group: int = 8
+    horizon: int = 320
+    tail: int = 128
     batch: int = 4096
-    epochs: int = 2  # fresh roads cost less than another pass
-    learning_rate: float = 4e-4  # falls linearly to a fiftieth
-    gamma: float = 0.99  # half a second: what an action does is over by then
+    epochs: int = 2
+    learning_rate: float = 4e-4
+    gamma: float = 0.99
     clip_range: float = 0.2
-    log_std: float = -0.9  # increments of 0.4 of the slew limit: nearly all of a good law is at either limit
+    # increments of 0.4 of the slew limit: a good law is nearly always at one of the limits
+    log_std: float = -0.9
     averaging: float = 0.98
     actor: tuple[int, ...] = (64, 64)
 
@@ -114,7 +161,15 @@ class PPOSettings(Settings):
         return self.cars * self.horizon
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
-        """Keyword arguments of `stable_baselines3.PPO`."""
+        """Return the keyword arguments of `stable_baselines3.PPO`.
+
+        Args:
+            seen: Number of columns of the policy.
+            core: Columns of the state.
+
+        Returns:
+            Value by argument.
+        """
         import torch
 
         from .ppo import GroupBuffer, PPOPolicy
@@ -143,29 +198,61 @@ class PPOSettings(Settings):
 
 @dataclass(frozen=True)
 class SACSettings(Settings):
-    preview: float = 0.4  # s of road ahead that the critic knows
+    """Settings of SAC, in addition to `Settings`.
+
+    Attributes:
+        preview: Preview of the critic [s].
+        warm_steps: Control steps of 64 cars for the imitation.
+        steps: Control steps of all cars.
+        evaluations: Number of evaluations in a training.
+        cars: Number of cars.
+        group: Number of cars on one road, see `sac`.
+        batch: Number of samples per update.
+        averaging: Factor on the mean of the actor's weights per update.
+        buffer: Number of stored transitions.
+        every: Control steps of each car between updates.
+        updates: Updates of the critic per update interval.
+        delay: Updates of the critic per update of the actor.
+        warm_up: Steps before the first update, with random actions of SB3.
+        critic_updates: Updates of the critic alone at the start.
+        log_std: Logarithm of the exploration's standard deviation at the start.
+        explore: Share of steps at which a group explores.
+        exploration: Noise in addition to the policy's exploration, which vanishes near the limits.
+        learning_rate: Learning rate.
+        critic_rate: Learning rate of the critic as a multiple of the actor's.
+        n_steps: Steps of the returns: 0.64 s, beyond which the critic's errors have little weight.
+        gamma: Discount factor.
+        tau: Factor of the critic's moving average.
+        entropy: Temperature; with automatic tuning (SB3's auto), the temperature overshot and dominated the
+            values.
+        actor: Hidden units of the actor.
+        critic: Hidden units of the critic.
+    """
+
+    preview: float = 0.4
     warm_steps: int = 1500
     steps: int = 14_000_000
     evaluations: int = 8
     cars: int = 1024
-    group: int = 8  # cars on one road, see `sac`
+    group: int = 8
     batch: int = 2048
     averaging: float = 0.997
     buffer: int = 1_000_000
-    every: int = 4  # steps of all cars between updates
+    every: int = 4
     updates: int = 1
-    delay: int = 2  # updates of the critic to one of the actor
-    warm_up: int = 2048  # steps before the first update; SB3 acts at random in them
-    critic_updates: int = 1000  # of the critic alone, at the start
+    delay: int = 2
+    warm_up: int = 2048
+    critic_updates: int = 1000
     log_std: float = -1.4
-    explore: float = 0.25  # share of steps at which a group explores
-    exploration: float = 0.5  # besides the policy's own, which vanishes near the limits
+    explore: float = 0.25
+    exploration: float = 0.5
     learning_rate: float = 2e-4
-    critic_rate: float = 5.0  # of the critic, as a multiple
-    n_steps: int = 128  # of the returns: 0.64 s, beyond which the critic's errors weigh little
+    critic_rate: float = 5.0
+    n_steps: int = 128
     gamma: float = 0.985
     tau: float = 0.005
-    entropy: float = 1e-4  # tuned by itself (SB3's auto) the temperature overshot and drowned the values
+    # with automatic tuning (SB3's auto), the temperature overshot and dominated the values
+    entropy: float = 1e-4
     actor: tuple[int, ...] = (64, 64)
     critic: tuple[int, ...] = (64,)
 
@@ -176,11 +263,19 @@ class SACSettings(Settings):
 
     @property
     def alone(self) -> int:
-        """Control steps of all cars before the policy is trained: those of the critic alone."""
+        """Control steps of all cars before the first training of the policy, for the critic alone."""
         return self.warm_up + self.rollout * -(-self.critic_updates // self.updates) if self.teacher else 0
 
     def algorithm(self, seen: int, core: list[int]) -> dict[str, Any]:
-        """Keyword arguments of `sac.GroupSAC`."""
+        """Return the keyword arguments of `sac.GroupSAC`.
+
+        Args:
+            seen: Number of columns of the policy.
+            core: Columns of the state.
+
+        Returns:
+            Value by argument.
+        """
         from .sac import GroupReplayBuffer, SACPolicy
 
         return dict(
@@ -211,7 +306,11 @@ class SACSettings(Settings):
 
 @dataclass(frozen=True)
 class Falling:
-    """A learning rate that falls linearly with progress, to a fiftieth."""
+    """A learning rate that falls linearly with progress to a fiftieth.
+
+    Attributes:
+        start: Rate at the start.
+    """
 
     start: float
 
@@ -223,10 +322,17 @@ SETTINGS: dict[str, type[PPOSettings] | type[SACSettings]] = {"ppo": PPOSettings
 
 
 def with_preview(settings: PPOSettings | SACSettings, preview: float) -> PPOSettings | SACSettings:
-    """The settings for `preview` [s] of road ahead: PPO looks twice as far, for what is seen pays later.
+    """Return the settings for a preview: PPO looks twice as far, since the previewed road has later effects.
 
-    J on the validation roads, 0.2 s, seed 0: 0.4100 with the settings without preview (best at half its steps, rising after it),
-    0.4086 with these and still falling; `mpc-friction-preview` 0.4107.
+    J on the validation roads, 0.2 s, seed 0: 0.4100 with the settings without preview (best at half its
+    steps, rising after it), 0.4086 with these settings and still falling; `mpc-friction-preview` 0.4107.
+
+    Args:
+        settings: Settings without preview.
+        preview: Known road ahead [s].
+
+    Returns:
+        The changed settings.
     """
     settings = replace(settings, ahead=preview)
     return _far(settings) if preview else settings
@@ -241,13 +347,16 @@ def _far(settings: PPOSettings | SACSettings) -> PPOSettings | SACSettings:
 def tuned(algorithm: str, car: Vehicle, preview: float = 0.0) -> PPOSettings | SACSettings:
     """Return the tuned settings of an algorithm for a car.
 
-    A car whose rear wheels follow its front wheels knows the road before the rear ones: PPO looks as far as with preview, and
-    imitates the controller that knows it too.
+    In a car with following rear wheels, the road before the rear wheels is known: PPO looks as far as with
+    preview, and imitates the controller with the same knowledge.
 
     Args:
         algorithm: A name in `SETTINGS`.
         car: The car.
-        preview: Road ahead that the policy sees [s].
+        preview: Previewed road of the policy [s].
+
+    Returns:
+        Settings of the algorithm.
     """
     settings = with_preview(SETTINGS[algorithm](), preview)
     if len(car.corners) > 1:

@@ -1,6 +1,6 @@
-"""Training PPO and SAC with Stable-Baselines3 on the batched car, so that a kill costs one interval at most.
+"""Training of PPO and SAC with Stable-Baselines3 on the batched car; a kill loses at most one checkpoint interval.
 
-A run is a folder: `run.json` (what was asked for), `checkpoint-<steps>/` (the learner, whole or not there at all),
+A run is a folder: `run.json` (the request), `checkpoint-<steps>/` (the learner, complete or absent),
 `tensorboard/`, and `policy/`, the best policy so far as a policy folder.
 """
 
@@ -50,7 +50,7 @@ FOLDER = (
 )
 #: environment, and ending of the names of policies, by number of corners
 CARS = {1: ("ISDSuspension-v0", ""), 2: ("ISDHalfCar-v0", "-half-car"), 4: ("ISDFullCar-v0", "-full-car")}
-#: validation roads, seen neither in training (seeds from 2e6) nor in scoring (seeds from 0)
+#: validation roads, used neither in training (seeds from 2e6) nor in scores (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
 ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
@@ -150,7 +150,21 @@ def train(
 
 
 class Run:
-    """One training run and its folder."""
+    """A training run and its folder.
+
+    Args:
+        out: Folder of the run.
+        algorithm: 'ppo' or 'sac'.
+        seed: Seed of all random draws.
+        plant: The network.
+        road: Road.
+        speed: Speed [m/s].
+        spread: Ranges for the environment; None for a single car.
+        sensors: Imperfections of the sensors.
+        settings: Settings of the algorithm.
+        say: Called with lines for the user.
+        progress: Called with a task and its finished share.
+    """
 
     def __init__(
         self,
@@ -182,16 +196,16 @@ class Run:
             "settings": describe(settings),
             "network": plant.to_dict(),
         }
-        #: on a spread of cars: what each of the validation roads costs without current (episodes,)
+        #: for varied cars: cost of each validation road without current (episodes,)
         self._idle: np.ndarray | None = None
         #: running mean of the actor's weights
         self.average: dict[str, np.ndarray] = {}
-        #: what a checkpoint carries besides the learner
+        #: content of a checkpoint besides the learner
         self.state: dict[str, Any] = {"seconds": 0.0, "environment_seconds": 0.0, "curve": []}
 
     @property
     def name(self) -> str:
-        """What the policy is called."""
+        """Name of the policy."""
         ahead = self.settings.ahead
         name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
         name += CARS[len(self.car.corners)][1]
@@ -199,12 +213,12 @@ class Run:
 
     @property
     def _noise(self) -> float:
-        """What an estimate should take the sensors' noise to be: a quarter of the most, see `mpc-robust`."""
+        """Sensor noise that an estimate should assume: a quarter of the maximum, see `mpc-robust`."""
         noise = self.sensors.noise
         return 0.25 * noise[1] if isinstance(noise, tuple) else 0.5 * noise
 
     def _memory(self) -> Memory:
-        """What the policy sees: the settings' memory, with the filter of this network if it is asked for and exists."""
+        """Return the memory of the settings, with the filter of this network on request and if possible."""
         s = self.settings
         memory = s.memory or memory_of(self.car)
         memory = replace(memory, ahead=steps_ahead(s.ahead, memory.step))
@@ -226,7 +240,7 @@ class Run:
     # ------------------------------------------------------------------------------------- the folder
 
     def _claim(self) -> Path | None:
-        """Make the folder this run's; the newest checkpoint in it, if any."""
+        """Claim the folder for this run, and return its newest checkpoint, if any."""
         note = self.out / FOLDER[1]
         if note.exists():
             noted = read_json(note, f"'{note}' cannot be read; train into another folder")
@@ -246,7 +260,11 @@ class Run:
         return checkpoint.newest(self.out)
 
     def save(self, model: Any) -> None:
-        """A checkpoint under its own name once it is whole; older ones go after that."""
+        """Write a checkpoint atomically, then remove older checkpoints.
+
+        Args:
+            model: The learner.
+        """
         checkpoint.write(self.out, model, self.average, self.state)
 
     # -------------------------------------------------------------------------------------- training
@@ -285,7 +303,14 @@ class Run:
         )
 
     def go(self) -> dict[str, Any]:
-        """Train, and score what came of it; the folder is this process's meanwhile."""
+        """Train, and score the best policy; other processes cannot use the folder meanwhile.
+
+        Returns:
+            The report (`isd-training/1`).
+
+        Raises:
+            InputError: The folder holds another run, or is in use.
+        """
         with held(claim_folder(self.out, *FOLDER), FOLDER[0]):
             return self._go()
 
@@ -298,14 +323,14 @@ class Run:
         s = self.settings
         there = self._claim()
         self.progress("preparing", 0.0)
-        torch.set_num_threads(1)  # nets this small lose more to threads than they gain
+        torch.set_num_threads(1)  # small networks lose more to threads than they gain
         env = self._environment(s.cars)
         kind: Any = {"ppo": PPO, "sac": GroupSAC}[self.algorithm]
         tensorboard = str(self.out / "tensorboard") if find_spec("tensorboard") else None
-        # fresh roads: those of the seed and the steps done, never those already driven
+        # fresh roads: seeds from the seed and the number of steps, never a repeated road
         done = checkpoint.steps(there) if there else 0
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # SB3 on batch sizes that do not divide a rollout
+            warnings.simplefilter("ignore")  # SB3 warns of batch sizes that do not divide a rollout
             model = kind(
                 env=env,
                 seed=self._seed(done),
@@ -345,7 +370,7 @@ class Run:
         return self._finish()
 
     def _rival(self, name: str) -> Entry:
-        """The baseline of that name, with the same road ahead."""
+        """Return a baseline with the same preview."""
         if self.settings.ahead > 0:
             return find(f"{name}-preview", self.plant, preview=self.settings.ahead)
         if self.spread and name == "mpc-friction":
@@ -353,7 +378,7 @@ class Run:
         return find(name, self.plant, speed=self.speed)
 
     def _imitate(self, model: Any) -> None:
-        """Start from the teacher, if there is one for this network."""
+        """Start from the teacher, if it exists for this network."""
         from .warm import warm_start
 
         begin = time.perf_counter()
@@ -389,9 +414,13 @@ class Run:
         return 2_000_000 + (self.seed * 1_000_003 + done) % 4_000_000_000
 
     def follow(self, model: Any, keep: float) -> None:
-        """Move the running mean of the actor's weights towards the present ones.
+        """Move the running mean of the actor's weights towards the present weights.
 
-        Near the optimum an update is mostly noise, which a mean over updates takes away.
+        Near the optimum, updates are mostly noise, which a mean over updates removes.
+
+        Args:
+            model: The learner.
+            keep: Factor on the mean [-].
         """
         for name, value in model.policy.state_dict().items():
             if name.startswith(ACTOR):
@@ -400,7 +429,14 @@ class Run:
                 self.average[name] = now.copy() if old is None else keep * old + np.float32(1 - keep) * now
 
     def export(self, model: Any) -> Policy:
-        """The deterministic policy of the averaged weights."""
+        """Return the deterministic policy of the averaged weights.
+
+        Args:
+            model: The learner.
+
+        Returns:
+            The policy.
+        """
         from .convert import build
 
         return build(
@@ -413,7 +449,15 @@ class Run:
         )
 
     def cost(self, entry: Entry) -> float:
-        """Mean cost J on the validation roads; on a spread of cars, the mean of J over what the same car costs without current."""
+        """Return the mean cost J on the validation roads; for varied cars, the mean of J relative to the same
+        car without current.
+
+        Args:
+            entry: The policy.
+
+        Returns:
+            Mean cost [-].
+        """
         costs = self._costs(entry)
         if not self.spread:
             return float(costs.mean())
@@ -438,13 +482,13 @@ class Run:
         return run.cost(StageCost.of(None, self.car.axes, len(self.car.corners)))
 
     def _references(self) -> dict[str, float]:
-        """Cost of the passive car and of the baselines there are, on the validation roads, once in a process."""
+        """Return the costs of the passive car and of available baselines on the validation roads, computed once per process."""
         same = [self.asked[k] for k in ("network", "road", "speed", "randomize", "sensors")]
         names = BASELINES if len(self.car.corners) == 1 else CAR_BASELINES
         key = json.dumps([same, self.settings.ahead, VALIDATION_EPISODES, names], sort_keys=True)
         if key in _REFERENCES:
             return dict(_REFERENCES[key])
-        # on a spread of cars the same cars without current: the conventional car has no such parameters to spread
+        # for varied cars, the same cars without current: the conventional car has no such parameters
         idle = find("isd-passive", self.plant) if self.spread else passive(self.plant)
         out = {idle.name: self.cost(idle)}
         for name in names:
@@ -452,12 +496,17 @@ class Run:
                 rival = self._rival(name)
                 out[rival.name] = self.cost(rival)
             except (InputError, ImportError):
-                continue  # a network that the baseline has no model of, or an install without it
+                continue  # the baseline has no model of the network, or is not installed
         _REFERENCES[key] = dict(out)
         return out
 
     def look(self, model: Any, env: Any) -> None:
-        """Score the present policy on the validation roads, keep it if it is the best, say so in one line."""
+        """Score the present policy on the validation roads, keep it if it is the best, and report in one line.
+
+        Args:
+            model: The learner.
+            env: Training environment.
+        """
         policy = self.export(model)
         j = self.cost(Entry(self.algorithm, policy.copy))
         curve = self.state["curve"]
@@ -480,7 +529,14 @@ class Run:
         model.logger.record("score/change", j / idle - 1)
 
     def command(self, out: Path | str = "DIR") -> str:
-        """What to type for this run, or how it differs from what can be typed."""
+        """Return the command line of this run, or the difference from possible command lines.
+
+        Args:
+            out: Folder in the command line.
+
+        Returns:
+            One line.
+        """
         s, usual = self.settings, tuned(self.algorithm, self.car, self.settings.ahead)
         if describe(replace(s, steps=usual.steps)) != describe(usual):
             return "agents.train.train with the settings below"
@@ -535,7 +591,7 @@ class Run:
         return policy
 
     def _finish(self) -> dict[str, Any]:
-        """Score the best policy on roads that played no part, and complete its folder."""
+        """Score the best policy on unused roads, and complete its folder."""
         policy = Policy.load(self.out / "policy")
         result = score(
             [Entry(policy.name, policy.copy)],
@@ -563,14 +619,14 @@ class Run:
         }
 
 
-SHOW_EVERY = 0.2  # [s] between two words on how far a training is
+SHOW_EVERY = 0.2  # interval between progress reports [s]
 
 
 def _callback(run: Run, env: Any) -> Any:
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Watch(BaseCallback):
-        """Evaluates, saves and keeps time between rollouts; the evaluation's own time is not training time."""
+        """Evaluates, saves and measures time between rollouts; evaluation time is not training time."""
 
         def _on_training_start(self) -> None:
             self.clock, self.env_clock = time.perf_counter(), env.seconds
@@ -589,11 +645,11 @@ def _callback(run: Run, env: Any) -> Any:
             self.clock, self.env_clock = now, env.seconds
 
         def _on_rollout_start(self) -> None:
-            # the first steps are remembered less, so that the start does not weigh on the mean
+            # the first updates have less weight, so that the start does not dominate the mean
             self.rounds += 1
             run.follow(self.model, min(run.settings.averaging, self.rounds / (self.rounds + 9)))
             if isinstance(run.settings, SACSettings) and run.settings.teacher is not None:
-                # the critic learns the warm policy's worth before the actor follows it
+                # the critic learns the value of the imitated policy before the actor follows the critic
                 model: Any = self.model
                 model.actor.requires_grad_(model._n_updates >= run.settings.critic_updates)
             if self.model.num_timesteps >= self.due:
@@ -619,19 +675,30 @@ def _callback(run: Run, env: Any) -> Any:
 
 
 def describe(settings: PPOSettings | SACSettings) -> dict[str, Any]:
-    """The settings as plain JSON."""
+    """Return settings as plain data.
+
+    Args:
+        settings: Settings of an algorithm.
+
+    Returns:
+        Value by name.
+    """
     from dataclasses import asdict
 
     return json.loads(json.dumps(asdict(settings)))
 
 
 def versions() -> dict[str, str]:
-    """Versions of what made a policy."""
+    """Return the versions of the packages that made a policy.
+
+    Returns:
+        Version by package.
+    """
     names = ("isd-gym", "stable-baselines3", "torch", "gymnasium", "numpy")
     out = {}
     for name in names:
         try:
             out[name] = version(name)
-        except Exception:  # an install without metadata
+        except Exception:  # an installation without metadata
             continue
     return out

@@ -1,4 +1,4 @@
-"""The training environment of Stable-Baselines3: the batched car, seen through `Memory`."""
+"""Training environment of Stable-Baselines3: the batched car with the features of `Memory`."""
 
 from __future__ import annotations
 
@@ -22,19 +22,29 @@ if TYPE_CHECKING:
 
 ROAD_STRIDE = 2  # control steps between the points of the road ahead
 USUAL_SPEED = 20.0  # m/s
-ROAD_RISE = 2e-3  # m, RMS of the paper's road over them
+ROAD_RISE = 2e-3  # m, RMS of the rises of the paper's road between the points
 
 
 class Remember(VecEnvWrapper):
-    """Observations become features of `memory`; actions in [-1, 1], one a motor, become currents by `head`.
+    """Vector environment whose observations are features of `memory` and whose actions in [-1, 1], one per
+    motor, are currents by `head`.
 
-    The rises of `critic` points of the road ahead of each track follow, for a critic; `seen` columns are the policy's.
+    The rises of `critic` points of the road ahead of each track follow the features, for a critic; the policy
+    sees the first `seen` columns. Cars in groups of `group` drive on the same road, see `ppo` and `sac`. The
+    reward is `reward_scale` * (reward + `reward_offset`), for conditioning; this changes no optimum, since
+    episodes end by time alone.
 
-    Cars in groups of `group` drive on the same road, see `ppo` and `sac`.
-
-    The reward is `reward_scale` * (reward + `reward_offset`): a matter of conditioning, it changes no optimum
-    (episodes end by time alone). `even`: a car's reward is over its road's level (1 on the paper's at 20 m/s), so that all roads
-    count the same; a rough, fast one costs fifty times what a smooth, slow one does.
+    Args:
+        venv: Vector environment of cars.
+        memory: Features of the observations.
+        head: Conversion of an action to a current.
+        reward_scale: Factor on the reward.
+        reward_offset: Offset of the reward.
+        group: Number of consecutive cars on one road.
+        critic: Number of points of the road ahead for the critic.
+        even: Whether rewards are divided by the level of the road (1 on the paper's road at 20 m/s), so that
+            all roads have equal weight; otherwise a rough, fast road has fifty times the weight of a smooth,
+            slow road.
     """
 
     def __init__(
@@ -50,10 +60,10 @@ class Remember(VecEnvWrapper):
     ) -> None:
         task: Any = venv.env.task  # type: ignore[attr-defined]
         signals, currents = len(task.measured), task.batch.of.currents
-        self._width = signals + memory.ahead  # columns of an observation that the policy sees
+        self._width = signals + memory.ahead  # number of columns of an observation that the policy sees
         self._present = slice(signals - currents, signals)
         self.seen = memory.width(signals)
-        # the columns that are a state: the estimate and the current
+        # columns of the state: the estimate and the current
         kept = memory.filter.width if memory.filter else 0
         self.core = [*range(signals - currents, signals), *range(self.seen - kept, self.seen)] if kept else []
         begins = range(signals, signals + task.batch.of.tracks * task.points, max(task.points, 1))
@@ -68,17 +78,30 @@ class Remember(VecEnvWrapper):
         self.reward_scale, self.reward_offset = reward_scale, reward_offset
         self.even = even
         self._weights = np.ones(1, np.float32)
-        #: time spent in the environment [s]; the memory is the policy's
+        #: time spent in the environment, without the memory [s]
         self.seconds = 0.0
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Set the seeds of the groups.
+
+        Args:
+            seed: Seed of the first group; None for a random seed.
+
+        Returns:
+            Seed of each car.
+        """
         seeds = self.venv.seed(seed)
         inner: Any = self.venv
-        # the same generator, so the same car on the same roads for ever
+        # equal seeds give equal cars on equal roads for the whole training
         inner._seeds = [seeds[i - i % self.group] for i in range(self.num_envs)]
         return inner._seeds
 
     def reset(self) -> np.ndarray:
+        """Start all cars on new roads.
+
+        Returns:
+            Features (cars, columns).
+        """
         obs = self.venv.reset()
         inner: Any = self.venv
         if self.group > 1 and inner._stagger:
@@ -91,12 +114,12 @@ class Remember(VecEnvWrapper):
         return self._features(obs)
 
     def _weigh(self) -> None:
-        """What a car's reward weighs on the road that it is on now."""
+        """Set the weights of the cars' rewards on their present roads."""
         if self.even:
             inner: Any = self.venv
             batch = inner.env.task.batch
             usual = _level(batch)
-            levels = np.where(batch.levels > 0.0, batch.levels, usual)  # a bump counts as it is
+            levels = np.where(batch.levels > 0.0, batch.levels, usual)  # a bump has weight 1
             self._weights = (usual / levels).astype(np.float32)
 
     def _features(self, obs: np.ndarray) -> np.ndarray:
@@ -112,7 +135,7 @@ class Remember(VecEnvWrapper):
 
     @property
     def observations(self) -> np.ndarray:
-        """What the policy sees now (cars, signals, then the road ahead), in SI units."""
+        """Present observations of the policy (cars, signals, then the road ahead) [SI]."""
         return self._obs[:, : self._width]
 
     @property
@@ -121,9 +144,19 @@ class Remember(VecEnvWrapper):
         return self._obs[:, self._present]
 
     def step_async(self, actions: np.ndarray) -> None:
+        """Store the actions of the next step.
+
+        Args:
+            actions: Actions (cars, 1) in [-1, 1].
+        """
         self.venv.step_async(self.head.current(actions, self.present, self._recall))
 
     def step_wait(self) -> VecEnvStepReturn:
+        """Run one control step with the stored actions.
+
+        Returns:
+            Features (cars, columns), rewards (cars,), ends of episodes (cars,) and information per car.
+        """
         begin = time.perf_counter()
         obs, rewards, done, infos = self.venv.step_wait()
         self.seconds += time.perf_counter() - begin

@@ -1,8 +1,8 @@
-"""A start from a linear law: the learner first imitates a baseline, and its critic learns what that is worth.
+"""Warm start: the learner first imitates a baseline, and its critic learns the baseline's value.
 
-From nothing, Stable-Baselines3's learners need most of their steps to find what the linear-quadratic law already
-knows; from there they go on alone. The teacher sees what the policy sees, drives with noise added, and is gone after
-that: a trained policy is a network and nothing else.
+Without a teacher, the learners of Stable-Baselines3 need most of their steps to find the linear-quadratic
+law. The teacher has the same observation as the policy, drives with added noise, and is not used afterwards:
+a trained policy is only a network.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from .settings import PPOSettings, SACSettings
 
-FORGET = 200  # steps at the start of an episode, from rest, that teach little
-NOISE = 0.5  # of the demonstrated increments, so that recovering is taught as well
+FORGET = 200  # steps at the start of an episode, from rest, with little information
+NOISE = 0.5  # noise relative to the demonstrated increments, so that recovery is demonstrated, too
 
 
 def demonstrate(
@@ -31,10 +31,20 @@ def demonstrate(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, torch.Tensor]:
-    """What `entry` does in the training environment `env` (`Remember`), shuffled.
+    """Return a shuffled demonstration of a teacher in the training environment.
 
-    features (n, width), wanted (n, currents) in [-1, 1]: the teacher's actions; done (n, currents): with noise; value (n, 1):
-    discounted scaled rewards that followed.
+    Args:
+        env: Training environment (`Remember`).
+        entry: The teacher.
+        steps: Number of control steps.
+        gamma: Discount factor of the values.
+        rng: Generator of the noise.
+        progress: Called with the finished share.
+
+    Returns:
+        Tensors of n samples: `features` (n, width); `wanted` (n, currents), the teacher's actions in [-1, 1];
+            `done` (n, currents), the actions with noise; `value` (n, 1), the discounted scaled future
+            rewards.
     """
     teacher: Any = entry.make()
     teacher.reset_batch(env.num_envs)
@@ -57,7 +67,7 @@ def demonstrate(
     for k in range(steps - 1, -1, -1):
         tail = rewards[k] + np.float32(gamma) * tail
         value[k, :, 0] = tail
-    # what lies beyond the end is missing from the last values: a few time constants are left out
+    # the last values lack rewards beyond the end: a few time constants are omitted
     last = steps - min(round(4 / (1 - gamma)), steps // 2)
     kept = slice(min(FORGET, last // 2), last)
     arrays = dict(features=np.array(seen), wanted=np.array(wanted), done=np.array(done), value=value)
@@ -74,7 +84,16 @@ def warm_start(
     seed: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> None:
-    """Fit actor and critic of an SB3 PPO or SAC `model` to a teacher's demonstration. progress(share of it done)."""
+    """Fit actor and critic of a learner to a teacher's demonstration.
+
+    Args:
+        model: PPO or SAC of Stable-Baselines3.
+        env: Training environment (`Remember`).
+        entry: The teacher.
+        settings: Settings of the algorithm.
+        seed: Seed of the noise.
+        progress: Called with the finished share.
+    """
     rng = np.random.default_rng(seed)
     env.seed(seed)
     data = demonstrate(

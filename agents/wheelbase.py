@@ -1,11 +1,12 @@
-"""Estimate and law of a car with several corners, whose rear wheels meet the road of the front wheels later.
+"""Estimate and law of a car with several corners whose rear wheels meet the road of the front wheels later.
 
-The model is the whole car: states of the network, heights of the road under the wheels, and the last heights under the
-leading wheels. A steady Kalman filter estimates all of them from the measured signals. The smoothed rise under a leading
-wheel, delayed by the distance between the axles over the speed, is the rise under the wheel behind it (`memory.Echo`).
-The delay line stays outside the model, unlike that of `baselines.car`: it can be set for another speed, and the features of
-a policy keep their meaning. The law is the linear-quadratic regulator with preview of the rear road (Tomizuka, ASME Journal of Dynamic Systems 97,
-1975), its currents shifted past the dry friction as in `baselines.lqg`.
+The model is the whole car: states of the network, heights of the road under the wheels, and the last heights
+under the leading wheels. A steady Kalman filter estimates all states from the measured signals. The smoothed
+rise under a leading wheel, delayed by the distance between the axles over the speed, is the rise under the
+following wheel (`memory.Echo`). The delay line is outside of the model, unlike that of `baselines.car`: it
+can be set for another speed without a change of a policy's features. The law is the linear-quadratic
+regulator with preview of the rear road (Tomizuka and Whitney, ASME Journal of Dynamic Systems, Measurement,
+and Control 97, 1975), with a friction compensation as in `baselines.lqg`.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ if TYPE_CHECKING:
     from isd_gym.network import Network
     from isd_gym.vehicle import Vehicle
 
-LAG = 2  # control steps since the beginning of the step whose rise is read: later signals correct it
-ROAD_MEMORY = 2.0  # s, time constant with which the estimate forgets the height of the road
-TRUST = 0.1  # standard deviation of an error of the road told by the leading wheel, over that of the road
-ANGULAR = 0.02  # rad/s^2, standard deviation of angular accelerations that the filter assumes
-CARS, STEPS, FORGET = 32, 1500, 300  # of the drive that gives the spread of the state
-SEED = 800_000  # roads that nothing else uses
+LAG = 2  # age of the estimated rise [control steps]: later measurements correct the estimate
+ROAD_MEMORY = 2.0  # time constant of the estimated height of the road [s]
+TRUST = 0.1  # standard deviation of the error of the road from the leading wheel, over that of the road
+ANGULAR = 0.02  # assumed standard deviation of angular accelerations [rad/s^2]
+CARS, STEPS, FORGET = 32, 1500, 300  # drive that gives the spread of the state
+SEED = 800_000  # seed of roads without other use
 
 
 @dataclass(frozen=True)
@@ -80,13 +81,16 @@ class RoadModel:
 
 
 def road_model(network: Network, step: float) -> RoadModel:
-    """Return the prediction model of a car with any number of corners, the heights of the road among its states.
+    """Return the prediction model of a car with any number of corners; heights of the road are among the states.
 
-    Every law that is no dry friction counts by its slope at rest; end stops count as open.
+    Every law except dry friction is linearised by its slope at rest; end stops are ignored.
 
     Args:
         network: Network of a car.
         step: Control step [s].
+
+    Returns:
+        The model.
 
     Raises:
         InputError: The network is no car.
@@ -95,7 +99,7 @@ def road_model(network: Network, step: float) -> RoadModel:
     channels, nodes = [*car.channels], state_channels(network)
     parts = equations(network, [*channels, *nodes], {})
     dry_laws = dry(parts.laws)
-    # the order of corners and of driven corners, whatever the order of the network's inputs
+    # the order of corners and of driven corners, for any order of the network's inputs
     moving = [c.name for c in network.moving]
     named = [c.name for c in network.inputs if c.quantity == "current"]
 
@@ -141,7 +145,7 @@ def road_model(network: Network, step: float) -> RoadModel:
 def _rigid(
     car: Vehicle, channels: list[Any], nodes: list[Any], seen: np.ndarray, whole: np.ndarray, corners: int
 ) -> np.ndarray:
-    """Return the states (n, motions) of a car that heaves, pitches or rolls as a whole, nothing in it moving."""
+    """Return the states (n, motions) of a car that heaves, pitches or rolls as a whole without relative motion."""
     at = {car.body: (0.0, 0.0)} | {c.wheel: (c.x, c.y) for c in car.corners}
     still = [i for i, c in enumerate(channels) if c.quantity in ("displacement", "velocity")]
     keep = [
@@ -189,13 +193,19 @@ class Law:
 
 
 def preview_law(model: RoadModel, settings: LawSettings, followers: list[int], points: int) -> Law:
-    """Return the linear-quadratic regulator that knows the road before some wheels.
+    """Return the linear-quadratic regulator with a known road before some wheels.
 
     Args:
-        model: Car.
+        model: The car.
         settings: Weights and leads, those of `baselines.lqg`.
-        followers: Corners before which the road is known.
-        points: Control steps for which it is known.
+        followers: Corners with a known road ahead.
+        points: Number of known control steps.
+
+    Returns:
+        The law.
+
+    Raises:
+        InputError: The Riccati equation has no solution.
     """
     m, car = model, model.car
     weights, effort = _weights(m, settings)
@@ -265,9 +275,10 @@ def _weights(m: RoadModel, settings: LawSettings) -> tuple[np.ndarray, float]:
 def _ahead(
     m: RoadModel, K: np.ndarray, gains: np.ndarray, P: np.ndarray, steps: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the state some steps later in the closed loop, by the state now (n, n) and the rises ahead (points, n, followers).
+    """Return the state some steps later in the closed loop, by the present state (n, n) and the rises ahead
+    (points, n, followers).
 
-    Third, the gains (points, currents, followers) on the rises as they will be then.
+    The third result are the gains (points, currents, followers) on the later rises.
     """
     points = len(gains)
     low, part = int(steps), steps - int(steps)
@@ -292,16 +303,16 @@ def _ahead(
 def car_filter(
     network: Network, speed: float, control_step: float = 5e-3, noise: float = 0.0
 ) -> tuple[Filter, Echo | None]:
-    """Return the estimate and law of a car, in coordinates of unit spread, and the delay of its rear road.
+    """Return estimate and law of a car, in coordinates of unit spread, and the delay of its rear road.
 
     Args:
         network: Network of a car with a motor at some corners.
-        speed: Speed [m/s] for which the delay is set.
+        speed: Speed of the delay [m/s].
         control_step: Control step [s].
         noise: White noise of the sensors that the filter assumes, as a multiple of `sensors.NOISE`.
 
     Returns:
-        The filter, and the delay line; None where no wheel follows another one, or too soon.
+        The filter, and the delay line; None without following wheels, or for wheels that follow too soon.
 
     Raises:
         InputError: The network is no car, or has no motor.
@@ -323,7 +334,7 @@ def car_filter(
     if points < 1:
         followers, sources = [], []
     law = preview_law(m, settings, followers, max(points, 0))
-    # states beside those of the model: the heights of the last steps under the leading wheels
+    # states in addition to those of the model: heights of the last steps under the leading wheels
     leading = sorted(set(sources))
     n, kept = len(m.A), len(leading) * LAG
     corners = len(car.corners)

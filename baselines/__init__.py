@@ -1,7 +1,7 @@
-"""Controllers to measure a policy by: passive, skyhook, LQG, the paper's MPC, a friction-aware MPC.
+"""Baseline controllers: passive, skyhook, LQG, the paper's MPC, a friction-aware MPC.
 
-``make("mpc")`` gives one that believes in the default car; `CONTROLLERS` names them all. Every controller sees the
-environment's observation and nothing else.
+``make("mpc")`` returns a controller whose model is the default car; `CONTROLLERS` lists all names. Every
+controller sees only the observation of the environment.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 Factory = Callable[..., Controller | Idle]
-PREVIEW = 0.25  # s of road ahead that the controllers with preview see unless told otherwise
+PREVIEW = 0.25  # default preview of the controllers with preview [s]
 
 
 def _idle(name: str) -> Factory:
@@ -83,8 +83,9 @@ def _friction(
         base = with_preview(base, float(options.pop("preview", PREVIEW)), control_step)
         name = "mpc-friction-preview"
     if robust:
-        # mean change of J against the same car without current, 96 cars of the robust track's ranges (`benchmarks/tune.py
-        # mpc-friction noise=... --randomize`): 0 -22.29 %, 0.25 -23.61, 0.5 -23.76, 1 -23.70
+        # mean change of J against the same car without current, 96 cars of the robust track's ranges
+        # (`benchmarks/tune.py mpc-friction noise=... --randomize`): 0 -22.29 %, 0.25 -23.61, 0.5 -23.76, 1
+        # -23.70
         base, name = replace(base, sensors=noisy(0.5)), "mpc-robust"
     return FrictionMpc(model, cost, control_step, **_settings("friction", base, options), name=name)
 
@@ -105,7 +106,14 @@ def _mpc_wheelbase(model: Network, cost: StageCost, control_step: float, **optio
 
 
 def noisy(share: float) -> Any:
-    """What an estimate is to take sensors for that have `share` of the robust track's noise (`isd_gym.sensors.NOISE`)."""
+    """Return the sensor noise that an estimator should assume.
+
+    Args:
+        share: Noise as a share of the robust track's noise (`isd_gym.sensors.NOISE`) [-].
+
+    Returns:
+        Standard deviations of the measured signals.
+    """
     from isd_gym.sensors import NOISE
 
     from .model import Sensors
@@ -115,7 +123,7 @@ def noisy(share: float) -> Any:
 
 
 def _settings(module: str, base: Any, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Keyword `settings` of a controller with single fields replaced; `InputError` for a field that is not there."""
+    """Return the keyword `settings` of a controller with single fields replaced; raise `InputError` for an unknown field."""
     import dataclasses
     import importlib
 
@@ -131,7 +139,7 @@ def _settings(module: str, base: Any, options: Mapping[str, Any]) -> dict[str, A
 
 #: name -> factory(model, cost, control_step, **options)
 CONTROLLERS: dict[str, Factory] = {
-    "passive": _idle("passive"),  # the plant is another: the conventional car
+    "passive": _idle("passive"),  # on another plant: the conventional car
     "isd-passive": _idle("isd-passive"),
     "skyhook": _skyhook,
     "add": _add,
@@ -146,7 +154,7 @@ CONTROLLERS: dict[str, Factory] = {
     "lqg-wheelbase": _lqg_wheelbase,
     "mpc-wheelbase": _mpc_wheelbase,
 }
-#: what they are, in a line each
+#: one-line descriptions
 ABOUT = {
     "passive": "the conventional passive car",
     "isd-passive": "the plant without current",
@@ -163,7 +171,7 @@ ABOUT = {
     "lqg-wheelbase": "the LQG of a half or full car that knows the rear road from the front, without a sensor for it",
     "mpc-wheelbase": "mpc-friction at each corner of a half or full car, the rear road known from the front",
 }
-#: the plant of a controller that has its own
+#: plants of controllers with a plant of their own
 PLANTS = {"passive": "quarter-car-passive"}
 #: no current
 IDLE = ("passive", "isd-passive")
@@ -183,14 +191,24 @@ def make(
     control_step: float = 5e-3,
     **options: Any,
 ) -> Controller | Idle:
-    """The controller of that name, believing in `model` (by default the car it is scored on).
+    """Return a controller.
 
-    On a car with several corners a controller of a quarter car drives each corner by itself (`Decentralised`).
+    In a car with several corners, a controller of a quarter car drives each corner separately
+    (`Decentralised`).
 
-    `options` replace single settings (``make("mpc", solver="daqp", horizon=30)``). Raises `InputError` for a name or an
-    option that is not there, and for a model of another kind of car.
+    Args:
+        name: A key of `CONTROLLERS`.
+        model: Model of the controller: a network, a built-in name, a file or its content; None for the
+            default car.
+        cost: Minimised stage cost; None for the environment's.
+        control_step: Control step [s].
+        options: Fields of the controller's settings, such as ``make("mpc", solver="daqp", horizon=30)``.
 
-    name: a key of `CONTROLLERS`. cost: what it minimises, the environment's stage cost by default. control_step [s].
+    Returns:
+        The controller.
+
+    Raises:
+        InputError: The name or an option is unknown, or the model is another kind of car.
     """
     if name not in CONTROLLERS:
         raise InputError(f"no controller '{name}': there are {', '.join(CONTROLLERS)}")

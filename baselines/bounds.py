@@ -1,12 +1,13 @@
-"""Two limits that put every score in place: a causal bound on the mean over roads, and what is reachable on one road.
+"""Two limits for every score: a causal bound on the mean over roads, and the reachable cost on a single road.
 
-The **causal bound** is the linear-quadratic optimum of the body and wheel with any force whatever between them: full
-state, no friction, no limits, a road of white velocity. Every suspension is a special case, so none is better on average.
-The mean squares that controllers can reach form a convex set, hence the Riccati solutions of all weights are its
-whole border and `best_acceleration` finds the best third of a triple by duality, exactly.
+The **causal bound** is the linear-quadratic optimum of body and wheel with an arbitrary force between them:
+full state, no friction, no limits, a road of white velocity. Every suspension is a special case, so that no
+suspension is better on average. The reachable mean squares form a convex set; the Riccati solutions of all
+weights are therefore its complete border, and `best_acceleration` finds the smallest acceleration at given
+travel and tyre load exactly, by duality.
 
-The **clairvoyant optimum** knows the road of the whole episode. It is the least cost over the 4000 currents of an
-episode in the real network, friction, end stop and all limits of Table 5 included. See `clairvoyant`.
+The **clairvoyant optimum** knows the road of the whole episode. It is the least cost over the 4000 currents
+of an episode in the real network, including friction, end stop and all limits of Table 5. See `clairvoyant`.
 """
 
 from __future__ import annotations
@@ -37,13 +38,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Linear:
-    """A car on a rough road as ``dx/dt = A x + B F + G w``, positions above the road, F [A] or [N], w white.
+    """A car on a rough road as ``dx/dt = A x + B F + G w`` and ``y = C x + D F``, with positions above the road and white w.
 
-    States that no output can ever see are left out.
+    Unobservable states are removed.
 
-    y (3,) = C x + D F: body acceleration [m/s^2], suspension travel [m], tyre load [N]. `intensity`: two-sided [m^2/s].
-
-    `lift`: the state of a car that is lifted together with its road.
+    Attributes:
+        A: State matrix (n, n).
+        B: Input matrix (n, 1) of the force F [N], or the current [A].
+        G: Noise matrix (n,).
+        C: Output matrix (3, n): body acceleration [m/s^2], suspension travel [m], tyre load [N].
+        D: Feedthrough (3,).
+        intensity: Two-sided intensity of w [m^2/s].
+        seen: Basis of the kept states (states of the assembly, n).
+        lift: State of the assembly when car and road are lifted by 1 m: x = seen.T @ (x_assembly - lift r).
     """
 
     A: np.ndarray
@@ -52,20 +59,22 @@ class Linear:
     C: np.ndarray
     D: np.ndarray
     intensity: float
-    seen: np.ndarray  # (states of the assembly, kept ones)
-    lift: (
-        np.ndarray
-    )  # state of the assembly when car and road are lifted by 1 m: x = seen.T @ (x_assembly - lift r)
+    seen: np.ndarray
+    lift: np.ndarray
 
 
 @dataclass(frozen=True)
 class LQPoint:
-    """One point of the surface: RMS of acceleration [m/s^2], travel [m], tyre load [N] and input [N] (ideal) or [A].
+    """A point of the surface of reachable mean squares.
 
-    `weights` (3,): on the squares of the three, in SI; `gain`: of ``F = -gain @ x``; `cost`: the Riccati value
-    ``trace(P G G') intensity``, which the weighted mean square of a rollout must equal.
-
-    `tyre_load` [N] and `effort` [N] or [A] are RMS.
+    Attributes:
+        acceleration: RMS of the body acceleration [m/s^2].
+        travel: RMS of the suspension travel [m].
+        tyre_load: RMS of the dynamic tyre load [N].
+        effort: RMS of the force [N], or the current [A].
+        cost: Riccati value ``trace(P G G') intensity``, equal to the weighted mean square of a rollout.
+        weights: Weights (3,) on the squares of acceleration, travel and tyre load, in SI units.
+        gain: Gain (n,) of ``F = -gain @ x``.
     """
 
     acceleration: float
@@ -78,15 +87,21 @@ class LQPoint:
 
     @property
     def triple(self) -> np.ndarray:
+        """RMS (3,) of acceleration [m/s^2], travel [m] and tyre load [N]."""
         return np.array([self.acceleration, self.travel, self.tyre_load])
 
 
 def ideal(network: Network | str | Path) -> Network:
-    """The car with all that stands between body and wheel taken out, and a force actuator of 1 N/A put in.
+    """Return a car with a force actuator of 1 N/A between body and wheel instead of all other elements.
 
-    Raises `InputError` where there is another mass than body and wheel: the bound would not hold.
+    Args:
+        network: A car, by name, file or network.
 
-    network: a car, by name, file or itself.
+    Returns:
+        The changed network.
+
+    Raises:
+        InputError: The network is no car, or has further masses, for which the bound would not hold.
     """
     network = Network.load(network)
     require_quarter_car(network, "the causal bound is that")
@@ -96,7 +111,7 @@ def ideal(network: Network | str | Path) -> Network:
         )
     body, wheel = network.masses
     fixed = {*network.moved_nodes, "ground"}
-    kept, frontier = {wheel}, [*fixed]  # what hangs on road or ground stays
+    kept, frontier = {wheel}, [*fixed]  # elements attached to road or ground stay
     links: dict[str, set[str]] = {}
     for e in network.elements:
         if e.place == "between":
@@ -125,11 +140,18 @@ def ideal(network: Network | str | Path) -> Network:
 
 
 def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str | Road = "paper") -> Linear:
-    """The network without friction and stops, other laws by their slope at rest, on a rough road.
+    """Return a car on a rough road without friction and stops, with other laws by their slope at rest.
 
-    Raises `InputError` for a road without roughness, or a car tied to the ground.
+    Args:
+        network: A car, by name, file or network.
+        speed: Speed [m/s].
+        road: A rough road.
 
-    speed [m/s].
+    Returns:
+        The linear car.
+
+    Raises:
+        InputError: The road is not rough, the car is tied to the ground, or the tyre load has no RMS.
     """
     network = Network.load(network)
     require_quarter_car(network, "the causal bound is that")
@@ -151,7 +173,8 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     n = len(ss.A)
     r = column[name]
     left, right = np.vstack([ss.A, ss.C]), np.concatenate([ss.B[:, r], ss.D[:, r]])
-    T = np.linalg.lstsq(left, -right, rcond=None)[0]  # state of a car lifted by 1 m together with the road
+    # state of a car that is lifted by 1 m together with the road
+    T = np.linalg.lstsq(left, -right, rcond=None)[0]
     if np.abs(left @ T + right).max() > 1e-6 * np.abs(right).max():
         raise InputError(
             f"network '{network.name}' is tied to the ground: its travel has no stationary value"
@@ -165,12 +188,12 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
     current = next((c.name for c in network.inputs if c.quantity == "current"), None)
     B = ss.B[:, [column[current]]] if current is not None else np.zeros((n, 1))
     D = ss.D[:, column[current]] if current is not None else np.zeros(3)
-    # a free device may drift unseen (its travel costs nothing): those states are left out
+    # a free device may drift unobserved (its travel has no cost): these states are removed
     unseen = null_space(left)
     seen = null_space(unseen.T) if unseen.size else np.eye(n)
     A, B, G, C = seen.T @ ss.A @ seen, seen.T @ B, seen.T @ G, ss.C @ seen
     n = len(A)
-    if ground.cutoff > 0:  # coloured: the road's height is a state more
+    if ground.cutoff > 0:  # coloured road: the height of the road is an additional state
         pole = 2 * math.pi * ground.cutoff * speed
         A = np.block([[A, -pole * G[:, None]], [np.zeros((1, n)), np.array([[-pole]])]])
         B, G, C = np.vstack([B, [[0.0]]]), np.append(G, 1.0), np.hstack([C, np.zeros((3, 1))])
@@ -179,9 +202,14 @@ def linear_car(network: Network | str | Path, *, speed: float = 20.0, road: str 
 
 
 def stationary(car: Linear, gain: np.ndarray | None = None) -> tuple[np.ndarray, float]:
-    """RMS (3,) of acceleration, travel and tyre load under ``F = -gain @ x`` (0 if None), and RMS of F.
+    """Return the stationary RMS of the outputs under the feedback ``F = -gain @ x``.
 
-    car: as `linear_car` gives it.
+    Args:
+        car: The linear car.
+        gain: Gain (n,); None for zero.
+
+    Returns:
+        RMS (3,) of acceleration [m/s^2], travel [m] and tyre load [N], and RMS of F.
     """
     k = np.zeros(len(car.A)) if gain is None else gain
     X = solve_continuous_lyapunov(car.A - np.outer(car.B[:, 0], k), -car.intensity * np.outer(car.G, car.G))
@@ -195,7 +223,7 @@ def _solve(car: Linear, weights: np.ndarray, effort: float) -> LQPoint:
     R = np.array([[car.D @ (w * car.D) + effort]])
     if not R[0, 0] > 0:
         raise InputError("the force costs nothing: give an effort > 0")
-    # balanced by hand: unit weight on the first output keeps the Riccati solver far from its limits
+    # scaled to unit weight on the first output, to keep the Riccati solver well conditioned
     scale = R[0, 0]
     P = solve_continuous_are(car.A, car.B, Q / scale, R / scale, s=N / scale) * scale
     gain = ((car.B.T @ P + N.T) / scale)[0]
@@ -213,12 +241,24 @@ def lq_bound(
     weights: Sequence[float] = (1.0, 1.0, 1.0),
     effort: float | None = None,
 ) -> LQPoint:
-    """The causal linear-quadratic optimum for `weights` on (a/a0)^2, (l/l0)^2, (F/F0)^2; the passive car's RMS are a0, l0, F0.
+    """Return the causal linear-quadratic optimum for given weights.
 
-    Without `effort` the force between body and wheel is free: the bound. With it, the network's own motor must do,
-    and `effort` [1/A^2] weighs the square of its current (the friction and all limits are still left out).
+    Weights refer to (a/a0)^2, (l/l0)^2 and (F/F0)^2 with the RMS a0, l0 and F0 of the conventional passive
+    car.
 
-    network: the plant. speed [m/s] and road: what excites the car.
+    Args:
+        network: The plant.
+        speed: Speed [m/s].
+        road: A rough road.
+        weights: Weights of acceleration, travel and tyre load [-].
+        effort: Weight of the squared current of the network's own motor [1/A^2] (without friction and
+            limits); None for an unlimited force between body and wheel: the bound.
+
+    Returns:
+        The optimum.
+
+    Raises:
+        InputError: Weights are invalid, or the bound does not exist for the car or the road.
     """
     base = reference(network, speed=speed, road=road)
     w = np.asarray(weights, float)
@@ -231,9 +271,18 @@ def lq_bound(
 def reference(
     network: Network | str | Path = "quarter-car-isd", *, speed: float = 20.0, road: str | Road = "paper"
 ) -> np.ndarray:
-    """RMS (3,) of the conventional passive car in expectation: acceleration [m/s^2], travel [m], tyre load [N].
+    """Return the expected RMS of the conventional passive car.
 
-    Of the car of `network` on `road` at `speed` [m/s].
+    Args:
+        network: A car, by name, file or network.
+        speed: Speed [m/s].
+        road: A rough road.
+
+    Returns:
+        RMS (3,) of acceleration [m/s^2], travel [m] and tyre load [N].
+
+    Raises:
+        InputError: The road is not rough, or the network is no car.
     """
     from isd_gym.policies import conventional
 
@@ -242,9 +291,14 @@ def reference(
 
 @dataclass(frozen=True)
 class Best:
-    """The best acceleration at a given travel and tyre load; changes are fractions against `reference`.
+    """The smallest acceleration at given travel and tyre load; changes are fractions against `reference`.
 
-    `acceleration_change`, `travel_change`, `tyre_change`: the triple; `point`: the regulator that has it.
+    Attributes:
+        acceleration_change: Change of the RMS acceleration [-].
+        travel_change: Change of the RMS travel [-].
+        tyre_change: Change of the RMS tyre load [-].
+        point: The optimal regulator.
+        reference: RMS (3,) of the reference.
     """
 
     acceleration_change: float
@@ -263,12 +317,25 @@ def best_acceleration(
     road: str | Road = "paper",
     against: Sequence[float] | None = None,
 ) -> Best:
-    """Least acceleration of any causal controller whose travel and tyre load change by no more than given.
+    """Return the smallest acceleration of any causal controller with limited changes of travel and tyre load.
 
-    Changes are fractions (-0.17: 17 % less; None: no matter) against the conventional passive car in expectation, or
-    against the triple `against` (Table 7's passive row, say). Raises `InputError` where no controller reaches them.
+    Changes are fractions of the RMS; -0.17 means 17 % less.
 
-    travel_change, tyre_change: what is allowed. network, road, speed [m/s]: the car and what excites it.
+    Args:
+        travel_change: Largest change of the travel; None for no limit.
+        tyre_change: Largest change of the tyre load; None for no limit.
+        network: A car, by name, file or network.
+        speed: Speed [m/s].
+        road: A rough road.
+        against: Reference RMS (3,), such as Table 7's passive row; None for the expected RMS of the
+            conventional passive car.
+
+    Returns:
+        The optimum.
+
+    Raises:
+        InputError: No causal controller reaches the changes, or the bound does not exist for the car or the
+            road.
     """
     base = reference(network, speed=speed, road=road) if against is None else np.asarray(against, float)
     car = linear_car(ideal(network), speed=speed, road=road)
@@ -317,9 +384,15 @@ def lq_front(
     travel_changes: Sequence[float] | None = None,
     **options: Any,
 ) -> np.ndarray:
-    """Border of (travel change, acceleration change), shape (k, 2), at a given tyre load change; unreachable ones left out.
+    """Return the border of reachable travel and acceleration changes at a given change of the tyre load.
 
-    tyre_change: a fraction, or None for no matter; travel_changes: where, 27 from -0.35 to 0.3 by default.
+    Args:
+        tyre_change: Largest change of the tyre load [-]; None for no limit.
+        travel_changes: Changes of the travel [-]; None for 27 values from -0.35 to 0.3.
+        options: Further arguments of `best_acceleration`.
+
+    Returns:
+        Pairs (k, 2) of travel change and acceleration change; unreachable changes are omitted.
     """
     rows = []
     for change in np.linspace(-0.35, 0.3, 27) if travel_changes is None else travel_changes:

@@ -1,13 +1,13 @@
-"""What a controller of a whole car believes: all corners in one discrete model, the rear road known from the front.
+"""Model of a controller of a whole car: all corners in one discrete model, with the rear road known from the front.
 
-The state is that of the assembly, counted from the heights of the road under the foremost wheel of each track, and behind it
-the delay line: by how much the road rose under that wheel in each of the last control steps. A wheel that runs d steps
-behind stands lower than the foremost wheel by the sum of the last d rises, and rises in the next step by the rise of
-d steps ago. A delay of a fraction of a step is interpolated linearly, as in the environment. So the only unknown road
-is the next rise under the foremost wheels, which is white, and a Kalman filter of this state sees the rear road
-coming without any sensor for it.
+The state is that of the assembly, relative to the heights of the road under the foremost wheel of each track,
+followed by the delay line: the rises of the road under that wheel in the last control steps. A wheel that
+runs d steps behind stands lower than the foremost wheel by the sum of the last d rises, and rises in the next
+step by the rise of d steps ago. A delay with a fraction of a step is interpolated linearly, as in the
+environment. The only unknown road is therefore the next rise under the foremost wheels, which is white. A
+Kalman filter of this state predicts the rear road without a sensor.
 
-Left and right track count as independent; a coherent road is easier than that.
+Left and right track are modelled as independent; a coherent road is easier.
 """
 
 from __future__ import annotations
@@ -106,14 +106,17 @@ class CarModel:
 
     @property
     def friction(self) -> list[int]:
-        """Which of the laws are dry friction."""
+        """Indices of the laws that are dry friction."""
         return dry(self.laws)
 
     def levels(self, rate: float = SLIDING) -> np.ndarray:
-        """Return the friction level [N] of each law; 0 for laws that are not dry friction.
+        """Return the friction level of each law.
 
         Args:
             rate: Sliding rate [m/s].
+
+        Returns:
+            Levels (laws,) [N]; 0 for laws that are not dry friction.
         """
         return friction_levels(self.laws, rate)
 
@@ -125,29 +128,32 @@ class CarModel:
 
     @cached_property
     def thrusts(self) -> np.ndarray:
-        """Thrust per current of each motor at its terminals [N/A] (currents,); 0 without a motor."""
+        """Thrust of each motor at its terminals per current (currents,) [N/A]; 0 without a motor."""
         return np.array([_thrust(self.network, c) for c in self.car.driven])
 
     @cached_property
     def device_rates(self) -> np.ndarray:
-        """Rows (currents, n) that give the rate of each device [m/s]."""
+        """Rates of the devices by the state (currents, n)."""
         names = [c.name for c in self.car.channels]
         return self.C[[names.index(c.named("device_travel_rate")) for c in self.car.driven]]
 
     def rows(self, kind: str) -> list[int]:
-        """Return the rows of the channels of a kind, of every corner.
+        """Return the rows of the channels of a kind, one per corner.
 
         Args:
             kind: Name of the channel without the name of the corner.
+
+        Returns:
+            Rows.
         """
         names = [c.name for c in self.car.channels]
         return [names.index(c.named(kind)) for c in self.car.corners]
 
     def rises_ahead(self, corner: int) -> np.ndarray:
-        """Return the rises of the road under a wheel in the next control steps, as far as the delay line knows them.
+        """Return the rises of the road under a wheel in the next control steps, as far as the delay line knows the road.
 
         Args:
-            corner: Number of the corner.
+            corner: Index of the corner.
 
         Returns:
             Matrix (points, line) on the delay line; no points for a foremost wheel.
@@ -155,19 +161,22 @@ class CarModel:
         points = int(self.delays[corner])
         size = self.n - self.motion
         rows, line = np.zeros((points, size)), self.rises[corner]
-        for k in range(points):  # the line moves on, and nothing known enters
+        for k in range(points):  # the line advances without new rises
             rows[k] = line
             line = line @ self.A[self.motion :, self.motion :]
         return rows
 
     def kalman_gain(self, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
-        """Return the steady gain (n, measured) of a Kalman filter on the measured signals.
+        """Return the steady gain of a Kalman filter on the measured signals.
 
         Angular accelerations are as accurate as the difference of two accelerometers at the axles.
 
         Args:
-            sensors: How well the signals are measured.
-            noise: Covariance of the state per step, beyond the road's.
+            sensors: Standard deviations of the measurements.
+            noise: Covariance of the state per step, in addition to the road's; None for zero.
+
+        Returns:
+            Gain (n, measured).
         """
         apart = max(abs(place) for c in self.car.corners for place in (c.x, c.y))
         errors = []
@@ -181,12 +190,12 @@ class CarModel:
 
 @dataclass(frozen=True)
 class CarWeights:
-    """Quadratic weights of a design: the stage cost of a car, and what shapes it, each shared equally by the corners.
+    """Quadratic weights of a design; each weight is shared equally by the corners.
 
     Attributes:
         cost: Stage cost of the car.
-        effort: Weight on the currents [1/A^2].
-        centring: Weight on the devices' travels over their reach [-].
+        effort: Weight of the currents [1/A^2].
+        centring: Weight of the devices' travels over their reach [-].
     """
 
     cost: StageCost
@@ -194,10 +203,13 @@ class CarWeights:
     centring: float = 0.01
 
     def of(self, model: CarModel) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weights of the channels (channels,) and of the currents (currents,) of a model.
+        """Return the weights of a model.
 
         Args:
             model: Model of the car.
+
+        Returns:
+            Weights of the channels (channels,) and of the currents (currents,).
         """
         car = model.car
         corners, currents, motions = len(car.corners), len(car.driven), 1 + len(car.axes)
@@ -218,14 +230,14 @@ def _thrust(network: Network, corner: Corner) -> float:
 
 @dataclass(frozen=True)
 class _Line:
-    """The delay line: what the rises of the past tell of the corners.
+    """The delay line: relation between past rises and the corners.
 
     Attributes:
         heights: Height of each corner over the foremost wheel of its track, by the line (corners, states).
         rises: Rise of each corner over the next step, by the line (corners, states).
         new: Rise of each corner over the next step, by the next rise of each track (corners, tracks).
         shift: The line one step later (states, states).
-        entry: Where the next rise of each track enters (states, tracks).
+        entry: State in which the next rise of each track enters (states, tracks).
     """
 
     heights: np.ndarray
@@ -274,15 +286,19 @@ def car_model(
 ) -> CarModel:
     """Return the model of a car at a control step.
 
-    Dry friction and stops are kept as laws, unless `damping` names them. Every other law counts by its slope at rest.
+    Dry friction and stops are kept as laws. Every other law is linearised by its slope at rest.
 
     Args:
         network: Network of the car.
         step: Control step [s].
         speed: Speed [m/s], which gives the delays of the rear wheels.
-        wheelbase: Whether the rear road is known from the front; else each wheel runs on a road of its own.
-        damping: Dry frictions and stops that become linear dampers [N s/m], by name.
+        wheelbase: Whether the rear road is known from the front; otherwise the roads of all wheels are
+            independent.
+        damping: Linear damping [N s/m] by name of a law, instead of the law.
         road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+
+    Returns:
+        The model.
 
     Raises:
         InputError: The network is no car, or is tied to the ground.
@@ -406,17 +422,18 @@ def _drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:
 
 
 def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, float]:
-    """Return the linear-quadratic regulator of a car without friction, and what it costs on a white road.
+    """Return the linear-quadratic regulator of a car without friction, and its cost on a white road.
 
-    The currents do not change the delay line, so the value of the motion alone is that of a car on even road. A line of d
-    states is empty after d steps: as many steps of the Riccati recursion add the value of what is in the line, exactly.
+    The currents do not change the delay line, so that the value of the motion alone is that of a car on even
+    road. A line of d states is empty after d steps; as many steps of the Riccati recursion add the value of
+    the line exactly.
 
     Args:
         model: Model of the car.
         weights: Weights of the design, on the channels at the end of each step.
 
     Returns:
-        Gain K (currents, n) of ``I = -K x``, and the mean cost per step under it, by the Riccati equation.
+        Gain K (currents, n) of ``I = -K x``, and the mean cost per step from the Riccati equation.
     """
     q, r = weights.of(model)
     A, B, k = model.A, model.inputs, model.motion
@@ -434,23 +451,29 @@ def car_regulator(model: CarModel, weights: CarWeights) -> tuple[np.ndarray, flo
 
 
 def blind_gain(model: CarModel, blind: CarModel, K: np.ndarray) -> np.ndarray:
-    """Return the gain (currents, n) of a regulator that takes the rises under the rear wheels for new ones.
+    """Return the gain of a regulator that treats the rises under the rear wheels as new.
 
     Args:
         model: Model of the car with its delay line.
         blind: Model of the same car with `wheelbase=False`.
         K: Gain on the state of the blind model.
+
+    Returns:
+        Gain (currents, n).
     """
     return np.hstack([K, -K @ blind.lift @ model.heights])
 
 
 def simulated_cost(model: CarModel, weights: CarWeights, K: np.ndarray) -> float:
-    """Return the mean cost per step of ``I = -K x`` on a white road, from the covariance of the closed loop.
+    """Return the mean cost of ``I = -K x`` on a white road from the covariance of the closed loop.
 
     Args:
         model: Model of the car.
         weights: Weights of the cost.
         K: Gain (currents, n).
+
+    Returns:
+        Mean cost per step [-].
     """
     q, r = weights.of(model)
     loop = model.A - model.inputs @ K

@@ -1,28 +1,32 @@
-"""The causal ceiling: a searched bound for controllers that do not know the road beyond a given preview.
+"""The causal ceiling: a numerically searched bound for controllers that know the road up to a given preview.
 
-**Information relaxation** (Brown, Smith and Sun, Operations Research 58, 2010). Let pi be a penalty whose mean is zero
-for every policy that acts on what it can know. For each of them ``E[cost] = E[cost - pi] >= E[min (cost - pi)]``, the
-minimum over the currents of one road known whole. Whatever penalty has zero mean gives a lower bound; the one that makes the
-bound tight is the sum of what each step's news is worth, ``V(x_k+1) - E[V(x_k+1) | known at k]``, with the value function V
-of the true problem.
+**Information relaxation** (Brown, Smith and Sun, Operations Research 58, 2010). Let pi be a penalty with zero
+mean for every policy that acts on available information. For every such policy ``E[cost] = E[cost - pi] >=
+E[min (cost - pi)]``, with the minimum over the currents of a completely known road. Any penalty of zero mean
+gives a lower bound. The tightest penalty is the sum of the values of each step's news, ``V(x_k+1) -
+E[V(x_k+1) | known at k]``, with the value function V of the true problem.
 
-**The penalty here** is that of the linear-quadratic car: friction as the dampers of a statistical linearisation, no limits,
-a weight on the change of current in their place. With the finite-horizon Riccati solution M_k (stage cost and cost to go
-after step k) and the news d of the road in one step, it is linear in state and current,
+**The penalty here** belongs to the linear-quadratic car: friction replaced by the dampers of a statistical
+linearisation, limits replaced by a weight on the change of current. With the finite-horizon Riccati solution
+M_k (stage cost and cost to go after step k) and the news d of the road in one step, the penalty is linear in
+state and current,
 
-    pi_k = 2 d_k' [M (A x_k + B I_k) + m I_k] + d_k' M d_k - tr(M W)                                    (no preview)
-    pi_k = 2 sigma_k' (x_k+1, I_k) + what only the roads decide                                 (n steps of preview)
+    pi_k = 2 d_k' [M (A x_k + B I_k) + m I_k] + d_k' M d_k - tr(M W)                                    (no
+    preview)
+    pi_k = 2 sigma_k' (x_k+1, I_k) + terms of the road alone                                    (n steps of
+    preview)
 
-sigma_k: the news d_k+n, n steps ahead, brought back through the closed loop. d is made of the road's innovations, which are
-independent of all that came before, whatever the policy or the car did: so the mean is zero exactly, on the real car too, and
-the linear car only decides how tight the bound is. On a linear car without limits it is tight on every single road: the
-penalised optimum is the Riccati value (a test). On the real car it varies little from road to road: the constant terms are
-control variates.
+sigma_k are the news d_k+n, n steps ahead, propagated backwards through the closed loop. The news consist of
+the road's innovations, which are independent of the past for any policy and any car. The mean is therefore
+exactly zero, on the real car too; the linear car only determines the tightness of the bound. On a linear car
+without limits, the bound is tight on every single road: the penalised optimum equals the Riccati value (a
+test). On the real car it varies little from road to road, since the constant terms act as control variates.
 
-**What is computed** is the clairvoyant's descent on the penalised cost, through the real kernel with friction, stop and
-limits. It ends in a local optimum of a problem that friction makes non-convex, so `Ceiling.value` is searched, not proven: a
-better search lowers it. What other starts find is in docs/explanation/ceiling.md. `Ceiling.proven` is the relaxation of `relaxed` with the
-same penalty: a proven bound of the car without end stops, and a loose one. `Ceiling.sentence` says both.
+**The computation** is the clairvoyant's descent on the penalised cost, through the real kernel with friction,
+stop and limits. Friction makes the problem non-convex and the result a local optimum. `Ceiling.value` is
+therefore searched, not proven: a better search lowers the value. docs/explanation/ceiling.md lists the
+results of other starts. `Ceiling.proven` is the relaxation of `relaxed` with the same penalty: a proven but
+loose bound for the car without end stops. `Ceiling.sentence` states both.
 """
 
 from __future__ import annotations
@@ -54,10 +58,15 @@ from .model import Model, Weights, device_reach, prediction_model, statistical_l
 
 @dataclass(frozen=True)
 class CeilingSettings:
-    """What shapes the penalty's value function; any choice gives a valid bound.
+    """Parameters of the penalty's value function; any choice gives a valid bound.
 
-    move, effort [1/A^2]: weights on the change of current and on the current, in place of the limits. centring [-]: on the
-    device's travel over its stop, in place of the stop.
+    Attributes:
+        move: Weight on the change of current, instead of the slew limit [1/A^2].
+        effort: Weight on the current, instead of the current limit [1/A^2].
+        centring: Weight on the device's travel over its stop, instead of the stop [-].
+
+    Raises:
+        InputError: A weight is negative.
     """
 
     move: float = 0.1
@@ -69,15 +78,28 @@ class CeilingSettings:
             raise InputError("weights of the penalty must be >= 0")
 
 
-#: for the proven bound, of a car that has no stops
+#: for the proven bound of a car without stops
 PROVEN = CeilingSettings(move=0.02, centring=0.0)
 
 
 class NewsValue:
-    """The linear-quadratic car over one episode of `steps` control steps, and what news of the road is worth to it.
+    """The linear-quadratic car over one episode, and the value of news of the road.
 
-    X (n + 1,): state above the road and the current before. M[k]: weights of (x after step k, I of step k), stage cost of
-    step k included; V[k]: of X_k. loop[k]: X_k -> (x_k+1, I_k) under the optimal law; worth[k]: curvature by the current.
+    X (n + 1,) is the state above the road with the preceding current. M[k] are weights of (x after step k, I
+    of step k) including the stage cost of step k; V[k] are weights of X_k. loop[k] maps X_k to (x_k+1, I_k)
+    under the optimal law; worth[k] is the curvature with respect to the current.
+
+    Args:
+        network: The plant.
+        road: A rough road.
+        speed: Speed [m/s].
+        steps: Number of control steps.
+        cost: Stage cost.
+        control_step: Control step [s].
+        settings: Weights of the value function; None for the defaults.
+
+    Raises:
+        InputError: The road has a fixed profile, or the network has no motor.
     """
 
     def __init__(
@@ -118,7 +140,7 @@ class NewsValue:
         F = np.zeros((n + 1, n + 1))
         F[:n, :n], F[:n, n], F[n, n] = m.A, m.B, 1.0
         b = np.append(m.B, 1.0)
-        Y = np.column_stack([m.C, m.D])  # signals at the end of a step, of (x, I)
+        Y = np.column_stack([m.C, m.D])  # signals at the end of a step, as rows over (x, I)
         stage = Y.T @ (weights.signals[:, None] * Y)
         stage[n, n] += weights.current
         V = np.zeros((n + 1, n + 1))
@@ -135,21 +157,44 @@ class NewsValue:
         self.b = b
 
     def value(self, preview: int = 0) -> float:
-        """Mean cost per step of the linear car from rest, its road known `preview` control steps ahead: the Riccati answer."""
+        """Return the mean cost per step of the linear car from rest, from the Riccati equation.
+
+        Args:
+            preview: Known road ahead [control steps].
+
+        Returns:
+            Mean stage cost [-].
+        """
         n = self.model.n
         if preview == 0:
             return float(np.einsum("kij,ji->", self.M[:, :n, :n], self.W) / len(self.M))
         return -self._ahead(np.zeros((len(self.M), n)), preview)[2] / len(self.M)
 
     def news(self, heights: np.ndarray) -> np.ndarray:
-        """What is new of the road in each control step, as it moves the state (steps, n)."""
+        """Return the news of the road in each control step, as changes of the state.
+
+        Args:
+            heights: Heights of the road at every physics step [m].
+
+        Returns:
+            Changes (steps, n).
+        """
         rises = heights[1:] - self.pole * heights[:-1]
         return rises.reshape(-1, self.sub) @ self.response.T
 
     def penalty(self, heights: np.ndarray, preview: int = 0) -> tuple[Penalty, np.ndarray]:
-        """The penalty of a road (heights [m] every physics step) for policies that know `preview` control steps of it.
+        """Return the penalty of a road for policies with a given preview.
 
-        And the slope (steps, n + 1) of the value of X_k by what is known of the road then: ``X' V X + 2 slope . X``.
+        Args:
+            heights: Heights of the road at every physics step [m].
+            preview: Known road ahead [control steps].
+
+        Returns:
+            The penalty, and the slope (steps, n + 1) of the value of X_k due to the known road: ``X' V X + 2
+                slope . X``.
+
+        Raises:
+            InputError: The preview is negative or too long.
         """
         if preview < 0:
             raise InputError(f"a preview of {preview} steps is none")
@@ -163,31 +208,33 @@ class NewsValue:
             slope = np.zeros((steps, n + 1))
         else:
             by_state, by_current, constant, slope = self._ahead(d, preview)
-        # in the assembly's coordinates positions are not above the road
+        # in the coordinates of the assembly, positions are not relative to the road
         lifted = float(heights[:: self.sub][:-1] @ (by_state @ self.model.lift))
         return Penalty(by_state, by_current, constant - lifted), slope
 
     def _ahead(self, d: np.ndarray, preview: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-        """Slopes of the penalty by state and current, its constant, and what is known, with at least one step of preview.
+        """Return slopes of the penalty by state and current, its constant, and the known part, for a preview of
+        at least one step.
 
-        The news of step m is known from m - preview + 1 on, before that step's current is chosen. What it does to the value is
-        followed back step by step: `slope[m]` is the slope of the value of (x, I) after step m - lag by the news of step m.
+        The news of step m are known from step m - preview + 1 on, before the current of that step. Their
+        effect on the value is propagated backwards: `slope[m]` is the slope of the value of (x, I) after step
+        m - lag due to the news of step m.
         """
         n, steps = self.model.n, len(d)
         M, r, b = self.M, self.worth, self.b
         slope = M[:, :, :n].copy()
         own = np.einsum("kij,kj->ki", slope, d)  # (steps, n + 1)
-        # of the news alone: d' (M - g g' / r) d, less its mean
+        # of the news alone: d' (M - g g' / r) d minus its mean
         across = np.einsum("kij,i->kj", slope, b)
         left = M[:, :n, :n] - np.einsum("ki,kj->kij", across, across) / r[:, None, None]
         constant = float(np.einsum("ki,kij,kj->", d, left, d) - np.einsum("kij,ji->", left, self.W))
-        # slope of the value of (x, I) after step j by what is known of the steps after it
+        # slope of the value of (x, I) after step j due to the known road of later steps
         known = np.zeros((steps, n + 1))
         for lag in range(1, min(preview, steps)):
             back = np.zeros_like(slope)
             back[lag:] = np.einsum("kij,kil->kjl", self.loop[1 : steps - lag + 1], slope[lag:])
             slope = back
-            j = slice(0, steps - lag)  # the steps whose law the news of step j + lag alters
+            j = slice(0, steps - lag)  # steps whose law depends on the news of step j + lag
             new = np.einsum("kij,kj->ki", slope[lag:], d[lag:])
             old = own[j] + known[j]
             spread = np.einsum("kij,i->kj", slope[lag:], b)
@@ -196,7 +243,7 @@ class NewsValue:
             terms -= (2 * (old @ b) * (new @ b) + (new @ b) ** 2 - mean) / r[j]
             constant += float(terms.sum())
             known[j] += new
-        # on (x, I) after step k, by the news of step k + preview
+        # on (x, I) after step k, due to the news of step k + preview
         on = np.zeros((steps, n + 1))
         if preview < steps:
             last = np.einsum("kij,kil->kjl", self.loop[1 : steps - preview + 1], slope[preview:])
@@ -204,16 +251,19 @@ class NewsValue:
         by_state = np.zeros((steps, n))
         by_state[1:] = on[:-1, :n]
         before = np.zeros_like(known)
-        before[1:] = (known + 0.5 * on)[:-1]  # nothing hangs on the state of rest at the start
+        before[1:] = (known + 0.5 * on)[:-1]  # the state of rest at the start contributes nothing
         return by_state, on[:, n], constant, before
 
 
 @dataclass(frozen=True)
 class Ceiling:
-    """A searched bound of the mean cost J of every controller that knows `preview` [s] of road ahead.
+    """A numerically searched bound of the mean cost J of every controller with a given preview.
 
-    roads (episodes,): the penalised optimum of each road as found, whose mean is the ceiling; proven (episodes,): a proven lower bound of
-    each, for the car without end stops. passive: J of the conventional car in expectation, exact.
+    Attributes:
+        preview: Known road ahead [s].
+        roads: Penalised optimum of each road (episodes,), as found; the mean is the ceiling.
+        proven: Proven lower bound of each road (episodes,), for the car without end stops.
+        passive: Exact expectation of J of the conventional car.
     """
 
     preview: float
@@ -223,11 +273,12 @@ class Ceiling:
 
     @property
     def value(self) -> float:
+        """Mean cost J of the ceiling [-]."""
         return float(self.roads.mean())
 
     @property
     def sentence(self) -> str:
-        """What the ceiling is worth, in one sentence; the documentation says the same."""
+        """Meaning of the ceiling in one sentence, as in the documentation."""
         what, who = "causal ceiling", "that does not see the road"
         if self.preview:
             what, who = (
@@ -247,15 +298,20 @@ class Ceiling:
 
     @property
     def standard_error(self) -> float:
-        """Of `value` by the choice of roads."""
+        """Standard error of `value` due to the choice of roads."""
         return _standard_error(self.roads)
 
     @property
     def change(self) -> float:
-        """Against the conventional passive car, as a fraction."""
+        """Change of J against the conventional passive car, as a fraction."""
         return self.value / self.passive - 1.0
 
     def to_dict(self) -> dict[str, Any]:
+        """Return the ceiling as plain data.
+
+        Returns:
+            Values with their uncertainty.
+        """
         return {
             "preview": {"value": self.preview, "unit": "s"},
             "roads": len(self.roads),
@@ -271,7 +327,7 @@ class Ceiling:
 
 
 def _standard_error(values: np.ndarray) -> float:
-    """Of the mean of `values`, one of each road."""
+    """Return the standard error of the mean over roads."""
     return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan
 
 
@@ -283,7 +339,19 @@ def passive_cost(
     cost: StageCost,
     control_step: float = CONTROL_STEP,
 ) -> float:
-    """Mean J of the conventional passive car from rest over `duration` [s], in expectation and exactly: it is linear."""
+    """Return the exact expectation of the mean cost of the conventional passive car from rest, which is linear.
+
+    Args:
+        network: The plant.
+        road: A rough road.
+        speed: Speed [m/s].
+        duration: Length of an episode [s].
+        cost: Stage cost.
+        control_step: Control step [s].
+
+    Returns:
+        Mean stage cost J [-].
+    """
     car = linear_car(conventional(network), speed=speed, road=road)
     n = len(car.A)
     noise = car.intensity * np.outer(car.G, car.G)
@@ -299,10 +367,10 @@ def passive_cost(
 
 
 FILE = Path(__file__).with_name("ceiling.json")
-#: roads that nothing was tuned on
+#: first seed of roads that were not used for tuning
 SEED = 600_000
 ROADS = 16
-FEWEST = 4  # roads of a ceiling that a score quotes
+FEWEST = 4  # smallest number of roads of a ceiling in a score
 
 
 def ceiling(
@@ -320,12 +388,30 @@ def ceiling(
     store: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Ceiling | None:
-    """The bound for controllers that know `preview` [s] of road ahead (0: a causal one, whatever it measures).
+    """Return the bound for controllers with a given preview; with preview 0 a causal bound for any measurement.
 
-    Roads are those of seeds `seed`, `seed + 1`, ...; what is known of them is shipped or in the user's cache, the rest is
-    computed (some 15 s a road) and kept there, or in the file `store`. Without `compute` it is that of the roads there are,
-    and None where there are fewer than `FEWEST`.
-    Raises `InputError` for a road that is not rough, or a car without a motor.
+    Known roads are shipped or in the user's cache. Other roads are computed (about 15 s per road) and stored
+    in the cache, or in `store`.
+
+    Args:
+        network: The plant.
+        preview: Known road ahead [s].
+        road: A rough road.
+        speed: Speed [m/s].
+        duration: Length of an episode [s].
+        episodes: Number of roads.
+        seed: Seed of the first road.
+        cost: Stage cost; None for the environment's.
+        settings: Weights of the penalty; None for the defaults.
+        compute: Whether missing roads are computed.
+        store: File of computed roads; None for the cache.
+        progress: Called with the finished share, from 0 to 1.
+
+    Returns:
+        The ceiling; None without `compute` if fewer than `FEWEST` roads are known.
+
+    Raises:
+        InputError: The road is not rough, or the network has no motor.
     """
     network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
     settings = settings or CeilingSettings()
@@ -334,7 +420,7 @@ def ceiling(
         network, ground, speed, duration, cost, preview=float(preview), settings=asdict(settings)
     )
     known = read(key, FILE)
-    if not compute:  # as many as there are, one after another
+    if not compute:  # all known consecutive roads
         count = next(i for i in range(len(known) + 1) if seed + i not in known)
         episodes = min(episodes, count)
         if episodes < FEWEST:
@@ -392,20 +478,29 @@ def _one_road(
     return {"reached": best, "unstitched": first, "proven": proven}
 
 
-#: starts of the search, and what follows each stitch
+#: starts of the search, and descents after each stitch
 SEARCH = (*SCHEDULES, Schedule(((4.0, 3e-4), (1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15))
 _GENTLE = Schedule(((1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15)
 _STRONG = Schedule(((8.0, 1e-3), (4.0, 3e-4), (2.0, 1e-4), (1.0, 1e-4), (0.3, 1e-4), (0.0, 3e-5)), 15)
 POLISH = (_GENTLE, _STRONG, _STRONG, _GENTLE, _STRONG)
-WINDOW = 50  # control steps between which a stitch may change over
+WINDOW = 50  # length of the windows of a stitch [control steps]
 
 
 def stitch(episode: Episode, value: NewsValue, slope: np.ndarray, tries: Sequence[np.ndarray]) -> np.ndarray:
-    """The best of several solutions, piece by piece: currents (steps,) that follow now one of `tries`, now another.
+    """Combine several local optima of a road piece by piece by dynamic programming.
 
-    Local optima of a road differ here and there, and a car forgets within a second. What a solution loses in a step is its
-    cost, less penalty, plus the change of the value function; going over from one to another costs about the value of their
-    difference; the cheapest way through is found by dynamic programming.
+    The loss of a solution in a step is its cost minus the penalty plus the change of the value function. A
+    change from one solution to another costs about the value of their difference. Local optima differ in
+    places, and a car forgets within a second.
+
+    Args:
+        episode: The road and the car.
+        value: Value function of the linear car.
+        slope: Slopes (steps, n + 1) of the value due to the known road.
+        tries: Currents (steps,) of the solutions [A].
+
+    Returns:
+        Currents (steps,) [A] that follow one of `tries` at a time.
     """
     n, steps = value.model.n, episode.steps
     lost, states = [], []
@@ -450,12 +545,24 @@ def known(
     *,
     preview: float = 0.0,
 ) -> dict[str, Any] | None:
-    """The ceiling as the score quotes it (`Ceiling.to_dict`), or None where it has not been computed."""
+    """Return the ceiling of a score from known roads.
+
+    Args:
+        network: The plant.
+        road: The road.
+        speed: Speed [m/s].
+        duration: Length of an episode [s].
+        cost: Stage cost; None for the environment's.
+        preview: Known road ahead [s].
+
+    Returns:
+        `Ceiling.to_dict`; None if too few roads are known.
+    """
     try:
         found = ceiling(
             network, preview=preview, road=road, speed=speed, duration=duration, cost=cost, compute=False
         )
-    except InputError:  # a road or a car without one
+    except InputError:  # a road or a car without a ceiling
         return None
     return None if found is None else found.to_dict()
 
@@ -479,10 +586,10 @@ def command(
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Search a bound for all controllers that know so much of the road ahead: the causal ceiling, and with preview.
+    """Search a bound for all controllers with a given preview of the road: the causal ceiling, and ceilings with preview.
 
-    The ceiling is searched, not proven; a proven and looser bound is printed beside it. Computed roads are kept and not
-    computed again. `isd-gym score` quotes the ceilings it finds.
+    The ceiling is searched, not proven; a proven but looser bound is printed as well. Computed roads are
+    stored. `isd-gym score` quotes the known ceilings.
 
     Example: isd-gym ceiling --preview 0 --preview 0.1
     """

@@ -1,20 +1,22 @@
 """The clairvoyant optimum: the least cost of an episode whose whole road is known in advance.
 
-It minimises the stage cost over the currents of one episode (4000 in 20 s), through the real kernel with its projected
-friction, end stop and every other law, under |I| <= 5 A and |dI| <= 0.5 A per control step.
+The stage cost is minimised over the currents of one episode (4000 in 20 s), through the real kernel with
+projected friction, end stop and every other law, under |I| <= 5 A and |dI| <= 0.5 A per control step.
 
-**What is reached** (`Clairvoyant.value`). Differential dynamic programming (Gauss-Newton) over the control steps, state
-(x, memory of the laws, current), input dI. The limits are primal-dual log barriers, lowered to nothing; the Jacobians are
-differences through the kernel itself, so any network will do. Friction makes the problem non-smooth and non-convex: the
-projection ``f = clip(-v / g, F)`` is first softened (g larger: a steep damper below a small velocity) and hardened step
-by step until it is the real one. The currents found are rolled out as they are: the value is reached, and so an upper
-bound of the optimum. Other schedules and starts end within some 0.5 % of it.
+**Reached value** (`Clairvoyant.value`). Differential dynamic programming (Gauss-Newton) over the control
+steps, with the state (x, memory of the laws, current) and the input dI. The limits are primal-dual log
+barriers, lowered to zero. The Jacobians are differences through the kernel, so that any network is possible.
+Friction makes the problem non-smooth and non-convex: the projection ``f = clip(-v / g, F)`` is first softened
+(larger g: a steep damper below a small velocity) and then hardened step by step to the real projection. The
+resulting currents are rolled out: the value is reached, and hence an upper bound of the optimum. Other
+schedules and starts end within about 0.5 %.
 
-**What is proven** (`Clairvoyant.lower`). Let the friction be any force within its level, as if it were a second
-actuator, and take the end stops away: the real friction is one of the choices, and the problem becomes convex. Its
-Lagrange dual, evaluated exactly by one Riccati sweep, is a lower bound for the car without end stops. (With them it is
-not proven, for a stop may push the right way. What is reached with and without them differs by 0.6 % at most, seeds 0-3.)
-Without friction and stops the two methods meet within 0.05 %, which checks both.
+**Proven bound** (`Clairvoyant.lower`). Let the friction be any force within its level, like a second
+actuator, and remove the end stops. The real friction is one of the choices, and the problem becomes convex.
+Its Lagrange dual, evaluated exactly by one Riccati sweep, is a lower bound for the car without end stops.
+(With end stops the bound is not proven, since a stop may push in the right direction. The reached values with
+and without stops differ by at most 0.6 %, seeds 0-3.) Without friction and stops, the two methods agree
+within 0.05 %, which checks both.
 """
 
 from __future__ import annotations
@@ -59,13 +61,23 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 CONTROL_STEP = 5e-3  # s
-SLACK = 1e-9  # the currents stay this far inside the limits [A]
+SLACK = 1e-9  # distance of the currents from the limits [A]
 
 
 class Episode:
-    """One road and one car, ready to be rolled out for any currents.
+    """One road and one car, prepared for rollouts of any currents.
 
-    `penalty`: what the knowledge of the road is charged, see `ceiling`; it joins the cost that is minimised.
+    Args:
+        network: The plant.
+        heights: Heights of the road at every physics step [m].
+        cost: Stage cost.
+        control_step: Control step [s].
+        slew_limit: Largest change of current per control step [A].
+        current_limit: Largest current [A].
+        penalty: Charge for the knowledge of the road, see `ceiling`; part of the minimised cost.
+
+    Raises:
+        InputError: The network has no motor or no ideal drive, or the heights are invalid.
     """
 
     def __init__(
@@ -141,7 +153,14 @@ class Episode:
         return Objective(self.squares, self.on_current, slope_z, slope_i, slew, most, barrier)
 
     def cost_of(self, path: Rollout) -> float:
-        """Mean stage cost of a rollout, less the mean penalty."""
+        """Return the mean stage cost of a rollout minus the mean penalty.
+
+        Args:
+            path: The rollout.
+
+        Returns:
+            Mean cost [-].
+        """
         cost = path.outputs**2 @ self.squares + self.on_current * path.current**2
         charged = 0.0
         if self.penalty is not None:
@@ -151,13 +170,20 @@ class Episode:
         return float((cost.sum() - charged) / self.steps)
 
     def rollout(self, currents: np.ndarray) -> Rollout:
-        """The real car under currents (steps,), whatever they are."""
+        """Roll out the real car.
+
+        Args:
+            currents: Currents (steps,) [A], not limited.
+
+        Returns:
+            The rollout.
+        """
         currents = np.asarray(currents, float)
         car, nothing = self._car(self.single, self.single.mats), self._plan(currents)
         return self._roll(car, self._objective(limited=False), nothing, (0.0,))[0]
 
     def _plan(self, currents: np.ndarray) -> Plan:
-        """The plan that keeps to `currents`."""
+        """Return the plan that keeps to `currents`."""
         N, n = self.steps, self.nz + 1
         return Plan(
             z=np.zeros((N, self.nz)),
@@ -186,7 +212,18 @@ class Episode:
         iterations: int,
         tolerance: float = 1e-4,
     ) -> np.ndarray:
-        """DDP at one softness of the friction and one `barrier`, from `currents` strictly inside the limits."""
+        """Run differential dynamic programming at one softness of the friction and one barrier.
+
+        Args:
+            currents: Start (steps,) [A], strictly inside the limits.
+            softness: Softness of the friction [-]; 0 for the real friction.
+            barrier: Weight of the log barriers [-].
+            iterations: Largest number of sweeps.
+            tolerance: Relative improvement below which the descent ends.
+
+        Returns:
+            Currents (steps,) [A].
+        """
         one = self._car(self.single, self.single.softened(softness))
         many = self._car(self.many, self.many.softened(softness))
         objective, N = self._objective(barrier), self.steps
@@ -236,14 +273,22 @@ class Episode:
         return path.current
 
     def optimise(self, schedule: Schedule, initial: np.ndarray | None = None) -> np.ndarray:
-        """Currents (steps,) after the descents of a schedule."""
+        """Run the descents of a schedule.
+
+        Args:
+            schedule: Stages of softness and barrier.
+            initial: Start (steps,) [A]; None for zero current.
+
+        Returns:
+            Currents (steps,) [A].
+        """
         I = np.zeros(self.steps) if initial is None else self._inside(initial)
         for softness, barrier in schedule.stages:
             I = self.descend(I, softness=softness, barrier=barrier, iterations=schedule.iterations)
         return I
 
     def _inside(self, currents: np.ndarray) -> np.ndarray:
-        """Currents a little inside all limits."""
+        """Return currents slightly inside all limits."""
         out, last = np.empty(self.steps), 0.0
         slew, most = 0.98 * self.slew, 0.98 * self.most
         for k, target in enumerate(np.asarray(currents, float)):
@@ -252,7 +297,11 @@ class Episode:
         return out
 
     def relaxation(self) -> float | None:
-        """A proven lower bound of the cost of the car without end stops (see `relaxed`); None where a law besides one friction and stops is present."""
+        """Return a proven lower bound of the cost of the car without end stops (see `relaxed`).
+
+        Returns:
+            Mean cost [-]; None for cars with laws other than one friction and stops.
+        """
         asm = self.single.assemblies[0]
         dry = [j for j, e in enumerate(asm.laws) if e.bound is not None]
         if len(dry) > 1 or any(e.bound is None and not isinstance(e, el.BumpStop) for e in asm.laws):
@@ -290,25 +339,45 @@ class Episode:
 
 @dataclass(frozen=True)
 class Penalty:
-    """What is taken off an episode's summed cost: ``constant + sum_k on_state[k] . x[k] + on_current[k] I[k]``.
+    """Deduction from the summed cost of an episode: ``constant + sum_k on_state[k] . x[k] + on_current[k] I[k]``.
 
-    x (n,): the network's states at the start of control step k, I [A] held over it.
+    x (n,) are the network's states at the start of control step k, and I [A] is the current of the step.
+
+    Attributes:
+        on_state: Slopes (steps, n).
+        on_current: Slopes (steps,) [1/A].
+        constant: Constant [-].
     """
 
-    on_state: np.ndarray  # (steps, n)
-    on_current: np.ndarray  # (steps,)
+    on_state: np.ndarray
+    on_current: np.ndarray
     constant: float
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Stages (softness of the friction [-], barrier [-]) and DDP sweeps in each."""
+    """Stages of a descent.
+
+    Attributes:
+        stages: Softness of the friction [-] and barrier [-] of each stage.
+        iterations: Sweeps per stage.
+    """
 
     stages: tuple[tuple[float, float], ...]
     iterations: int
 
     @classmethod
     def of(cls, factor: float, power: float, iterations: int) -> Schedule:
+        """Return a schedule with geometrically decreasing softness.
+
+        Args:
+            factor: Ratio of softness between stages.
+            power: Exponent of the barrier over the softness.
+            iterations: Sweeps per stage.
+
+        Returns:
+            The schedule.
+        """
         top, softness, stages = 40.0, 40.0, []
         while softness > 0.3:
             stages.append((softness, max(1e-2 * (softness / top) ** power, 3e-5)))
@@ -316,15 +385,21 @@ class Schedule:
         return cls((*stages, (0.0, 3e-5)), iterations)
 
 
-#: tried in this order; each ends in another local optimum, some 0.3 % apart
+#: tried in this order; the local optima differ by about 0.3 %
 SCHEDULES = (Schedule.of(2.0, 1.0, 15), Schedule.of(2.0, 1.5, 15), Schedule.of(1.4, 1.5, 8))
 
 
 @dataclass(frozen=True)
 class Clairvoyant:
-    """The outcome: `currents` (steps,) [A], the cost they reach, a lower bound (proven without end stops), and the costs of all starts.
+    """Result of the optimisation of one road.
 
-    `rms` (3,): body acceleration [m/s^2], suspension travel [m], dynamic tyre load [N] at the ends of control steps.
+    Attributes:
+        currents: Best currents (steps,) [A].
+        value: Reached mean cost [-].
+        lower: Lower bound [-], proven for the car without end stops; None if not computed.
+        rms: RMS (3,) of body acceleration [m/s^2], suspension travel [m] and dynamic tyre load [N] at the
+            ends of control steps.
+        starts: Costs of all starts [-].
     """
 
     currents: np.ndarray
@@ -335,7 +410,7 @@ class Clairvoyant:
 
     @property
     def gap(self) -> float | None:
-        """What is between reached and proven, relative to the reached."""
+        """Difference between reached value and bound, relative to the reached value."""
         return None if self.lower is None else 1.0 - self.lower / self.value
 
 
@@ -354,11 +429,28 @@ def clairvoyant(
     initial: Sequence[np.ndarray] = (),
     bound: bool = True,
 ) -> Clairvoyant:
-    """The best currents for one road, known in advance.
+    """Return the best currents for one road that is known in advance.
 
-    The road is that of the environment with this `seed`, or `heights` [m] at 0, 1 ms, ... `starts`: how many of the
-    schedules to try (1 to 3); `slew_limit` [A] per control step; `initial`: currents (steps,) of other controllers to start from as well. `bound`: compute the
-    lower bound too. Raises `InputError` for a network without a motor or with a lag or delay in its drive.
+    Args:
+        network: The plant.
+        heights: Heights of the road [m] at 0, 1 ms, ...; None for the road of `seed`.
+        seed: Seed of an environment's road; None for `heights`.
+        road: The road of `seed`.
+        speed: Speed [m/s].
+        duration: Length of the episode [s].
+        cost: Stage cost; None for the environment's.
+        control_step: Control step [s].
+        slew_limit: Largest change of current per control step [A].
+        starts: Number of schedules to try, at most 3.
+        initial: Currents (steps,) of other controllers as further starts [A].
+        bound: Whether the lower bound is computed.
+
+    Returns:
+        Currents, cost and bound.
+
+    Raises:
+        InputError: The network has no motor, the drive has a lag or delay, or the arguments do not define a
+            road and a start.
     """
     network = Network.load(network)
     if (heights is None) == (seed is None):
@@ -371,7 +463,7 @@ def clairvoyant(
         network, heights, cost=cost or StageCost(), control_step=control_step, slew_limit=slew_limit
     )
     tries = [episode.optimise(schedule) for schedule in SCHEDULES[:starts]]
-    # a given start keeps its own pattern of sticking: begin at a friction that is but a little soft
+    # a given start keeps its pattern of sticking: the first friction is only slightly soft
     tries += [episode.optimise(Schedule(((2.0, 1e-4), (0.5, 1e-4), (0.0, 3e-5)), 15), I) for I in initial]
     if not tries:
         raise InputError(
@@ -390,7 +482,19 @@ def clairvoyant(
 def episode_key(
     network: Network, road: Road, speed: float, duration: float, cost: StageCost, **more: Any
 ) -> str:
-    """What the values of a road depend on, besides its seed."""
+    """Return a key of everything except the seed on which the values of a road depend.
+
+    Args:
+        network: The plant.
+        road: The road.
+        speed: Speed [m/s].
+        duration: Length of the episode [s].
+        cost: Stage cost.
+        more: Further values.
+
+    Returns:
+        16 hexadecimal digits.
+    """
     model = network.to_dict()
     car = {k: model[k] for k in ("masses", "elements", "inputs")}
     ground: list[Any] = [road.roughness, road.cutoff, road.over_time, road.shift]
@@ -414,7 +518,15 @@ def _held(path: Path) -> dict[str, Any]:
 
 
 def read(key: str, shipped: Path) -> dict[int, dict[str, Any]]:
-    """Seed -> figures of all episodes that have been computed: shipped, or in the user's cache."""
+    """Return the known figures of episodes, shipped or from the user's cache.
+
+    Args:
+        key: Key of `episode_key`.
+        shipped: Shipped file.
+
+    Returns:
+        Figures by seed.
+    """
     out: dict[int, dict[str, Any]] = {}
     for path in (_cached(shipped), shipped):
         out |= {int(seed): found for seed, found in _held(path).get(key, {}).get("seeds", {}).items()}
@@ -424,7 +536,16 @@ def read(key: str, shipped: Path) -> dict[int, dict[str, Any]]:
 def keep(
     path: Path, exactly: bool, key: str, about: dict[str, Any], seed: int, figures: dict[str, Any]
 ) -> None:
-    """Add what was computed of a seed to `path`, or unless `exactly` to the user's cache beside it."""
+    """Store the figures of a seed.
+
+    Args:
+        path: Shipped file, or the exact file.
+        exactly: Whether `path` is written, instead of the user's cache of the same name.
+        key: Key of `episode_key`.
+        about: Description of the conditions, for people.
+        seed: Seed of the road.
+        figures: Values of the road.
+    """
     path = path if exactly else _cached(path)
     data = _held(path)
     data.setdefault(key, {**about, "seeds": {}})["seeds"][str(seed)] = figures
@@ -432,7 +553,7 @@ def keep(
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(data, indent=1) + "\n")
     except (OSError, InputError):
-        pass  # a cache that cannot be written costs time, nothing else
+        pass  # an unwritable cache only costs time
 
 
 FILE = Path(__file__).with_name("clairvoyant.json")
@@ -452,11 +573,25 @@ def reference(
     store: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, np.ndarray] | None:
-    """What is known of the episodes with seeds `seed`, `seed + 1`, ...; None where one of them is not known.
+    """Return the known figures of consecutive episodes.
 
-    Arrays (episodes,): `value` (the least cost known), `lower` (proven, NaN where there is none), and RMS of
-    `acceleration` [m/s^2], `travel` [m], `tyre_load` [N] at that cost. With `compute`, what is missing is computed (some
-    10 s an episode and start) and kept in the user's cache, or in the file `store`.
+    Args:
+        network: The plant.
+        road: The road.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        duration: Length of an episode [s].
+        cost: Stage cost; None for the environment's.
+        compute: Whether missing figures are computed (about 10 s per episode and start).
+        starts: Number of schedules to try.
+        store: File of computed figures; None for the user's cache.
+        progress: Called with the finished share, from 0 to 1.
+
+    Returns:
+        Arrays (episodes,): `value` (least known cost), `lower` (proven; NaN without a bound), and RMS of
+            `acceleration` [m/s^2], `travel` [m] and `tyre_load` [N] at that cost. None if an episode is
+            unknown.
     """
     network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
     key = episode_key(network, ground, speed, duration, cost)
@@ -492,10 +627,20 @@ def reachable(
     duration: float = 20.0,
     cost: StageCost | None = None,
 ) -> dict[str, np.ndarray] | None:
-    """What is known of these episodes, for the score; None where one of them is not known (see `reference`).
+    """Return the known figures of consecutive episodes for a score (see `reference`).
 
-    Arrays (episodes,): `value`, the least cost known; `lower`, proven; at that cost the RMS of body_acceleration,
-    suspension_travel and tyre_load.
+    Args:
+        network: The plant.
+        road: The road.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        duration: Length of an episode [s].
+        cost: Stage cost; None for the environment's.
+
+    Returns:
+        Arrays (episodes,): `value` (least known cost), `lower` (proven), and RMS of body_acceleration
+            [m/s^2], suspension_travel [m] and tyre_load [N] at that cost. None if an episode is unknown.
     """
     found = reference(network, road, speed, episodes, seed, duration, cost)
     if found is None:
@@ -505,7 +650,7 @@ def reachable(
 
 
 def main() -> None:
-    """``python -m baselines.clairvoyant``: compute what the shipped file lacks (delete it to begin anew)."""
+    """``python -m baselines.clairvoyant``: compute the missing figures of the shipped file (delete the file to restart)."""
 
     def say(share: float) -> None:
         print(f"{100 * share:.0f} %", flush=True)

@@ -1,4 +1,4 @@
-"""What every baseline is: a belief, a memory, and a current for an observation."""
+"""Base classes of the baselines: a model, a memory, and a current for each observation."""
 
 from __future__ import annotations
 
@@ -18,19 +18,28 @@ if TYPE_CHECKING:
     from isd_gym.vehicle import Vehicle
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
-CURRENT = 5  # place of the present current in the observation
+CURRENT = 5  # index of the present current in the observation
 
 
 class Controller(ABC):
-    """Observation (6,) in, commanded current [A] out; of a car with several motors (signals,) in and (currents,) out.
+    """A controller of one car: observation in, commanded current out.
 
-    `name`; `model`: the network it believes in, whatever the plant is; `fallbacks`: how often it could not do what it is
-    meant to and did something safe instead. Whatever comes in, the command is finite, at most 5 A, and at most 0.5 A
-    from the present current (Table 5).
+    A quarter car has observations (6,) and a current; a car with several motors has observations (signals,)
+    and currents (currents,). For any input, commands are finite, at most 5 A, and at most 0.5 A from the
+    present current (Table 5).
+
+    Args:
+        name: Name in scores.
+        model: The network that the controller assumes; the plant may differ.
+
+    Attributes:
+        name: Name in scores.
+        model: The assumed network.
+        fallbacks: Number of steps with a safe substitute for the intended command.
     """
 
-    observation: str = "measured"  # what it wants to see of the environment
-    preview: float = 0.0  # s of road ahead, where it wants that
+    observation: str = "measured"  # observation of the environment
+    preview: float = 0.0  # length of the previewed road, if any [s]
 
     def __init__(self, name: str, model: Network) -> None:
         self.name, self.model = name, model
@@ -38,32 +47,61 @@ class Controller(ABC):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget everything: a new road begins at rest. The count of fallbacks stays."""
+        """Clear the memory: a new road starts at rest. The number of fallbacks is kept."""
 
     @abstractmethod
     def act(self, observation: np.ndarray) -> float | np.ndarray:
-        """Commanded current [A] for one observation (6,), or currents (currents,)."""
+        """Return the commanded current for one observation.
+
+        Args:
+            observation: Observation (signals,), or longer with preview.
+
+        Returns:
+            Current [A], or currents (currents,) [A].
+        """
 
 
 class BatchController(Controller):
-    """A controller of many cars at once; one car is a batch of one. Subclasses give `_start` and `_command`.
+    """A controller of many cars; a single car is a batch of one. Subclasses define `_start` and `_command`.
 
-    name: under which it is scored. model: the network it believes in.
+    Args:
+        name: Name in scores.
+        model: The network that the controller assumes.
     """
 
     def reset(self) -> None:
+        """Clear the memory of a single car."""
         self.reset_batch(1)
 
     def reset_batch(self, count: int) -> None:
-        """Forget everything and drive `count` cars."""
+        """Clear the memory, and start a number of cars.
+
+        Args:
+            count: Number of cars.
+        """
         self._last = np.zeros(count)
         self._start(count)
 
     def act(self, observation: np.ndarray) -> float:
+        """Return the commanded current for one observation.
+
+        Args:
+            observation: Observation (6,), or longer with preview.
+
+        Returns:
+            Current [A].
+        """
         return float(self.act_batch(np.asarray(observation)[None])[0])
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Commanded currents [A] (n,) for observations (n, 6), car i with its own memory."""
+        """Return the commanded currents; each car has a separate memory.
+
+        Args:
+            observations: Observations (n, 6), or wider with preview.
+
+        Returns:
+            Currents (n,) [A].
+        """
         obs = clean(observations, self._last)
         self._last = limit(self._command(obs), obs[CURRENT])
         return self._last
@@ -73,26 +111,25 @@ class BatchController(Controller):
 
     @abstractmethod
     def _command(self, obs: np.ndarray) -> np.ndarray:
-        """Wanted currents (n,) for clean observations (6+, n)."""
+        """Return the wanted currents (n,) for clean observations (6+, n)."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of {self.model.name!r}>"
 
 
 class Signals:
-    """Places and bounds of the signals in the observation of a car.
+    """Positions and bounds of the signals in the observation of a car.
+
+    Args:
+        car: The car.
 
     Attributes:
         bounds: Bounds (signals, 1) of the measured signals.
-        currents: Places of the present currents.
+        currents: Positions of the present currents.
     """
 
     def __init__(self, car: Vehicle) -> None:
-        """Find the places.
-
-        Args:
-            car: Car.
-        """
+        """Find the positions."""
         self.bounds = np.array([[signal.bound] for signal in car.measured])
         self.currents = slice(len(car.measured) - len(car.driven), len(car.measured))
 
@@ -100,37 +137,40 @@ class Signals:
         """Return observations as clean columns, see `clean`.
 
         Args:
-            observations: As the environment gives them (cars, signals).
-            last: Last commands [A] (currents, cars).
+            observations: Observations (cars, signals) of the environment.
+            last: Last commands (currents, cars) [A].
+
+        Returns:
+            Clean observations (signals, cars).
         """
         return clean(observations, last, self.bounds, self.currents)
 
 
 class WholeCarController(BatchController):
-    """A controller that commands all currents of a car from all of its signals.
+    """A controller that commands all currents of a car from all signals of the car.
 
-    Subclasses give `_start` and `_command`, with signals (signals, cars) in and wanted currents (currents, cars) out.
+    Subclasses define `_start` and `_command`, with signals (signals, cars) in and wanted currents (currents,
+    cars) out.
+
+    Args:
+        name: Name in scores.
+        model: Network of the assumed car.
 
     Attributes:
-        name: Name under which it is scored.
-        model: Network of the car that is believed in.
+        name: Name in scores.
+        model: Network of the assumed car.
         car: The network as a car.
-        signals: Places of the signals in an observation.
+        signals: Positions of the signals in an observation.
     """
 
     def __init__(self, name: str, model: Network) -> None:
-        """Prepare for the observations of a car.
-
-        Args:
-            name: Name under which it is scored.
-            model: Network of the car that is believed in.
-        """
+        """Prepare for the observations of a car."""
         super().__init__(name, model)
         self.car = vehicle(model)
         self.signals = Signals(self.car)
 
     def reset_batch(self, count: int) -> None:
-        """Forget everything and drive `count` cars.
+        """Clear the memory, and start a number of cars.
 
         Args:
             count: Number of cars.
@@ -142,10 +182,13 @@ class WholeCarController(BatchController):
         return self.act_batch(np.asarray(observation)[None])[0]
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return commanded currents [A] (cars, currents) for observations (cars, signals), car i with its own memory.
+        """Return the commanded currents; each car has a separate memory.
 
         Args:
-            observations: As the environment gives them.
+            observations: Observations (cars, signals) of the environment.
+
+        Returns:
+            Currents (cars, currents) [A].
         """
         obs = self.signals.clean(observations, self._last)
         self._last = limit(self._command(obs), obs[self.signals.currents])
@@ -153,9 +196,17 @@ class WholeCarController(BatchController):
 
 
 def steps_ahead(preview: float, control_step: float) -> int:
-    """Control steps of road in `preview` [s]; `InputError` unless it is a whole number of them, or 0.
+    """Return the number of control steps in a preview.
 
-    control_step [s].
+    Args:
+        preview: Preview [s].
+        control_step: Control step [s].
+
+    Returns:
+        Number of control steps.
+
+    Raises:
+        InputError: The preview is negative or no integer multiple of the control step.
     """
     if not (math.isfinite(preview) and preview >= 0):
         raise InputError(f"the preview must be 0 s or more, not {preview:g} s")
@@ -168,9 +219,17 @@ def steps_ahead(preview: float, control_step: float) -> int:
 
 
 def rises(obs: np.ndarray, points: int) -> np.ndarray:
-    """By how much the road rises in each of the next control steps (points, cars) [m], of observations (6 + .., cars).
+    """Return the rises of the road in the next control steps.
 
-    obs: columns, as `clean` gives them.
+    Args:
+        obs: Clean observations (6 + ..., cars), as returned by `clean`.
+        points: Number of control steps.
+
+    Returns:
+        Rises (points, cars) [m].
+
+    Raises:
+        InputError: The observation shows fewer points.
     """
     if len(obs) < len(_BOUNDS) + points:
         raise InputError(f"the observation shows {len(obs) - len(_BOUNDS)} points of road, not {points}")
@@ -183,25 +242,36 @@ def clean(
     bounds: np.ndarray = _BOUNDS,
     currents: int | slice = CURRENT,
 ) -> np.ndarray:
-    """Observations (n, 6+) as columns (6+, n) float64; a broken number becomes 0, a broken current the last command.
+    """Return observations as columns; an invalid number becomes 0, an invalid current the last command.
 
-    observations: as the environment gives them. bounds (signals, 1): of the measured signals; currents: places of the present
-    currents among them, those of a quarter car by default.
+    Args:
+        observations: Observations (n, 6+) of the environment.
+        last: Last commands [A], (n,) or (currents, n).
+        bounds: Bounds (signals, 1) of the measured signals; by default those of a quarter car.
+        currents: Positions of the present currents in an observation; by default that of a quarter car.
+
+    Returns:
+        Clean observations (6+, n), float64.
     """
     obs = np.array(np.asarray(observations).T, float)
     if not np.isfinite(obs.sum()):
         broken = ~np.isfinite(obs)
         obs[broken] = 0.0
         obs[currents] = np.where(broken[currents], last, obs[currents])
-    signals = obs[: len(bounds)]  # minimum and maximum: np.clip costs a single car several times as much
+    signals = obs[: len(bounds)]  # minimum and maximum: np.clip takes several times as long for a single car
     np.minimum(np.maximum(signals, -bounds, out=signals), bounds, out=signals)
     return obs
 
 
 def limit(wanted: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Table 5: |I| <= 5 A and |dI| <= 0.5 A; a command that is not a number holds the present current.
+    """Limit currents as in Table 5: |I| <= 5 A and |dI| <= 0.5 A; an invalid command holds the present current.
 
-    wanted, present (n,) [A].
+    Args:
+        wanted: Wanted currents (n,) [A].
+        present: Present currents (n,) [A].
+
+    Returns:
+        Commanded currents (n,) [A].
     """
     wanted = np.where(np.isfinite(wanted), wanted, present)
     step = np.minimum(np.maximum(wanted - present, -SLEW_LIMIT), SLEW_LIMIT)

@@ -1,7 +1,7 @@
-"""Decentralised control of a car with several corners: a quarter car's controller at each, on the measurements of its own.
+"""Decentralised control of a car with several corners: one controller of a quarter car per corner, with local measurements.
 
-The corner of a half or full car sees the vertical acceleration of the body above it, z - x pitch + y roll, its own travels
-and rates, and its own current. It believes in the quarter car that `Vehicle.quarter_car` makes of the network.
+The corner of a half or full car measures the vertical acceleration of the body above, z - x pitch + y roll,
+its own travels and rates, and its own current. Its model is the quarter car of `Vehicle.quarter_car`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,16 @@ OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_t
 
 
 def corner_cost(cost: StageCost) -> StageCost:
-    """Return the stage cost of a quarter car whose weights are those of a car with several corners.
+    """Return the stage cost of a quarter car with the weights of a car with several corners.
 
-    The weights of vertical, pitch and roll acceleration are added up. The references are those of the quarter car.
+    The weights of vertical, pitch and roll acceleration are added. The references are those of the quarter
+    car.
 
     Args:
         cost: Stage cost of the whole car.
+
+    Returns:
+        Stage cost of a quarter car.
     """
     motions = cost.acceleration + cost.pitch + cost.roll
     return StageCost(
@@ -44,7 +48,7 @@ def corner_cost(cost: StageCost) -> StageCost:
 
 
 def corner_view(car: Vehicle) -> np.ndarray:
-    """Return the matrix that makes the observations of quarter cars out of the observation of a car.
+    """Return the matrix from the observation of a car to the observations of quarter cars.
 
     Args:
         car: Car with several corners.
@@ -67,29 +71,31 @@ def at_each_corner(
     """Return a controller for each corner with a current.
 
     Args:
-        model: Network of the car that is believed in.
+        model: Network of the assumed car.
         cost: Stage cost of the car.
-        make: Function that makes the controller of a quarter car from its network and its stage cost.
+        make: Returns the controller of a quarter car from its network and its stage cost.
+
+    Returns:
+        Controllers in the order of the currents.
     """
     car = vehicle(model)
     return [make(car.quarter_car(corner), corner_cost(cost)) for corner in car.driven]
 
 
 class Decentralised(Controller):
-    """One controller at each corner, without knowledge of the other corners.
+    """Independent controllers at the corners of a car.
+
+    Args:
+        name: Name in scores.
+        model: Network of the assumed car.
+        corners: Controllers of quarter cars for many cars at once, as returned by `at_each_corner`.
 
     Attributes:
         corners: Controllers of quarter cars, in the order of the currents.
     """
 
     def __init__(self, name: str, model: Network, corners: Sequence[Any]) -> None:
-        """Put the controllers at their corners.
-
-        Args:
-            name: Name under which it is scored.
-            model: Network of the car that is believed in.
-            corners: Controllers of quarter cars that drive many cars at once, as `at_each_corner` makes them.
-        """
+        """Store the controllers of the corners."""
         super().__init__(name, model)
         self.car, self.corners = vehicle(model), list(corners)
         self._view = corner_view(self.car)
@@ -99,7 +105,7 @@ class Decentralised(Controller):
         self.reset_batch(1)
 
     def reset_batch(self, count: int) -> None:
-        """Forget everything and drive `count` cars.
+        """Clear the memory, and start a number of cars.
 
         Args:
             count: Number of cars.
@@ -111,10 +117,13 @@ class Decentralised(Controller):
         return self.act_batch(np.asarray(observation)[None])[0]
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return commanded currents [A] (cars, currents) for observations (cars, signals).
+        """Return the commanded currents.
 
         Args:
-            observations: As the environment gives them.
+            observations: Observations (cars, signals) of the environment.
+
+        Returns:
+            Currents (cars, currents) [A].
         """
         own = self.observed(np.asarray(observations, float))
         currents = [c.act_batch(obs) for c, obs in zip(self.corners, own, strict=True)]
@@ -122,10 +131,13 @@ class Decentralised(Controller):
         return np.stack(currents, axis=-1)
 
     def observed(self, observations: np.ndarray) -> list[np.ndarray]:
-        """Return what each corner sees (cars, 6) of observations (cars, signals).
+        """Return the local observations of the corners.
 
         Args:
-            observations: As the environment gives them, in float64.
+            observations: Observations (cars, signals) of the environment, in float64.
+
+        Returns:
+            Observations (cars, 6) of each corner.
         """
         seen = observations[:, : self._view.shape[2]]
         with np.errstate(invalid="ignore"):

@@ -1,8 +1,9 @@
-"""Differential dynamic programming through the simulator's own kernel: one car, one road, one current.
+"""Differential dynamic programming through the simulator's kernel, for one car with one current on one road.
 
-Gauss-Newton over the control steps, state (z, current before), input dI; z: the network's states and the memory of its
-laws. The limits are primal-dual log barriers, the Jacobians differences through the kernel, so any network will do. Besides
-its squares the cost may hold terms that are linear in z and the current at every step (`Objective`).
+Gauss-Newton over the control steps, with the state (z, preceding current) and the input dI; z are the
+network's states and the memory of its laws. The limits are primal-dual log barriers, and the Jacobians are
+differences through the kernel, so that any network is possible. Besides squares, the cost may have terms
+linear in z and the current at every step (`Objective`).
 """
 
 from __future__ import annotations
@@ -22,83 +23,132 @@ if TYPE_CHECKING:
 
     from isd_gym.kernel.layout import Layout
 
-PIECE = 40  # control steps that share a step length
-CAUTION = 0.5  # how much more than its curvature a deviation at the end of a piece is taken to cost
-ALPHAS = (1.0, 0.4, 0.1, 0.0)  # step lengths tried
+PIECE = 40  # control steps with a common step length
+CAUTION = 0.5  # additional curvature, as a share of the value function's, of deviations at the end of a piece
+ALPHAS = (1.0, 0.4, 0.1, 0.0)  # trial step lengths
 
-# the kernel's functions: bound where this is compiled, see `compiled`
+# functions of the kernel, bound at compilation, see `compiled`
 advance: Callable
 measure: Callable
 
 
 class Car(NamedTuple):
-    """What the kernel needs of a car: its numbers, its start, and the road of the episode, as `Plant` makes them."""
+    """Kernel data of a car: numbers, start, and the road of the episode, as created by `Plant`.
+
+    Attributes:
+        mats: Numbers of the plant.
+        ints: Sizes of the plant.
+        start: State of the kernel (states, 1).
+        road: Inputs (physics steps + 1, inputs, 1).
+        rows: Rows (nz,) of the kernel's state that form z.
+        substeps: Physics steps per control step.
+        currents: Number of currents, at least 1; the first is driven.
+        outputs: Number of outputs; the first three are in the cost.
+    """
 
     mats: np.ndarray
     ints: np.ndarray
-    start: np.ndarray  # (states of the kernel, 1)
-    road: np.ndarray  # (physics steps + 1, inputs, 1)
-    rows: np.ndarray  # (nz,): rows of the kernel's state that make z
-    substeps: int  # physics steps in a control step
-    currents: int  # of the network, at least 1; the first is driven
-    outputs: int  # of the kernel; the first three are in the cost
+    start: np.ndarray
+    road: np.ndarray
+    rows: np.ndarray
+    substeps: int
+    currents: int
+    outputs: int
 
 
 class Objective(NamedTuple):
     """Sum over the steps of ``squares . y^2 + current I^2 + slope_z . z + slope_i I`` and the barriers of |dI| and |I|.
 
-    y at the end of the step, z at its start, I held over it.
+    y is at the end of the step, z at its start; I is held over the step.
+
+    Attributes:
+        squares: Weights (3,) of the squared outputs.
+        current: Weight of the squared current [1/A^2].
+        slope_z: Linear weights (steps, nz) of z.
+        slope_i: Linear weights (steps,) of I [1/A].
+        slew: Limit of |dI| [A].
+        most: Limit of |I| [A].
+        barrier: Weight of the barriers.
     """
 
-    squares: np.ndarray  # (3,)
+    squares: np.ndarray
     current: float
-    slope_z: np.ndarray  # (steps, nz)
-    slope_i: np.ndarray  # (steps,)
-    slew: float  # A
-    most: float  # A
+    slope_z: np.ndarray
+    slope_i: np.ndarray
+    slew: float
+    most: float
     barrier: float
 
 
 class Plan(NamedTuple):
-    """``dI = nominal + alpha feedforward - feedback (z - z nominal, I - I nominal)`` and the value function it follows."""
+    """Feedback law ``dI = nominal + alpha feedforward - feedback (z - z nominal, I - I nominal)`` with its value function.
 
-    z: np.ndarray  # (steps, nz), nominal
-    current: np.ndarray  # (steps,), nominal
-    feedforward: np.ndarray  # (steps,)
-    feedback: np.ndarray  # (steps, nz + 1)
-    values: np.ndarray  # (steps, nz + 1, nz + 1)
-    slopes: np.ndarray  # (steps, nz + 1)
+    Attributes:
+        z: Nominal z (steps, nz).
+        current: Nominal current (steps,) [A].
+        feedforward: Changes (steps,) [A].
+        feedback: Gains (steps, nz + 1).
+        values: Curvature of the value function (steps, nz + 1, nz + 1).
+        slopes: Slope of the value function (steps, nz + 1).
+    """
+
+    z: np.ndarray
+    current: np.ndarray
+    feedforward: np.ndarray
+    feedback: np.ndarray
+    values: np.ndarray
+    slopes: np.ndarray
 
 
 class Path(NamedTuple):
-    """A rollout: z (steps, nz) and the kernel's state (steps, ..) at the start of each step, its current, y at its end."""
+    """A rollout.
+
+    Attributes:
+        z: z at the start of each step (steps, nz).
+        state: State of the kernel at the start of each step (steps, ...).
+        current: Current of each step (steps,) [A].
+        outputs: Outputs at the end of each step (steps, 3).
+    """
 
     z: np.ndarray
     state: np.ndarray
     current: np.ndarray
-    outputs: np.ndarray  # (steps, 3)
+    outputs: np.ndarray
 
 
 class Slopes(NamedTuple):
-    """Derivatives of the next z and of y by (z, I), every step."""
+    """Derivatives by (z, I) at every step.
 
-    z: np.ndarray  # (steps, nz, nz + 1)
-    outputs: np.ndarray  # (steps, 3, nz + 1)
+    Attributes:
+        z: Derivatives of the next z (steps, nz, nz + 1).
+        outputs: Derivatives of the outputs (steps, 3, nz + 1).
+    """
+
+    z: np.ndarray
+    outputs: np.ndarray
 
 
 def rollout(car, objective, plan, alphas, path, chosen):
-    """Roll a plan out, kept inside the barriers; fills `path`.
+    """Roll out a plan within the barriers, and fill `path`.
 
-    Of several `alphas` every `PIECE` steps take their own (`chosen`): that of the least cost of the piece plus the value
-    function at its end, with `CAUTION` times its curvature more. Friction bends the model here and there, and one alpha
-    for all would be that of the worst place.
+    Every `PIECE` steps use one of the `alphas` (`chosen`): the step length with the least cost of the piece
+    plus the value function at its end, with `CAUTION` times additional curvature. Friction bends the model in
+    places; a common step length would be that of the worst place.
+
+    Args:
+        car: Kernel data of the car.
+        objective: Minimised cost.
+        plan: Feedback law.
+        alphas: Trial step lengths.
+        path: Rollout, filled.
+        chosen: Step length of each piece, filled.
     """
     steps, nz = plan.current.shape[0], car.rows.shape[0]
     slew, most, barrier, sub = objective.slew, objective.most, objective.barrier, car.substeps
     state, begin = car.start.copy(), car.start.copy()
     c = np.zeros((sub, car.currents, 1))
     y = np.empty((car.outputs, 1))
-    lanes = y.shape[1]  # a literal 1 would have the kernel compiled once more
+    lanes = y.shape[1]  # a literal 1 would compile the kernel once more
     dz = np.empty(nz + 1)
     last_begin = 0.0
     many = alphas.shape[0]
@@ -107,7 +157,7 @@ def rollout(car, objective, plan, alphas, path, chosen):
         stop = min(first + PIECE, steps) if many > 1 else steps
         begin[:] = state
         best, best_at = np.inf, 0
-        # the last round repeats the best, unless it was the last one tried
+        # the last round repeats the best trial, unless the best was the last
         for trial in range(many + 1):
             if trial == many and best_at == many - 1:
                 break
@@ -126,7 +176,7 @@ def rollout(car, objective, plan, alphas, path, chosen):
                 for i in range(nz):
                     d -= plan.feedback[k, i] * (path.z[k, i] - plan.z[k, i])
                 d -= plan.feedback[k, nz] * (last - last_nominal)
-                # a feedback may not leap over a barrier: at most 99.5 % of the way from the nominal to it
+                # a feedback must not cross a barrier: at most 99.5 % of the distance from the nominal value
                 high = min(slew, most - last)
                 low = max(-slew, -most - last)
                 inside = (
@@ -165,7 +215,14 @@ def rollout(car, objective, plan, alphas, path, chosen):
 
 
 def jacobian(car, path, delta, slopes):
-    """Differences of the next z and the outputs with respect to (z, I), every control step; `car` has nz + 2 lanes."""
+    """Fill `slopes` with difference quotients of the next z and the outputs by (z, I) for every control step.
+
+    Args:
+        car: Kernel data with nz + 2 lanes.
+        path: Rollout.
+        delta: Increments (nz + 1,).
+        slopes: Derivatives, filled.
+    """
     steps, nz, sub = path.current.shape[0], car.rows.shape[0], car.substeps
     lanes = nz + 2
     state = np.empty((path.state.shape[1], lanes))
@@ -193,9 +250,18 @@ def jacobian(car, path, delta, slopes):
 
 @nb.njit(error_model="numpy", cache=True)
 def backward(slopes, path, objective, duals, caution, plan):
-    """One Riccati sweep about a trajectory: fills the plan and its value function; False where it is not convex.
+    """Run one Riccati sweep about a trajectory, and fill the plan and its value function.
 
-    duals (steps, 4): of the barriers of dI above and below and of I; `caution`: curvature added in each piece.
+    Args:
+        slopes: Derivatives along the trajectory.
+        path: The trajectory.
+        objective: Minimised cost.
+        duals: Multipliers (steps, 4) of the upper and lower barriers of dI and of I.
+        caution: Curvature added in each piece.
+        plan: Feedback law, filled.
+
+    Returns:
+        False for a problem that is not convex.
     """
     Y, I = path.outputs, path.current
     FZ, YZ = slopes.z, slopes.outputs
@@ -246,7 +312,7 @@ def backward(slopes, path, objective, duals, caution, plan):
                 t += V[i, r] * b[r]
             r0 += b[i] * t
             g += b[i] * v[i]
-        # stage cost; the outputs see (z, I), and I is the last state plus the input
+        # stage cost; the outputs depend on (z, I), and I is the last state plus the input
         for m in range(3):
             w = 2.0 * objective.squares[m]
             if w != 0.0:
@@ -285,7 +351,12 @@ def backward(slopes, path, objective, duals, caution, plan):
 
 
 class Compiled(NamedTuple):
-    """`rollout` and `jacobian` with the kernel of the laws that are registered now."""
+    """`rollout` and `jacobian` compiled with the kernel of the registered laws.
+
+    Attributes:
+        rollout: See `rollout`.
+        jacobian: See `jacobian`.
+    """
 
     rollout: Callable
     jacobian: Callable
@@ -294,7 +365,7 @@ class Compiled(NamedTuple):
 @functools.cache
 def _bind(own: Kernel) -> Compiled:
     names: dict[str, Any] = {**globals(), "advance": own.advance, "measure": own.measure}
-    flavour = own.advance.__qualname__.partition("_")[2]  # its laws are compiled in
+    flavour = own.advance.__qualname__.partition("_")[2]  # the name includes the compiled laws
     made = []
     for plain in (rollout, jacobian):
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
@@ -304,9 +375,12 @@ def _bind(own: Kernel) -> Compiled:
 
 
 def compiled(at: Layout) -> Compiled:
-    """Return the descent's functions, compiled when first needed.
+    """Return the compiled functions of the descent.
 
     Args:
-        at: Layout of the networks that they serve.
+        at: Layout of the networks.
+
+    Returns:
+        `rollout` and `jacobian`.
     """
     return _bind(kernel_of(at))

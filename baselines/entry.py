@@ -1,4 +1,4 @@
-"""The baselines, offered to `isd-gym score` by name."""
+"""Entry point of the baselines for `isd-gym score`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,21 @@ if TYPE_CHECKING:
 def open_policy(
     name: str, model: Network, cost: StageCost, control_step: float, options: dict[str, Any]
 ) -> Entry | None:
-    """The baseline called `name`, or None.
+    """Return a baseline as an entry of a score.
 
-    The option `preview` [s] is for those that look at the road ahead, `speed` [m/s] for those that know the rear road.
+    Args:
+        name: Name of the baseline.
+        model: The network that the controller assumes.
+        cost: Minimised stage cost.
+        control_step: Control step [s].
+        options: Fields of the controller's settings; `preview` [s] for controllers with preview, `speed`
+            [m/s] for controllers that predict the rear road.
+
+    Returns:
+        The entry; None for other names.
+
+    Raises:
+        InputError: An option is invalid.
     """
     from . import CONTROLLERS, make
 
@@ -29,13 +41,22 @@ def open_policy(
 
 
 def names() -> list[str]:
+    """Return the names of the baselines.
+
+    Returns:
+        Names, sorted.
+    """
     from . import CONTROLLERS
 
     return sorted(CONTROLLERS)
 
 
 def about() -> dict[str, str]:
-    """What each of them is, in a line."""
+    """Return one-line descriptions of the baselines.
+
+    Returns:
+        Description by name.
+    """
     from . import ABOUT, CONTROLLERS
 
     return {name: ABOUT.get(name, "") for name in CONTROLLERS}

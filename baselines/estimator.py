@@ -1,4 +1,4 @@
-"""The estimate that LQG and both predictive controllers act on: a steady Kalman filter that knows of dry friction."""
+"""State estimate of LQG and both predictive controllers: a steady Kalman filter with dry friction."""
 
 from __future__ import annotations
 
@@ -14,14 +14,20 @@ if TYPE_CHECKING:
 
 
 class Estimator:
-    """Steady Kalman filter of the state above the road, many cars at once, friction as a known force.
+    """Steady Kalman filter of the state above the road for many cars, with friction as a known force.
 
-    Friction enters the prediction as the projected force at the estimate (it holds or resists with its level), and the
-    road as white velocity; both are corrected by what is measured.
+    The friction in the prediction is the projected force at the estimate (it holds, or resists with its
+    level); the road is white velocity. The measurements correct both.
 
-    model: what is believed. sensors: how well it is measured. friction_noise [N]: how little the model's friction is
-    trusted, per step. noise (n, n): covariance of the state per step, beyond the road's and the friction's.
-    `x` (n, cars): the estimate; `f` (laws, cars) [N]: the friction it was predicted with.
+    Args:
+        model: Prediction model.
+        sensors: Standard deviations of the measurements.
+        friction_noise: Standard deviation of the model's friction per step [N].
+        noise: Covariance of the state per step (n, n), in addition to road and friction; None for zero.
+
+    Attributes:
+        x: Estimate (n, cars).
+        f: Friction of the prediction (laws, cars) [N].
     """
 
     def __init__(
@@ -44,16 +50,27 @@ class Estimator:
         self._inputs, self._feedthrough = model.inputs, model.feedthrough[: self._measured]
         self.levels = model.levels()
         self._dry = model.friction
-        self._implicit = model.S @ model.G + model.SF  # rate of a law at the end of the step, by its force
+        self._implicit = model.S @ model.G + model.SF  # rate of a law at the end of the step per force
         self.reset(1)
 
     def reset(self, count: int) -> None:
-        """Forget everything: `count` cars at rest."""
+        """Clear the memory, and start cars at rest.
+
+        Args:
+            count: Number of cars.
+        """
         self.x = np.zeros((self.model.n, count))
         self.f = np.zeros((len(self.model.laws), count))
 
     def friction(self, x_free: np.ndarray) -> np.ndarray:
-        """Forces (nl, n) that hold or resist at the end of a step that would end at `x_free` (n, cars) without them."""
+        """Return the friction that holds or resists at the end of a step.
+
+        Args:
+            x_free: State at the end of the step without friction (n, cars).
+
+        Returns:
+            Forces (laws, cars) [N].
+        """
         f = np.zeros_like(self.f)
         free = self.model.S @ x_free
         for _ in range(3 if len(self._dry) > 1 else 1):
@@ -63,9 +80,14 @@ class Estimator:
         return f
 
     def update(self, obs: np.ndarray, road: np.ndarray | None = None) -> np.ndarray:
-        """Estimate (n, cars) after the step that ended in clean observations (6+, cars).
+        """Return the estimate after a step.
 
-        `road` (cars,) [m]: how much the road rose over that step, where it is known.
+        Args:
+            obs: Clean observations (6+, cars) at the end of the step.
+            road: Rise of the road over the step (cars,) [m]; None if unknown.
+
+        Returns:
+            Estimate (n, cars).
         """
         m, measured = self.model, self._measured
         currents = obs[self._currents]

@@ -1,16 +1,17 @@
-"""A friction-aware MPC: stick, slip, slew limit and end stop inside the prediction, solved as a box-limited DDP.
+"""Friction-aware MPC: stick, slip, slew limit and end stop in the prediction, solved as a box-limited DDP.
 
-The prediction is the car itself at the control step, its linear part exact and its friction implicit (it holds or
-resists at the end of the step). What a road that is not known will add to the friction's rate is averaged over: the
-expected friction is ``f erf(v / (sqrt(2) sigma_k))`` with the spread sigma_k that the road has caused k steps ahead,
-which is statistical linearisation about the plan instead of about rest, and makes the problem smooth. The plan is
-improved by Gauss-Newton differential dynamic programming (Tassa, Mansard and Todorov, 2014); one input and its box
-need no solver: a sweep back and a sweep forward over the horizon, compiled. So there is no quadratic program here, and
-no OSQP; the optimum is a local one.
+The prediction is the car at the control step, with an exact linear part and implicit friction (which holds or
+resists at the end of the step). The effect of the unknown road on the friction's rate is averaged: the
+expected friction is ``f erf(v / (sqrt(2) sigma_k))`` with the spread sigma_k that the road causes k steps
+ahead. This is a statistical linearisation about the plan instead of about rest, and makes the problem smooth.
+Gauss-Newton differential dynamic programming (Tassa, Mansard and Todorov, 2014) improves the plan. One input
+with its box needs no solver: only a compiled backward and forward sweep over the horizon. There is no
+quadratic program and no OSQP; the optimum is local.
 
-Tuned one setting at a time on roads 1000-1015, J against passive: -23.86 % as shipped; horizon 40 -23.87, six sweeps
--23.86, no weight on tyre load -23.86 (and +3.0 % of it for +2.5), centring 0.01/0.1 -23.29/-23.48, move 0.01/0.1
--23.67/-23.35; with the true state for the estimate -24.21. It is a plateau; `docs/explanation/baselines.md` has the whole table.
+Tuned one setting at a time on roads 1000-1015, J against passive: -23.86 % as shipped; horizon 40 -23.87, six
+sweeps -23.86, no weight on tyre load -23.86 (with +3.0 % tyre load instead of +2.5), centring 0.01/0.1
+-23.29/-23.48, move 0.01/0.1 -23.67/-23.35; with the true state instead of the estimate -24.21. The optimum is
+flat; `docs/explanation/baselines.md` has the complete table.
 """
 
 from __future__ import annotations
@@ -46,8 +47,10 @@ if TYPE_CHECKING:
 
 @nb.njit(cache=True, error_model="numpy")
 def _forces(free, dry, level, slope, clear, coupling, spread, f, d):
-    """Forces f (nl,) of the laws at the end of a step, from their rates (friction) or elongations (stops) `free` without
-    them; and d (nl,), the derivatives of the force by its own rate or elongation."""
+    """Compute the forces f (nl,) of the laws at the end of a step, and their derivatives d (nl,) by their own rate or elongation.
+
+    `free` are the rates (friction) or elongations (stops) without the forces.
+    """
     nl = len(f)
     for _ in range(1 if nl < 2 else 2):
         for j in range(nl):
@@ -57,7 +60,7 @@ def _forces(free, dry, level, slope, clear, coupling, spread, f, d):
                     rest += coupling[j, i] * f[i]
             g = coupling[j, j]
             if dry[j]:
-                # v = rest + g f erf(v / (sqrt 2 sigma)) has one root as g < 0; Newton, kept within its bracket
+                # v = rest + g f erf(v / (sqrt 2 sigma)) has one root, since g < 0; bracketed Newton iteration
                 s = math.sqrt(2.0) * spread[j]
                 low, high = rest + g * level[j], rest - g * level[j]
                 v = rest / (1.0 - g * level[j] * 2.0 / math.sqrt(math.pi) / s)
@@ -87,7 +90,7 @@ def _forces(free, dry, level, slope, clear, coupling, spread, f, d):
 
 @nb.njit(cache=True, error_model="numpy")
 def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds, ys):
-    """Roll the plan forward; returns its cost (half the stage costs). With alpha > 0, follow the feedback of the sweep."""
+    """Roll the plan forward, with the feedback of the sweep for alpha > 0; return its cost (half the stage costs)."""
     A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, V = m
     n, N, nl = len(A), len(moves), len(dry)
     free = np.empty(nl)
@@ -136,7 +139,7 @@ def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds,
 
 @nb.njit(cache=True, error_model="numpy")
 def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
-    """The sweep back: gains (N, n+1) and open-loop changes gain_k (N,) of the moves, within their box."""
+    """Run the backward sweep: gains (N, n+1) and open-loop changes gain_k (N,) of the moves, within their box."""
     A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, Vend = m
     n, N, nl, ny = len(A), len(moves), len(dry), len(q)
     V = Vend.copy()
@@ -147,8 +150,8 @@ def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
             t += V[i, j] * xs[N, j]
         p[i] = t
     Z = np.empty((n, n + 1))  # derivative of the next state by (state, current)
-    J = np.empty((nl, n + 1))  # of the forces
-    Y = np.empty((ny, n + 1))  # of the signals
+    J = np.empty((nl, n + 1))  # derivative of the forces
+    Y = np.empty((ny, n + 1))  # derivative of the signals
     L = np.empty((nl, nl))
     T = np.empty((n + 1, n + 1))
     H = np.empty((n + 1, n + 1))
@@ -249,9 +252,9 @@ def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
 
 @nb.njit(cache=True, error_model="numpy")
 def _plan(x, current, moves, road, m, iterations):
-    """Improve the plans of all cars: x (n, cars), current (cars,), moves (cars, N) in place, road (cars, N) [m] per step.
+    """Improve the plans of all cars in place, and return the number of discarded plans (not finite).
 
-    Returns how many plans came out broken (a number that is not finite) and were given up.
+    x (n, cars), current (cars,), moves (cars, N), road (cars, N) [m] per step.
     """
     n, cars, N, nl, ny = len(m[0]), x.shape[1], moves.shape[1], len(m[10]), len(m[15])
     xs, cs, fs, ds, ys = (
@@ -274,7 +277,7 @@ def _plan(x, current, moves, road, m, iterations):
         x0 = np.ascontiguousarray(x[:, e])
         w = moves[e]
         c = current[e]
-        for k in range(N):  # the warm start must be allowed from where the current is now
+        for k in range(N):  # the warm start must be feasible from the present current
             w[k] = min(max(w[k], -SLEW_LIMIT, -CURRENT_LIMIT - c), SLEW_LIMIT, CURRENT_LIMIT - c)
             c += w[k]
         cost = _roll(x0, current[e], w, gains, nominal, gain_k, 0.0, road[e], m, xs, cs, fs, ds, ys)
@@ -314,13 +317,25 @@ def _plan(x, current, moves, road, m, iterations):
 
 @dataclass(frozen=True)
 class FrictionMpcSettings:
-    """horizon [steps]; iterations: sweeps per step at most. move, effort [1/A^2], tyre_load, centring [-]: weights beside
-    the stage cost. spread [-] scales the road's share in the friction's rate, floor [m/s] is its least. terminal_rate
-    [m/s]: rate at which friction is linearised for the cost-to-go. preview [s]: road ahead that is known; it
-    is no source of spread, the road after it is.
+    """Settings of the friction-aware MPC. Weights are in addition to the stage cost.
 
-    friction_noise [N]: how little the estimate trusts its friction. sensors: how well it takes them to measure.
-    road_intensity [m^2/s]: of the road's velocity, two-sided.
+    Attributes:
+        horizon: Horizon [steps].
+        iterations: Largest number of sweeps per step.
+        move: Weight of the change of current [1/A^2].
+        effort: Weight of the current [1/A^2].
+        tyre_load: Weight of the tyre load [-].
+        centring: Weight of the device's travel over its stop [-].
+        spread: Factor on the road's share in the friction's rate [-].
+        floor: Smallest spread of the friction's rate [m/s].
+        terminal_rate: Rate of the linearisation of friction in the cost-to-go [m/s].
+        friction_noise: Standard deviation of the estimator's friction per step [N].
+        preview: Known road ahead [s]; only the road beyond contributes to the spread.
+        sensors: Standard deviations of the measurements in the estimator.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+
+    Raises:
+        InputError: The horizon or the number of sweeps is smaller than 1.
     """
 
     horizon: int = 20
@@ -343,21 +358,35 @@ class FrictionMpcSettings:
 
 
 def with_preview(settings: FrictionMpcSettings, preview: float, control_step: float) -> FrictionMpcSettings:
-    """The settings for `preview` [s] of road ahead: a horizon as long, and more sweeps, for there is more to plan.
+    """Return the settings for a preview: a horizon of at least the preview, and more sweeps for the longer plan.
 
-    J against passive on roads 1000-1007, 0.1 s: 2 sweeps -33.10 %, 6 sweeps -33.31; 20 steps more of horizon -33.09 (2 sweeps).
+    J against passive on roads 1000-1007, 0.1 s: 2 sweeps -33.10 %, 6 sweeps -33.31; 20 steps more of horizon
+    -33.09 (2 sweeps).
 
-    control_step [s].
+    Args:
+        settings: Settings without preview.
+        preview: Known road ahead [s].
+        control_step: Control step [s].
+
+    Returns:
+        The changed settings.
+
+    Raises:
+        InputError: The preview is negative or no integer multiple of the control step.
     """
     horizon = max(steps_ahead(preview, control_step), settings.horizon)
     return replace(settings, preview=preview, horizon=horizon, iterations=6)
 
 
 class FrictionMpc(BatchController):
-    """See the module. `moves` (cars, horizon): planned changes of current [A].
+    """The friction-aware MPC of many cars. `moves` (cars, horizon) are the planned changes of current [A].
 
-    model: the network it believes in, whatever the plant is. cost: what it minimises. control_step [s]. settings:
-    its own, the defaults without. name: under which it is scored.
+    Args:
+        model: The network that the controller assumes; the plant may differ.
+        cost: Minimised stage cost; None for the environment's.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults.
+        name: Name in scores.
     """
 
     def __init__(
@@ -400,7 +429,7 @@ class FrictionMpc(BatchController):
     def _pack(self, m: Model, A_linear: np.ndarray, V: np.ndarray) -> tuple:
         s, nl = self.settings, len(m.laws)
         dry = np.array([e.bound is not None for e in m.laws], bool)
-        # a friction is read at its rate, a stop at its elongation
+        # friction depends on its rate, a stop on its elongation
         S = np.where(dry[:, None], m.S, m.E) if nl else np.zeros((0, m.n))
         coupling = S @ m.G + np.where(dry[:, None], m.SF, 0.0) if nl else np.zeros((0, 0))
         slope = np.array([e.stiffness if isinstance(e, el.BumpStop) else 0.0 for e in m.laws])

@@ -1,4 +1,4 @@
-"""LQG: the linear-quadratic regulator on a Kalman estimate, its current shifted past the friction."""
+"""LQG: linear-quadratic regulator on a Kalman estimate, with a current that compensates the friction."""
 
 from __future__ import annotations
 
@@ -24,17 +24,24 @@ from .model import (
 if TYPE_CHECKING:
     from isd_gym.network import Network
 
-STEEPEST = 0.1  # [m] that a road rises in a control step at most
+STEEPEST = 0.1  # largest rise of a road per control step [m]
 
 
 @dataclass(frozen=True)
 class LawSettings:
-    """effort [1/A^2], tyre_load [-], centring [-]: weights beside the stage cost. compensation [-]: share of the friction
-    made up for. lead [s], foresight [s]: how far ahead the law and the sign of the device's rate are read, for the
-    drive slews. width [m/s]: the sign is smoothed below it.
+    """Settings of a linear-quadratic law with friction compensation. Weights are in addition to the stage cost.
 
-    sensors: how well the estimate takes them to measure. road_intensity [m^2/s]: of the road's velocity, two-
-    sided.
+    Attributes:
+        effort: Weight of the current [1/A^2].
+        tyre_load: Weight of the tyre load [-].
+        centring: Weight of the device's travel over its stop [-].
+        compensation: Compensated share of the friction [-].
+        lead: Time ahead for which the law is evaluated, since the drive slews [s].
+        foresight: Time ahead for which the sign of the device's rate is evaluated [s].
+        width: Rate below which the sign is smoothed [m/s].
+        friction_noise: Standard deviation of the estimator's friction per step [N].
+        sensors: Standard deviations of the measurements in the estimator.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
     """
 
     effort: float = 0.01
@@ -44,27 +51,31 @@ class LawSettings:
     lead: float = 0.01
     foresight: float = 0.025
     width: float = 0.02
-    friction_noise: float = 300.0  # N, per step: how little the estimate trusts its friction
+    friction_noise: float = 300.0
     sensors: Sensors = field(default_factory=Sensors)
     road_intensity: float = ROAD_INTENSITY
 
 
 @dataclass(frozen=True)
 class LqgSettings(LawSettings):
-    """preview [s]: road ahead that is seen and planned with.
+    """Settings of the LQG, in addition to `LawSettings`.
 
-    Those of `LawSettings`: effort, tyre_load, centring, compensation, lead, foresight, width, friction_noise, sensors,
-    road_intensity.
+    Attributes:
+        preview: Known road ahead [s].
     """
 
     preview: float = 0.0
 
 
 class Lqg(BatchController):
-    """``I = -K x`` of the frictionless car, plus friction over thrust constant in the direction the device shall move.
+    """The law ``I = -K x`` of the frictionless car, plus friction over thrust constant in the intended direction of the device.
 
-    model: the network it believes in, whatever the plant is. cost: what it minimises. control_step [s]. settings:
-    its own, the defaults without. name: under which it is scored.
+    Args:
+        model: The network that the controller assumes; the plant may differ.
+        cost: Minimised stage cost; None for the environment's.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults.
+        name: Name in scores.
     """
 
     def __init__(
@@ -104,7 +115,8 @@ class Lqg(BatchController):
         self.reset()
 
     def _ahead(self, K: np.ndarray, G: np.ndarray, steps: float) -> tuple[np.ndarray, np.ndarray]:
-        """The state `steps` later in the closed loop, of the state (n, n) and the rises of the road (n, points) now."""
+        """Return matrices to the state `steps` later in the closed loop, from the state (n, n) and the rises of
+        the road (n, points)."""
         m, points = self.prediction, self._points
         low, part = int(steps), steps - int(steps)
         at, by = np.eye(m.n), np.zeros((m.n, points))
@@ -128,13 +140,19 @@ class Lqg(BatchController):
             return self.law(self.estimator.update(obs))
         last = self._rises[0]
         seen = np.nan_to_num(rises(obs, self._points), nan=0.0, posinf=0.0, neginf=0.0)
-        self._rises = np.clip(
-            seen, -STEEPEST, STEEPEST
-        )  # a sensor that talks nonsense is not believed for ever
+        self._rises = np.clip(seen, -STEEPEST, STEEPEST)  # an invalid sensor value is limited
         return self.law(self.estimator.update(obs, last), self._rises)
 
     def law(self, x: np.ndarray, ahead: np.ndarray | None = None) -> np.ndarray:
-        """Wanted current (cars,) for states (n, cars) and rises of the road ahead (points, cars) [m]."""
+        """Return the wanted current.
+
+        Args:
+            x: States (n, cars).
+            ahead: Rises of the road ahead (points, cars) [m]; None without preview.
+
+        Returns:
+            Currents (cars,) [A].
+        """
         wanted, rate = self._law @ x, self._rate @ x
         if ahead is not None:
             wanted, rate = wanted + self._law_ahead @ ahead, rate + self._rate_ahead @ ahead
@@ -142,9 +160,13 @@ class Lqg(BatchController):
 
 
 class FullStateLqr(Lqg):
-    """The same law on the true state (``observation="full"``): what the estimate costs, and the bar for the MPC.
+    """The law of `Lqg` on the true state (``observation="full"``): shows the cost of the estimate, and is the bar for the MPC.
 
-    model, cost: as those of `Lqg`.
+    Args:
+        model: The network that the controller assumes.
+        cost: Minimised stage cost; None for the environment's.
+        args: Further arguments of `Lqg`.
+        options: Further arguments of `Lqg`, by name.
     """
 
     observation = "full"
@@ -159,7 +181,8 @@ class FullStateLqr(Lqg):
             for i, c in enumerate(state_channels(model))
             if c.quantity == "velocity" and c.at in model.masses
         ]
-        # velocities of massless nodes depend on forces, not on the state alone: the device's rate stands for them
+        # velocities of massless nodes depend on forces, not only on the state: the device's rate replaces
+        # them
         self._places = [1, 2, 3, 4, *(6 + i for i in heights), *(6 + i for i in speeds)]
         self._state = np.linalg.pinv(np.vstack([m.C[1:5], m.nodes[heights], m.nodes[speeds]]))
 
@@ -168,7 +191,7 @@ class FullStateLqr(Lqg):
 
 
 def _later(G: np.ndarray, steps: float) -> np.ndarray:
-    """Weights of the rises as they will be `steps` later, as weights of those that are ahead now."""
+    """Return weights of the present rises that are equivalent to weights of the rises `steps` later."""
     low, part = int(steps), steps - int(steps)
 
     def shifted(by: int) -> np.ndarray:

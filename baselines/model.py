@@ -1,7 +1,7 @@
-"""What a controller believes: the network as a discrete prediction model, and the linear-quadratic tools on it.
+"""Model of a controller: the network as a discrete prediction model, and linear-quadratic tools.
 
-Positions are taken relative to the road (``x~ = x - T r`` with the rigid shift T), so the road enters as white
-velocity only and the model of equation (9) has no integrator that nothing can see.
+Positions are relative to the road (``x~ = x - T r`` with the rigid shift T). The road then enters as white
+velocity only, and the model of equation (9) has no unobservable integrator.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from .car import CarModel
 
 PAPER_CAR = "quarter-car-isd"
-SLIDING = 0.05  # m/s, a rate of the device on the paper's road: where a friction's level is read
-N_SENSORS = 5  # the measured signals that the physics determines; the sixth is the present current
+# typical rate of the device on the paper's road, at which the level of a friction is evaluated [m/s]
+SLIDING = 0.05
+N_SENSORS = 5  # number of measured signals that depend on the physics; the sixth is the present current
 TYRE = 5  # row of the tyre load among the signals
 #: two-sided intensity of the road's vertical velocity [m^2/s], the paper's road at 20 m/s
 ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20.0
@@ -39,21 +40,29 @@ ROAD_INTENSITY = (2 * math.pi) ** 2 * 0.5 * paper_road().roughness * 0.1**2 * 20
 
 @dataclass(frozen=True)
 class Sensors:
-    """Standard deviations a Kalman filter assumes; small, as the environment's sensors are clean.
+    """Standard deviations in a Kalman filter; small, since the environment's sensors are exact by default.
 
-    `memory` [s]: how long the car's absolute speed, which nothing measures, is integrated from the acceleration before
-    the road's mean level is trusted more. Clean sensors would allow minutes; an accelerometer's bias does not.
+    Attributes:
+        body_acceleration: Body acceleration [m/s^2].
+        suspension_travel: Suspension travel [m].
+        suspension_travel_rate: Rate of the suspension travel [m/s].
+        device_travel: Travel of the device [m].
+        device_travel_rate: Rate of the device [m/s].
+        memory: Time over which the car's absolute speed, which is not measured, is integrated from the
+            acceleration before the mean level of the road dominates [s]. Exact sensors would allow minutes;
+            the bias of an accelerometer does not.
     """
 
-    body_acceleration: float = 0.02  # m/s^2
-    suspension_travel: float = 2e-5  # m
-    suspension_travel_rate: float = 2e-3  # m/s
-    device_travel: float = 2e-5  # m
-    device_travel_rate: float = 2e-3  # m/s
+    body_acceleration: float = 0.02
+    suspension_travel: float = 2e-5
+    suspension_travel_rate: float = 2e-3
+    device_travel: float = 2e-5
+    device_travel_rate: float = 2e-3
     memory: float = 5.0
 
     @property
     def covariance(self) -> np.ndarray:
+        """Diagonal covariance (5, 5) of the measured signals."""
         values = [
             self.body_acceleration,
             self.suspension_travel,
@@ -68,10 +77,31 @@ class Sensors:
 class Model:
     """One control step of a car: ``x+ = A x + B I + G f + w``, ``y = C x + D I + F f``, ``v = S x + SI I + SF f``.
 
-    x (n,): state, positions above the road. I [A]: current held over the step. f (nl,) [N]: forces of the `laws` that
-    were kept apart (friction, stops). w: road, covariance `W` over one step. y (6,): the signals of `signal_channels`.
-    v (nl,) [m/s] and e (nl,) [m] (rows `E`): rates and elongations of the laws. P: response of x to a road that moves
-    linearly by 1 m over the step (preview).
+    x (n,) are states with positions above the road, I [A] the current of the step, f (nl,) [N] the forces of
+    the nonlinear `laws` (friction, stops), w the road, y (6,) the signals of `signal_channels`, and v (nl,)
+    [m/s] the rates of the laws.
+
+    Attributes:
+        network: The network.
+        step: Control step [s].
+        A: State matrix (n, n).
+        B: Response of the state to the current (n,).
+        G: Response of the state to the forces (n, nl).
+        W: Covariance of the road's effect per step (n, n).
+        P: Response of the state to a linear rise of the road by 1 m over the step (n,), for preview.
+        C: Output matrix (6, n).
+        D: Response of the outputs to the current (6,).
+        F: Response of the outputs to the forces (6, nl).
+        S: Rates of the laws by the state (nl, n).
+        SI: Rates of the laws by the current (nl,).
+        SF: Rates of the laws by the forces (nl, nl).
+        E: Elongations of the laws by the state (nl, n).
+        laws: Elements with a nonlinear law.
+        thrust: Force at the terminals of the motor [N/A]; 0 without a motor.
+        motor_rate: Rate of the device by the state (n,).
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+        nodes: Displacement and velocity of every node by the state, in the order of the full observation.
+        lift: State of the assembly when car and road are lifted by 1 m: x = x_assembly - lift r.
     """
 
     network: Network
@@ -89,16 +119,15 @@ class Model:
     SF: np.ndarray
     E: np.ndarray
     laws: tuple[el.Element, ...]
-    thrust: float  # N/A at the terminals of the motor; 0 without one
-    motor_rate: np.ndarray  # row that gives the device's rate
-    road_intensity: float  # m^2/s
-    # rows of displacement and velocity of every node, as the full observation has them
+    thrust: float
+    motor_rate: np.ndarray
+    road_intensity: float
     nodes: np.ndarray
-    lift: np.ndarray  # state of the assembly when car and road are lifted by 1 m: x = x_assembly - lift r
+    lift: np.ndarray
 
     @property
     def heave(self) -> np.ndarray:
-        """The state (n,) of a car that rises as a whole at 1 m/s, nothing in it moving against anything."""
+        """State (n,) of a car that rises as a whole at 1 m/s without relative motion."""
         channels = state_channels(self.network)
         speed = [
             i for i, c in enumerate(channels) if c.quantity == "velocity" and c.at in self.network.masses
@@ -109,6 +138,7 @@ class Model:
 
     @property
     def n(self) -> int:
+        """Number of states."""
         return len(self.A)
 
     @property
@@ -123,29 +153,42 @@ class Model:
 
     @property
     def friction(self) -> list[int]:
-        """Which of the laws are dry friction."""
+        """Indices of the laws that are dry friction."""
         return dry(self.laws)
 
     def levels(self, rate: float = SLIDING) -> np.ndarray:
-        """Friction level [N] of each law at a sliding rate [m/s]; 0 for laws that are not dry friction."""
+        """Return the friction level of each law at a sliding rate.
+
+        Args:
+            rate: Sliding rate [m/s].
+
+        Returns:
+            Levels (nl,) [N]; 0 for laws that are not dry friction.
+        """
         return friction_levels(self.laws, rate)
 
 
 def dry(laws: Sequence[el.Element]) -> list[int]:
-    """Return which of the laws are dry friction.
+    """Return the indices of the laws that are dry friction.
 
     Args:
-        laws: Laws that are kept apart.
+        laws: Laws.
+
+    Returns:
+        Indices.
     """
     return [j for j, e in enumerate(laws) if e.bound is not None]
 
 
 def friction_levels(laws: Sequence[el.Element], rate: float = SLIDING) -> np.ndarray:
-    """Return the friction level [N] of each law; 0 for laws that are not dry friction.
+    """Return the friction level of each law.
 
     Args:
-        laws: Laws that are kept apart.
+        laws: Laws.
         rate: Sliding rate [m/s].
+
+    Returns:
+        Levels (laws,) [N]; 0 for laws that are not dry friction.
     """
     out = np.zeros(len(laws))
     for j in dry(laws):
@@ -155,27 +198,35 @@ def friction_levels(laws: Sequence[el.Element], rate: float = SLIDING) -> np.nda
 
 
 def equivalent_damping(level: float, rate_rms: float) -> float:
-    """Damping [N s/m] that loses what friction of `level` [N] loses at a Gaussian rate of `rate_rms` [m/s].
+    """Return the damping that is equivalent to dry friction at a Gaussian rate.
 
     The quasi-linearisation of section 4.2: the least-squares gain of f sgn(v) on v is f sqrt(2/pi)/sigma.
+
+    Args:
+        level: Level of the friction [N].
+        rate_rms: RMS of the rate [m/s].
+
+    Returns:
+        Damping [N s/m].
     """
     return level * math.sqrt(2 / math.pi) / rate_rms
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Linear equations of a car whose dry friction and stops are inputs, and whose other laws count by their slope at rest.
+    """Linear equations of a car; dry friction and stops are inputs, and other laws are linearised by their slope at rest.
 
-    Columns of all matrices are the base vector of `Assembly`; the columns of the laws inside are zero.
+    Columns of all matrices are the base vector of `Assembly`; the columns of linearised laws are zero.
 
     Attributes:
         rate: Derivative of the state.
         out: Channels.
         E: Elongations [m] of the laws.
         R: Rates [m/s] of the laws.
-        columns: Columns of the states 'x', displacements 'r' [m] and velocities 'v' [m/s] of the roads, and currents 'I' [A].
+        columns: Columns of the states 'x', displacements 'r' [m] and velocities 'v' [m/s] of the roads, and
+            currents 'I' [A].
         apart: Columns of the forces of the laws.
-        laws: Laws that are kept apart.
+        laws: Dry frictions and stops.
     """
 
     rate: np.ndarray
@@ -193,7 +244,10 @@ def equations(network: Network, channels: Sequence[Channel], damping: Mapping[st
     Args:
         network: Network of the car.
         channels: Outputs.
-        damping: Dry frictions and stops that become linear dampers [N s/m], by name.
+        damping: Linear damping [N s/m] by name of a law, instead of the law.
+
+    Returns:
+        The equations.
     """
     bare = replace(
         network,
@@ -238,16 +292,19 @@ def equations(network: Network, channels: Sequence[Channel], damping: Mapping[st
 
 
 def lift(network: Network, parts: Equations, roads: np.ndarray, outputs: int) -> np.ndarray:
-    """Return the shift of the state when the roads rise by 1 m and nothing changes, nothing is felt: (n, rises).
+    """Return the shift of the state when the roads rise by 1 m without a change of elongations and signals.
 
     Args:
         network: Network of the car, for the message.
         parts: Equations of the car.
-        roads: How much each road rises (roads, rises) [m].
-        outputs: Number of channels that feel nothing.
+        roads: Rise of each road (roads, rises) [m].
+        outputs: Number of channels that must not change.
+
+    Returns:
+        Shift (n, rises).
 
     Raises:
-        InputError: The car feels the rise: something ties the car to the ground.
+        InputError: An element ties the car to the ground.
     """
     x, r = parts.columns["x"], parts.columns["r"]
     blocks = (parts.rate, parts.out[:outputs], parts.E, parts.R)
@@ -266,10 +323,21 @@ def prediction_model(
     damping: Mapping[str, float] | None = None,
     road_intensity: float = ROAD_INTENSITY,
 ) -> Model:
-    """The model of a quarter car at a control `step` [s].
+    """Return the prediction model of a quarter car.
 
-    Dry friction and stops are kept as laws, unless `damping` [N s/m] names them: then they are linear dampers, inside
-    A and C. Every other law counts by its slope at rest. Raises `InputError` for a network that is no quarter car.
+    Dry friction and stops are kept as laws. Every other law is linearised by its slope at rest.
+
+    Args:
+        network: The car.
+        step: Control step [s].
+        damping: Linear damping [N s/m] by name of a law, instead of the law.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+
+    Returns:
+        The model.
+
+    Raises:
+        InputError: The network is no quarter car, or is tied to the ground.
     """
     require_quarter_car(network, "the prediction model is that")
     parts = equations(network, [*signal_channels(network), *state_channels(network)], dict(damping or {}))
@@ -316,13 +384,20 @@ def prediction_model(
 
 
 def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: float) -> np.ndarray:
-    """Return the covariance (n, n) that white velocity of the road causes over one step (Van Loan, 1978).
+    """Return the covariance that white velocity of the road causes over one step.
 
     Args:
         A: Continuous system matrix (n, n).
         white: Inputs (n, k) of independent white velocities.
         intensity: Two-sided intensity of each [m^2/s].
         step: Step [s].
+
+    Returns:
+        Covariance (n, n).
+
+    References:
+        Van Loan, "Computing integrals involving the matrix exponential", IEEE Transactions on Automatic
+            Control, 1978.
     """
     n = len(A)
     loan = expm(np.block([[-A, intensity * white @ white.T], [np.zeros((n, n)), A.T]]) * step)
@@ -334,7 +409,14 @@ def white_covariance(A: np.ndarray, white: np.ndarray, intensity: float, step: f
 
 
 def device_reach(network: Network) -> float:
-    """Travel [m] at which the stop beside the motor of `network` is met; that of the paper's device where it has none."""
+    """Return the travel at which the stop of the motor is met.
+
+    Args:
+        network: The car.
+
+    Returns:
+        Travel [m]; that of the paper's device for a network without a stop.
+    """
     motor = next((e for e in network.elements if isinstance(e, el.Motor)), None)
     stops = [e for e in network.elements if isinstance(e, el.BumpStop)]
     beside = [e.clearance for e in stops if motor is not None and set(e.where) == set(motor.where)]
@@ -343,16 +425,25 @@ def device_reach(network: Network) -> float:
 
 @functools.cache
 def paper_reach() -> float:
-    """Travel [m] of the paper's device: the deputy cylinder's stroke over the ratio of areas (Table 1)."""
+    """Return the travel of the paper's device: the stroke of the deputy cylinder over the area ratio (Table 1).
+
+    Returns:
+        Travel [m].
+    """
     return next(e.clearance for e in Network.load(PAPER_CAR).elements if isinstance(e, el.BumpStop))
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Quadratic weights of a design: the stage cost, and what shapes it.
+    """Quadratic weights of a design.
 
-    move [1/A^2] on the change of current per step; effort [1/A^2] on the current; centring [-] on the device's travel
-    over its `reach` [m], see `device_reach`: nothing else holds it in the middle.
+    Attributes:
+        cost: Stage cost.
+        move: Weight of the change of current per step [1/A^2].
+        effort: Weight of the current [1/A^2].
+        centring: Weight of the device's travel over `reach` [-]; without this weight, the device is free to
+            drift.
+        reach: Travel of the device up to its stop [m], see `device_reach`.
     """
 
     cost: StageCost
@@ -363,12 +454,13 @@ class Weights:
 
     @property
     def signals(self) -> np.ndarray:
-        """Diagonal (6,) on the signals."""
+        """Diagonal (6,) of the weights of the signals."""
         a, l, f, _ = self.cost.quadratic
         return np.array([a, l, 0.0, self.centring / self.reach**2, 0.0, f])
 
     @property
     def current(self) -> float:
+        """Weight of the squared current [1/A^2]."""
         return self.cost.quadratic[3] + self.effort
 
 
@@ -383,7 +475,18 @@ def _riccati(model: Model | CarModel, *matrices: np.ndarray) -> np.ndarray:
 
 
 def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
-    """LQR without friction: (gain K (n,) of ``I = -K x``, value matrix V (n, n))."""
+    """Return the linear-quadratic regulator without friction.
+
+    Args:
+        model: Prediction model.
+        weights: Quadratic weights.
+
+    Returns:
+        Gain K (n,) of ``I = -K x``, and value matrix V (n, n).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+    """
     q = weights.signals[:, None]
     C, D = model.C @ model.A, model.C @ model.B + model.D  # signals at the end of the step
     Q, R = C.T @ (q * C), np.array([[D @ (q[:, 0] * D) + weights.current]])
@@ -394,17 +497,29 @@ def regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
 
 
 def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """LQR that knows the road `points` steps ahead: (K (n,), G (points,)) of ``I = -K x - G . rises`` [1/m].
+    """Return the linear-quadratic regulator with a known road ahead.
 
-    The value of a state x with known rises is ``x' V x + 2 x' s``, and s follows from the rises backwards through the closed
-    loop (Tomizuka, ASME Journal of Dynamic Systems 97, 1975). K is `regulator`'s.
+    The value of a state x with known rises is ``x' V x + 2 x' s``; s follows from the rises backwards through
+    the closed loop. K is the gain of `regulator`.
+
+    Args:
+        model: Prediction model.
+        weights: Quadratic weights.
+        points: Number of known control steps.
+
+    Returns:
+        Gains K (n,) and G (points,) [1/m] of ``I = -K x - G . rises``.
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+
+    References:
+        Tomizuka, "Optimal continuous finite preview problem", ASME Journal of Dynamic Systems 97, 1975.
     """
     K, V = regulator(model, weights)
     q = weights.signals[:, None]
     Mxx = V + model.C.T @ (q * model.C)
-    across = model.B @ Mxx + model.D @ (
-        q * model.C
-    )  # what a change of the next state adds to the slope by the current
+    across = model.B @ Mxx + model.D @ (q * model.C)  # slope by the current due to a change of the next state
     size = across @ model.B + model.B @ (model.C.T @ (q[:, 0] * model.D))
     size += model.D @ (q[:, 0] * model.D) + weights.current
     loop = model.A - np.outer(model.B, K)
@@ -420,7 +535,18 @@ def preview_regulator(model: Model, weights: Weights, points: int) -> tuple[np.n
 
 
 def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
-    """LQR of the change of current, state (x, I before): (gain (n+1,), value matrix (n+1, n+1))."""
+    """Return the linear-quadratic regulator of the change of current, with the state (x, preceding I).
+
+    Args:
+        model: Prediction model.
+        weights: Quadratic weights.
+
+    Returns:
+        Gain (n+1,), and value matrix (n+1, n+1).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+    """
     n = model.n
     A = np.zeros((n + 1, n + 1))
     A[:n, :n], A[:n, n], A[n, n] = model.A, model.B, 1.0
@@ -438,7 +564,19 @@ def move_regulator(model: Model, weights: Weights) -> tuple[np.ndarray, np.ndarr
 
 
 def kalman_gain(model: Model, sensors: Sensors, noise: np.ndarray | None = None) -> np.ndarray:
-    """Steady gain L (n, 5) of ``x += L (y - C x - D I)`` on the measured signals; `noise`: added to the road's."""
+    """Return the steady gain of ``x += L (y - C x - D I)`` on the measured signals.
+
+    Args:
+        model: Prediction model.
+        sensors: Standard deviations of the measurements.
+        noise: Covariance of the state per step (n, n), in addition to the road's; None for zero.
+
+    Returns:
+        Gain L (n, 5).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
+    """
     return steady_gain(model, sensors.covariance, sensors.memory, model.heave[:, None], noise)
 
 
@@ -449,20 +587,26 @@ def steady_gain(
     drifts: np.ndarray,
     noise: np.ndarray | None,
 ) -> np.ndarray:
-    """Return the steady gain L (n, signals) of a Kalman filter, ``x += L (y - C x - D I)``.
+    """Return the steady gain L of a Kalman filter, ``x += L (y - C x - D I)``.
 
     Args:
         model: Model of a car.
         covariance: Covariance of the errors of the measured signals, the first rows of the model's C.
-        memory: Time constant [s] of the absolute speeds, which nothing measures.
-        drifts: States (n, k) of a car that moves with the roads at constant speed, nothing moving against anything.
-        noise: Covariance of the state per step, added to the road's.
+        memory: Time constant of the absolute speeds, which are not measured [s].
+        drifts: States (n, k) of a car that moves with the roads at constant speed, without relative motion.
+        noise: Covariance of the state per step, in addition to the road's; None for zero.
+
+    Returns:
+        Gain (n, signals).
+
+    Raises:
+        InputError: The Riccati equation has no solution.
     """
     C = model.C[: len(covariance)]
     W = model.W + (0.0 if noise is None else noise)
-    # rounding may leave W indefinite by a hair; a whisper of noise on every state keeps the equation well posed
+    # rounding may leave W slightly indefinite; a tiny noise on every state keeps the equation well posed
     W = W + 1e-12 * np.eye(model.n) * max(np.trace(W), 1e-12)
-    # a random walk of the absolute speed whose filter, against white road velocity, has this time constant
+    # random walk of the absolute speed whose filter, against white road velocity, has this time constant
     for drift in drifts.T:
         W = W + model.road_intensity * model.step / memory**2 * np.outer(drift, drift)
     V = _riccati(model, model.A.T, C.T, W, covariance)
@@ -470,13 +614,31 @@ def steady_gain(
 
 
 def closed_loop_spread(model: Model, K: np.ndarray, noise: np.ndarray | None = None) -> np.ndarray:
-    """Stationary covariance (n, n) of the state under ``I = -K x``."""
+    """Return the stationary covariance of the state under ``I = -K x``.
+
+    Args:
+        model: Prediction model.
+        K: Gain (n,).
+        noise: Covariance of the state per step (n, n), in addition to the road's; None for zero.
+
+    Returns:
+        Covariance (n, n).
+    """
     W = model.W + (0.0 if noise is None else noise)
     return stationary(model.A - np.outer(model.B, K), W)
 
 
 def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:
-    """Covariance of ``x+ = A x + w`` after 2^doublings steps (80 s at 5 ms): a free device wanders, and that is finite."""
+    """Return the covariance of ``x+ = A x + w`` after 2^doublings steps (80 s at 5 ms), finite even for a drifting device.
+
+    Args:
+        A: State matrix (n, n).
+        W: Covariance of w (n, n).
+        doublings: Binary logarithm of the number of steps.
+
+    Returns:
+        Covariance (n, n).
+    """
     A, S = A.copy(), W.copy()
     for _ in range(doublings):
         S = S + A @ S @ A.T
@@ -486,12 +648,20 @@ def stationary(A: np.ndarray, W: np.ndarray, doublings: int = 14) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Linearised:
-    """A model whose friction is dampers, and the dampers [N s/m] and rate RMS [m/s] it was made with."""
+    """A model with dampers instead of friction.
+
+    Attributes:
+        model: The model.
+        damping: Damping [N s/m] by name of a law.
+        rate_rms: RMS of the rate [m/s] by name of a law.
+        friction_noise: Covariance of the state per step due to the difference between friction and dampers
+            (n, n).
+    """
 
     model: Model
     damping: dict[str, float]
     rate_rms: dict[str, float]
-    friction_noise: np.ndarray  # covariance of the state per step, of what friction is beyond the dampers
+    friction_noise: np.ndarray
 
 
 def statistical_linearisation(
@@ -502,10 +672,24 @@ def statistical_linearisation(
     road_intensity: float = ROAD_INTENSITY,
     iterations: int = 60,
 ) -> Linearised:
-    """Friction as dampers whose level and closed-loop rate agree (section 4.2, equation 9).
+    """Return a model with dampers whose level is consistent with their closed-loop rate (section 4.2, equation 9).
 
-    The rate RMS is that of the linear car under its own linear-quadratic regulator of the current's change; half steps
-    towards it until it no longer changes. A car that would rather stick ends at a large damping (RMS at least 1 mm/s).
+    The RMS rate is that of the linear car under its own linear-quadratic regulator of the current's change.
+    Half steps are taken until the rate no longer changes. A car that tends to stick ends at a large damping
+    (RMS of at least 1 mm/s).
+
+    Args:
+        network: The car.
+        step: Control step [s].
+        weights: Quadratic weights.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
+        iterations: Largest number of half steps.
+
+    Returns:
+        Model, dampers and rates.
+
+    Raises:
+        InputError: The network is no car, or the Riccati equation has no solution.
     """
     free = prediction_model(network, step, road_intensity=road_intensity)
     names = [free.laws[j].name for j in free.friction]

@@ -1,11 +1,12 @@
-"""The paper's model predictive control (section 4.2), from measured signals alone, under the limits of Table 5.
+"""The paper's model predictive control (section 4.2) from measured signals, under the limits of Table 5.
 
-Equation (9): the car with its friction as a damper (statistical linearisation), a Kalman filter for its state and the
-road, and at every step a small quadratic program for the changes of current over the horizon, of which the first is
-used. The objective is the stage cost at every step of the horizon.
+Equation (9) is the car with its friction as a damper (statistical linearisation). A Kalman filter estimates
+state and road. A small quadratic program at every step gives the changes of current over the horizon, of
+which the first is used. The objective is the stage cost at every step of the horizon.
 
-Tuned on roads 1000-1007, J against passive: -21.88 % as shipped, move 0.03 -21.67, centring 0.1 -21.50, tyre load weight
-0.1 -21.95 (on roads 3000-3015 -20.97 for -20.90), which is an option and not the default, for the paper has no such term.
+Tuned on roads 1000-1007, J against passive: -21.88 % as shipped, move 0.03 -21.67, centring 0.1 -21.50, tyre
+load weight 0.1 -21.95 (on roads 3000-3015 -20.97 instead of -20.90). The tyre load weight is an option and
+not the default, since the paper has no such term.
 """
 
 from __future__ import annotations
@@ -41,22 +42,34 @@ if TYPE_CHECKING:
 
 ACCELERATION_LIMIT = 5.0  # m/s^2, Table 5
 TRAVEL_LIMIT = 0.08  # m, Table 5
-SLACK_LINEAR, SLACK_QUADRATIC = 1e2, 1e3  # per limit passed: far above the stage cost at the limits
+# weights of a violated limit, far above the stage cost at the limits
+SLACK_LINEAR, SLACK_QUADRATIC = 1e2, 1e3
 
 
 @dataclass(frozen=True)
 class MpcSettings:
-    """How the paper's controller is filled in where the paper is silent.
+    """Settings of the paper's controller, including choices that the paper leaves open. Weights are in addition
+    to the stage cost.
 
-    horizon [steps]. moves: lengths [steps] of the pieces over which the change of current is constant; it is zero after
-    them. move [1/A^2], tyre_load [-], centring [-]: weights beside the stage cost. terminal: cost-to-go of the linear
-    regulator after the horizon. friction: "equivalent" leaves it at the damper of equation (9); "planned" adds what the
-    friction is beyond the damper along the last plan, known in advance as its rates are, averaged over what the road
-    may add to them (`spread` [-] scales that). solver: osqp, daqp or piqp (the last two to be installed; compared in
-    `docs/explanation/baselines.md`). friction_noise [N]: how little the estimate trusts its friction.
+    Attributes:
+        horizon: Horizon [steps].
+        moves: Lengths of the pieces with constant change of current [steps]; the change is zero afterwards.
+        move: Weight of the change of current [1/A^2].
+        tyre_load: Weight of the tyre load [-].
+        centring: Weight of the device's travel over its stop [-].
+        terminal: Whether the cost-to-go of the linear regulator is added after the horizon.
+        friction: 'equivalent' for the damper of equation (9) alone; 'planned' adds the difference between
+            friction and damper along the last plan, whose rates are known in advance, averaged over the
+            effect of the road.
+        spread: Factor on the effect of the road in 'planned' [-].
+        friction_noise: Standard deviation of the estimator's friction per step [N].
+        solver: 'osqp', 'daqp' or 'piqp' (the last two need an installation; comparison in
+            `docs/explanation/baselines.md`).
+        sensors: Standard deviations of the measurements in the estimator.
+        road_intensity: Two-sided intensity of the road's velocity [m^2/s].
 
-    sensors: how well the estimate takes them to measure. road_intensity [m^2/s]: of the road's velocity, two-
-    sided.
+    Raises:
+        InputError: Moves do not fit into the horizon, or the kind of friction is unknown.
     """
 
     horizon: int = 20
@@ -67,7 +80,7 @@ class MpcSettings:
     terminal: bool = True
     friction: str = "planned"
     spread: float = 1.0
-    friction_noise: float = 300.0  # N
+    friction_noise: float = 300.0
     solver: str = "osqp"
     sensors: Sensors = field(default_factory=Sensors)
     road_intensity: float = ROAD_INTENSITY
@@ -81,17 +94,25 @@ class MpcSettings:
             raise InputError(f"friction must be equivalent or planned, not {self.friction!r}")
 
 
-#: horizons as a toolbox would default: 10 steps of which 2 may move, no cost-to-go, a tenth of the move weight's unit
+#: horizons as the default of a toolbox: 10 steps with 2 moves, no cost-to-go, a tenth of the move weight's
+#: unit
 PAPER = MpcSettings(
     horizon=10, moves=(1, 1), move=0.1 / CURRENT_LIMIT**2, terminal=False, friction="equivalent", centring=0.0
 )
 
 
 class Mpc(BatchController):
-    """The quadratic programs of many cars, each with a solver of its own. `plan` (horizon, cars) [A]; `status`: the last word of a solver.
+    """The predictive controller of many cars, with a quadratic program each. `status` is the last status of a solver.
 
-    model: the network it believes in, whatever the plant is. cost: what it minimises. control_step [s]. settings:
-    its own, the defaults without. name: under which it is scored.
+    Args:
+        model: The network that the controller assumes; the plant may differ.
+        cost: Minimised stage cost; None for the environment's.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults.
+        name: Name in scores.
+
+    Raises:
+        InputError: The solver is not installed, or the network is no car.
     """
 
     def __init__(
@@ -111,7 +132,8 @@ class Mpc(BatchController):
             centring=s.centring,
             reach=device_reach(model),
         )
-        design = replace(w, centring=max(w.centring, 1e-3))  # a regulator must hold the device somewhere
+        # a regulator must hold the device at some position
+        design = replace(w, centring=max(w.centring, 1e-3))
         self.linear = statistical_linearisation(model, control_step, design, road_intensity=s.road_intensity)
         linear = self.linear.model
         free = prediction_model(model, control_step, road_intensity=s.road_intensity)
@@ -128,7 +150,7 @@ class Mpc(BatchController):
     # -------------------------------------------------------------------------------------- offline
 
     def _condense(self, m: Model, free: Model, design: Weights) -> None:
-        """Everything over the horizon as a matrix on (state, present current, friction beyond the damper, moves)."""
+        """Express the whole horizon as a matrix on (state, present current, friction beyond the damper, moves)."""
         s, N, n = self.settings, self.settings.horizon, m.n
         pieces = len(s.moves)
         spread_out = np.zeros((N, pieces))  # change of current per step, by move
@@ -179,12 +201,12 @@ class Mpc(BatchController):
         self._rows = np.vstack([np.eye(pieces), self._currents[ends]])
         self._high = np.repeat(
             [SLEW_LIMIT, CURRENT_LIMIT], pieces
-        )  # less the present current, the second half
+        )  # without the present current, the second half
         self._low = -self._high
-        # a solver for each car, made when it is first needed: it starts from what it found last
+        # one solver per car, created on demand: it starts from its last solution
         self._programs: dict[int, Program] = defaultdict(partial(program, s.solver, self._P, self._rows))
-        self._programs[0]  # one that is not there is told now
-        # acceleration and travel are softly limited: two slacks more, in a program that is seldom needed
+        self._programs[0]  # a missing solver raises an error now
+        # acceleration and travel have soft limits: two additional slacks, in a program that is rarely needed
         self._soft_given = signals[:, :2, given].transpose(1, 0, 2).reshape(2 * N, -1)
         self._soft_moves = signals[:, :2, u].transpose(1, 0, 2).reshape(2 * N, -1)
         self._soft_limits = np.repeat([ACCELERATION_LIMIT, TRAVEL_LIMIT], N)
@@ -204,7 +226,7 @@ class Mpc(BatchController):
         )
         self._soft_programs: dict[int, Program] = defaultdict(partial(program, s.solver, P_soft, soft))
         self._rates_given, self._rates_moves = rates[:, :, given], rates[:, :, u]
-        # how much the road adds to the rates k steps ahead, without feedback
+        # effect of the road on the rates k steps ahead, without feedback
         V, deviations = np.zeros((n, n)), np.empty((N, len(free.friction)))
         for k in range(N):
             V = m.A @ V @ m.A.T + m.W
@@ -229,11 +251,12 @@ class Mpc(BatchController):
 
     @property
     def plan(self) -> np.ndarray:
-        """Planned currents over the horizon (horizon, cars), less the one at the time of planning [A]."""
+        """Planned currents over the horizon (horizon, cars), relative to the current at the time of planning [A]."""
         return self._currents @ self._moves
 
     def _solve(self, x: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """Moves (pieces, cars) [A per step] for states (n, cars) and currents (cars,); a fallback is counted, never raised."""
+        """Return moves (pieces, cars) [A per step] for states (n, cars) and currents (cars,); failures are
+        counted as fallbacks."""
         parts = [x, present[None]]
         if self._nf:
             share = self._rates / (np.sqrt(2) * self._deviations)[:, :, None]
@@ -245,7 +268,7 @@ class Mpc(BatchController):
         low, high = (np.repeat(v[:, None], len(present), axis=1) for v in (self._low, self._high))
         low[len(guess) :] -= present
         high[len(guess) :] -= present
-        moves = -self._inverse @ q  # the optimum without limits; often it is within them
+        moves = -self._inverse @ q  # the optimum without limits is often feasible
         self.status = "solved"
         rows = self._rows @ moves
         for i in np.flatnonzero(((rows < low) | (rows > high)).any(axis=0)).tolist():
@@ -258,7 +281,7 @@ class Mpc(BatchController):
             self._soften(i, q[:, i], low[:, i], high[:, i], ahead[:, i], guess[:, i], moves[:, i])
         lost = np.isnan(moves[0])
         if lost.any():
-            # the rest of the last plan; without one, towards no current
+            # the rest of the last plan; without a plan, towards zero current
             self.fallbacks += int(lost.sum())
             moves[:, lost] = guess[:, lost]
             fresh = lost & ~self._has_plan
@@ -281,7 +304,7 @@ class Mpc(BatchController):
         guess: np.ndarray,
         moves: np.ndarray,
     ) -> None:
-        """Plan once more, in place, where the plan passes a limit of acceleration or travel: they are limited softly."""
+        """Plan again in place with soft limits, for plans that exceed a limit of acceleration or travel."""
         none = np.full_like(ahead, np.inf)
         outcome = self._soft_programs[car].solve(
             np.append(q, [SLACK_LINEAR, SLACK_LINEAR]),
@@ -290,7 +313,7 @@ class Mpc(BatchController):
             np.append(guess, [0.0, 0.0]),
         )
         self.status = outcome.status
-        if outcome.x is None:  # then without the soft limits
+        if outcome.x is None:  # without the soft limits
             self.fallbacks += 1
         else:
             moves[:] = outcome.x[: len(moves)]

@@ -1,8 +1,8 @@
-"""`mpc-friction` as plain C without dependencies (C99 and libm): the estimate and the differential dynamic programming of one car.
+"""`mpc-friction` as plain C without dependencies (C99 and libm): estimator and differential dynamic programming of one car.
 
-What was computed offline is written out as numbers; a step allocates nothing, and its work is bounded: `iterations` sweeps of the
-horizon, at most five trials each. The loops are those of `friction` in the same order, in double, so that commands agree to
-rounding.
+Offline results are written as numbers. A step allocates nothing, and its work is bounded: `iterations` sweeps
+of the horizon with at most five trials each. The loops are those of `friction` in the same order, in double
+precision, so that commands agree to rounding.
 """
 
 from __future__ import annotations
@@ -337,9 +337,18 @@ def _array(name: str, values: Any, kind: str = "double") -> str:
 
 
 def export_c(controller: FrictionMpc, folder: str | Path) -> tuple[Path, Path]:
-    """Write `controller` as NAME.h and NAME.c into `folder`, which is made; their paths.
+    """Write a controller as C code.
 
-    Raises `InputError` for a car without a motor, and where nothing can be written.
+    Args:
+        controller: A friction-aware MPC.
+        folder: Folder of the files; created if missing.
+
+    Returns:
+        Paths of the header NAME.h and the source NAME.c.
+
+    Raises:
+        InputError: The car has no motor, the horizon is shorter than the preview, or a file cannot be
+            written.
     """
     if not isinstance(controller, FrictionMpc) or controller._idle:
         raise InputError(f"no C for '{controller.name}': there is for mpc-friction, on a car with a motor")

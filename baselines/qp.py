@@ -1,4 +1,4 @@
-"""One small dense quadratic program, solved again and again with other vectors: OSQP, or DAQP or PIQP to compare."""
+"""Solvers of a small dense quadratic program with changing vectors: OSQP, or DAQP and PIQP for comparison."""
 
 from __future__ import annotations
 
@@ -16,20 +16,31 @@ SOLVERS = ("osqp", "daqp", "piqp")
 
 @dataclass(frozen=True)
 class Outcome:
-    """`x` is None where the solver has nothing to be trusted; `status` is its own word."""
+    """Result of a solver.
+
+    Attributes:
+        x: Solution (n,); None without a reliable solution.
+        status: Status of the solver.
+    """
 
     x: np.ndarray | None
     status: str
 
 
 class Program(Protocol):
-    """min 1/2 x'Px + q'x with low <= Ax <= high; P and A are fixed at construction."""
+    """The program min 1/2 x'Px + q'x with low <= Ax <= high; P and A are fixed at construction."""
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome: ...
 
 
 class Osqp:
-    """OSQP, set up once, warm-started. An inaccurate solution counts: what leaves the controller is limited anyway."""
+    """OSQP with one setup and warm starts. An inaccurate solution is accepted, since the controller limits its command.
+
+    Args:
+        P: Quadratic cost (n, n).
+        A: Constraints (m, n).
+        accuracy: Tolerance of the solver.
+    """
 
     def __init__(self, P: np.ndarray, A: np.ndarray, *, accuracy: float = 1e-4) -> None:
         import osqp
@@ -49,21 +60,33 @@ class Osqp:
             max_iter=1000,
             check_termination=10,
             adaptive_rho=True,
-            adaptive_rho_interval=25,  # at the default of 50 it cycles where two limits nearly coincide
+            adaptive_rho_interval=25,  # the default of 50 cycles if two limits nearly coincide
             polishing=False,
         )
-        self._bare = self._solver._solver  # its wrapper copies every figure, which takes longer than solving
+        # the wrapper copies every number, which takes longer than the solution
+        self._bare = self._solver._solver
         self._infinite = self._solver.constant("OSQP_INFTY")
         self._good = (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The solver itself cannot travel to another process: there it is set up anew, without its warm start."""
+        """Return a recipe for a new setup in another process, without the warm start; the solver itself cannot be pickled."""
         P, A, accuracy = self._made
         return partial(type(self), accuracy=accuracy), (P, A)
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+        """Solve the program.
+
+        Args:
+            q: Linear cost (n,).
+            low: Lower limits (m,).
+            high: Upper limits (m,).
+            guess: Start (n,).
+
+        Returns:
+            Solution and status.
+        """
         bare, most = self._bare, self._infinite
-        # it reads memory one number after another, whatever the strides
+        # the solver reads contiguous memory and ignores strides
         q, guess = np.ascontiguousarray(q), np.ascontiguousarray(guess)
         bare.update_data_vec(q=q, l=np.maximum(low, -most), u=np.minimum(high, most))
         bare.warm_start(guess, None)
@@ -74,9 +97,14 @@ class Osqp:
 
 
 class Daqp:
-    """DAQP, an active-set solver (`pip install daqp`). It starts from the limits that held at the last solution."""
+    """DAQP, an active-set solver (`pip install daqp`), which starts from the active limits of the last solution.
 
-    INFINITE = 1e30  # its own sign for no limit
+    Args:
+        P: Quadratic cost (n, n).
+        A: Constraints (m, n).
+    """
+
+    INFINITE = 1e30  # DAQP's value for no limit
 
     def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
         import daqp
@@ -88,6 +116,17 @@ class Daqp:
         )
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+        """Solve the program.
+
+        Args:
+            q: Linear cost (n,).
+            low: Lower limits (m,).
+            high: Upper limits (m,).
+            guess: Without effect.
+
+        Returns:
+            Solution and status.
+        """
         self._solver.update(
             f=q, bupper=np.minimum(high, self.INFINITE), blower=np.maximum(low, -self.INFINITE)
         )
@@ -97,7 +136,12 @@ class Daqp:
 
 
 class Piqp:
-    """PIQP, a proximal interior-point solver (`pip install piqp`)."""
+    """PIQP, a proximal interior-point solver (`pip install piqp`).
+
+    Args:
+        P: Quadratic cost (n, n).
+        A: Constraints (m, n).
+    """
 
     def __init__(self, P: np.ndarray, A: np.ndarray) -> None:
         import piqp
@@ -108,6 +152,17 @@ class Piqp:
         self._good = piqp.PIQP_SOLVED
 
     def solve(self, q: np.ndarray, low: np.ndarray, high: np.ndarray, guess: np.ndarray) -> Outcome:
+        """Solve the program.
+
+        Args:
+            q: Linear cost (n,).
+            low: Lower limits (m,).
+            high: Upper limits (m,).
+            guess: Without effect.
+
+        Returns:
+            Solution and status.
+        """
         self._solver.update(c=q, h_l=low, h_u=high)
         status = self._solver.solve()
         x = np.array(self._solver.result.x)
@@ -116,7 +171,19 @@ class Piqp:
 
 
 def program(solver: str, P: np.ndarray, A: np.ndarray) -> Program:
-    """A program for a solver of `SOLVERS`; `InputError` where it is unknown or not installed."""
+    """Return a quadratic program for a solver.
+
+    Args:
+        solver: Name of the solver, of `SOLVERS`.
+        P: Quadratic cost (n, n).
+        A: Constraints (m, n).
+
+    Returns:
+        The program.
+
+    Raises:
+        InputError: The solver is unknown or not installed.
+    """
     kinds: dict[str, Any] = {"osqp": Osqp, "daqp": Daqp, "piqp": Piqp}
     if solver not in kinds:
         raise InputError(f"no solver '{solver}': {', '.join(SOLVERS)}")

@@ -1,8 +1,9 @@
-"""A proven lower bound of an episode's cost: the car whose friction is a second actuator, as a convex program.
+"""Proven lower bound of an episode's cost: friction as a second actuator, in a convex program.
 
-Let the friction be any force within its level and take the end stops away: the real friction is one of the choices, and
-the least cost over currents and friction is a convex quadratic program. A primal-dual interior point solves it, one
-Riccati sweep an iteration; any multipliers of its limits give a lower bound, evaluated exactly by one more sweep.
+Let the friction be any force within its level, and remove the end stops. The real friction is one of the
+choices, and the minimum over currents and friction is a convex quadratic program. A primal-dual
+interior-point method solves the program with one Riccati sweep per iteration. Any multipliers of the limits
+give a lower bound, evaluated exactly by one more sweep.
 """
 
 from __future__ import annotations
@@ -14,34 +15,60 @@ import numpy as np
 
 
 class LinearCar(NamedTuple):
-    """``x+ = A x + B I + G f + W`` a physics step, outputs ``C x + CI I + CF f + YW`` at the end of control steps.
+    """Linear car ``x+ = A x + B I + G f + W`` per physics step, with outputs ``C x + CI I + CF f + YW`` at the
+    end of control steps.
 
-    Cost: ``squares . y^2 + current I^2 + slope_x . x`` a control step, x at its start.
+    The cost of a control step is ``squares . y^2 + current I^2 + slope_x . x``, with x at its start.
+
+    Attributes:
+        A: State matrix (n, n).
+        B: Response to the current (n,).
+        G: Response to a friction at its level (n,).
+        W: Effect of the road (physics steps, n).
+        C: Output matrix (3, n).
+        CI: Response of the outputs to the current (3,).
+        CF: Response of the outputs to a friction at its level (3,).
+        YW: Effect of the road on the outputs (control steps, 3).
+        squares: Weights (3,) of the squared outputs.
+        current: Weight of the squared current [1/A^2].
+        slope_x: Linear weights (control steps, n) of the state.
+        substeps: Physics steps per control step.
     """
 
     A: np.ndarray
     B: np.ndarray
-    G: np.ndarray  # of a friction at its level
-    W: np.ndarray  # (physics steps, n): what the road does
-    C: np.ndarray  # (3, n)
+    G: np.ndarray
+    W: np.ndarray
+    C: np.ndarray
     CI: np.ndarray
     CF: np.ndarray
-    YW: np.ndarray  # (control steps, 3)
-    squares: np.ndarray  # (3,)
+    YW: np.ndarray
+    squares: np.ndarray
     current: float
-    slope_x: np.ndarray  # (control steps, n)
+    slope_x: np.ndarray
     substeps: int
 
 
 class Terms(NamedTuple):
-    """``1/2 curvature u^2 + slope u`` on each of a kind of variable."""
+    """Cost ``1/2 curvature u^2 + slope u`` of a kind of variable.
+
+    Attributes:
+        curvature: Curvatures, one per variable.
+        slope: Slopes, one per variable.
+    """
 
     curvature: np.ndarray
     slope: np.ndarray
 
 
 class Choice(NamedTuple):
-    """Friction (physics steps,) as a share of its level, change of current and current (control steps,) [A]."""
+    """Variables of the program.
+
+    Attributes:
+        friction: Friction as a share of its level (physics steps,).
+        change: Change of current (control steps,) [A].
+        current: Current (control steps,) [A].
+    """
 
     friction: np.ndarray
     change: np.ndarray
@@ -50,7 +77,18 @@ class Choice(NamedTuple):
 
 @nb.njit(error_model="numpy", cache=True)
 def least(car, on_friction, on_change, on_current, choice):
-    """Least cost of the linear car over free friction and changes of current: (value, ok); fills `choice`."""
+    """Minimise the cost of the linear car over free friction and changes of current, and fill `choice`.
+
+    Args:
+        car: The linear car.
+        on_friction: Cost of the friction.
+        on_change: Cost of the change of current.
+        on_current: Cost of the current.
+        choice: Optimal variables, filled.
+
+    Returns:
+        Least cost, and False for a problem that is not convex.
+    """
     A, B, G, W, C, CI, CF, YW, q, qi, slope_x, sub = car
     hf, gf = on_friction
     hd, gd = on_change
@@ -70,7 +108,7 @@ def least(car, on_friction, on_change, on_current, choice):
         for i in range(sub - 1, -1, -1):
             j = k * sub + i
             if i == sub - 1:
-                # the outputs, on (x+, I); what f feeds through directly comes below
+                # the outputs, on (x+, I); the direct feedthrough of f follows below
                 for r in range(3):
                     if q[r] != 0.0:
                         t = 2.0 * q[r]
@@ -156,7 +194,7 @@ def least(car, on_friction, on_change, on_current, choice):
                     V[b, a] = t
         for a in range(n):
             v[a] += slope_x[k, a]
-        # I after the change: its own terms, then dI
+        # terms of I after the change, then terms of dI
         V[n, n] += 2.0 * qi + hI[k]
         v[n] += gI[k]
         r0 = V[n, n] + hd[k]
@@ -197,9 +235,16 @@ def least(car, on_friction, on_change, on_current, choice):
 
 
 def bound(car: LinearCar, slew: float, most: float, on_current: np.ndarray) -> float | None:
-    """A lower bound of the total cost under |friction| <= 1, |dI| <= `slew` and |I| <= `most` [A]; None if none is found.
+    """Return a lower bound of the total cost under |friction| <= 1, |dI| <= `slew` and |I| <= `most`.
 
-    `on_current` (control steps,): a linear cost of the current.
+    Args:
+        car: The linear car.
+        slew: Limit of the change of current per control step [A].
+        most: Limit of the current [A].
+        on_current: Linear cost of the current (control steps,) [1/A].
+
+    Returns:
+        Lower bound; None if none was found.
     """
     total = len(car.W)
     steps = total // car.substeps
@@ -210,7 +255,7 @@ def bound(car: LinearCar, slew: float, most: float, on_current: np.ndarray) -> f
     def slack(x: np.ndarray, limit: float) -> np.ndarray:
         return np.stack([limit - x, limit + x])
 
-    # the multipliers of a bound belong to f^2 <= 1, dI^2 <= slew^2, I^2 <= most^2
+    # multipliers of f^2 <= 1, dI^2 <= slew^2, I^2 <= most^2
     duals = [mu / slack(x, l) for x, l in zip(now, limits, strict=True)]
     best = -np.inf
     for _ in range(80):
@@ -242,7 +287,7 @@ def bound(car: LinearCar, slew: float, most: float, on_current: np.ndarray) -> f
             friction, change, current = terms
             current = current._replace(slope=on_current)
             value, ok = least(car, friction, change, current, Choice(*(np.empty_like(x) for x in now)))
-            if ok:  # any multipliers give a bound: this one is exact
+            if ok:  # any multipliers give a bound; the sweep is exact
                 best = max(
                     best, value - sum(float(m.sum()) * l**2 for m, l in zip(squares, limits, strict=True))
                 )

@@ -1,11 +1,12 @@
-"""Skyhook and acceleration-driven damping, in the form a motor in series with a damper gives them.
+"""Skyhook and acceleration-driven damping, realised by a motor in series with a damper.
 
-Both say what force F the strut should carry between body and wheel. The strut is the device in series with a damper
-c, so the device must run at ``w = travel rate - F / c``; an inner loop drives it there by inverse dynamics,
+Both laws define the force F of the strut between body and wheel. The strut is the device in series with a
+damper c, so that the device must run at ``w = travel rate - F / c``. An inner loop drives the device at this
+rate by inverse dynamics,
 
     K I = F_now - k_p d - c_p w_now - f sgn(w) - b (w - w_now) / tau,
 
-with F_now from the measured body acceleration, and b, c_p, k_p, f of what stands parallel to the motor.
+with F_now from the measured body acceleration, and b, c_p, k_p, f of the elements parallel to the motor.
 """
 
 from __future__ import annotations
@@ -28,19 +29,41 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Strut:
-    """The strut of a car between body and wheel: what stands parallel to the motor, and the damper in series with it."""
+    """The strut of a car between body and wheel: the elements parallel to the motor, and the damper in series with the motor.
 
-    body_mass: float  # kg
-    spring: float  # N/m, between body and wheel, beside the strut
-    thrust: float  # N/A at the terminals, 0 without a motor
-    stiffness: float  # N/m, parallel to the motor
-    damping: float  # N s/m, parallel to the motor
-    inertance: float  # kg, parallel to the motor
-    friction: float  # N, parallel to the motor
-    series: float  # N s/m, in series with the motor; infinite where there is none
+    Attributes:
+        body_mass: Mass of the body [kg].
+        spring: Spring between body and wheel, parallel to the strut [N/m].
+        thrust: Thrust constant at the terminals [N/A]; 0 without a motor.
+        stiffness: Stiffness parallel to the motor [N/m].
+        damping: Damping parallel to the motor [N s/m].
+        inertance: Inertance parallel to the motor [kg].
+        friction: Friction parallel to the motor [N].
+        series: Damping in series with the motor [N s/m]; infinite without a damper.
+    """
+
+    body_mass: float
+    spring: float
+    thrust: float
+    stiffness: float
+    damping: float
+    inertance: float
+    friction: float
+    series: float
 
     @classmethod
     def of(cls, network: Network) -> Strut:
+        """Return the strut of a car.
+
+        Args:
+            network: The car.
+
+        Returns:
+            The strut.
+
+        Raises:
+            InputError: The network is no car.
+        """
         require_quarter_car(network, "the strut is that")
         body, wheel = list(network.masses)[:2]
         between = [e for e in network.elements if e.place == "between"]
@@ -72,9 +95,16 @@ class Strut:
 
 @dataclass(frozen=True)
 class StrutSettings:
-    """body [N s/m]: skyhook damping, or the difference of the two dampings of ADD. travel [N s/m]: damping on the
-    suspension's rate. forget [1/s]: high pass of the integrated acceleration. tau [s]: of the inner loop. width [m/s]:
-    the friction's sign is smoothed below it. softness [m^2/s^3]: the switch of ADD is smoothed below it."""
+    """Settings of skyhook and acceleration-driven damping (ADD).
+
+    Attributes:
+        body: Skyhook damping, or difference of the two dampings of ADD [N s/m].
+        travel: Damping on the suspension's rate [N s/m].
+        forget: High pass of the integrated acceleration [1/s].
+        tau: Time constant of the inner loop [s].
+        width: Rate below which the sign of the friction is smoothed [m/s].
+        softness: Product of acceleration and rate below which the switch of ADD is smoothed [m^2/s^3].
+    """
 
     body: float
     travel: float
@@ -85,7 +115,15 @@ class StrutSettings:
 
 
 class ForceControl(BatchController):
-    """The inner loop; subclasses say which force the strut should carry."""
+    """The inner loop; subclasses define the force of the strut.
+
+    Args:
+        model: The network that the controller assumes.
+        cost: Without effect.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults of the class.
+        name: Name in scores.
+    """
 
     default = StrutSettings(0.0, 1500.0)
 
@@ -104,7 +142,7 @@ class ForceControl(BatchController):
         self.reset()
 
     def _start(self, count: int) -> None:
-        self.velocity = np.zeros(count)  # of the body, high-passed [m/s]
+        self.velocity = np.zeros(count)  # high-passed velocity of the body [m/s]
 
     def _command(self, obs: np.ndarray) -> np.ndarray:
         s, z = self.strut, self.settings
@@ -125,25 +163,60 @@ class ForceControl(BatchController):
         return thrust / s.thrust
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Force [N] the strut should carry, positive in tension."""
+        """Return the wanted force of the strut, positive in tension.
+
+        Args:
+            acceleration: Body acceleration (n,) [m/s^2].
+            rate: Rate of the suspension travel (n,) [m/s].
+
+        Returns:
+            Force (n,) [N].
+        """
         raise NotImplementedError
 
 
 class Skyhook(ForceControl):
-    """F = c_body v_body + c_travel (v_body - v_wheel): a damper to the sky (Karnopp), and one to the wheel."""
+    """Skyhook damping F = c_body v_body + c_travel (v_body - v_wheel): a damper to the sky, and a damper to the wheel.
+
+    References:
+        Karnopp, Crosby and Harwood, "Vibration control using semi-active force generators", Journal of
+        Engineering for Industry, 1974.
+    """
 
     default = StrutSettings(body=2500.0, travel=1100.0, forget=0.95, tau=0.006, width=0.012)
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the wanted force of the strut, positive in tension.
+
+        Args:
+            acceleration: Body acceleration (n,) [m/s^2].
+            rate: Rate of the suspension travel (n,) [m/s].
+
+        Returns:
+            Force (n,) [N].
+        """
         return self.settings.body * self.velocity + self.settings.travel * rate
 
 
 class AccelerationDriven(ForceControl):
-    """Acceleration-driven damping (Savaresi et al., 2005): firm where the body's acceleration and the travel's rate have
-    the same sign, soft else."""
+    """Acceleration-driven damping: firm while body acceleration and travel rate have the same sign, soft otherwise.
+
+    References:
+        Savaresi, Silani and Bittanti, "Acceleration-Driven-Damper (ADD): An optimal control algorithm for
+        comfort-oriented semiactive suspensions", Journal of Dynamic Systems, Measurement, and Control, 2005.
+    """
 
     default = StrutSettings(body=2600.0, travel=2300.0, forget=0.1, tau=0.0016, width=0.012, softness=0.06)
 
     def force(self, acceleration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the wanted force of the strut, positive in tension.
+
+        Args:
+            acceleration: Body acceleration (n,) [m/s^2].
+            rate: Rate of the suspension travel (n,) [m/s].
+
+        Returns:
+            Force (n,) [N].
+        """
         z = self.settings
         return (z.travel + 0.5 * z.body * np.tanh(acceleration * rate / z.softness)) * rate

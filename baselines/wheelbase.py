@@ -1,10 +1,12 @@
-"""Control of a whole car that knows the rear road from the front: LQG on a delay line, and predictive control behind it.
+"""Control of a whole car with the rear road known from the front: LQG with a delay line, and predictive control.
 
-The front axle meets the road before the rear axle, wheelbase / speed earlier. No sensor sees the road; an estimator whose state
-holds the delay line of `car_model` reads it off the motion of the front wheels.
+The front axle meets the road before the rear axle, wheelbase / speed earlier. No sensor measures the road; an
+estimator whose state includes the delay line of `car_model` infers the road from the motion of the front
+wheels.
 
 References:
-    R. S. Sharp and C. Pilbeam, "On the ride comfort benefits available from road preview with slow-active car suspensions",
+    R. S. Sharp and C. Pilbeam, "On the ride comfort benefits available from road preview with slow-active car
+    suspensions",
     Vehicle System Dynamics 23 (supplement), 1994.
 """
 
@@ -36,11 +38,14 @@ DESIGN_SPEED = 20.0  # m/s, at which `ROAD_INTENSITY` holds
 
 @dataclass(frozen=True)
 class WheelbaseSettings(LawSettings):
-    """Settings of an LQG that knows the rear road.
+    """Settings of an LQG with a known rear road.
 
     Attributes:
-        speed: Speed [m/s] at which the car drives. The intensity of the road's velocity grows with the speed.
+        speed: Speed of the car [m/s], to which the intensity of the road's velocity is proportional.
         is_known: Whether the estimator knows that the rear wheels meet the road of the front wheels.
+
+    Raises:
+        InputError: The speed is not positive.
     """
 
     # J against passive on roads 1000-1007 of the half car: 0.01 -28.99 %, 0.02 -30.09, 0.03 -30.22, 0.04 -30.05
@@ -49,22 +54,28 @@ class WheelbaseSettings(LawSettings):
     is_known: bool = True
 
     def __post_init__(self) -> None:
-        """Check the speed.
-
-        Raises:
-            InputError: The speed is not positive.
-        """
+        """Check the speed."""
         if not 0.0 < self.speed < np.inf:
             raise InputError(f"speed must be a positive number of m/s, not {self.speed:g}")
 
 
 class WheelbaseLqg(WholeCarController):
-    """``I = -K x`` of the frictionless car and its delay line, and at each corner the friction over the thrust constant.
+    """The law ``I = -K x`` of the frictionless car and its delay line, plus the friction over the thrust constant at each corner.
+
+    Args:
+        model: Network of the assumed car.
+        cost: Stage cost of the car; None for the usual one.
+        control_step: Control step [s].
+        settings: Settings; None for the defaults.
+        name: Name in scores.
 
     Attributes:
         prediction: Model of the car.
         weights: Weights of the design.
         estimator: Kalman filter of the car's motion and of the delay line.
+
+    Raises:
+        InputError: The network has a single corner.
     """
 
     def __init__(
@@ -75,18 +86,7 @@ class WheelbaseLqg(WholeCarController):
         settings: WheelbaseSettings | None = None,
         name: str = "lqg-wheelbase",
     ) -> None:
-        """Solve the Riccati equations.
-
-        Args:
-            model: Network of the car that is believed in.
-            cost: Stage cost of the car.
-            control_step: Control step [s].
-            settings: Settings, the defaults without.
-            name: Name under which it is scored.
-
-        Raises:
-            InputError: The network has a single corner.
-        """
+        """Solve the Riccati equations."""
         super().__init__(name, model)
         self.settings = s = settings or WheelbaseSettings()
         self.prediction = m = wheelbase_model(name, model, control_step, s)
@@ -113,10 +113,13 @@ class WheelbaseLqg(WholeCarController):
         return self.law(self.estimator.update(obs))
 
     def law(self, x: np.ndarray) -> np.ndarray:
-        """Return the wanted currents [A] (currents, cars).
+        """Return the wanted currents.
 
         Args:
             x: States (n, cars).
+
+        Returns:
+            Currents (currents, cars) [A].
         """
         return self._law @ x - self._forces * np.tanh(self._rates @ x / self.settings.width)
 
@@ -124,12 +127,24 @@ class WheelbaseLqg(WholeCarController):
 class WheelbaseMpc(Decentralised):
     """The friction-aware MPC at each corner, with the road of the rear wheels as its preview.
 
-    A Kalman filter of the whole car reads the road off the motion of the front wheels. Each corner plans for the quarter car
-    that the network has there; the coupling of the corners by the body is left to the feedback.
+    A Kalman filter of the whole car infers the road from the motion of the front wheels. Each corner plans
+    for its quarter car; the feedback handles the coupling of the corners by the body.
+
+    Args:
+        model: Network of the assumed car.
+        cost: Stage cost of the car; None for the usual one.
+        control_step: Control step [s].
+        settings: Settings of each corner's planner; None for the defaults. The previews follow from the
+            speed.
+        speed: Speed of the car [m/s].
+        name: Name in scores.
 
     Attributes:
         prediction: Model of the car.
         estimator: Kalman filter of the car's motion and of the delay line.
+
+    Raises:
+        InputError: The network has a single corner.
     """
 
     def __init__(
@@ -141,19 +156,7 @@ class WheelbaseMpc(Decentralised):
         speed: float = DESIGN_SPEED,
         name: str = "mpc-wheelbase",
     ) -> None:
-        """Make the planners of the corners.
-
-        Args:
-            model: Network of the car that is believed in.
-            cost: Stage cost of the car.
-            control_step: Control step [s].
-            settings: Settings of each corner's planner, the defaults without. The previews follow from the speed.
-            speed: Speed [m/s] at which the car drives.
-            name: Name under which it is scored.
-
-        Raises:
-            InputError: The network has a single corner.
-        """
+        """Create the planners of the corners."""
         base = settings or FrictionMpcSettings()
         own = WheelbaseSettings(
             speed=speed,
@@ -176,7 +179,7 @@ class WheelbaseMpc(Decentralised):
         super().__init__(name, model, corners)
 
     def reset_batch(self, count: int) -> None:
-        """Forget everything and drive `count` cars.
+        """Clear the memory, and start a number of cars.
 
         Args:
             count: Number of cars.
@@ -186,20 +189,26 @@ class WheelbaseMpc(Decentralised):
         self._last = np.zeros((len(self.corners), count))
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """Return commanded currents [A] (cars, currents) for observations (cars, signals), car i with its own memory.
+        """Return the commanded currents; each car has a separate memory.
 
         Args:
-            observations: As the environment gives them.
+            observations: Observations (cars, signals) of the environment.
+
+        Returns:
+            Currents (cars, currents) [A].
         """
         found = super().act_batch(observations)
         self._last = found.T
         return found
 
     def observed(self, observations: np.ndarray) -> list[np.ndarray]:
-        """Return what each corner sees (cars, 6 + points): its signals, and the known road over its present height [m].
+        """Return the local observations of the corners with the known road.
 
         Args:
-            observations: As the environment gives them, in float64.
+            observations: Observations (cars, signals) of the environment, in float64.
+
+        Returns:
+            Signals and known road over its present height [m] of each corner (cars, 6 + points).
         """
         state = self.estimator.update(self._signals.clean(observations, self._last))
         line = state[self.prediction.motion :]
@@ -211,7 +220,7 @@ class WheelbaseMpc(Decentralised):
 def wheelbase_model(
     name: str, network: Network, control_step: float, settings: WheelbaseSettings
 ) -> CarModel:
-    """Return the model of a car whose rear road is known from the front, at the speed of the settings.
+    """Return the model of a car with a known rear road, at the speed of the settings.
 
     Args:
         name: Name of the controller, for the message.
@@ -219,8 +228,11 @@ def wheelbase_model(
         control_step: Control step [s].
         settings: Settings of the controller.
 
+    Returns:
+        The model.
+
     Raises:
-        InputError: No wheel of the car follows another one.
+        InputError: No wheel of the car follows another wheel.
     """
     m = car_model(
         network,

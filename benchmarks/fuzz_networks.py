@@ -38,7 +38,7 @@ def network(rng: np.random.Generator) -> str:
             return "more than a line"
         text = str(error)
         return next(
-            (k for k in ("breaks down", "cannot be stepped", "singular", "floats") if k in text), "refused"
+            (k for k in ("fails at", "cannot be stepped", "singular", "floats") if k in text), "refused"
         )
     return "finite" if all(np.isfinite(v).all() for v in out.values()) else "SILENT NAN"
 

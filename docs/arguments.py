@@ -147,7 +147,10 @@ class Arguments(griffe.Extension):
             for name, default in names.items():
                 if default is not None and len(default) < 40:
                     text = re.sub(
-                        rf"(\n    {name}: .*)", lambda m, d=default: f"{m[1]} (default `{d}`)", text, count=1
+                        rf"(\n    {name}: .*(?:\n {{8,}}\S.*)*)",
+                        lambda m, d=default: f"{m[1]} (default `{d}`)",
+                        text,
+                        count=1,
                     )
             thing.docstring.value = text
         elif "__init__" in thing.members:

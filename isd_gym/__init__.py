@@ -10,7 +10,7 @@ What a suspension is: `elements`, `network`, `networks` (the built-in models). H
 
 from __future__ import annotations
 
-from . import _autoload  # noqa: F401  registers the environments, now or as soon as Gymnasium is there
+from . import _autoload  # noqa: F401  registers the environments, now or after the import of Gymnasium
 
 TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-#: public name -> the module it comes from. `simulate` is a module that can be called: see its end
+#: public name -> its module; `simulate` is a callable module, see its end
 _HOME = {
     "Diagnosis": "discrepancy",
     "ISDSuspensionEnv": "env",

@@ -1,9 +1,10 @@
-"""Registers the environments: at once where Gymnasium is loaded, else right after it, so that no import is needed.
+"""Registration of the environments: at once if Gymnasium is loaded, otherwise directly after its import.
 
-Gymnasium 1.0 dropped the entry-point plugins of earlier versions. A one-line .pth file, installed beside the package, puts a
-finder in front of the imports when Python starts. The line imports nothing, since it runs whenever Python starts: the finder
-imports this module when ``gymnasium.envs`` is imported. Where there is no installation (a source tree on the path, a zip, a
-worker's folder), `import isd_gym` does, and with it ``gymnasium.make("isd_gym:ISDSuspension-v0")``.
+Gymnasium 1.0 removed the entry-point plugins of earlier versions. A one-line .pth file, installed beside the
+package, puts a finder in front of the imports at the start of Python. The line imports nothing, to keep the
+start fast: the finder imports this module when ``gymnasium.envs`` is imported. Without an installation (a
+source tree on the path, a zip archive, a worker's folder), `import isd_gym` does the same, and hence
+``gymnasium.make("isd_gym:ISDSuspension-v0")``.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ AT_START = "isd_gym_at_start"
 
 
 class _AfterGymnasium:
-    """A finder that lets ``gymnasium.envs`` load as ever and registers the environments right after."""
+    """A finder that loads ``gymnasium.envs`` as usual and then registers the environments."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -32,10 +33,13 @@ class _AfterGymnasium:
 
 
 def spec_of(name: str) -> ModuleSpec | None:
-    """Return the spec of a module that registers the environments once the module is loaded; None for an unknown module.
+    """Return the spec of a module that registers the environments after its import.
 
     Args:
         name: Name of the module, ``gymnasium.envs``.
+
+    Returns:
+        The spec; None for an unknown module.
     """
     from importlib.util import find_spec
 

@@ -1,7 +1,7 @@
-"""Cars on roads in lockstep: what the single and the vector environment both are, without spaces or rewards.
+"""Cars on roads in lockstep: the common part of the single and the vector environment, without spaces or rewards.
 
-A batch of one and a batch of a thousand run the same code in the same order, so car i of a batch is the single car
-of its seed to the last bit.
+A batch of one and a batch of a thousand run the same code in the same order. Car i of a batch therefore
+equals a single car with the same seed bit by bit.
 """
 
 from __future__ import annotations
@@ -34,16 +34,27 @@ if TYPE_CHECKING:
     from .network import Channel, Network
 
 NO_SATURATION = 1e9
-LATE = 100  # groups of cars that this thread does while another one wakes (some 40 us)
+LATE = 100  # groups of cars that this thread handles while another thread wakes (about 40 us)
 
 
 class Batch:
-    """`count` cars of one network (or of a spread of it), each on its own road.
+    """Cars of one network (or of a distribution of it), each on a separate road.
 
-    network: the plant. road, speed [m/s]: fixed, or ranges in `randomize`. control_step must be a whole multiple of
-    physics_step [s]. duration [s] is the length of fixed profiles. randomize: parameter path -> (low, high) factors on its
-    value; 'speed' -> (low, high) [m/s]; 'road' -> a list of roads. preview [s] of road, in whole control steps, is
-    drawn ahead.
+    Args:
+        count: Number of cars.
+        network: The plant.
+        road_: Road, unless `randomize` has roads.
+        speed: Speed [m/s], unless `randomize` has a range.
+        control_step: Control step [s], an integer multiple of `physics_step`.
+        physics_step: Physics step [s].
+        duration: Length of fixed profiles [s].
+        randomize: Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' ->
+            list of roads.
+        preview: Length of the road that is drawn ahead [s], rounded to control steps.
+        extra: Further output channels.
+
+    Raises:
+        InputError: A value is invalid, or the network has logged channels or an unsupported drive.
     """
 
     def __init__(
@@ -75,7 +86,7 @@ class Batch:
         self._spread = {k: v for k, v in self.randomize.items() if k not in ("speed", "road")}
         self._roads = [road(r) for r in self.randomize.get("road", [])]
         self.vehicle = car = vehicle(network)
-        # the network's own outputs are not needed here: the signals take their place
+        # the signals replace the network's own outputs
         bare = replace(
             network,
             elements=tuple(e for e in network.elements if e.place != "channel"),
@@ -98,18 +109,18 @@ class Batch:
         self.points = round(preview / control_step)
         self.size = place.CarSize(1 + len(car.axes), len(car.corners), len(car.driven), car.wheels.tracks)
         self.of = of = place.cars_layout(self.size)
-        # one array of whole numbers spares the kernel's caller a tenth of a microsecond
+        # a single integer array saves a tenth of a microsecond per call of the kernel
         self._ints = np.concatenate([plant.ints, self._tables()])
         self._setup = self._ints[len(plant.ints) :]
         self._states = aligned(self.groups, plant.at.height, WIDTH)
-        wide = self.groups * WIDTH  # rows hold whole groups of cars; those beyond `count` stand still
+        wide = self.groups * WIDTH  # rows hold whole groups of cars; cars beyond `count` stand still
         self._cars = aligned(of.outputs + len(self.channels), wide)
         self._ways = np.zeros((of.counter + of.tracks, wide), np.int64)
         steps_late = self._set_drives()
         self._past = np.zeros((steps_late, of.currents, wide))
         self._setup[[place.ALL, place.DEPTH]] = wide, steps_late
-        # the road drawn ahead: of each track and physics step of a control step a ring that begins at `NOW`, and the last of
-        # them once more, a car's points side by side
+        # the road drawn ahead: one ring per track and physics step of a control step, starting at `NOW`, with
+        # its last point repeated; the points of the cars are contiguous
         self._rings = aligned(of.tracks, self.substeps, self.points, wide)
         self._ahead = np.zeros((wide, of.tracks * self.points))
         slowest = min(self.speed, *self.randomize.get("speed", (self.speed,)))
@@ -128,7 +139,7 @@ class Batch:
         self._arguments()
 
     def _tables(self) -> np.ndarray:
-        """Whole numbers of the kernel's control step (`layout`)."""
+        """Return the integers of the kernel's control step (`layout`)."""
         car, plant, wheels = self.vehicle, self.plant, self.vehicle.wheels
         columns = dict.fromkeys(
             ((c.road_input, part) for c in car.corners for part in ("r", "v", "alpha")), -1
@@ -152,7 +163,7 @@ class Batch:
         )
 
     def _set_drives(self) -> int:
-        """Put the numbers of each motor's drive into the cars; returns how many past currents the drives need."""
+        """Write the numbers of each motor's drive into the cars, and return how many past currents the drives need."""
         of, step = self.of, self.plant.step
         kinds = (el.ActuatorLag, el.ActuatorDelay, el.ThrustSaturation)
         for e in self.network.elements:
@@ -176,7 +187,7 @@ class Batch:
         return int(steps_late) + 2 if steps_late else 0
 
     def _arguments(self) -> None:
-        """The arguments of the kernel, and what is seen of them from here: views, made once."""
+        """Create the arguments of the kernel, and the views of them."""
         at, count = self.plant.at, self.count
         self._drive: Callable[..., int] | None = None
         self._drive_arguments = (
@@ -216,7 +227,7 @@ class Batch:
         self._calls = [(*self._drive_arguments, said.reshape(-1), seen, *share) for share in self._shares]
 
     def renew(self) -> None:
-        """What the last step said and showed is somebody else's now; the next one writes elsewhere."""
+        """Release the results of the last step to the caller; the next step writes to new arrays."""
         self._write_to(np.empty(self._said.shape), np.empty(self.seen.shape, np.float32))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -251,15 +262,17 @@ class Batch:
         lifted: Sequence[Sequence[float]] = (),
         threads: int = 1,
     ) -> None:
-        """Have every step limit the currents that `target` commands, and give rewards, costs and observations.
+        """Let every step limit the commanded currents in `target`, and compute rewards, costs and observations.
 
         Args:
-            weights: Factors on the squares of accelerations, travels, tyre loads and currents (`StageCost.factors`).
+            weights: Factors on the squares of accelerations, travels, tyre loads and currents
+                (`StageCost.factors`).
             bounds: Bounds of the measured signals without the currents.
             width: Width of an observation.
             shows: Content of an observation: `MEASURED`, `WHOLE` or `AHEAD` of `layout`.
-            lifted: Share of the road's height at each corner to be taken off each output (outputs, corners).
-            threads: Number of threads that share the cars; the results do not depend on it.
+            lifted: Share of the road's height at each corner that is subtracted from each output (outputs,
+                corners).
+            threads: Number of threads that share the cars; the results do not depend on the number.
         """
         of = self.of
         self._setup[place.IS_COMMANDED], self._setup[place.SHOWS] = True, shows
@@ -291,7 +304,12 @@ class Batch:
     # ---------------------------------------------------------------------------------------- reset
 
     def reset(self, i: int, rng: np.random.Generator) -> None:
-        """Put car i at rest at the start of a new road, all drawn from its own generator."""
+        """Put a car at rest at the start of a new road.
+
+        Args:
+            i: Index of the car.
+            rng: Generator of the car, for all draws.
+        """
         if self._spread:
             self._redraw(i, rng)
         speed = self.speed
@@ -320,14 +338,14 @@ class Batch:
             self._look_ahead(i, poles, gains, fixed)
 
     def _filters(self, ground: Road, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Poles and gains [m] of the sections of the rough tracks."""
+        """Return poles and gains [m] of the sections of the rough tracks."""
         if self.of.tracks == 2:
             return ground.track_filters(self.vehicle.wheels.width, speed, self.plant.step)
         gain, pole = ground.noise(speed, self.plant.step)
         return np.array([pole]), np.array([gain])
 
     def _look_ahead(self, i: int, poles: np.ndarray, gains: np.ndarray, fixed: np.ndarray) -> None:
-        """Draw the road of car i as far ahead as it is seen; `fixed` (tracks, n) [m] is its fixed profile."""
+        """Draw the road of car i up to the end of its preview; `fixed` (tracks, n) [m] is its fixed profile."""
         of, cars = self.of, self._cars
         rough = np.empty((of.tracks, self.points * self.substeps))
         if of.tracks == 2:
@@ -353,7 +371,7 @@ class Batch:
         self._rings[:, :, :, i], self._ahead[i] = rings.transpose(0, 2, 1), rings[:, :, -1].ravel()
 
     def _give(self, i: int, fixed: np.ndarray) -> None:
-        """Give car i its fixed profile (tracks, n), in slots of the table; the kernel holds the last height after its end."""
+        """Store the fixed profile (tracks, n) of car i in slots of the table; the kernel holds the last height after the end."""
         tracks = self.of.tracks
         ways = self._ways[: 2 * tracks, : self.count].reshape(2, tracks, self.count)
         length = fixed.shape[1]
@@ -387,12 +405,16 @@ class Batch:
     # ----------------------------------------------------------------------------------------- step
 
     def step(self) -> np.ndarray:
-        """Run one control step with the currents in `current` (after `judge`: `target`); returns `out` (signals, count), SI units."""
+        """Run one control step with the currents in `current` (after `judge`: `target`).
+
+        Returns:
+            Signals (signals, count) [SI], a view of `out`.
+        """
         drive = self._drive or self._compiled()
         if len(self._calls) == 1:
             self.broken = drive(*self._calls[0])
         else:
-            if self._crew is None or self._crew.process != os.getpid():  # threads do not outlive a fork
+            if self._crew is None or self._crew.process != os.getpid():  # threads do not survive a fork
                 self._crew = Crew(len(self._calls))
             self.broken = sum(self._crew.do(drive, self._calls))
         if self.points:
@@ -402,7 +424,7 @@ class Batch:
         return self.out
 
     def _compiled(self) -> Callable[..., int]:
-        """The kernel for the types of these arguments, which stay: they need not be looked up at every step."""
+        """Return the kernel for the types of these arguments, which are constant: no lookup at every step."""
         from numba import typeof
 
         from .kernel.compiled import kernel_of
@@ -422,16 +444,24 @@ class Batch:
         return self.cars[self.of.current : self.of.current + self.of.currents]
 
     def alone(self) -> tuple[float, ...]:
-        """Of the first car: reward, terms of the cost, dynamic tyre loads [N], and 1 where it broke."""
+        """Return the results of the first car.
+
+        Returns:
+            Reward, terms of the cost, dynamic tyre loads [N], and 1 for a broken car.
+        """
         return self._first_said.tolist()
 
     @property
     def judged(self) -> np.ndarray:
-        """Of the last step, rows: reward, terms of the cost, dynamic tyre loads [N] (rows, count)."""
+        """Results of the last step (rows, count): reward, terms of the cost, dynamic tyre loads [N]."""
         return self._said[: self.of.broken, : self.count]
 
     def forget(self, which: np.ndarray | slice) -> None:
-        """Nothing is said of the cars `which`, which have just begun; what has been handed out stays."""
+        """Clear the results of restarted cars; arrays that were handed out stay unchanged.
+
+        Args:
+            which: Indices of the cars.
+        """
         said = self._said.copy()
         said[: self.of.broken, which] = 0.0
         self.out[:, which] = 0.0
@@ -439,25 +469,25 @@ class Batch:
 
     @property
     def gone(self) -> np.ndarray:
-        """Which cars left their bounds, or reason, in the last step (count,)."""
+        """Whether each car left its bounds, or became not finite, in the last step (count,)."""
         return self._said[self.of.broken, : self.count] != 0.0
 
     @property
     def levels(self) -> np.ndarray:
-        """Level of the rough road [m^2] (count,): a linear car's cost is proportional to it.
+        """Level of the rough road (count,) [m^2], to which the cost of a linear car is proportional.
 
-        With one track it is the variance that each physics step adds to the height under the wheel.
+        With one track, the level is the variance that each physics step adds to the height under the wheel.
         """
         return self.cars[self.of.gain] ** 2
 
     @property
     def road_height(self) -> np.ndarray:
-        """Height of the road under the first corner now [m] (count,)."""
+        """Present height of the road under the first corner (count,) [m]."""
         return self.cars[self.of.height]
 
     @property
     def road_heights(self) -> np.ndarray:
-        """Heights of the road under all corners now [m] (corners, count)."""
+        """Present heights of the road under all corners (corners, count) [m]."""
         return self.cars[self.of.height : self.of.height + self.of.corners]
 
     @property
@@ -469,11 +499,11 @@ class Batch:
         """Return a track ahead relative to the height under its first wheel.
 
         Args:
-            points: Number of points, one a control step; all that are drawn unless given.
-            track: Number of the track, the left one before the right one.
+            points: Number of points, one per control step; None for all drawn points.
+            track: Index of the track, the left track before the right track.
 
         Returns:
-            Heights [m] (count, points).
+            Heights (count, points) [m].
         """
         begin = int(self._setup[place.NOW])
         ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
@@ -481,7 +511,11 @@ class Batch:
 
 
 class Crew:
-    """Threads that wait for work, as many as there are shares of it; this one takes the first."""
+    """Waiting threads for shares of a work; the calling thread takes the first share.
+
+    Args:
+        size: Number of shares.
+    """
 
     def __init__(self, size: int) -> None:
         self.process = os.getpid()
@@ -491,6 +525,18 @@ class Crew:
             Thread(target=_work, args=(queue, self.done), daemon=True).start()
 
     def do(self, function: Callable[..., int], shares: Sequence[tuple[Any, ...]]) -> list[int]:
+        """Run a function on each share.
+
+        Args:
+            function: Function with an integer result.
+            shares: Arguments of the function, one tuple per thread.
+
+        Returns:
+            Results in the order of the shares.
+
+        Raises:
+            BaseException: Any error of the function in a thread.
+        """
         for queue, share in zip(self.asked, shares[1:], strict=True):
             queue.put((function, share))
         results = [function(*shares[0])]

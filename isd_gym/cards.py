@@ -1,8 +1,8 @@
-"""Benchmark cards (`isd-card/1`): what the references of an environment's version did, episode by episode.
+"""Benchmark cards (`isd-card/1`): results of the references of an environment's version, episode by episode.
 
-A card is frozen with a version of the environment. Scores of others are paired with it on the same roads without running a
-single reference: ``isd-gym score my-policy --against ISDSuspension-v0``, or for a file that somebody sent,
-``isd-gym card their-score.json``. A fingerprint of every road says whether the roads are the same ones.
+A card is frozen with a version of the environment. Other scores are paired with the card on the same roads
+without another run of the references: ``isd-gym score my-policy --against ISDSuspension-v0``, or ``isd-gym
+card their-score.json`` for a received file. A fingerprint of every road tells whether the roads are the same.
 """
 
 from __future__ import annotations
@@ -23,13 +23,23 @@ if TYPE_CHECKING:
 
 SCHEMA = "isd-card/1"
 BUILT_IN = Path(__file__).parent / "references"
-#: what has to be equal for two scores to be on the same roads, and how exactly the roads themselves
+#: keys that must agree for two scores on the same roads, and tolerance of the roads' fingerprints
 SAME = ("network", "road", "speed", "episodes", "duration", "seed")
 CLOSE = 1e-6
 
 
 def load(name: str | Path) -> dict[str, Any]:
-    """A card from a file, or by the name of a built-in one; `InputError` where it is none or was altered."""
+    """Read a card.
+
+    Args:
+        name: A file, or the name of a built-in card.
+
+    Returns:
+        The card.
+
+    Raises:
+        InputError: The file is no card, or was altered.
+    """
     path = Path(name)
     if str(name) in built_in():
         path = BUILT_IN / f"{name}.json"
@@ -42,20 +52,40 @@ def load(name: str | Path) -> dict[str, Any]:
 
 
 def built_in() -> list[str]:
-    """Names of the cards that come with the package."""
+    """Return the names of the cards in the package.
+
+    Returns:
+        Names, sorted.
+    """
     return sorted(p.stem for p in BUILT_IN.glob("*.json"))
 
 
 def digest(card: Mapping[str, Any]) -> str:
-    """SHA-256 of everything in a card but its digest."""
+    """Return the SHA-256 digest of a card without its digest.
+
+    Args:
+        card: The card.
+
+    Returns:
+        Hexadecimal digits.
+    """
     text = json.dumps({k: v for k, v in card.items() if k != "digest"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
-    """A track of a card from a score (`isd-score/1` with its episodes).
+    """Return a track of a card from a score.
 
-    name: of the track. command: what makes the score again.
+    Args:
+        score: The score (`isd-score/1`) with its episodes.
+        name: Name of the track.
+        command: Command that reproduces the score.
+
+    Returns:
+        The track.
+
+    Raises:
+        InputError: The score has no episodes.
     """
     raw = _episodes(score)
     rows = {row["policy"]: row for row in score["policies"]}
@@ -76,9 +106,18 @@ def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
 
 
 def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> dict[str, Any]:
-    """A card of these tracks, with its digest.
+    """Return a card with its digest.
 
-    environment: its id and version. date: of the day, as YYYY-MM-DD.
+    Args:
+        environment: Name and version of the environment.
+        tracks: Tracks.
+        date: Date as YYYY-MM-DD.
+
+    Returns:
+        The card.
+
+    Raises:
+        InputError: The tracks cannot be combined.
     """
     from . import __version__
 
@@ -108,7 +147,18 @@ def _episodes(score: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
 
 
 def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
-    """The track of a card that a score is on; `InputError` says what differs, or that the roads are others."""
+    """Return the track of a card with the roads of a score.
+
+    Args:
+        score: The score.
+        card: The card.
+
+    Returns:
+        The track.
+
+    Raises:
+        InputError: No track has the roads of the score; the message tells the differences.
+    """
     whys = []
     shown_road = (row.get("preview", {}).get("value", 0.0) for row in score["policies"])
     ahead = max(shown_road, default=0.0)
@@ -136,10 +186,21 @@ def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
 def ranking(
     card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()
 ) -> list[dict[str, Any]]:
-    """All policies of a track and of scores on it, best first: quantities against passive, and each submitted policy's cost
-    `against` every other, paired, with 95 % intervals.
+    """Return all policies of a track and of scores on the track, best first.
 
-    name: of the track.
+    Quantities are compared with the passive car. Each submitted policy's cost is compared `against` every
+    other policy, paired, with 95 % intervals.
+
+    Args:
+        card: The card.
+        name: Name of the track.
+        scores: Scores on the track.
+
+    Returns:
+        One entry per policy.
+
+    Raises:
+        InputError: The card has no such track.
     """
     one = next((t for t in card["tracks"] if t["track"] == name), None)
     if one is None:
@@ -154,7 +215,7 @@ def ranking(
         match(score, {**card, "tracks": [one]})
         for policy, values in _episodes(score).items():
             if policy in held and np.allclose(values["cost"], held[policy]["cost"], rtol=CLOSE, atol=0.0):
-                continue  # a reference, driven again, maybe on another machine
+                continue  # a reference that was driven again, possibly on another machine
             label = policy if policy not in held else f"{policy} (submitted)"
             held[label] = values
             theirs.append(label)
@@ -174,7 +235,16 @@ def ranking(
 
 
 def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> str:
-    """A track as Markdown, best first, with date, command and digest."""
+    """Return a track as Markdown, best policy first, with date, command and digest.
+
+    Args:
+        card: The card.
+        name: Name of the track.
+        scores: Scores on the track.
+
+    Returns:
+        Text.
+    """
     one = next(t for t in card["tracks"] if t["track"] == name)
 
     def cell(q: Mapping[str, Any], digits: int, scale: float = 1.0) -> str:
@@ -206,9 +276,14 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
 
 
 def fingerprints_of(one: Mapping[str, Any], episodes: int = 2) -> list[list[float]]:
-    """Fingerprints of the first roads of a track as this machine draws them, to hold against the card's.
+    """Return the fingerprints of the first roads of a track on this machine.
 
-    one: the track. episodes: how many.
+    Args:
+        one: The track.
+        episodes: Number of roads.
+
+    Returns:
+        Fingerprint of each road.
     """
     from .scoring import fingerprints
 

@@ -1,7 +1,8 @@
-"""The conditions under which bounds and published figures may stand beside a score.
+"""Conditions under which bounds and published figures may be shown beside a score.
 
-Every statement about a bound, and every figure of the paper, belongs to a road, a speed, a car and a sample. `comparable` decides
-for all of them; the command, its JSON and the report page show what it allows and one line about the rest.
+Every bound, and every figure of the paper, belongs to a road, a speed, a car and a sample. `comparable`
+decides for all of them; the command, its JSON and the report page show the allowed statements and one line
+about the others.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ if TYPE_CHECKING:
     from .road import Road
     from .sensors import Sensors
 
-#: smallest sample for statements about the mean over roads: the benchmark's own; duration in seconds
+#: smallest sample for statements about the mean over roads, equal to the benchmark's; duration in seconds
 EPISODES, DURATION = 32, 20.0
 PAPER_SPEED = 20.0  # m/s
-#: built-in networks of the paper's car: with the oil spring in series, and as its equation (8) is printed
+#: built-in networks of the paper's car: with the oil spring in series, and with the printed equation (8)
 PAPER_CARS = ("quarter-car-isd", "quarter-car-eq8")
 
 
@@ -31,16 +32,16 @@ class Comparable:
 
     # Tables 7 and 8 of the paper
     tables: str = ""
-    # the linear-quadratic bound, which holds for the mean over random roads
+    # linear-quadratic bound of the mean over random roads
     lq_bound: str = ""
-    # the causal ceiling, which holds for the mean over random roads
+    # causal ceiling of the mean over random roads
     ceiling: str = ""
-    # the clairvoyant optimum, which holds for single roads
+    # clairvoyant optimum of single roads
     clairvoyant: str = ""
 
     @property
     def left_out(self) -> str | None:
-        """One line about the statements that are not shown, with the reasons; None where nothing is left out."""
+        """One line about the omitted statements, with the reasons; None if all statements are shown."""
         by_reason: dict[str, list[str]] = {}
         for f in fields(self):
             if reason := getattr(self, f.name):
@@ -50,7 +51,7 @@ class Comparable:
         return "Left out: " + "; ".join(f"{_listed(n)} ({reason})" for reason, n in by_reason.items()) + "."
 
 
-#: statements as `Comparable.left_out` calls them
+#: names of the statements in `Comparable.left_out`
 NAMES = {
     "tables": "Tables 7 and 8 of the paper",
     "lq_bound": "the LQ bound",
@@ -70,20 +71,20 @@ def comparable(
     sensors: Sensors | None = None,
     reference: str = "passive",
 ) -> Comparable:
-    """Return which statements may stand beside a score.
+    """Decide which statements may be shown beside a score.
 
     Args:
-        network: Plant that is driven.
-        road: Road that is driven.
+        network: Plant.
+        road: Road.
         speed: Speed [m/s].
         episodes: Number of episodes.
         duration: Length of an episode [s].
         randomize: Ranges that vary from episode to episode, if any.
         sensors: Imperfections of the sensors, if any.
-        reference: Policy that all others are compared with; every statement is about changes against the passive car.
+        reference: Policy of the paired comparison; every statement is about changes against the passive car.
 
     Returns:
-        The reasons against each statement.
+        Reason against each statement.
     """
     ground = find_road(road)
     if reference != "passive":
@@ -104,7 +105,7 @@ def comparable(
 
 
 def _tables(network: Network, ground: Road, speed: float, sensors: Sensors | None) -> str:
-    """Return why these are not the conditions of the paper's tables; nothing where they are."""
+    """Return the reason against the paper's tables; '' for the conditions of the paper."""
     paper = paper_road()
     if ground.profile is not None or (ground.roughness, ground.cutoff) != (paper.roughness, paper.cutoff):
         return "another road"

@@ -17,39 +17,65 @@ if TYPE_CHECKING:
 
 
 def write_json(path: Path | None, data: dict[str, Any]) -> None:
-    """Write what a command found to the FILE of --json, if there is one."""
+    """Write the results of a command to the file of --json.
+
+    Args:
+        path: File to write; None to write nothing.
+        data: Plain data.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
     if path is not None:
         files.write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def check_file(path: Path | None, *read: str | Path | None) -> None:
-    """Raise `InputError` at once where FILE, if there is one, could not be written at the end of long work.
+    """Check before long work that an output file can be written.
 
-    Nor may it be one of the files that are `read`.
+    Args:
+        path: File to write; None for no check.
+        read: Input files that must not be overwritten.
+
+    Raises:
+        InputError: The file cannot be written, or is an input file.
     """
     if path is not None:
         files.check_file(path, *read)
 
 
-#: columns of what is printed into a pipe or a file
+#: number of characters per line in a pipe or a file
 PIPED = 80
 
 
 def printer() -> Any:
-    """A console on stdout that wraps at words: as wide as the terminal, `PIPED` columns where there is none."""
+    """Return a console on stdout with word wrap at the width of the terminal, or at `PIPED` characters.
+
+    Returns:
+        A console of rich.
+    """
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else PIPED, highlight=False, markup=False)
 
 
 def tell(text: str, *, dim: bool = False) -> None:
-    """Print a sentence on stdout, wrapped at words."""
+    """Print a sentence on stdout with word wrap.
+
+    Args:
+        text: The sentence.
+        dim: Whether the text is dimmed.
+    """
     printer().print(text, style="dim" if dim else None)
 
 
 @contextmanager
 def lines() -> Iterator[Callable[[str], None]]:
-    """Lines of progress with the time gone by on stderr; silent where it is no terminal."""
+    """Give a function that prints lines of progress with the elapsed time on stderr, silent without a terminal.
+
+    Yields:
+        ``say(line)``.
+    """
     import time
 
     from rich.console import Console
@@ -71,7 +97,11 @@ def lines() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on stderr, one line a task; silent where stderr is no terminal."""
+    """Give a function that updates a progress bar on stderr, one line per task, silent without a terminal.
+
+    Yields:
+        ``update(name, share)`` with a share from 0 to 1.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -95,13 +125,20 @@ def progress() -> Iterator[Callable[[str, float], None]]:
         yield update
 
 
-#: [s] between lines of progress where there is no terminal for a bar
+#: interval between lines of progress without a terminal [s]
 SELDOM = 30.0
 
 
 @contextmanager
 def counted(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar on stderr that counts (done, all); a line now and then where stderr is no terminal. what: 'cases'."""
+    """Give a function that updates a counting bar on stderr; without a terminal, a line is printed now and then.
+
+    Args:
+        what: Counted things, such as 'cases'.
+
+    Yields:
+        ``update(done, all)``.
+    """
     import time
 
     from rich.console import Console
@@ -126,7 +163,11 @@ def counted(what: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def resumable() -> Iterator[None]:
-    """Work that is kept item by item: Ctrl-C says how to go on with it."""
+    """Tell the user on Ctrl-C how to continue work that is stored item by item.
+
+    Yields:
+        Nothing.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -135,7 +176,11 @@ def resumable() -> Iterator[None]:
 
 
 def warm_up(update: Callable[[str, float], None]) -> None:
-    """Compile the kernel, or load it, with a line that says so."""
+    """Compile or load the kernel, with a line of progress.
+
+    Args:
+        update: Function of `progress`.
+    """
     import numpy as np
 
     from .env import ISDSuspensionVectorEnv
@@ -148,7 +193,11 @@ def warm_up(update: Callable[[str, float], None]) -> None:
 
 
 def print_names(rows: Mapping[str, str]) -> None:
-    """Print names with their descriptions, wrapped to the width of the terminal."""
+    """Print names with their descriptions, wrapped to the width of the terminal.
+
+    Args:
+        rows: Description by name.
+    """
     from rich.table import Table
 
     made = Table.grid(padding=(0, 2))

@@ -1,4 +1,4 @@
-"""The one stage cost: the environment's reward, MPC's objective and the score are all this."""
+"""The stage cost of the environment's reward, of model predictive control and of the score."""
 
 from __future__ import annotations
 
@@ -23,11 +23,14 @@ def _is_number(value: Any) -> bool:
 
 
 def square(weight: Any, signal: Any) -> Any:
-    """Return a factor times the square of a signal, of floats or arrays, and in compiled code.
+    """Return a factor times the square of a signal, also in compiled code.
 
     Args:
         weight: Factor [1/unit^2].
-        signal: Signal [unit].
+        signal: Number or array of any shape [unit].
+
+    Returns:
+        Number or array of the shape of `signal` [-].
     """
     return weight * (signal * signal)
 
@@ -36,13 +39,14 @@ def square(weight: Any, signal: Any) -> Any:
 class StageCost:
     """Weighted squares of signals over their reference values; the reward is minus the sum.
 
-    The weights [-] 0.6 and 0.3 are those of section 4.2. The references are Table 7's passive row, so that a passive
-    quarter car costs about 0.9.
+    The weights [-] 0.6 and 0.3 are those of section 4.2. The references are Table 7's passive row, so that a
+    passive quarter car costs about 0.9.
 
-    A half car and a full car have `HALF_CAR` and `FULL_CAR`. The weight 0.6 is shared equally by the accelerations of the body:
-    0.3 each for vertical and pitch acceleration, or 0.2 each with roll acceleration. The weights of travel, tyre load and
-    current are shared equally by the corners. Each reference is the RMS of the signal in the passive car on the paper's
-    road at 20 m/s, so that this car costs 0.9 as well.
+    A half car and a full car have `HALF_CAR` and `FULL_CAR`. The weight 0.6 is shared equally by the
+    accelerations of the body: 0.3 each for vertical and pitch acceleration, or 0.2 each with roll
+    acceleration. The weights of travel, tyre load and current are shared equally by the corners. Each
+    reference is the RMS of the signal in the passive car on the paper's road at 20 m/s; the passive car then
+    costs 0.9 as well.
 
     Attributes:
         acceleration: Weight of the vertical acceleration of the body [-].
@@ -50,13 +54,17 @@ class StageCost:
         tyre_load: Weight of the dynamic tyre load [-].
         current: Weight of the motor current [-].
         acceleration_reference: Vertical acceleration of the body [m/s^2].
-        travel_reference: Suspension travel [m], of all corners or one for each.
-        tyre_load_reference: Dynamic tyre load [N], of all corners or one for each.
+        travel_reference: Suspension travel [m], one value, or one per corner.
+        tyre_load_reference: Dynamic tyre load [N], one value, or one per corner.
         current_reference: Motor current [A].
         pitch: Weight of the pitch acceleration of the body [-].
         roll: Weight of the roll acceleration of the body [-].
         pitch_reference: Pitch acceleration [rad/s^2].
         roll_reference: Roll acceleration [rad/s^2].
+
+    References:
+        Liu, Zhao, Yang, Chen, Shen, "Predictive Control of Vehicle ISD Suspension Based on a Hydraulic
+            Electric Inerter", Shock and Vibration, 2019, section 4.2 and Table 7.
     """
 
     acceleration: float = 0.6  # [-]
@@ -88,15 +96,19 @@ class StageCost:
     def of(
         cls, given: StageCost | Mapping[str, Any] | None, axes: tuple[str, ...] = (), corners: int = 1
     ) -> StageCost:
-        """Return the stage cost of a car from a stage cost, from some of its attributes, or the usual one.
+        """Return the stage cost of a car: the given cost, or the usual cost with some attributes changed.
 
         Args:
-            given: Stage cost, or attributes that differ from those of the usual one.
-            axes: Axes about which the body turns, of 'pitch' and 'roll'.
-            corners: Number of corners. A car with another number than the usual one has the mean references.
+            given: Stage cost, or attributes that differ from the usual cost; None for the usual cost.
+            axes: Axes about which the body rotates, of 'pitch' and 'roll'.
+            corners: Number of corners. A car with an unusual number of corners gets the mean of the usual
+                references.
+
+        Returns:
+            Stage cost.
 
         Raises:
-            InputError: An attribute does not exist, or the body does not turn about an axis that has a weight.
+            InputError: An attribute does not exist, or an axis with a weight is not an axis of the body.
         """
         if not isinstance(given, StageCost):
             usual = USUAL.get(axes, QUARTER_CAR)
@@ -119,7 +131,8 @@ class StageCost:
 
     @cached_property
     def quadratic(self) -> tuple[float, float, float, float]:
-        """Factors on the squares of acceleration [m/s^2], travel [m], tyre load [N] and current [A] of a quarter car."""
+        """Return the factors on the squares of acceleration [m/s^2], travel [m], tyre load [N] and current [A]
+        of a quarter car."""
         a, l, f, i = self.factors()
         return a, l, f, i
 
@@ -159,13 +172,17 @@ class StageCost:
         tyre_load: Signal | float = 0.0,
         current: Signal | float = 0.0,
     ) -> tuple[Signal, Signal, Signal | float, Signal | float]:
-        """Return the four terms of the cost of a quarter car, of floats or arrays.
+        """Return the four terms of the cost of a quarter car.
 
         Args:
             acceleration: Vertical acceleration of the body [m/s^2].
             travel: Suspension travel [m].
             tyre_load: Dynamic tyre load [N].
             current: Motor current [A].
+
+        Returns:
+            Terms of acceleration, travel, tyre load and current [-], numbers or arrays of the shape of the
+                signals.
         """
         a, l, f, i = self.quadratic
         return square(a, acceleration), square(l, travel), square(f, tyre_load), square(i, current)
@@ -177,7 +194,17 @@ class StageCost:
         tyre_load: Signal | float = 0.0,
         current: Signal | float = 0.0,
     ) -> Signal:
-        """Return the cost of a quarter car, the sum of the terms; arguments as those of `terms`."""
+        """Return the cost of a quarter car, the sum of the terms.
+
+        Args:
+            acceleration: Vertical acceleration of the body [m/s^2].
+            travel: Suspension travel [m].
+            tyre_load: Dynamic tyre load [N].
+            current: Motor current [A].
+
+        Returns:
+            Cost [-], a number or an array of the shape of the signals.
+        """
         a, l, f, i = self.terms(acceleration, travel, tyre_load, current)
         return a + l + f + i
 
@@ -192,7 +219,7 @@ HALF_CAR = StageCost(
     travel_reference=(7.059e-3, 7.250e-3),
     tyre_load_reference=(515.1, 516.9),
 )
-#: the same of full-car-passive
+#: references: the same of the network full-car-passive
 FULL_CAR = StageCost(
     acceleration=0.2,
     pitch=0.2,
@@ -203,7 +230,7 @@ FULL_CAR = StageCost(
     travel_reference=(6.983e-3, 6.983e-3, 6.924e-3, 6.924e-3),
     tyre_load_reference=(513.6, 513.6, 515.2, 515.2),
 )
-#: usual stage costs of cars, by the axes about which their body turns
+#: usual stage costs of cars, by the axes about which the body rotates
 USUAL: dict[tuple[str, ...], StageCost] = {
     (): QUARTER_CAR,
     ("pitch",): HALF_CAR,

@@ -1,4 +1,4 @@
-"""Policies at the wheel: what can drive, and the one loop in which it drives many cars."""
+"""Policies that drive: the interface of controllers, and the loop in which a policy drives many cars."""
 
 from __future__ import annotations
 
@@ -22,31 +22,41 @@ if TYPE_CHECKING:
 
 
 class Controller(Protocol):
-    """What can drive. `act` gives the commanded current [A] for an observation (6,), see the environment.
+    """Interface of a controller.
 
-    A controller of a car with several motors gives their currents (currents,) for an observation (signals,).
+    A quarter car has one current per observation (6,). A car with several motors has currents (currents,) per
+    observation (signals,).
 
-    Optional: `reset_batch(n)` and `act_batch(observations (n, signals)) -> (n,) or (n, currents)` for many cars at once,
-    `fallbacks` (a count), `observation` ("measured", "full" or "preview": what it wants to see), `preview` [s]: how much of
-    the road ahead.
+    Optional attributes: `reset_batch(n)` and `act_batch(observations (n, signals)) -> (n,) or (n, currents)`
+    for many cars, `fallbacks` (a count), `observation` ("measured", "full" or "preview": the wanted
+    observation), and `preview` [s] (the wanted length of the road ahead).
     """
 
     name: str
 
     def reset(self) -> None:
-        """Forget everything: a new road begins at rest."""
+        """Clear the memory: a new road starts at rest."""
 
     def act(self, observation: np.ndarray) -> float | np.ndarray:
-        """Commanded current [A] for one observation, or currents (currents,)."""
+        """Return the commanded current.
+
+        Args:
+            observation: Observation (signals,).
+
+        Returns:
+            Current [A], or currents (currents,) [A].
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A policy: its name, how to make a controller, and the plant if it is not everybody's.
+    """A policy in a score.
 
-    name: under which it is scored. make: a fresh controller at every call. network: its plant, None for
-    everybody's.
+    Attributes:
+        name: Name in the score.
+        make: Returns a new controller at every call.
+        network: Plant of the policy; None for the common plant.
     """
 
     name: str
@@ -55,9 +65,11 @@ class Entry:
 
 
 class Idle:
-    """No current, whatever is seen.
+    """A controller with zero current.
 
-    name: under which it is scored. model: the car, whose motors are left without current; a quarter car if None.
+    Args:
+        name: Name in the score.
+        model: The car, which gives the number of currents; None for a quarter car.
     """
 
     observation = "measured"
@@ -68,33 +80,48 @@ class Idle:
         self.currents = 1 if model is None else len(vehicle(model).driven)
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: there is no memory."""
 
     def act(self, observation: np.ndarray) -> float | np.ndarray:
-        """0 A, for each motor.
+        """Return zero current for each motor.
 
-        Whatever the observation.
+        Args:
+            observation: Without effect.
+
+        Returns:
+            Current [A], or currents (currents,) [A].
         """
         return 0.0 if self.currents == 1 else np.zeros(self.currents)
 
     def reset_batch(self, count: int) -> None:
-        """Nothing to forget, in any number of cars.
+        """Do nothing: there is no memory.
 
-        count: of cars.
+        Args:
+            count: Number of cars.
         """
 
     def act_batch(self, observations: np.ndarray) -> np.ndarray:
-        """0 A for each of the observations (n, signals): (n,), or (n, currents)."""
+        """Return zero current for each motor of each car.
+
+        Args:
+            observations: Observations (n, signals).
+
+        Returns:
+            Currents (n,) or (n, currents) [A].
+        """
         count = len(observations)
         return np.zeros(count) if self.currents == 1 else np.zeros((count, self.currents))
 
 
 class Crew:
-    """One policy at the wheel of `cars` cars: a controller that commands all of them at once, or one in each.
+    """A policy that drives several cars, with one controller for all cars or one per car.
 
-    `observation`: what it wants to see; `preview` [s]: of the road ahead; `times`: processor times of single decisions [s], where there is one controller a car.
+    `observation` is the wanted observation, `preview` [s] the wanted length of the road ahead, and `times`
+    [s] the processor times of single decisions with one controller per car.
 
-    entry: the policy. cars: how many.
+    Args:
+        entry: The policy.
+        cars: Number of cars.
     """
 
     def __init__(self, entry: Entry, cars: int) -> None:
@@ -107,7 +134,7 @@ class Crew:
         self.times: list[float] = []
 
     def reset(self) -> None:
-        """Forget everything: new roads begin."""
+        """Clear the memory: new roads begin."""
         if self.batched:
             self.controllers[0].reset_batch(self.cars)
         else:
@@ -115,7 +142,14 @@ class Crew:
                 c.reset()
 
     def act(self, observations: np.ndarray) -> np.ndarray:
-        """Commanded currents [A] (cars,) or (cars, currents) for observations (cars, n)."""
+        """Return the commanded currents.
+
+        Args:
+            observations: Observations (cars, n).
+
+        Returns:
+            Currents (cars,) or (cars, currents) [A].
+        """
         if self.batched:
             return np.asarray(self.controllers[0].act_batch(observations))
         out = []
@@ -127,15 +161,19 @@ class Crew:
 
     @property
     def fallbacks(self) -> int:
-        """How often one of them could not do what it is meant to and did something safe instead."""
+        """Number of safe substitute decisions of all controllers."""
         return sum(int(getattr(c, "fallbacks", 0)) for c in self.controllers)
 
 
 class Leg(NamedTuple):
-    """One control step of all cars: what the policy saw (cars, n), commanded [A] (cars, currents) and earned (cars,), and
-    what it will see next (cars, n).
+    """One control step of all cars.
 
-    In the order of the fields: step, seen, rewards of `actions`, ahead.
+    Attributes:
+        step: Index of the step.
+        seen: Observations before the step (cars, n).
+        actions: Commanded currents (cars, currents) [A].
+        rewards: Rewards of the step (cars,).
+        ahead: Observations after the step (cars, n).
     """
 
     step: int
@@ -154,12 +192,21 @@ def travel(
     dtype: DTypeLike = float,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Leg]:
-    """Drive all cars of `env` from their start for a number of steps; episode i has the road of seed ``seed + i``.
+    """Drive all cars from their start; episode i has the road of seed ``seed + i``.
 
-    dtype: of the commands, which are limited to the action space. progress(share): told now and then. Raises `InputError`
-    where a car breaks, and for a policy of a car with another number of currents.
+    Args:
+        crew: The policy.
+        env: Environment with one car per car of the crew.
+        steps: Number of control steps.
+        seed: Seed of the first episode.
+        dtype: Type of the commands, which are limited to the action space.
+        progress: Called now and then with the finished share.
 
-    crew: who drives. env: with as many cars. steps: how many.
+    Yields:
+        Each control step.
+
+    Raises:
+        InputError: A car breaks, or the policy commands another number of currents.
     """
     crew.reset()
     obs, _ = env.reset(seed=seed)
@@ -175,7 +222,7 @@ def travel(
 
 
 def _commands(crew: Crew, seen: np.ndarray, env: ISDSuspensionVectorEnv, dtype: DTypeLike) -> np.ndarray:
-    """Return what `crew` commands, within the action space: currents [A] (cars, currents)."""
+    """Return the commands of a crew within the action space (cars, currents) [A]."""
     count = len(env.task.vehicle.driven)
     found = np.asarray(crew.act(seen), dtype)
     if found.size != crew.cars * count:

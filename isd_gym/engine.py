@@ -1,8 +1,9 @@
-"""Many independent runs: on the cores of one machine, on a Ray cluster, or in shards of an array of jobs.
+"""Many independent runs: on the cores of one machine, on a Ray cluster, or in shards of a job array.
 
-A `Task` names a function and its arguments as plain JSON, so that it travels to any process or machine; what it returns is
-one file, written whole or not at all, under a name made of the task. Called again with the same folder, what is there is
-not done again. A worker that dies costs its task, which is given to another, and then a line; the rest goes on.
+A `Task` names a function and its arguments as plain JSON, and can be sent to any process or machine. Its
+result is one file, written atomically, with a name derived from the task. A repeated call with the same
+folder skips finished tasks. If a worker dies, its task is given to another worker, and fails with a line if
+that worker dies, too; all other tasks continue.
 """
 
 from __future__ import annotations
@@ -31,38 +32,52 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SCHEMA = "isd-result/1"
-TRIES = 2  # of a task whose worker died
+TRIES = 2  # largest number of attempts for a task whose worker died
 ENGINES = ("local", "ray")
 
 
 @dataclass(frozen=True)
 class Task:
-    """`function`: "package.module:name", called with `arguments` as keywords; both and what it returns are JSON."""
+    """A function call; arguments and result are plain JSON.
+
+    Attributes:
+        function: "package.module:name".
+        arguments: Arguments by name.
+    """
 
     function: str
     arguments: Mapping[str, Any]
 
     @property
     def key(self) -> str:
-        """The task's name: the same wherever and whenever it is made."""
+        """Name of the task, equal on all machines."""
         text = json.dumps([self.function, self.arguments], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     def call(self) -> Any:
-        """Do it here."""
+        """Call the function in this process.
+
+        Returns:
+            Result of the function.
+        """
         module, _, name = self.function.partition(":")
         return getattr(importlib.import_module(module), name)(**self.arguments)
 
 
 @dataclass
 class Outcome:
-    """Results by key, and what went wrong with the tasks that have none, a line each."""
+    """Results and errors of tasks.
+
+    Attributes:
+        results: Result by key of a task.
+        failed: One-line error by key of a task.
+    """
 
     results: dict[str, Any] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
 
 
-#: whether what a file says is a result of the task
+#: tells whether the content of a file is a result of the task
 Sound = Callable[[Task, Any], bool]
 
 
@@ -71,20 +86,40 @@ def _any(task: Task, result: Any) -> bool:
 
 
 def stored(tasks: Sequence[Task], folder: Path, sound: Sound = _any) -> dict[str, Any]:
-    """Results that are in the folder, by key; a file that is broken, or whose result is not `sound`, is none."""
+    """Return the results in a folder; broken files and implausible results are skipped.
+
+    Args:
+        tasks: The tasks.
+        folder: Folder of the results.
+        sound: Tells whether a result is plausible for a task.
+
+    Returns:
+        Result by key of a task.
+    """
     out = {}
     for task in tasks:
         try:
             data = read_json(folder / f"{task.key}.json")
             if data["schema"] == SCHEMA and data["key"] == task.key and sound(task, data["result"]):
                 out[task.key] = data["result"]
-        except (ValueError, KeyError, TypeError, AttributeError):  # InputError among them
+        except (ValueError, KeyError, TypeError, AttributeError):  # includes InputError
             continue
     return out
 
 
 def shard(tasks: Sequence[Task], which: str | None) -> list[Task]:
-    """The tasks of one job of an array, `which` being "i/n" with i from 0 to n - 1; all without."""
+    """Return the tasks of one job of a job array.
+
+    Args:
+        tasks: All tasks.
+        which: "i/n" with i from 0 to n - 1; None for all tasks.
+
+    Returns:
+        Every n-th task from task i.
+
+    Raises:
+        InputError: The shard is invalid or empty.
+    """
     if which is None:
         return list(tasks)
     try:
@@ -109,10 +144,23 @@ def run(
     say: Callable[[str], None] = lambda line: None,
     sound: Sound = _any,
 ) -> Outcome:
-    """Do what is not done yet of `tasks`, their results as files in `folder`.
+    """Run all unfinished tasks; results are files in a folder.
 
-    jobs: processes of this machine; engine "ray": a Ray cluster at `address` ("auto": the one this machine belongs to).
-    progress(done, all): told after each. sound(task, result): whether a result in the folder is one. Raises `InputError` for a folder that cannot be written or a cluster that is not there.
+    Args:
+        tasks: The tasks.
+        folder: Folder of the results.
+        jobs: Number of processes on this machine.
+        engine: 'local', or 'ray' for a Ray cluster.
+        address: Address of the Ray cluster; "auto" for the cluster of this machine.
+        progress: Called with the numbers of finished and of all tasks.
+        say: Called with lines for the user.
+        sound: Tells whether a stored result is plausible for a task.
+
+    Returns:
+        Results and errors.
+
+    Raises:
+        InputError: The folder cannot be written, an argument is invalid, or no cluster answers.
     """
     if engine not in ENGINES:
         raise InputError(f"no engine '{engine}': there are {', '.join(ENGINES)}")
@@ -139,7 +187,7 @@ def run(
             write_text(folder / f"{task.key}.json", json.dumps({**head, "result": answer.result}) + "\n")
         else:
             out.failed[task.key] = answer.error
-            if answer.error not in told:  # once, however many items it costs
+            if answer.error not in told:  # reported once for all affected tasks
                 told.add(answer.error)
                 say(f"{_words(task)}: {answer.error}")
         if progress is not None:
@@ -153,7 +201,14 @@ def _words(task: Task) -> str:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came of a task: its result, or the one line that says why there is none."""
+    """Outcome of a task.
+
+    Attributes:
+        result: Result; None after an error.
+        error: One-line error; None after success.
+        seconds: Duration [s].
+        host: Name of the machine.
+    """
 
     result: Any = None
     error: str | None = None
@@ -162,9 +217,15 @@ class Answer:
 
 
 def answer(function: str, arguments: Mapping[str, Any], folder: str | None = None) -> Answer:
-    """Do a task, in whatever process this is; no error gets out.
+    """Run a task in this process; errors become part of the answer.
 
-    folder: where the names of files in `arguments` begin, if there is such a folder on this machine.
+    Args:
+        function: "package.module:name".
+        arguments: Arguments by name.
+        folder: Folder of relative file names in the arguments, if the folder exists on this machine.
+
+    Returns:
+        The answer.
     """
     begin = time.perf_counter()
     try:
@@ -172,7 +233,7 @@ def answer(function: str, arguments: Mapping[str, Any], folder: str | None = Non
             os.chdir(folder)
         result = Task(function, arguments).call()
         json.dumps(result, allow_nan=False)
-    except Exception as error:  # one task's error is its own
+    except Exception as error:  # the error of a task must not stop other tasks
         text = str(error).splitlines()[0] if str(error) else type(error).__name__
         own = isinstance(error, InputError)
         return Answer(error=text if own else f"{type(error).__name__}: {text}")
@@ -193,8 +254,9 @@ def _serve(pipe: Connection) -> None:
 
 @contextmanager
 def _deaf() -> Iterator[None]:
-    """Processes that start within the context ignore Ctrl-C; the parent process handles Ctrl-C and stops the children."""
-    if threading.current_thread() is not threading.main_thread():  # only there can that be said
+    """Start child processes that ignore Ctrl-C; the parent process handles Ctrl-C and stops the children."""
+    # signal handlers can only be set in the main thread
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -205,7 +267,7 @@ def _deaf() -> Iterator[None]:
 
 
 class _Worker:
-    """A worker process and the task that runs in it."""
+    """A worker process and its present task."""
 
     def __init__(self, context: Any) -> None:
         self.pipe, other = context.Pipe()
@@ -217,7 +279,7 @@ class _Worker:
 
     def give(self, task: Task) -> None:
         self.task = task
-        with suppress(OSError):  # one that died this instant: its silence is noticed when it is waited for
+        with suppress(OSError):  # a dead worker is noticed when the answer is awaited
             self.pipe.send((task.function, dict(task.arguments)))
 
     def stop(self) -> None:
@@ -232,7 +294,7 @@ def _local(todo: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Answer]]:
         for task in todo:
             yield task, answer(task.function, task.arguments)
         return
-    # fresh processes: a fork of one that has threads may hang
+    # fresh processes: a fork of a process with threads may hang
     context = multiprocessing.get_context("spawn")
     waiting, tries = list(reversed(todo)), dict.fromkeys((t.key for t in todo), 0)
     workers = [_Worker(context) for _ in range(min(jobs, len(todo)))]
@@ -240,7 +302,7 @@ def _local(todo: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Answer]]:
         while waiting or any(w.task for w in workers):
             for i, w in enumerate(workers):
                 if w.task is None and waiting:
-                    if not w.process.is_alive():  # it died while it had nothing to do
+                    if not w.process.is_alive():  # died while idle
                         w.stop()
                         workers[i] = w = _Worker(context)
                     task = waiting.pop()
@@ -253,7 +315,7 @@ def _local(todo: Sequence[Task], jobs: int) -> Iterator[tuple[Task, Answer]]:
                 task, w.task = w.task, None
                 try:
                     yield task, w.pipe.recv()
-                except (EOFError, ConnectionError):  # it died
+                except (EOFError, ConnectionError):  # died
                     w.stop()
                     workers[i] = _Worker(context)
                     if tries[task.key] < TRIES:
@@ -278,7 +340,7 @@ def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answ
         _reach(address)
         try:
             ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
-        except Exception as error:  # a cluster can be missing in many ways
+        except Exception as error:  # many reasons for a missing cluster
             if address is None and isinstance(error, ConnectionError):
                 raise InputError(
                     "no Ray cluster runs on this machine: 'ray start --head' starts one, RAY_ADDRESS names another"
@@ -287,12 +349,12 @@ def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answ
             raise InputError(f"no Ray cluster at '{address or 'auto'}': {text}") from None
     pending: dict[Any, Task] = {}
     try:
-        # a node that is lost takes its tasks along, and others get them
+        # the tasks of a lost node are given to other nodes
         remote = ray.remote(num_cpus=1, max_retries=TRIES - 1)(answer)
         here, waiting = os.getcwd(), list(reversed(todo))
         resources: Callable[[], dict[str, float]] = ray.cluster_resources
         while waiting or pending:
-            # a few for every core: a driver that dies leaves no queue behind, and a long grid needs no memory there
+            # a few tasks per core: a dead driver leaves no queue, and a long grid needs little memory
             while waiting and len(pending) < max(8, 4 * int(resources().get("CPU", 1))):
                 task = waiting.pop()
                 pending[remote.remote(task.function, dict(task.arguments), here)] = task
@@ -303,7 +365,7 @@ def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answ
             except ray.exceptions.RayError as error:
                 yield task, Answer(error=f"its worker died {TRIES} times ({type(error).__name__})")
     finally:
-        for left in pending:  # Ctrl-C: what is under way is not waited for
+        for left in pending:  # after Ctrl-C, running tasks are not awaited
             with suppress(Exception):
                 ray.cancel(left, force=True)
         if own:
@@ -311,7 +373,7 @@ def _ray(todo: Sequence[Task], address: str | None) -> Iterator[tuple[Task, Answ
 
 
 def _reach(address: str | None) -> None:
-    """Raise `InputError` where nobody answers at host:port; Ray itself would ask for minutes."""
+    """Raise `InputError` if no server answers at host:port; Ray would wait for minutes."""
     host, colon, port = (address or "").rpartition(":")
     if not (colon and port.isdigit()) or "://" in host:
         return

@@ -1,6 +1,6 @@
-"""The environments: a car with hydraulic electric inerters on a road, one car or many.
+"""The environments: a car with hydraulic electric inerters on a road, single or vectorised.
 
-Physics lives in `Batch`; options, spaces, sensors and rewards in `Task`; episodes here.
+`Batch` contains the physics, `Task` options, spaces, sensors and rewards, and this module the episodes.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .vehicle import vehicle
 if TYPE_CHECKING:
     from .rendering import CarSnapshot, Renderer, Snapshot
 
-PICTURES = 50.0  # a simulated second, in a window; `render` may be called at every step
+PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
 _QUARTER_CAR = vehicle(Network.load("quarter-car-isd"))
 #: measured signals of a quarter car: name, unit, bound
 MEASURED = tuple((signal.name, signal.unit, signal.bound) for signal in _QUARTER_CAR.measured)
 N_MEASURED = len(MEASURED)
-#: numbers in `info` of a quarter car's step beside the speed
+#: names of the numbers in `info` of a quarter car's step after the speed
 STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads)
 
 
@@ -68,7 +68,7 @@ class ISDSuspensionEnv(gym.Env):
     A network without motors has a current for each corner, which acts on nothing.
 
     ## Observation space
-    `Box(-high, high, (signals,), float32)`, what a car can measure. Corners are in the order of the actions.
+    `Box(-high, high, (signals,), float32)`, the signals that a car can measure. Corners are in the order of the actions.
 
     | quarter car | half car | full car | signal | unit | bound |
     |---|---|---|---|---|---|
@@ -103,12 +103,16 @@ class ISDSuspensionEnv(gym.Env):
     the body turns, `cost_travel`, `cost_tyre_load`, `cost_current`, and the dynamic tyre load [N], positive in
     compression: `tyre_load` of a quarter car, else `tyre_load_front`, `tyre_load_rear_left` and so on.
 
-    ## Arguments
-    `render_mode`: human or rgb_array. `network` and all other keyword arguments are the fields of
-    `isd_gym.task.Options`, which has their units and defaults.
-
     ## Versions
     `ISDSuspension-v0`, `ISDSuspensionEq8-v0`: v0, first release. `ISDHalfCar-v0`, `ISDFullCar-v0`: v0, first release.
+
+    Args:
+        network: A built-in name, a file (`isd-model/1`), its content, or a `Network`.
+        render_mode: None, 'human' for a window, or 'rgb_array' for arrays.
+        options: Further fields of `isd_gym.task.Options`, which lists units and defaults.
+
+    Raises:
+        InputError: An argument or option is invalid.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 200}  # noqa: RUF012
@@ -128,7 +132,7 @@ class ISDSuspensionEnv(gym.Env):
         self.metadata = {
             **self.metadata,
             "render_fps": round(1 / chosen.control_step),
-        }  # one picture a step: real time
+        }  # one picture per step: real time
         self._renderer: Renderer | None = None
         self._ready = False
         self._steps = 0
@@ -136,7 +140,7 @@ class ISDSuspensionEnv(gym.Env):
 
     @property
     def network(self) -> Network:
-        """The plant."""
+        """Network of the car."""
         return self.task.network
 
     def reset(
@@ -202,7 +206,10 @@ class ISDSuspensionEnv(gym.Env):
         return self._renderer.draw(self.snapshot())
 
     def snapshot(self) -> Snapshot | CarSnapshot:
-        """Return the car as a picture shows it.
+        """Return the content of a picture of the car.
+
+        Returns:
+            Plain numbers for a renderer.
 
         Raises:
             InputError: The environment was made without a `render_mode`.
@@ -227,21 +234,21 @@ class ISDSuspensionEnv(gym.Env):
 
 
 def _listed(action: Any) -> list[Any]:
-    """An action that is no array, number by number."""
+    """Return an action that is no array as a list of its parts."""
     if isinstance(action, bytes | str):
         raise TypeError
     return list(action)
 
 
 def _number(value: Any) -> float:
-    """A part of an action as a float."""
+    """Return a part of an action as a float."""
     if isinstance(value, bytes | str):
-        raise TypeError  # float() would make a number of it
+        raise TypeError  # float() would accept the text
     return float(value)
 
 
 def _currents(actions: Any) -> np.ndarray:
-    """Actions as an array of floats; raises `InputError` for text, objects and numbers that no float holds."""
+    """Return actions as an array of floats; raise `InputError` for text, objects and numbers beyond the range of floats."""
     if isinstance(actions, np.ndarray) and actions.dtype.kind == "f":
         return actions
     try:
@@ -254,13 +261,23 @@ def _currents(actions: Any) -> np.ndarray:
 
 
 class ISDSuspensionVectorEnv(VectorEnv):
-    """Many cars at once, natively: `gymnasium.make_vec("ISDSuspension-v0", 1024)`, or half and full cars likewise.
+    """A vector environment of many cars: `gymnasium.make_vec("ISDSuspension-v0", 1024)`, and likewise half and full cars.
 
-    Car i is exactly the single environment seeded with ``seed + i``. Arguments as `ISDSuspensionEnv`'s, and
-    `num_envs`, `max_episode_steps` [control steps], `autoreset_mode`: next_step (Gymnasium's default), same_step (`final_obs` and `final_info` in `info`), disabled
-    (reset with ``options={"reset_mask": mask}``). With ``render_mode="rgb_array"``, `render` gives a picture of every car.
-    `threads` share the cars, by default one for every 2048 cars as far as there are cores; what comes out does not depend
-    on them.
+    Car i equals the single environment with the seed ``seed + i``. The results do not depend on the number of
+    threads.
+
+    Args:
+        num_envs: Number of cars.
+        network: As in `ISDSuspensionEnv`.
+        max_episode_steps: Length of an episode [control steps].
+        autoreset_mode: 'next_step' (Gymnasium's default), 'same_step' (`final_obs` and `final_info` in
+            `info`) or 'disabled' (reset with ``options={"reset_mask": mask}``).
+        render_mode: None, or 'rgb_array' for a picture of every car from `render`.
+        threads: Number of threads that share the cars; None for one per 2048 cars, at most one per core.
+        options: Further options of `ISDSuspensionEnv`.
+
+    Raises:
+        InputError: An argument or option is invalid.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -324,7 +341,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
     @property
     def network(self) -> Network:
-        """The plant."""
+        """Network of the cars."""
         return self.task.network
 
     def reset(
@@ -351,13 +368,13 @@ class ISDSuspensionVectorEnv(VectorEnv):
                 if s is not None:
                     self._rngs[i] = seeding.np_random(s)[0]
         self._restart(np.flatnonzero(mask))
-        obs = self._last.copy()  # the others stay where they are
+        obs = self._last.copy()  # the other cars keep their observations
         obs[mask] = self.task.first(np.flatnonzero(mask))
         self._last = obs
         return obs, self._info()
 
     def _info(self) -> dict[str, Any]:
-        """`info` of all cars as they stand."""
+        """Return the present `info` of all cars."""
         told = self.task.batch.judged[1:].copy()
         return {"speed": self._speeds, **dict(zip(self.task.step_info, told, strict=True))}
 
@@ -368,7 +385,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
             self.task.forget(int(i), self._rngs[i])
         batch.forget(which)
         self._speeds = batch.speeds.copy()
-        self._speeds.setflags(write=False)  # one array is handed out until a car starts again
+        self._speeds.setflags(write=False)  # one array is handed out until a car restarts
         for i in which if self._onlookers else ():
             self._onlookers[i].start()
         self.steps[which] = 0
@@ -390,7 +407,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         batch.target[:] = target.T
         sums = [
             row.dot(self._zeros) for row in batch.target
-        ]  # 0 times what is not finite is nan: cheaper than a mask
+        ]  # 0 times a number that is not finite is nan, which is cheaper than a mask
         if any(sums):
             finite = np.isfinite(batch.target).all(axis=0)
             raise InputError(f"action {int(np.argmin(finite))} is not finite")
@@ -413,7 +430,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         info = {"speed": self._speeds, **dict(zip(self.task.step_info, terms, strict=True))}
         for i in (
             np.flatnonzero(self.steps) if self._onlookers else ()
-        ):  # not where a car has just started again
+        ):  # except for cars that have just restarted
             self._onlookers[i].see(int(self.steps[i]), float(reward[i]))
         if self._oldest >= self.max_episode_steps or (batch.broken and terminated.any()):
             truncated = (self.steps >= self.max_episode_steps) & ~terminated
@@ -445,7 +462,11 @@ class ISDSuspensionVectorEnv(VectorEnv):
         return obs
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture (height, width, 3) uint8 of every car; None, with a warning, without a `render_mode`."""
+        """Return a picture of every car.
+
+        Returns:
+            Pictures (height, width, 3) uint8; None, with a warning, without a `render_mode`.
+        """
         if self.render_mode is None:
             gym.logger.warn('render() needs a render_mode, e.g. make_vec(..., render_mode="rgb_array")')
             return None
@@ -468,7 +489,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
 
 
 def _threads(cars: int) -> int:
-    """Threads that pay: handing over work costs what some hundred cars take."""
+    """Return the useful number of threads: handing over work takes as long as some hundred cars."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(cores, cars // 2048))
 

@@ -1,4 +1,4 @@
-"""The error every bad input ends in, and how text from a file is shown."""
+"""Errors for bad input, and safe display of text from files."""
 
 from __future__ import annotations
 
@@ -9,14 +9,23 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-MESSAGE_LIMIT = 1200  # characters; longer messages lose their middle
+MESSAGE_LIMIT = 1200  # characters; longer messages are shortened in the middle
 NAME_LIMIT = 80
 
 
 def plain(text: str, limit: int = NAME_LIMIT) -> str:
-    """`text` as it may stand in a terminal, a table or a message: one line, nothing that steers, at most `limit` characters.
+    r"""Return a text as one printable line of limited length.
 
-    Control and format characters, line and paragraph separators and lone surrogates become escapes such as ``\\x1b``.
+    Control and format characters, line and paragraph separators and lone surrogates become escapes such as
+    ``\\x1b``, so that text from a file cannot steer a terminal.
+
+    Args:
+        text: Any text.
+        limit: Maximum number of characters; a longer text is shortened in the middle before characters are
+            escaped.
+
+    Returns:
+        The text for a terminal, a table or a message.
     """
     if len(text) > limit:
         tail = limit // 4
@@ -27,16 +36,25 @@ def plain(text: str, limit: int = NAME_LIMIT) -> str:
 
 
 def harmless(text: str) -> bool:
-    """Whether `text` holds neither control nor format characters, no line separators and no lone surrogates."""
+    """Return whether a text has no control or format characters, line separators or lone surrogates.
+
+    Args:
+        text: Any text.
+    """
     return text.isprintable() or not any(
         unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") for c in text
     )
 
 
 def shown(value: Any, limit: int = NAME_LIMIT) -> str:
-    """A name or another value of a file for a message: a text in quotes, escaped and cut; a container by its kind alone.
+    """Return a value from a file as it appears in a message.
 
-    limit: characters.
+    Args:
+        value: Any value. Containers are described by kind and length only.
+        limit: Maximum number of characters of a text.
+
+    Returns:
+        A text in quotes, a number, or a description such as "a list of 3".
     """
     if isinstance(value, str):
         return f"'{plain(value, limit)}'"
@@ -51,15 +69,30 @@ def shown(value: Any, limit: int = NAME_LIMIT) -> str:
 
 
 def how_to_install(extra: str) -> str:
-    """The line that installs an extra of this package, which no registry of packages has yet."""
-    torch = "pip install torch==2.13.0 && " if extra == "agents" else ""  # a bare torch may bring gigabytes
+    """Return the shell command that installs an optional dependency group of this package.
+
+    The package is in no registry yet, so the command assumes a clone of the repository.
+
+    Args:
+        extra: Name of the group, such as "io".
+
+    Returns:
+        One line of shell commands and where to run the line.
+    """
+    # the default torch wheel may download gigabytes
+    torch = "pip install torch==2.13.0 && " if extra == "agents" else ""
     return f'{torch}pip install ".[{extra}]" in a clone of the repository'
 
 
 def hint(name: object, known: Iterable[str]) -> str:
-    """``did you mean 'mass'?`` where one of the `known` names is near `name`, else what there is.
+    """Return ``did you mean 'mass'?`` for a similar known name, otherwise the list of known names.
 
-    name: as somebody wrote it. known: in the order in which they are told.
+    Args:
+        name: Name that a user wrote.
+        known: Valid names, in the order of the list.
+
+    Returns:
+        A clause for the end of an error message.
     """
     known = list(known)
     near = get_close_matches(str(name)[:200], known, 1)
@@ -67,9 +100,10 @@ def hint(name: object, known: Iterable[str]) -> str:
 
 
 class InputError(ValueError):
-    """What a user handed over cannot be used; the message is one line that says what and where.
+    """Error for input that cannot be used; the message is one line that names the input and the remedy.
 
-    Whatever a file's names hold, the message stays one line that steers no terminal.
+    Args:
+        message: Any text. Escaped and shortened to one printable line.
     """
 
     def __init__(self, message: object = "") -> None:
@@ -77,9 +111,12 @@ class InputError(ValueError):
 
 
 class ReportError(Exception):
-    """A page could not be drawn; the results that it was to show are written. The message is one line.
+    """Error for a report page that could not be drawn after its results had been written.
 
-    what: was to be drawn. error: why it was not. where: the results are.
+    Args:
+        what: The page, such as "the report".
+        error: Cause.
+        where: Clause that tells where the results are.
     """
 
     def __init__(self, what: str, error: BaseException, where: str) -> None:
@@ -88,7 +125,12 @@ class ReportError(Exception):
 
 
 class MissingColumn(InputError):
-    """A table lacks the column `name`; `message` says what it has."""
+    """Error for a table that lacks a column.
+
+    Args:
+        message: One line that lists the columns of the table.
+        name: The missing column.
+    """
 
     def __init__(self, message: object = "", name: str = "") -> None:
         super().__init__(message)

@@ -1,7 +1,8 @@
-"""Writing files and folders whole or not at all, and never where something of somebody else's lies.
+"""Atomic writing of files and folders, without overwriting foreign content.
 
-All that is written is made in a workshop, a locked folder ``.isd-gym-…`` beside its place, and takes that place in one
-step. A process that is killed leaves its workshop behind; the next process that writes to the same place clears the workshop.
+All output is prepared in a workshop, a locked folder ``.isd-gym-…`` beside the target, and takes the target's
+place in one step. A killed process leaves its workshop behind; the next process that writes to the same place
+removes the workshop.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 try:
     import fcntl
-except ImportError:  # Windows: workshops of the dead stay until somebody removes them
+except ImportError:  # Windows: workshops of killed processes stay until a user removes the folders
     fcntl = None  # type: ignore[assignment]
 
 _PREFIX = ".isd-gym-"
@@ -31,9 +32,19 @@ _EARLIER = "earlier"
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
-    """A temporary path that takes the place of `path` when the block ends well, and is gone when it does not.
+    """Give a temporary path that replaces `path` when the block succeeds, and is deleted when the block fails.
 
-    A link stays one, and what it points to is replaced. A device or pipe (/dev/stdout) is written into, never replaced.
+    A symbolic link is kept and its target is replaced. A device or pipe (/dev/stdout) receives the content
+    and is never replaced.
+
+    Args:
+        path: File to write.
+
+    Yields:
+        Temporary path to write to.
+
+    Raises:
+        InputError: The file cannot be written.
     """
     path = Path(path)
     check_file(path)
@@ -54,18 +65,38 @@ def whole(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write `text` to `path` atomically."""
+    """Write a text file atomically.
+
+    Args:
+        path: File to write.
+        text: Content, written in UTF-8.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 @contextmanager
 def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[str] = ()) -> Iterator[Path]:
-    """A temporary folder that takes the place of `path` when the block ends well, and is gone when it does not.
+    """Give a temporary folder that replaces `path` when the block succeeds, and is deleted when the block fails.
 
-    What stands at `path` may be nothing, an empty folder, or an earlier `kind`: a folder that holds the file `mark` and
-    only files and folders that match `parts` (patterns such as ``*.png``), none of them a link; that one is exchanged
-    for the new one in a single step. Raises `InputError` for any other.
+    The path may be free, an empty folder, or an earlier result of the same kind. An earlier result holds the
+    file `mark`, and otherwise only files and folders that match `parts`, without links; the earlier result is
+    exchanged in a single step.
+
+    Args:
+        path: Folder to write.
+        kind: Name of the result, for messages, such as "diagnosis".
+        mark: File by which an earlier result is recognised.
+        parts: Patterns such as ``*.png`` of other files and folders in an earlier result.
+
+    Yields:
+        Temporary folder to write to.
+
+    Raises:
+        InputError: The path holds something else, or cannot be written.
     """
     path = Path(path)
     check_folder(path, kind, mark, parts)
@@ -74,7 +105,7 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
         made = shop / path.name
         made.mkdir()
         yield made
-        check_folder(path, kind, mark, parts)  # long work may lie between
+        check_folder(path, kind, mark, parts)  # the folder may have changed during a long computation
         try:
             if not path.exists():
                 os.replace(made, path)
@@ -82,7 +113,7 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
                 (shop / _EARLIER).mkdir()
                 os.replace(
                     path, shop / _EARLIER / path.name
-                )  # `_clear` puts it back, should we be killed here
+                )  # `_clear` restores the earlier folder after a kill at this point
                 try:
                     os.replace(made, path)
                 except OSError:
@@ -93,13 +124,37 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
 
 
 def claim_folder(path: str | Path, kind: str, mark: str | None, parts: Sequence[str]) -> Path:
-    """Make the folder `path` for a `kind` that grows in place, under the rule of `whole_folder`; returns it."""
+    """Create a folder for a result that grows in place, under the rules of `whole_folder`.
+
+    Args:
+        path: Folder to create.
+        kind: Name of the result, for messages.
+        mark: File by which an earlier result is recognised; None to recognise earlier results by `parts`
+            alone.
+        parts: Patterns of other files and folders in an earlier result.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: The path holds something else, or cannot be written.
+    """
     check_folder(path, kind, mark, parts)
     return make_folder(path)
 
 
 def make_folder(path: str | Path) -> Path:
-    """Make the folder `path` and those above it, where they are not there; returns it. Raises `InputError`."""
+    """Create a folder and its missing parents.
+
+    Args:
+        path: Folder to create; may exist.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: The folder cannot be created.
+    """
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -110,7 +165,18 @@ def make_folder(path: str | Path) -> Path:
 
 @contextmanager
 def held(folder: Path, kind: str) -> Iterator[None]:
-    """Keep the folder of a `kind` that grows for this process alone; raises `InputError` where another has it."""
+    """Lock the folder of a growing result for this process.
+
+    Args:
+        folder: Existing folder.
+        kind: Name of the result, for messages.
+
+    Yields:
+        Nothing; the lock ends with the block.
+
+    Raises:
+        InputError: Another process holds the lock.
+    """
     handle = _lock(folder)
     if handle is None and fcntl is not None:
         raise InputError(f"another process is writing the {kind} in '{folder}'")
@@ -122,7 +188,15 @@ def held(folder: Path, kind: str) -> Iterator[None]:
 
 
 def reserve(folder: Path, size: int) -> None:
-    """Raise `InputError` where `size` bytes more cannot be written in `folder`: for libraries that do not survive it."""
+    """Check that a number of bytes can be written, for libraries that crash on a full disk.
+
+    Args:
+        folder: Existing folder.
+        size: Number of bytes.
+
+    Raises:
+        InputError: The disk has no room.
+    """
     path = folder / ".room"
     try:
         with path.open("wb") as stream:
@@ -138,7 +212,16 @@ def reserve(folder: Path, size: int) -> None:
 
 
 def check_file(path: str | Path, *read: str | Path | None) -> None:
-    """Raise `InputError` where no file can be written, or where it is one of those that are `read`: before long work, not after it."""
+    """Check before long work that a file can be written.
+
+    Args:
+        path: File to write.
+        read: Input files that must not be overwritten.
+
+    Raises:
+        InputError: The folder does not exist, the path is a folder or an input file, or the path cannot be
+            named.
+    """
     path = Path(path)
     _nameable(path)
     if not os.path.isdir(path.parent):
@@ -151,18 +234,26 @@ def check_file(path: str | Path, *read: str | Path | None) -> None:
             and os.path.isfile(source)
             and os.path.realpath(source) == os.path.realpath(path)
         ):
-            raise InputError(f"cannot write '{path}': it is read; give another name")
+            raise InputError(f"cannot write '{path}': it is an input file; give another name")
 
 
 def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequence[str] = ()) -> None:
-    """Raise `InputError` where `whole_folder` would not write, so that long work does not begin in vain.
+    """Check before long work that `whole_folder` would write.
 
-    Without a `mark` (None) the `parts` alone tell an earlier one.
+    Args:
+        path: Folder to write.
+        kind: Name of the result, for messages.
+        mark: File by which an earlier result is recognised; None to recognise earlier results by `parts`
+            alone.
+        parts: Patterns of other files and folders in an earlier result.
+
+    Raises:
+        InputError: The path holds something else, or cannot be written.
     """
     path = Path(path)
     _nameable(path)
     if os.path.islink(path) or (os.path.exists(path) and not os.path.isdir(path)):
-        raise InputError(f"cannot write a {kind} to '{path}': it is no folder")
+        raise InputError(f"cannot write a {kind} to '{path}': it is not a folder")
     if not path.name or os.path.realpath(path) == os.getcwd():
         raise InputError(f"cannot write a {kind} to '{path}': name a folder of its own")
     if not os.path.isdir(path):
@@ -190,11 +281,11 @@ def check_folder(path: str | Path, kind: str, mark: str | None = "", parts: Sequ
 
 
 def _nameable(path: Path) -> None:
-    """Raise `InputError` for what no file can be called, or where nobody may look."""
+    """Raise `InputError` for a name that is impossible or not accessible."""
     try:
         os.lstat(path)
     except (FileNotFoundError, NotADirectoryError):
-        return  # told better by those who ask
+        return  # callers give a better message
     except OSError as error:
         raise _cannot(path, error) from None
     except ValueError as error:  # a NUL
@@ -207,7 +298,7 @@ def _cannot(path: Path, error: OSError) -> InputError:
 
 @contextmanager
 def _workshop(path: Path) -> Iterator[Path]:
-    """A locked folder beside `path`, gone afterwards; those of processes that are gone are cleared first."""
+    """Give a locked folder beside `path` that is deleted afterwards; workshops of killed processes are cleared first."""
     _clear(path.parent)
     handle = None
     try:
@@ -216,7 +307,7 @@ def _workshop(path: Path) -> Iterator[Path]:
             handle = _lock(shop)
             if shop.is_dir():
                 break
-            if handle is not None:  # somebody cleared it before it was locked
+            if handle is not None:  # another process cleared the folder before the lock
                 os.close(handle)
     except OSError as error:
         raise _cannot(path, error) from None
@@ -229,7 +320,7 @@ def _workshop(path: Path) -> Iterator[Path]:
 
 
 def _lock(shop: Path) -> int | None:
-    """A handle that holds the lock of a workshop as long as its process lives; None where it cannot be had."""
+    """Return a handle that locks a workshop for the life of this process, or None without a lock."""
     if fcntl is None:
         return None
     try:
@@ -245,7 +336,7 @@ def _lock(shop: Path) -> int | None:
 
 
 def _clear(folder: Path) -> None:
-    """Remove the workshops that nobody works in, and put back what one of them had taken away."""
+    """Remove abandoned workshops, and restore an earlier folder that an abandoned workshop had moved."""
     try:
         stale = [p for p in folder.iterdir() if p.name.startswith(_PREFIX)]
     except OSError:
@@ -260,13 +351,13 @@ def _clear(folder: Path) -> None:
                     os.replace(taken, folder / taken.name)
             shutil.rmtree(shop, ignore_errors=True)
         except OSError:
-            pass  # it is in nobody's way
+            pass  # an abandoned folder does no harm
         finally:
             os.close(handle)
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; False where the system or the file system cannot."""
+    """Exchange two folders in one step; return False if the system or the file system cannot."""
     import ctypes
 
     calls = {"linux": ("renameat2", True), "darwin": ("renamex_np", False)}

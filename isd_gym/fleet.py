@@ -1,15 +1,16 @@
-"""Fleets: a diagnosis of every case in a folder, on many processes or machines, resumed where it stopped; a table and a page over all.
+"""Fleets: diagnosis of every case in a folder on many processes or machines, resumable, with a table and a page of all cases.
 
     fleet/                        isd-gym diagnose fleet --model car.json --out found --jobs 2
       van7_2024-05-01/            a case: its vehicle and its date
         run1.csv  run2.csv        runs; validation*.csv (or .mf4 ...) take no part in fitting
       van7_2024-09-01/
-        run1/                     a run of several loggers: their files, in the order of the map's loggers by name
+        run1/                     a run of several loggers: their files, in the order of the map's loggers by
+        name
           body.csv  wheel.mf4
-        model.json                a model of the case's own goes before --model
+        model.json                a model of the case, with priority over --model
 
-What is done lies in ``OUT/cases``, a file a case with the whole `isd-diagnosis/1` and the model with what was found;
-called again, only new and changed cases are diagnosed.
+Results are in ``OUT/cases``, one file per case with the complete `isd-diagnosis/1` and the resulting model. A
+repeated call diagnoses only new and changed cases.
 """
 
 from __future__ import annotations
@@ -37,7 +38,16 @@ DATE = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})")
 
 @dataclass(frozen=True)
 class Case:
-    """A case: its folder's `name`, `vehicle` and `date` ('' where the name tells none), runs to fit and to judge by, and its model."""
+    """A case of a fleet.
+
+    Attributes:
+        name: Name of its folder.
+        vehicle: Vehicle.
+        date: Date; '' without a date in the name.
+        data: Runs to fit.
+        validate: Runs to validate.
+        model: File of the model.
+    """
 
     name: str
     vehicle: str
@@ -48,9 +58,17 @@ class Case:
 
 
 def cases_of(folder: str | Path, model: str | None = None) -> list[Case]:
-    """The cases in a folder, by vehicle and date. Raises `InputError` where there are none, or one has no model.
+    """Return the cases in a folder, sorted by vehicle and date.
 
-    folder: of cases. model: for cases without a model file.
+    Args:
+        folder: Folder of cases.
+        model: Model of cases without a model file.
+
+    Returns:
+        Cases.
+
+    Raises:
+        InputError: There are no cases, or a case has no model.
     """
     folder = Path(folder)
     places = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
@@ -63,7 +81,18 @@ def cases_of(folder: str | Path, model: str | None = None) -> list[Case]:
 
 
 def case_itself(folder: str | Path, model: str | None = None) -> Case | None:
-    """The case that a folder is, which holds tables and no folder with some; None where it is none."""
+    """Return the case of a folder that holds tables and no folders with tables.
+
+    Args:
+        folder: The folder.
+        model: Model of a case without a model file.
+
+    Returns:
+        The case; None for other folders.
+
+    Raises:
+        InputError: The case has no model, or no runs to fit.
+    """
     folder = Path(folder)
     runs = [p for p in folder.iterdir() if _run(p)]
     return _case(folder, model) if runs and not any(p.is_dir() for p in runs) else None
@@ -89,7 +118,7 @@ def _case(place: Path, model: str | None) -> Case | None:
 
 
 def _run(path: Path) -> str:
-    """A run as a command line names it; '' for what is none."""
+    """Return a run in the notation of the command line; '' for other paths."""
     if path.is_dir():
         files = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES)
         return "+".join(map(str, files))
@@ -97,7 +126,7 @@ def _run(path: Path) -> str:
 
 
 def _task(case: Case, options: Mapping[str, Any]) -> Task:
-    # what a result rests on is in its name: a file that has changed is a new task
+    # the key includes the state of all files: a changed file makes a new task
     files = [*case.data, *case.validate, case.model, options.get("map") or ""]
     states = [
         [p.stat().st_size, p.stat().st_mtime_ns]
@@ -120,13 +149,31 @@ def diagnose_case(
     seed: int = 0,
     max_lag: float = 0.5,
 ) -> dict[str, Any]:
-    """One case: its diagnosis and the model with what was found, as plain data."""
+    """Diagnose a case: the work of one task.
+
+    Args:
+        name: Name of the case.
+        data: Runs to fit.
+        validate: Runs to validate.
+        model: File of the model.
+        files: State of all files, for the key of the task.
+        map: File that maps columns to channels.
+        accept: Data checks whose errors are accepted.
+        seed: Seed of random numbers.
+        max_lag: Largest lag between loggers [s].
+
+    Returns:
+        Diagnosis (`isd-diagnosis/1`) and resulting model (`isd-model/1`), as plain data.
+
+    Raises:
+        InputError: The records or the model cannot be used.
+    """
     from .discrepancy import SearchSettings, diagnose
     from .loggers import ChannelMap
     from .loggers.records import records_of
     from .network import Network
 
-    del name, files  # of the task's key
+    del name, files  # part of the task's key only
     network, by = Network.load(model), None
     if map is not None:
         by = ChannelMap.load(map)
@@ -154,17 +201,29 @@ def fleet(
     progress: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> tuple[dict[str, Any], Outcome]:
-    """Diagnose what is not diagnosed yet of a folder of cases; the table over all, and what came of the tasks.
+    """Diagnose all new and changed cases of a folder.
 
-    folder: of cases. out: for ``fleet.json`` and ``cases``; `write_page` adds the page. options: of `diagnose_case` (map, accept, seed,
-    max_lag). jobs, engine, address, progress, say: as `engine.run` takes them. Raises `InputError`.
+    Args:
+        folder: Folder of cases.
+        out: Folder for ``fleet.json`` and ``cases``; `write_page` adds the page.
+        model: Model of cases without a model file.
+        options: Further arguments of `diagnose_case`: map, accept, seed, max_lag.
+        jobs: Number of processes.
+        engine: 'local' or 'ray', see `engine.run`.
+        address: Address of a Ray cluster.
+        progress: Called with the numbers of finished and of all cases.
+        say: Called with lines for the user.
+
+    Returns:
+        Table of all cases (`isd-fleet/1`), and the outcome of the tasks.
+
+    Raises:
+        InputError: The cases or the options cannot be used.
     """
     cases = cases_of(folder, model)
     place = claim_folder(out, *FOLDER)
     tasks = [_task(c, dict(options or {})) for c in cases]
-    if not (
-        place / "fleet.json"
-    ).exists():  # so that the folder is known as this one's when it is called again
+    if not (place / "fleet.json").exists():  # marks the folder as a fleet's for the next call
         write_text(place / "fleet.json", json.dumps(merge(cases, tasks, {})) + "\n")
     outcome = run_tasks(
         tasks, place / "cases", jobs=jobs, engine=engine, address=address, progress=progress, say=say
@@ -175,14 +234,17 @@ def fleet(
 
 
 def write_page(merged: Mapping[str, Any], out: str | Path) -> Path:
-    """Write ``fleet.html`` beside ``fleet.json`` and return its path.
+    """Write ``fleet.html`` beside ``fleet.json``.
 
     Args:
-        merged: The table over all cases, as `fleet` returns it.
-        out: The folder of the fleet.
+        merged: Table of all cases, as returned by `fleet`.
+        out: Folder of the fleet.
+
+    Returns:
+        Path of the page.
 
     Raises:
-        ReportError: The page cannot be drawn; an earlier one is removed, the results stay.
+        ReportError: The page cannot be drawn; an earlier page is removed, the results stay.
     """
     path = Path(out) / "fleet.html"
     path.unlink(missing_ok=True)
@@ -199,7 +261,17 @@ def merge(
     results: Mapping[str, Any],
     failed: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """What is known of a fleet as `isd-fleet/1`: a row a case, and how each effect of each vehicle went over its dates."""
+    """Return the table of a fleet (`isd-fleet/1`): one row per case, and the history of each effect of each vehicle.
+
+    Args:
+        cases: Cases of the fleet.
+        tasks: Task of each case.
+        results: Result by key of a task.
+        failed: Error by key of a task.
+
+    Returns:
+        Plain data.
+    """
     rows: list[dict[str, Any]] = []
     trends: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for case, task in zip(cases, tasks, strict=True):
@@ -240,7 +312,15 @@ def merge(
 
 
 def lines(merged: Mapping[str, Any], width: int = 80) -> list[str]:
-    """The fleet as lines of a terminal: every case with its verdict and effects, then how effects went over the dates."""
+    """Return a fleet as lines for a terminal: verdict and effects of every case, then the history of the effects.
+
+    Args:
+        merged: Table of all cases.
+        width: Number of characters of a line.
+
+    Returns:
+        Lines.
+    """
     import textwrap
 
     rows = merged["cases"]
@@ -289,7 +369,14 @@ def _effect(effect: Mapping[str, Any]) -> str:
 
 
 def page(merged: Mapping[str, Any]) -> str:
-    """The fleet as one HTML page that fetches nothing."""
+    """Return a fleet as one self-contained HTML page.
+
+    Args:
+        merged: Table of all cases.
+
+    Returns:
+        HTML.
+    """
     from .report.plots import page as fill
 
     rows = [{**r, "told": [_effect(e) for e in r["effects"]]} for r in merged["cases"]]
@@ -298,7 +385,7 @@ def page(merged: Mapping[str, Any]) -> str:
     return fill("fleet.html", rows=rows, trends=trends, title=title, details=details)
 
 
-#: what a verdict says of a fleet: of one case, and of several
+#: meaning of a verdict for one case, and for several
 FOUND = {
     "missing_effect": ("lacks a physical effect", "lack a physical effect"),
     "unknown_effect": ("lacks something without a name", "lack something without a name"),
@@ -310,9 +397,13 @@ FOUND = {
 
 
 def finding(merged: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Return the finding of a fleet in a line, and the further findings: verdicts and effects with their counts.
+    """Return the main finding of a fleet, and further findings: verdicts and effects with their counts.
 
-    merged: the table over all cases.
+    Args:
+        merged: Table of all cases.
+
+    Returns:
+        A line, and further lines.
     """
     rows = merged["cases"]
     counts = Counter(r["verdict"] for r in rows)
@@ -331,7 +422,7 @@ def finding(merged: Mapping[str, Any]) -> tuple[str, list[str]]:
 def _trend(
     points: Sequence[Mapping[str, Any]], width: float = 600.0, height: float = 120.0
 ) -> dict[str, Any]:
-    """Values with their intervals over the cases, from zero on, as numbers of an SVG."""
+    """Return values with their intervals over the cases, scaled from zero, as numbers of an SVG."""
     top = max(max(abs(p[k]) for k in ("value", "low", "high") if p[k] is not None) for p in points) or 1.0
     every = []
     for k, p in enumerate(points):
@@ -352,7 +443,15 @@ def _trend(
 
 
 def check(folder: Path, out: Path) -> None:
-    """Raise `InputError` where a fleet's results would not be written to `out`."""
+    """Check before long work that the results of a fleet can be written.
+
+    Args:
+        folder: Folder of cases.
+        out: Folder of the results.
+
+    Raises:
+        InputError: The results would lie among the cases, or cannot be written.
+    """
     from .files import check_folder
 
     if out.resolve() == folder.resolve() or folder.resolve() in out.resolve().parents:

@@ -1,28 +1,30 @@
 """Grids of sweeps: policies x conditions x roads in one readable file (TOML or JSON).
 
     policies = ["isd-passive", "lqg", "mpc-friction", "runs/ppo/policy"]
-    episodes = 32          # roads of a condition, seeds from `seed`
-    batch = 8              # of them in one item: what is lost when a worker dies
+    episodes = 32          # roads per condition, seeds from `seed`
+    batch = 8              # roads per item: the loss when a worker dies
     duration = 20.0        # s
 
     [axes]                 # every combination is a condition
     speed = [10.0, 20.0]   # m/s
     road = ["paper", "C"]
 
-    [[conditions]]         # and these, under their own names
+    [[conditions]]         # further conditions with names
     name = "body 20 % heavier"
     factors = { "body.mass" = 1.2 }
 
-    [random]               # and as many more, spread evenly over ranges and choices (a Halton sequence: the same everywhere)
+    [random]               # further conditions, uniform over ranges and choices (a Halton sequence:
+    reproducible)
     count = 64
     speed = [10.0, 35.0]
     road = ["A", "C"]
     factors = { "body.mass" = [0.8, 1.3] }
 
-A condition may name `network`, `road`, `speed` [m/s], `factors` (on parameters of the plant), `model` (what controllers
-believe in, the unaltered network unless given), `preview` [s], what `isd_gym.sensors.Sensors` has (`noise`, `delay`,
-`road_error`, `road_lag`, `road_range`), and `episodes` where they are fewer (a bump needs one). The conventional passive
-car of each condition is driven as well: changes are paired with it.
+A condition may set `network`, `road`, `speed` [m/s], `factors` (on parameters of the plant), `model` (of the
+controllers; by default the unchanged network), `preview` [s], the attributes of `isd_gym.sensors.Sensors`
+(`noise`, `delay`, `road_error`, `road_lag`, `road_range`), and a smaller number of `episodes` (one is enough
+for a bump). The conventional passive car is driven in each condition, too: changes are paired with the
+passive car.
 """
 
 from __future__ import annotations
@@ -46,30 +48,50 @@ from .network import Network
 from .sensors import Sensors
 
 SCHEMA = "isd-sweep/1"
-#: conditions and items of a grid, the size of any number in it, and the bytes of a file that belongs to it
+#: largest numbers of conditions and items, largest number in a grid, and largest size of a file of a grid
+#: [bytes]
 CONDITIONS, ITEMS, LARGEST, BELONGING = 10_000, 1_000_000, 1e100, 2**30
 BUILT_IN = Path(__file__).parent / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
-#: what [random] may draw: a range of numbers, or one of several
+#: keys of [random]: ranges of numbers, and choices
 RANGES, CHOICES = ("speed", "preview", "noise", "road_error", "road_lag", "road_range"), ("road", "network")
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What is driven, see the module."""
+    """A condition of a sweep.
+
+    Attributes:
+        name: Name.
+        network: Built-in network or model file.
+        road: Road.
+        speed: Speed [m/s].
+        factors: Factors on parameters of the plant, by path.
+        model: Model of the controllers; None for the network without factors.
+        preview: Preview of the road [s]; None for the default.
+        noise: Noise of the sensors (`Sensors`) [-].
+        delay: Delay of the sensors [control steps].
+        road_error: Error of the previewed road [m].
+        road_lag: Age of the previewed road [s].
+        road_range: Range of the previewed road [m].
+        episodes: Number of episodes; None for the number of the grid.
+
+    Raises:
+        InputError: A value is invalid.
+    """
 
     name: str = ""
     network: str = "quarter-car-isd"
     road: str = "paper"
-    speed: float = 20.0  # m/s
+    speed: float = 20.0
     factors: Mapping[str, float] = field(default_factory=dict)
     model: str | None = None
-    preview: float | None = None  # s
+    preview: float | None = None
     noise: float = 0.0
-    delay: int = 0  # control steps
-    road_error: float = 0.0  # m
-    road_lag: float = 0.0  # s
-    road_range: float = math.inf  # m
+    delay: int = 0
+    road_error: float = 0.0
+    road_lag: float = 0.0
+    road_range: float = math.inf
     episodes: int | None = None
 
     def __post_init__(self) -> None:
@@ -95,11 +117,18 @@ class Condition:
 
     @property
     def sensors(self) -> Sensors:
-        """What its controllers see by."""
+        """Sensors of the controllers."""
         return Sensors(**{name: getattr(self, name) for name in SENSES})
 
     def plant(self) -> Network:
-        """The car that is driven."""
+        """Return the driven car.
+
+        Returns:
+            The network with its factors.
+
+        Raises:
+            InputError: A factor is invalid.
+        """
         nominal = _network(self.network, _changed(self.network))
         if not isinstance(self.factors, Mapping) or not all(
             _number(f) and f > 0 for f in self.factors.values()
@@ -112,7 +141,11 @@ class Condition:
         return nominal.with_parameters({k: known[k] * f for k, f in self.factors.items()})
 
     def to_dict(self) -> dict[str, Any]:
-        """What differs from a condition without arguments, as plain JSON."""
+        """Return the values that differ from the defaults.
+
+        Returns:
+            Plain data.
+        """
         usual = {f.name: f.default for f in fields(self)}
         return {
             k: dict(v) if isinstance(v, Mapping) else v
@@ -142,7 +175,7 @@ def _check_road(source: str, changed: float) -> None:
 
 
 def _changed(source: str) -> float:
-    """When the file of that name was last changed, so that it is read once for all conditions; 0 for what is no file."""
+    """Return the time of the last change of a file, so that all conditions share one reading; 0 for other names."""
     try:
         return os.path.getmtime(source)
     except (OSError, ValueError):
@@ -151,15 +184,24 @@ def _changed(source: str) -> float:
 
 @dataclass(frozen=True)
 class Grid:
-    """A sweep: all `policies` in all `conditions` on the roads of seeds `seed` to ``seed + episodes - 1``."""
+    """A sweep: all policies in all conditions on the same roads.
+
+    Attributes:
+        policies: Names of policies.
+        conditions: Conditions.
+        episodes: Number of roads per condition.
+        seed: Seed of the first road.
+        batch: Number of roads per item.
+        duration: Length of a road [s].
+        random: Table [random] of the file.
+    """
 
     policies: tuple[str, ...]
     conditions: tuple[Condition, ...]
     episodes: int = 32
     seed: int = 0
     batch: int = 8
-    duration: float = 20.0  # s
-    #: what [random] drew from, as the file has it
+    duration: float = 20.0
     random: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -181,7 +223,17 @@ class Grid:
 
     @classmethod
     def load(cls, path: str | Path) -> Grid:
-        """Read a grid, from a file or by the name of a built-in one; `InputError` with file and key for whatever is wrong in it."""
+        """Read a grid.
+
+        Args:
+            path: A file, or the name of a built-in grid.
+
+        Returns:
+            The grid.
+
+        Raises:
+            InputError: The file cannot be read or has an invalid entry; the message names file and key.
+        """
         path = Path(path)
         if str(path) in built_in() and not path.exists():
             path = BUILT_IN / f"{path}.toml"
@@ -198,7 +250,17 @@ class Grid:
 
     @classmethod
     def from_dict(cls, data: Any) -> Grid:
-        """A grid from plain data, see the module."""
+        """Return a grid from the content of a file.
+
+        Args:
+            data: Plain data.
+
+        Returns:
+            The grid.
+
+        Raises:
+            InputError: An entry is invalid; the message names the key.
+        """
         if not isinstance(data, dict):
             raise InputError("it must be a table of keys")
         own = {f.name for f in fields(cls)} | {"axes", "schema"}
@@ -230,15 +292,27 @@ class Grid:
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """All that drive in a condition: the passive car first."""
+        """Names of all driven policies in a condition; the passive car comes first."""
         return tuple(dict.fromkeys(("passive", *self.policies)))
 
     def tasks(self) -> list[Task]:
-        """Every item; the passive car of each condition first."""
+        """Return every item; the passive car of each condition comes first.
+
+        Returns:
+            Tasks.
+        """
         return [t for c in self.conditions for policy in self.driven for t in self.items(c, policy)]
 
     def items(self, condition: Condition, policy: str) -> list[Task]:
-        """Those of one policy in one condition, in the order of their roads."""
+        """Return the items of a policy in a condition, in the order of their roads.
+
+        Args:
+            condition: The condition.
+            policy: The policy.
+
+        Returns:
+            Tasks.
+        """
         given = condition.to_dict()
         given.pop("episodes", None)
         files = belongings((policy, condition.network, condition.road, condition.model or ""))
@@ -255,12 +329,23 @@ class Grid:
 
 
 def built_in() -> list[str]:
-    """Names of the grids that come with the package."""
+    """Return the names of the grids in the package.
+
+    Returns:
+        Names, sorted.
+    """
     return sorted(p.stem for p in BUILT_IN.glob("*.toml"))
 
 
 def belongings(names: Sequence[str]) -> dict[str, str]:
-    """Digests of those of `names` that are files or folders here: an item made of others is another item."""
+    """Return digests of the names that are files or folders; another content makes another item.
+
+    Args:
+        names: Names of policies, networks and roads.
+
+    Returns:
+        Digest by name.
+    """
     out = {}
     for name in filter(None, names):
         path, digest = Path(name), hashlib.sha256()
@@ -268,7 +353,7 @@ def belongings(names: Sequence[str]) -> dict[str, str]:
             parts = sorted(p for p in path.glob("*") if p.is_file()) if path.is_dir() else [path]
             for part in parts:
                 digest.update(part.name.encode() + b"\0" + read_bytes(part, BELONGING))
-        except (OSError, ValueError):  # no file's name
+        except (OSError, ValueError):  # not a valid file name
             continue
         if parts:
             out[name] = digest.hexdigest()[:16]
@@ -293,9 +378,20 @@ def _crossed(axes: Any) -> list[Condition]:
 
 
 def draw(given: Any) -> list[Condition]:
-    """The conditions of a table [random]: `count` of them from point `first` on of a Halton sequence over its ranges and choices.
+    """Return the conditions of a table [random]: points of a Halton sequence over its ranges and choices.
 
-    given: the table. Raises `InputError` for what it cannot draw.
+    Args:
+        given: The table.
+
+    Returns:
+        `count` conditions from point `first`.
+
+    Raises:
+        InputError: The table is invalid.
+
+    References:
+        Halton, "On the efficiency of certain quasi-random sequences of points in evaluating multi-dimensional
+            integrals", Numerische Mathematik, 1960.
     """
     from scipy.stats import qmc
 
@@ -323,7 +419,7 @@ def draw(given: Any) -> list[Condition]:
             raise InputError(f"random: '{key}' must be a list of names, at least one")
     if "count" not in given or not (ranges or choices):
         raise InputError("random: it needs a count, and ranges or choices to draw from")
-    count, first = given["count"], given.get("first", 1)  # point 0 is the corner of all lows
+    count, first = given["count"], given.get("first", 1)  # point 0 is the corner of all lower ends
     points = qmc.Halton(len(ranges) + len(choices), scramble=False)
     points.fast_forward(first) if first else None
     made = []

@@ -1,6 +1,6 @@
-"""Programs in processes of their own, asked by lines of JSON: a fault, an endless loop or a bomb ends them and nothing else.
+"""Programs in separate processes with JSON requests: a crash, an endless loop or a decompression bomb ends only the process.
 
-That keeps faults apart, not intents: such a process has the rights of its user.
+The separation isolates faults, not malicious code: the process has the rights of its user.
 """
 
 from __future__ import annotations
@@ -23,16 +23,23 @@ if TYPE_CHECKING:
 
     from .arrays import Array
 
-#: one thread each: several of them may run side by side
+#: one thread each, since several processes may run in parallel
 THREADS = {f"{k}_NUM_THREADS": "1" for k in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")}
 
 
 class Guarded:
-    """A process that runs the text of a `program` until it is closed.
+    """A process that runs a program text until it is closed.
 
-    It reads a line of JSON from its standard input, and the numbers that come with it; it answers with a line of JSON on
-    its standard output and the numbers that belong to it, all of them float64. environment: variables of its own; folder:
-    in which it runs. Raises `InputError` where none can be started.
+    The program reads a line of JSON and the accompanying numbers from standard input. It answers with a line
+    of JSON and numbers on standard output. All numbers are float64.
+
+    Args:
+        program: Python text.
+        environment: Additional environment variables.
+        folder: Working folder; None for the present one.
+
+    Raises:
+        InputError: No process can be started.
     """
 
     def __init__(
@@ -59,9 +66,16 @@ class Guarded:
         patience: float,
         numbers: Array | None = None,
     ) -> tuple[dict[str, Any], list[Array]] | None:
-        """The answer; None where the process went down on it or was stopped after `patience` [s].
+        """Send a request, and return the answer.
 
-        numbers: sent along. counts: how many numbers follow the answer, array by array.
+        Args:
+            request: Plain data.
+            counts: Returns the number of numbers in each array of an answer.
+            patience: Time limit [s].
+            numbers: Numbers of the request; None without numbers.
+
+        Returns:
+            Answer and arrays; None if the process died or exceeded the time limit.
         """
         asked, told = self.process.stdin, self.process.stdout
         assert asked is not None and told is not None
@@ -89,13 +103,13 @@ class Guarded:
             watch.cancel()
 
     def close(self) -> None:
-        """End it; in a forked process let go of it, since it is the parent's."""
+        """End the process; a forked process only drops its handle, since the process belongs to the parent."""
         for pipe in (self.process.stdin, self.process.stdout):
             if pipe is not None:
-                with suppress(OSError):  # it went first
+                with suppress(OSError):  # the process ended first
                     pipe.close()
         if self.owner == os.getpid():
             self.process.kill()
             self.process.wait()
         else:
-            self.process.returncode = 0  # not ours to wait for
+            self.process.returncode = 0  # the parent waits for the process

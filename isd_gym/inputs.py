@@ -1,7 +1,7 @@
-"""Reading what others made: plain files of bounded size, JSON of bounded depth, numbers that are numbers.
+"""Reading of untrusted files: regular files of bounded size, JSON of bounded depth, finite numbers.
 
-Everything that comes from a file passes through here or through `data`, so that a pipe, a bomb or a number of five
-thousand digits is one line and not a traceback.
+All content of files passes through this module or through `data`. A pipe, a decompression bomb or a number of
+five thousand digits then gives a one-line error instead of a traceback.
 """
 
 from __future__ import annotations
@@ -18,16 +18,25 @@ from .errors import InputError, shown
 if TYPE_CHECKING:
     from pathlib import Path
 
-#: environment variable that raises the limit on what a file may take in memory
+#: environment variable that raises the limit on the memory of a file's content
 LIMIT_VARIABLE = "ISD_GYM_READ_LIMIT_GB"
 DEFAULT_LIMIT_GB = 1.0
 JSON_LIMIT = 32 * 2**20  # bytes
-DEPTH = 32  # of lists and objects within each other
-DIGITS = 300  # of a whole number in JSON: what a float can hold
+DEPTH = 32  # nesting levels of lists and objects
+DIGITS = 300  # digits of an integer in JSON that fits a float
 
 
 def memory_limit() -> int:
-    """Bytes that the content of one file may take in memory; `ISD_GYM_READ_LIMIT_GB` says otherwise. Raises `InputError`."""
+    """Return the number of bytes that the content of one file may occupy in memory.
+
+    The environment variable `ISD_GYM_READ_LIMIT_GB` changes the default of 1 GB.
+
+    Returns:
+        Limit [bytes].
+
+    Raises:
+        InputError: The environment variable is not a positive number.
+    """
     text = os.environ.get(LIMIT_VARIABLE)
     if text is None:
         return int(DEFAULT_LIMIT_GB * 2**30)
@@ -41,14 +50,33 @@ def memory_limit() -> int:
 
 
 def too_large(where: str, size: float, limit: float) -> InputError:
-    """The line for what would take more than the limit (both in bytes)."""
+    """Return the error for content beyond the memory limit.
+
+    Args:
+        where: File, for the message.
+        size: Memory that the content needs [bytes].
+        limit: Memory limit [bytes].
+
+    Returns:
+        The error, to be raised.
+    """
     return InputError(
         f"{where}: would take {size / 2**30:.3g} GB, the limit is {limit / 2**30:.3g} (raise it with {LIMIT_VARIABLE})"
     )
 
 
 def plain_file(path: str | Path) -> int:
-    """Size [bytes] of the plain file at `path`; raises `InputError` where it is missing, a folder, a pipe or a device."""
+    """Return the size of a regular file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Size [bytes].
+
+    Raises:
+        InputError: The path is missing, unreadable, a folder, a pipe or a device.
+    """
     try:
         found = os.stat(path)
     except (OSError, ValueError) as error:
@@ -56,14 +84,25 @@ def plain_file(path: str | Path) -> int:
         why = "no such file" if missing else f"cannot be read ({error.strerror})"  # type: ignore[union-attr]
         raise InputError(f"{path}: {why}") from None
     if stat.S_ISDIR(found.st_mode):
-        raise InputError(f"{path}: it is a folder")
+        raise InputError(f"{path}: is a folder, not a file")
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: is a pipe or a device, not a file")
     return found.st_size
 
 
 def read_bytes(path: str | Path, limit: int = JSON_LIMIT) -> bytes:
-    """The bytes of a plain file of at most `limit` bytes; raises `InputError`."""
+    """Return the content of a regular file of limited size.
+
+    Args:
+        path: The file.
+        limit: Maximum size [bytes].
+
+    Returns:
+        The bytes of the file.
+
+    Raises:
+        InputError: The file is larger than the limit or cannot be read.
+    """
     size = plain_file(path)
     if size > limit:
         raise InputError(f"{path}: has {size / 2**20:.4g} MB, at most {limit / 2**20:.4g} are read")
@@ -72,16 +111,26 @@ def read_bytes(path: str | Path, limit: int = JSON_LIMIT) -> bytes:
             data = stream.read(limit + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    if len(data) > limit:  # it grew meanwhile, or its size was not told (/proc)
+    if len(data) > limit:  # the file grew meanwhile, or its reported size was 0 (/proc)
         raise InputError(f"{path}: more than {limit / 2**20:.4g} MB")
     return data
 
 
 def parse_json(data: bytes | str, where: str) -> Any:
-    """What the JSON text in `data` says; `where` begins the message of the `InputError`.
+    """Return the content of a JSON text.
 
-    A byte order mark is passed over. Refused are NaN and infinity, whole numbers that no float holds, more than
-    `DEPTH` levels, and text that is no Unicode (lone surrogates).
+    A byte order mark is skipped.
+
+    Args:
+        data: The text, or its UTF-8 bytes.
+        where: Source of the text; start of error messages.
+
+    Returns:
+        Dictionaries, lists, texts, numbers, truth values and None.
+
+    Raises:
+        InputError: The text is no JSON; holds NaN, infinity or an integer beyond the range of a float; has
+            more than `DEPTH` levels; or holds lone surrogates.
     """
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data.removeprefix("\ufeff")
@@ -107,7 +156,7 @@ def parse_json(data: bytes | str, where: str) -> Any:
     except json.JSONDecodeError as error:
         raise InputError(f"{where}: not JSON, line {error.lineno}: {error.msg}") from None
     except RecursionError:
-        raise InputError(f"{where}: more than {DEPTH} levels within each other") from None
+        raise InputError(f"{where}: more than {DEPTH} nested levels") from None
     _check_tree(found, where)
     return found
 
@@ -130,21 +179,48 @@ def _check_tree(found: Any, where: str) -> None:
         if not below:
             return
         level = below
-    raise InputError(f"{where}: more than {DEPTH} levels within each other")
+    raise InputError(f"{where}: more than {DEPTH} nested levels")
 
 
 def read_json(path: str | Path, where: str | None = None, limit: int = JSON_LIMIT) -> Any:
-    """The content of a JSON file; see `read_bytes` and `parse_json`."""
+    """Return the content of a JSON file.
+
+    Args:
+        path: The file.
+        where: Name of the file in error messages; None for the path.
+        limit: Maximum size [bytes].
+
+    Returns:
+        Dictionaries, lists, texts, numbers, truth values and None.
+
+    Raises:
+        InputError: The file cannot be read, or is no valid JSON (see `parse_json`).
+    """
     return parse_json(read_bytes(path, limit), where or str(path))
 
 
 def is_number(value: Any) -> bool:
-    """Whether `value` is a number that a float holds, finite; truth values are none."""
+    """Return whether a value is a finite number; truth values are not numbers.
+
+    Args:
+        value: Any value.
+    """
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def number(value: Any, where: str) -> float:
-    """`value` as a finite float; raises `InputError` for everything else, truth values among it."""
+    """Return a value as a finite float.
+
+    Args:
+        value: Any value.
+        where: Name of the value, for the message.
+
+    Returns:
+        The number in the unit of `value`.
+
+    Raises:
+        InputError: The value is no finite number, or is a truth value.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where} must be a number, not {shown(value)}")
     if not is_number(value):

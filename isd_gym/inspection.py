@@ -1,4 +1,4 @@
-"""`isd-gym inspect`: what loggers' files hold, what is odd in them, and which column is which channel of a model."""
+"""The command `isd-gym inspect`: content and oddities of loggers' files, and the columns of a model's channels."""
 
 from __future__ import annotations
 
@@ -21,28 +21,51 @@ if TYPE_CHECKING:
     from .loggers.match import Suggestion
     from .network import Network
 
-LAST_STAMP = 253402300799.0  # [s] the end of the year 9999: later ones are no dates
+LAST_STAMP = 253402300799.0  # end of the year 9999 [s since 1970]; later stamps are no dates
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """What `inspect` found: the rasters of every file, facts of their columns, oddities, and the columns for a model's channels."""
+    """Result of `inspect`.
+
+    Attributes:
+        files: Rasters of every file.
+        facts: Properties of the columns.
+        oddities: Remarks on columns and time stamps.
+        network: The model; None without a model.
+        suggestion: Columns of the model's channels; None without a model.
+        columns: Names that files without a header row were given.
+    """
 
     files: list[list[Raster]]
     facts: list[Facts]
     oddities: list[Oddity]
     network: Network | None = None
     suggestion: Suggestion | None = None
-    columns: tuple[str, ...] = ()  # names that files without a header row were given
+    columns: tuple[str, ...] = ()
 
     def map(self, model: str) -> ChannelMap:
-        """Return the suggestion as a file for ``--map``. Raises `InputError` where no column was found for any channel."""
+        """Return the suggestion as a map for ``--map``.
+
+        Args:
+            model: File of the model.
+
+        Returns:
+            The map.
+
+        Raises:
+            InputError: No channel has a column.
+        """
         if self.suggestion is None or not self.suggestion.channels:
             raise InputError(f"no column was found for any channel of '{model}'")
         return self.suggestion.map(self.files, model, self.columns)
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain data, what is not finite as null."""
+        """Return the result as plain data, with null for values that are not finite.
+
+        Returns:
+            Plain data.
+        """
         columns = [
             {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(f).items()}
             | {"file": self.files[f.file][f.raster].source}
@@ -68,10 +91,20 @@ def inspect(
     stamps: str | None = None,
     columns: Sequence[str] | None = None,
 ) -> Inspection:
-    """Look at loggers' files of one run, and for a `network` at which column is which channel.
+    """Inspect loggers' files of one run, and match columns with the channels of a model.
 
-    paths: the files. units: column -> unit, before what the files say. stamps: the column that holds the time.
-    columns: names for files without a header row. Raises `InputError` for what cannot be read.
+    Args:
+        paths: The files.
+        network: The model; None to inspect the files alone.
+        units: Unit by column, with priority over the units in the files.
+        stamps: Column of the time stamps.
+        columns: Names for files without a header row.
+
+    Returns:
+        Properties, remarks and a suggested map.
+
+    Raises:
+        InputError: A file cannot be read, or a column does not exist.
     """
     units = dict(units or {})
     groups = [rasters(p, stamp=stamps, unit=units.get(stamps or "time"), columns=columns) for p in paths]
@@ -104,7 +137,7 @@ def inspect(
 
 
 def _continuous(raster: Raster, odd: list[Oddity]) -> Raster:
-    """Return a raster whose angles go on over a turn, and say so among the oddities."""
+    """Return a raster with continuous angles, and add a remark for each changed column."""
     smooth = dict(raster.columns)
     for name, values in raster.columns.items():
         smooth[name], note = continuous(name, values, raster.units.get(name, ""))
@@ -142,7 +175,14 @@ def _cut(text: str, width: int) -> str:
 
 
 def head(raster: Raster) -> str:
-    """A raster in a line: file, samples, span, rate."""
+    """Return a raster in one line: file, number of samples, duration, rate.
+
+    Args:
+        raster: The raster.
+
+    Returns:
+        A line.
+    """
     t = raster.time[np.isfinite(raster.time)]
     if not len(t):
         return f"{raster.name}: no stamps"
@@ -157,7 +197,15 @@ def head(raster: Raster) -> str:
 
 
 def lines(found: Inspection, width: int = 80) -> list[str]:
-    """All that was found as lines of a terminal of `width` characters."""
+    """Return an inspection as lines for a terminal.
+
+    Args:
+        found: The inspection.
+        width: Number of characters of a line.
+
+    Returns:
+        Lines.
+    """
     pictures = _unicode()
     name = min(max((len(f.name) for f in found.facts), default=6), 26, width - 55)
     wide = max(width - name - 44, 10)
@@ -241,7 +289,14 @@ def _unicode() -> bool:
 
 
 def page(found: Inspection) -> str:
-    """All that was found as one HTML page that fetches nothing."""
+    """Return an inspection as one self-contained HTML page.
+
+    Args:
+        found: The inspection.
+
+    Returns:
+        HTML.
+    """
     from .report.plots import page as fill
 
     rows = []
@@ -272,7 +327,7 @@ def page(found: Inspection) -> str:
 
 
 def _path(x: np.ndarray, width: int = 600, height: int = 60) -> str:
-    """A column as an SVG path: from its least to its largest value in every pixel's time."""
+    """Return a column as an SVG path: from its smallest to its largest value in the time of every pixel."""
     if not np.isfinite(x).any():
         return ""
     lo, hi = float(np.nanmin(x)), float(np.nanmax(x))

@@ -1,4 +1,4 @@
-"""What a picture shows of a car of the environments: its state, the road behind and ahead, and the moments before."""
+"""Content of a picture of a car: state, road behind and ahead, and recent history."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ if TYPE_CHECKING:
     from .vehicle import Corner, Vehicle
 
 GRAVITY = 9.81  # m/s^2
-PAST = 4.0  # s of the curves
+PAST = 4.0  # length of the curves [s]
 
 
 class Onlooker:
-    """Follows one car of a task and makes snapshots of it."""
+    """Follows one car of a task and makes snapshots of the car.
+
+    Args:
+        task: Cars, made with `picture`.
+        car: Index of the car.
+    """
 
     def __init__(self, task: Task, car: int) -> None:
-        """Follow a car from its next start.
-
-        Args:
-            task: Cars, made with `picture`.
-            car: Number of the car.
-        """
+        """Follow a car from its next start."""
         self.task, self.car = task, car
         step = task.batch.control_step
         window = PICTURE_WINDOW + max(task.vehicle.wheels.behind)
-        #: heights of the tracks under their first wheels [m], one row a control step
+        #: heights of the tracks under their first wheels [m], one row per control step
         self._trail: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(window / (task.slowest * step)))
-        #: time [s] and the values of the curves [SI], one row a control step
+        #: time [s] and values of the curves [SI], one row per control step
         self._past: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(PAST / step))
         self._static = _static_tyre_loads(task.network, task.vehicle)
         self.start()
 
     def start(self) -> None:
-        """Forget everything: the car is at rest at the start of a new road."""
+        """Clear the memory: the car is at rest at the start of a new road."""
         self._steps = 0
         self._cost = 0.0
         self._trail.clear()
@@ -53,7 +53,7 @@ class Onlooker:
         self._past.clear()
 
     def see(self, steps: int, reward: float) -> None:
-        """Remember a control step.
+        """Store a control step.
 
         Args:
             steps: Control steps since the start.
@@ -67,16 +67,20 @@ class Onlooker:
 
     @property
     def _curves(self) -> int:
-        """Number of signals with a curve: a quarter car shows its travel behind its acceleration."""
+        """Number of signals with a curve; a quarter car shows acceleration and travel."""
         of = self.task.batch.of
         return of.accelerations if self.task.network.bodies else of.accelerations + 1
 
     def snapshot(self) -> Snapshot | CarSnapshot:
-        """Return the car as a picture shows it."""
+        """Return the content of a picture of the car.
+
+        Returns:
+            Plain numbers for a renderer.
+        """
         return self._rigid_car() if self.task.network.bodies else self._quarter_car()
 
     def _places(self) -> dict[str, float]:
-        """Displacement [m] or angle [rad] of every free node."""
+        """Return displacement [m] or angle [rad] of every free node."""
         batch = self.task.batch
         return {
             channel.name.removesuffix("_displacement"): float(batch.out[j, self.car])
@@ -181,7 +185,7 @@ class Onlooker:
 
 
 def _static_tyre_loads(network: Network, car: Vehicle) -> list[float | None]:
-    """Static tyre load of each corner [N]; None where the body does not rest on the wheels."""
+    """Return the static tyre load of each corner [N]; None for a body without support by the wheels."""
     if not network.bodies:
         return [GRAVITY * sum(network.masses.values())]
     try:

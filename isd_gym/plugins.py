@@ -1,7 +1,8 @@
-"""What packages above this one offer it, by entry points: policies, commands, references for a score.
+"""Entry points through which packages offer policies, commands and reference scores.
 
-Installed packages announce theirs as ever. Where this distribution is not installed (a source tree on the path, a zip, a
-worker's folder) nobody announces its own `baselines` and `agents`: then the table below, pyproject.toml's, does.
+Installed packages announce entry points as usual. In a source tree, a zip archive or a worker's folder the
+distribution is not installed; the table below, a copy of the one in pyproject.toml, then announces
+`baselines` and `agents`.
 """
 
 from __future__ import annotations
@@ -28,7 +29,15 @@ OWN = {
 
 
 def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
-    """Entry points of a group, all or those of a name, in the order of their names."""
+    """Return the entry points of a group, sorted by name.
+
+    Args:
+        group: `POLICIES`, `COMMANDS` or `REFERENCES`.
+        name: Name of one entry point; None for all.
+
+    Returns:
+        Entry points, possibly none.
+    """
     found = list(entry_points(group=group))
     try:
         distribution("isd-gym")

@@ -1,6 +1,7 @@
-"""Policies by name: what the packages above this one offer for scoring, found by the entry points `isd_gym.policies`.
+"""Policies by name: the built-in policies and those of other packages, found by the entry points `isd_gym.policies`.
 
-Each entry point is a function ``open(name, model, cost, control_step, options) -> Entry | None``; None means "not mine".
+Each entry point is a function ``open(name, model, cost, control_step, options) -> Entry | None``; None means
+an unknown name.
 """
 
 from __future__ import annotations
@@ -28,11 +29,15 @@ CONVENTIONAL = {1: "quarter-car-passive", 2: "half-car-passive", 4: "full-car-pa
 def conventional(network: Network) -> Network:
     """Return the conventional passive car of a network: spring and damper in parallel at each corner.
 
-    The car has the network's own masses, inertias, points, and its coefficients of the same names. Body and wheel of a
-    quarter car are its first two masses, those of other cars the body and the wheel of each corner, whatever they are called.
+    The car keeps masses, inertias and points of the network, and coefficients of the same names. Body and
+    wheel of a quarter car are its first two masses; those of other cars are the body and the wheel of each
+    corner.
 
     Args:
         network: Network of a car.
+
+    Returns:
+        Network of the passive car.
 
     Raises:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
@@ -64,9 +69,16 @@ def conventional(network: Network) -> Network:
 
 
 def passive(network: Network) -> Entry:
-    """What every policy is compared with.
+    """Return the reference of every score: the conventional passive car.
 
-    Of the car of `network`.
+    Args:
+        network: Network of a car.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
     car = conventional(network)
     return Entry("passive", lambda: Idle("passive", car), car)
@@ -83,13 +95,26 @@ def find(
     trust_zip: bool = False,
     **options: Any,
 ) -> Entry:
-    """The policy of that name: passive, isd-passive, a baseline, or a trained policy's folder (or .zip).
+    """Return a policy by its name: passive, isd-passive, a baseline, or a trained policy.
 
-    `model` is what a controller believes in, by default the plant `network`. A .zip holds pickles and is opened only with
-    `trust_zip`. Raises `InputError` listing what there is.
+    A .zip file holds pickles and is opened only with `trust_zip`.
 
-    name: one that `available` lists, or a path. network: the plant that it will drive. cost: what it minimises. control_step [s]. speed [m/s]:
-    at which it will drive; controllers of a car with two axles are told it as the option `speed`.
+    Args:
+        name: A name in `available`, or the path of a policy folder or .zip file.
+        network: The plant.
+        model: Model of a controller; None for the plant.
+        cost: Stage cost that a controller minimises; None for the usual one.
+        control_step: Control step [s].
+        speed: Speed of the car [m/s], the option `speed` of controllers of a car with two axles; None if
+            unknown.
+        trust_zip: Whether a .zip file may be opened.
+        options: Settings of a controller.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The name is unknown, or the policy does not fit the plant.
     """
     if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
         raise InputError(
@@ -124,9 +149,13 @@ def find(
 
 
 def available() -> dict[str, str]:
-    """What can be named without a path, and what it is in a line: the built-in, the baselines, the shipped, other packages'.
+    """Return the names that need no path: built-in policies, baselines, shipped policies and those of other packages.
 
-    An opener says its names by an attribute `about`, a function that gives {name: line}, or `names`, a function that lists them.
+    The function of an entry point may have an attribute `about`, a function that returns {name: description},
+    or `names`, a function that returns names.
+
+    Returns:
+        One-line description by name.
     """
     known = {
         "passive": "the conventional passive car: spring and damper in parallel; what all are compared with",

@@ -1,4 +1,4 @@
-"""Rollouts as a Minari data set, so that offline reinforcement learning can start (`isd-gym record`)."""
+"""The command `isd-gym record`: rollouts as a Minari data set for offline reinforcement learning."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from .driving import Entry
     from .network import Network
 
-#: [bytes] that an episode, and a data set, may take beside their numbers
+#: memory beside the numbers of an episode, and of a data set [bytes]
 EPISODE_ROOM, DATASET_ROOM = 32_768, 2**20
-#: a Minari id: (namespace/)name-vN; everything else is a folder
+#: a Minari id: (namespace/)name-vN; other names are folders
 ID = re.compile(r"(?:[-\w]+/)*[-\w]+-v\d+")
 
 
@@ -34,15 +34,29 @@ def write_dataset(
     speed: float = 20.0,
     progress: Callable[[float], None] | None = None,
 ) -> Path:
-    """Drive a policy and write what it saw, did and earned as a Minari data set; returns the folder of its files.
+    """Drive a policy and write observations, actions and rewards as a Minari data set.
 
-    entry: the policy (`isd_gym.policies.find`), on its own plant where it has one, else on `network`. out: a Minari id
-    ('isd/mpc-v0', for `minari.load_dataset`, in Minari's own folder) or else a folder (for `minari.MinariDataset`), which
-    must not exist yet. Episode i is the environment seeded with ``seed + i``. duration [s], speed [m/s]. Observations are
-    float32 (steps + 1, n), actions float32 (steps, 1), the commanded current [A]. The data set knows its environment with the
-    whole network, `recover_environment()` makes it. Nothing is left behind when it fails. Raises `InputError`.
+    Episode i is the environment with the seed ``seed + i``. Observations are float32 (steps + 1, n). Actions
+    are float32 (steps, 1), the commanded current [A]. The data set stores its environment with the complete
+    network; `recover_environment()` creates the environment. An error leaves no files behind.
 
-    network: the plant. episodes: how many. road: a name, as the environment takes it. progress(share): told now and then.
+    Args:
+        entry: The policy (`isd_gym.policies.find`), on its own plant, if any.
+        out: A Minari id ('isd/mpc-v0', for `minari.load_dataset`, in Minari's folder), or a new folder (for
+            `minari.MinariDataset`).
+        network: The plant of policies without a plant of their own.
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        duration: Length of an episode [s].
+        road: Name of a road.
+        speed: Speed [m/s].
+        progress: Called with the finished share, from 0 to 1.
+
+    Returns:
+        Folder of the data set's files.
+
+    Raises:
+        InputError: The target exists or cannot be written, Minari is missing, or an argument is invalid.
     """
     try:
         import h5py  # noqa: F401
@@ -87,7 +101,7 @@ def write_dataset(
     last = np.zeros(steps, bool)
     last[-1] = True
     data = folder
-    if ID.fullmatch(str(out)):  # Minari's own layout: the namespace known, the files in data/
+    if ID.fullmatch(str(out)):  # Minari's layout: an existing namespace, with the files in data/
         from minari.namespace import create_namespace, list_local_namespaces
 
         namespace = dataset_id.rpartition("/")[0]
@@ -95,7 +109,7 @@ def write_dataset(
             create_namespace(namespace)
         data = folder / "data"
     with whole_folder(folder, "data set") as temporary:
-        # HDF5 takes the process down where the disk takes no more
+        # HDF5 crashes the process on a full disk
         size = observations.nbytes + actions.nbytes + rewards.nbytes + 2 * rewards.size
         reserve(temporary, int(1.1 * size) + episodes * EPISODE_ROOM + DATASET_ROOM)
         storage = MinariStorage.new(
@@ -134,7 +148,7 @@ def _is_builtin(network: Network, names: list[str]) -> bool:
 
 
 def _place(out: str, policy: str) -> tuple[Path, str]:
-    """The folder to make, and the id of the data set, for `out`: a Minari id or a folder. Neither may exist."""
+    """Return the new folder and the id of the data set for `out`, a Minari id or a folder."""
     if ID.fullmatch(out):
         from minari.storage import get_dataset_path
 
@@ -147,5 +161,5 @@ def _place(out: str, policy: str) -> tuple[Path, str]:
         raise InputError(f"'{out}' exists already: choose another folder")
     if not os.path.isdir(folder.absolute().parent):
         raise InputError(f"cannot write '{out}': no folder '{folder.parent}'")
-    # absolute: Minari's storage loses its way in a relative one
+    # absolute: Minari's storage fails with a relative path
     return folder.absolute(), f"isd/{re.sub(r'[^-0-9A-Za-z_]', '-', policy)}-v0"

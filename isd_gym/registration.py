@@ -1,4 +1,4 @@
-"""The environments, made known to Gymnasium; importing this costs nothing."""
+"""Registration of the environments with Gymnasium; the import costs nothing."""
 
 from __future__ import annotations
 

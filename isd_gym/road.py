@@ -52,13 +52,13 @@ STEEPEST = 1.0  # median slope of a recorded profile [m/m]: no road is that stee
 class Road:
     """A road: rough ground, a fixed profile, or both."""
 
-    # as reports call it
+    # name in reports
     name: str
     # G(n0) [m^3]; 0 for even ground
     roughness: float = 0.0
     # n_c [cycle/m]
     cutoff: float = 0.0
-    # places (n,) of the fixed profile: distance [m] or, with `over_time`, time [s]
+    # places (n,) of the fixed profile: distance [m], or time [s] with `over_time`
     abscissa: np.ndarray | None = None
     # heights of the fixed profile [m]: (n,) for all tracks, or (2, n) for the left and the right track
     profile: np.ndarray | None = None
@@ -90,9 +90,16 @@ class Road:
         return self.profile is not None and self.profile.ndim == 2
 
     def noise(self, speed: float, step: float) -> tuple[float, float]:
-        """(gain [m], pole [-]) of ``r_next = pole * r + gain * xi`` with unit-variance xi, exact at the samples.
+        """Return the discrete filter of the rough road under one track, exact at the samples.
 
-        speed, step: [m/s], [s].
+        The height follows ``r_next = pole * r + gain * xi`` with white noise xi of unit variance.
+
+        Args:
+            speed: Speed [m/s].
+            step: Step [s].
+
+        Returns:
+            Gain [m] and pole [-].
         """
         intensity = (2 * math.pi) ** 2 * 0.5 * self.roughness * REFERENCE_FREQUENCY**2 * speed  # two-sided
         rate = 2 * math.pi * self.cutoff * speed
@@ -127,7 +134,7 @@ class Road:
             Poles (9,) and gains [m] (9,), read-only, as `tracks.track_filters` defines them.
 
         Raises:
-            InputError: The track width is no plausible one.
+            InputError: The track width is implausible.
         """
         return track_filters(self.roughness * REFERENCE_FREQUENCY**2, self.cutoff, width, speed * step)
 
@@ -175,7 +182,7 @@ class Road:
         x = self.abscissa[0] + start + x
         z = np.array([np.interp(x, self.abscissa, side) for side in np.atleast_2d(self.profile)])
         z = z[:, 1:] - z[:, :1]
-        # the last heights stay: no need to store them again and again
+        # the last height stays, and is stored once
         moving = np.flatnonzero(np.diff(z).any(axis=0))
         z = z[:, : moving[-1] + 2] if len(moving) else z[:, :1]
         return z if len(z) == tracks else np.repeat(z, tracks, axis=0)
@@ -249,7 +256,14 @@ class Road:
         return np.array([delayed(tracks[k], d) for k, d in zip(wheels.track, delays, strict=True)])
 
     def psd(self, n: np.ndarray) -> np.ndarray:
-        """One-sided PSD of the rough part [m^3] at spatial frequencies `n` [cycle/m]."""
+        """Return the one-sided power spectral density of the rough part.
+
+        Args:
+            n: Spatial frequencies [cycle/m], any shape.
+
+        Returns:
+            Density [m^3] in the shape of `n`.
+        """
         return self.roughness * REFERENCE_FREQUENCY**2 / (np.asarray(n, float) ** 2 + self.cutoff**2)
 
     def coherence(self, n: np.ndarray, width: float) -> np.ndarray:
@@ -270,14 +284,36 @@ def _seed(rng: np.random.Generator) -> np.uint64:
 
 
 def paper_road(kappa: float = PAPER_KAPPA) -> Road:
-    """The paper's road: white velocity of intensity (2 pi)^2 kappa u."""
+    """Return the paper's road: the vertical velocity is white with the intensity (2 pi)^2 kappa u.
+
+    Args:
+        kappa: Road level [m^3/cycle].
+
+    Returns:
+        The road.
+
+    References:
+        Liu, Zhao, Yang, Chen, Shen, Shock and Vibration, 2019, Table 6. The default reproduces Table 7's
+            passive row.
+    """
     return Road("paper", roughness=2 * kappa / REFERENCE_FREQUENCY**2)
 
 
 def iso_road(letter: str, *, cutoff: float = 0.002) -> Road:
-    """ISO 8608 class A-H (geometric mean), flat below `cutoff` [cycle/m].
+    """Return a road of an ISO 8608 class (geometric mean), flat below a cut-off.
 
-    letter: of the class.
+    Args:
+        letter: Class, A to H.
+        cutoff: Cut-off [cycle/m].
+
+    Returns:
+        The road.
+
+    Raises:
+        InputError: No such class exists.
+
+    References:
+        ISO 8608:2016, Mechanical vibration, Road surface profiles, Reporting of measured data.
     """
     if letter.upper() not in ISO_CLASSES:
         raise InputError(f"no ISO 8608 class '{letter}': A to H")
@@ -290,9 +326,15 @@ def _over_distance(name: str, shape: Callable[[np.ndarray], np.ndarray], end: fl
 
 
 def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
-    """A raised-cosine bump [m] of `length` [m], starting `at` [m].
+    """Return a raised-cosine bump.
 
-    height [m].
+    Args:
+        height: Height [m].
+        length: Length [m].
+        at: Distance of its beginning from the start [m].
+
+    Returns:
+        The road.
     """
 
     def shape(x: np.ndarray) -> np.ndarray:
@@ -303,30 +345,50 @@ def bump(height: float = 0.05, length: float = 2.0, at: float = 20.0) -> Road:
 
 
 def pothole(depth: float = 0.05, length: float = 1.0, at: float = 20.0, edge: float = 0.1) -> Road:
-    """A hole of `depth` [m] and `length` [m] with edges sloped over `edge` [m], starting `at` [m]."""
+    """Return a hole with sloped edges.
+
+    Args:
+        depth: Depth [m].
+        length: Length [m].
+        at: Distance of its beginning from the start [m].
+        edge: Length of each edge [m].
+
+    Returns:
+        The road.
+    """
     x = np.array([0.0, at, at + edge, at + length - edge, at + length, at + length + 1.0])
     return Road("pothole", abscissa=x, profile=np.array([0.0, 0.0, -depth, -depth, 0.0, 0.0]))
 
 
 def sweep(amplitude: float = 0.005, start: float = 0.5, stop: float = 20.0, duration: float = 20.0) -> Road:
-    """A sine of `amplitude` [m] whose frequency rises linearly from `start` to `stop` [Hz] in `duration` [s]."""
+    """Return a sine over time whose frequency rises linearly.
+
+    Args:
+        amplitude: Amplitude [m].
+        start: First frequency [Hz].
+        stop: Last frequency [Hz].
+        duration: Duration [s].
+
+    Returns:
+        The road.
+    """
     t = np.arange(0.0, duration, 2.5e-4)
     phase = 2 * math.pi * (start * t + 0.5 * (stop - start) / duration * t**2)
     return Road("sweep", abscissa=t, profile=amplitude * np.sin(phase), over_time=True)
 
 
 def on_side(ground: Road, side: str) -> Road:
-    """Return a road whose profile is met by the wheels of one side alone; the other track stays at 0.
+    """Return a road with a profile under the wheels of one side; the other track stays at 0.
 
     Args:
-        ground: Road with a profile that is the same on both sides.
+        ground: Road with a profile that is equal on both sides.
         side: 'left' or 'right'.
 
     Returns:
-        The road with a profile of two tracks, named `ground.name` and the side, as in 'bump-left'.
+        The road with a profile of two tracks, with the side in its name, as in 'bump-left'.
 
     Raises:
-        InputError: The side is unknown, or the road has no profile to move to a side.
+        InputError: The side is unknown, or the road has no profile that is equal on both sides.
     """
     if side not in SIDES:
         raise InputError(f"no side {shown(side)}: {' or '.join(SIDES)}")
@@ -340,11 +402,12 @@ def on_side(ground: Road, side: str) -> Road:
 def recorded(path: str | Path) -> Road:
     """Read a measured profile of one track or of a left and a right track.
 
-    Any table that `data.read_table` reads, with a column `distance` or `time`, and one column `height` (or `road`), or
-    two: `height_left` and `height_right`, or `height_1` (left) and `height_2` (right).
+    The table has a column `distance` or `time`, and one column `height` (or `road`), or two columns:
+    `height_left` and `height_right`, or `height_1` (left) and `height_2` (right). All formats of
+    `data.read_table` are read.
 
     Args:
-        path: File of the table. Units are those of the file, metres and seconds where the file tells none.
+        path: File of the table, in the units of its header, or in metres and seconds.
 
     Returns:
         The road; a drive starts at a random place.
@@ -391,7 +454,7 @@ _SIDE_COLUMN = re.compile(
 
 
 def _height_columns(path: Path, names: list[str]) -> list[str]:
-    """Return the height columns among lower-case names: none, one, or left and right; `InputError` for others."""
+    """Return the height columns among lower-case names: none, one, or left and right; raise `InputError` for others."""
     found: list[tuple[str, int, str]] = []
     plain = next((name for name in ("height", "road") if name in names), None)
     if plain is not None:
@@ -445,7 +508,7 @@ def profiled(
     wrong = (~np.isfinite(sides) | (np.abs(sides) > 1e5)).any(axis=0)
     bad = np.flatnonzero(~np.isfinite(x) | (np.abs(x) > 1e9) | wrong)
     if len(bad):
-        raise InputError(f"road '{source}', {line(bad[0])}: not finite, or no road any more")
+        raise InputError(f"road '{source}', {line(bad[0])}: not finite, or too large for a road")
     if len(x) < 2:
         raise InputError(f"road '{source}' has fewer than two points")
     steps = np.diff(x)
@@ -474,17 +537,18 @@ NAMES = (
 def road(source: str | Path | Road) -> Road:
     """Return a road from its name.
 
-    Names are paper, paper-printed (kappa as in Table 6), flat, A to H, bump, pothole, sweep and files. A class and a
-    profile add up: 'C+bump'. An axle meets 'bump' and 'pothole'; a wheel meets 'bump-left' or 'pothole-right'.
+    Names are paper, paper-printed (kappa as in Table 6), flat, A to H, bump, pothole, sweep and files. A
+    class and a profile add up: 'C+bump'. Both wheels of an axle meet 'bump' and 'pothole'; a single wheel
+    meets 'bump-left' or 'pothole-right'.
 
     Args:
-        source: Name, file or a road as it is.
+        source: Name, file, or a road, which is returned unchanged.
 
     Returns:
         The road.
 
     Raises:
-        InputError: No road has this name, or the file holds no road.
+        InputError: The name is unknown, or the file holds no road.
     """
     if isinstance(source, Road):
         return source
@@ -504,7 +568,7 @@ def road(source: str | Path | Road) -> Road:
         return on_side(named[shape](), side)
     if text.upper().removeprefix("ISO-") in ISO_CLASSES:
         return iso_road(text.upper().removeprefix("ISO-"))
-    if os.path.exists(text) and not os.path.isdir(text):  # a pipe is refused where it is read
+    if os.path.exists(text) and not os.path.isdir(text):  # reading refuses a pipe
         return recorded(text)
     if len(text) > 4096:
         raise InputError(f"no road {shown(text)}: {NAMES}")

@@ -1,4 +1,4 @@
-"""The batched environment as Stable-Baselines3's own `VecEnv`: no wrapper of single environments, no loop over cars.
+"""The batched environment as a `VecEnv` of Stable-Baselines3, without a wrapper or a loop over single environments.
 
 from stable_baselines3 import PPO
 from isd_gym.sb3 import make_vec_env
@@ -25,14 +25,22 @@ if TYPE_CHECKING:
 
 
 class BatchedVecEnv(VecEnv):
-    """`count` cars for Stable-Baselines3.
+    """A batch of cars as a vector environment of Stable-Baselines3.
 
-    Observations (count, width) float32 in SI units; actions (count, 1), the current [A], or with ``rescale`` (the
-    default) as a share of its limits in [-1, 1], which is what Stable-Baselines3 recommends. Car i of ``seed(s)`` is
-    the single environment of seed ``s + i``. ``stagger`` spreads the ends of the first episodes over the cars, so
-    that they do not all restart in one step.
+    Observations (count, width) are float32 in SI units. Actions (count, 1) are currents [A], or shares of the
+    current limits in [-1, 1] with ``rescale``, as Stable-Baselines3 recommends. Car i of ``seed(s)`` equals
+    the single environment of seed ``s + i``.
 
-    env_id: the environment's name. options: as the environment takes them.
+    Args:
+        env_id: Name of the environment.
+        count: Number of cars.
+        rescale: Whether actions are shares of the limits.
+        stagger: Whether the ends of the first episodes are spread over the cars, so that the cars do not all
+            restart in one step.
+        options: Options of the environment (network, road, speed, randomize, ...).
+
+    Raises:
+        InputError: The name is no environment of this package, or an option is invalid.
     """
 
     def __init__(
@@ -52,13 +60,18 @@ class BatchedVecEnv(VecEnv):
         assert isinstance(box, spaces.Box)
         self._gain = box.high if rescale else None
         action_space = spaces.Box(-1.0, 1.0, box.shape, np.float32) if rescale else box
-        self._seeds: list[int | None] = [None] * count  # before super().__init__, which resets them
+        self._seeds: list[int | None] = [None] * count  # before super().__init__, which resets the seeds
         self.render_mode = self.env.render_mode
         super().__init__(count, self.env.single_observation_space, action_space)
         self._stagger = stagger
         self._nothing: list[dict[str, Any]] = [{} for _ in range(count)]
 
     def reset(self) -> VecEnvObs:
+        """Put all cars at the start of new roads.
+
+        Returns:
+            Observations (count, width).
+        """
         given = any(s is not None for s in self._seeds)
         obs, _ = self.env.reset(seed=list(self._seeds) if given else None)
         self._reset_seeds()
@@ -70,9 +83,19 @@ class BatchedVecEnv(VecEnv):
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
+        """Store the actions of the next step.
+
+        Args:
+            actions: Actions (count, 1).
+        """
         self._actions = actions if self._gain is None else actions * self._gain
 
     def step_wait(self) -> VecEnvStepReturn:
+        """Run one control step with the stored actions.
+
+        Returns:
+            Observations (count, width), rewards (count,), ends of episodes (count,) and information per car.
+        """
         obs, rewards, terminated, truncated, info = self.env.step(self._actions)
         done = terminated | truncated
         infos = self._nothing
@@ -86,40 +109,105 @@ class BatchedVecEnv(VecEnv):
         return obs, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
+        """Close the environment."""
         self.env.close()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Set the seeds of the next `reset`.
+
+        Args:
+            seed: Seed of the first car; None for a random seed.
+
+        Returns:
+            Seed of each car.
+        """
         if seed is None:
             seed = int(np.random.default_rng().integers(2**31))
         self._seeds = [seed + i for i in range(self.num_envs)]
         return self._seeds
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of the environment for each car.
+
+        Args:
+            attr_name: Name of the attribute.
+            indices: Indices of the cars; None for all.
+
+        Returns:
+            The same value for each car.
+        """
         value = getattr(self.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Raise an error: the cars of a batch share their attributes.
+
+        Args:
+            attr_name: Name of the attribute.
+            value: Value.
+            indices: Indices of the cars.
+
+        Raises:
+            InputError: Always.
+        """
         raise InputError("the cars of a batch share their attributes: give options to make_vec_env instead")
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
+        """Raise an error: the cars of a batch have no separate methods.
+
+        Args:
+            method_name: Name of the method.
+            args: Arguments.
+            indices: Indices of the cars.
+            kwargs: Arguments by name.
+
+        Returns:
+            Nothing; the function never returns.
+
+        Raises:
+            InputError: Always.
+        """
         raise InputError(f"the cars of a batch have no methods of their own (env_method '{method_name}')")
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """False for every car of `indices`: none is wrapped, in a `wrapper_class` or any other."""
+        """Return whether cars are wrapped; a batch has no wrappers of single cars.
+
+        Args:
+            wrapper_class: Class of a wrapper.
+            indices: Indices of the cars; None for all.
+
+        Returns:
+            False for each car.
+        """
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
+        """Return the pictures of the cars.
+
+        Returns:
+            Picture (height, width, 3) of each car; None without pictures.
+        """
         frames: list[np.ndarray | None] = [*(self.env.render() or [None] * self.num_envs)]
         return frames
 
 
 def make_vec_env(count: int = 64, *, env_id: str = "ISDSuspension-v0", **options: Any) -> BatchedVecEnv:
-    """`BatchedVecEnv` of `count` cars; `options` go to the environment (network, road, speed, randomize, ...).
+    """Return a batch of cars as a vector environment of Stable-Baselines3.
 
-    env_id: the environment's name.
+    Args:
+        count: Number of cars.
+        env_id: Name of the environment.
+        options: Arguments of `BatchedVecEnv` and options of the environment (network, road, speed, randomize,
+            ...).
+
+    Returns:
+        The vector environment.
+
+    Raises:
+        InputError: The name is no environment of this package, or an option is invalid.
     """
     return BatchedVecEnv(env_id, count, **options)

@@ -1,4 +1,4 @@
-"""Scoring policies: the same environment, the same roads, paired differences (`isd-score/1`)."""
+"""Scores of policies: the same environment, the same roads, paired differences (`isd-score/1`)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LIMITS = {
     "current_change": 0.5,
 }  # Table 5
 RESAMPLES = 4000
-TIMED = 1500  # decisions of a batched policy that are made again one at a time, against the clock
+TIMED = 1500  # number of decisions of a batched policy that are repeated one at a time to measure the time
 #: Tables 7 and 8: passive, active RMS of acceleration [m/s^2], travel [m], tyre load [N]
 PAPER = {
     "Table 7 (simulation)": ((0.8306, 7.6e-3, 518.0), (0.6565, 6.3e-3, 515.0)),
@@ -62,14 +62,15 @@ class Run:
     """Signals of one policy over all episodes.
 
     Attributes:
-        car: Car that was driven.
-        signals: Signals by name, each (steps, episodes) in SI units. A quarter car has body_acceleration,
-            suspension_travel, device_travel_rate, tyre_load and current. A car with several corners has those of each corner, with
-            the name of the corner behind them, and pitch_acceleration and roll_acceleration.
+        car: The driven car.
+        signals: Signals (steps, episodes) by name, in SI units. A quarter car has body_acceleration,
+            suspension_travel, device_travel_rate, tyre_load and current. A car with several corners has the
+            signals of each corner, with the name of the corner appended, and pitch_acceleration and
+            roll_acceleration.
         control_step: Control step [s].
         times: Processor times of single decisions [s].
-        fallbacks: Number of decisions in which the controller did something safe instead.
-        preview: Road ahead that the policy saw [s].
+        fallbacks: Number of safe substitute decisions.
+        preview: Length of the previewed road [s].
     """
 
     car: Vehicle
@@ -80,10 +81,13 @@ class Run:
     preview: float = 0.0
 
     def of(self, kind: str) -> list[np.ndarray]:
-        """Return the signals of a kind, each (steps, episodes): of every corner, or of the body.
+        """Return the signals of a kind: of every corner, or of the body.
 
         Args:
             kind: Name of the signal without the name of the corner.
+
+        Returns:
+            Signals (steps, episodes).
         """
         names = dict.fromkeys([kind, *(c.named(kind) for c in self.car.corners)])
         return [self.signals[name] for name in names if name in self.signals]
@@ -118,10 +122,13 @@ class Run:
         return found[0] if len(found) == 1 else np.stack(found, axis=-1)
 
     def acceleration_at(self, point: str) -> np.ndarray:
-        """Return the vertical acceleration of a point of the body [m/s^2] (steps, episodes).
+        """Return the vertical acceleration of a point of the body.
 
         Args:
             point: Name of the point.
+
+        Returns:
+            Acceleration (steps, episodes) [m/s^2].
 
         Raises:
             InputError: The body has no such point.
@@ -139,10 +146,13 @@ class Run:
         return total
 
     def cost(self, cost: StageCost) -> np.ndarray:
-        """Return the mean stage cost of each episode (episodes,).
+        """Return the mean stage cost of each episode.
 
         Args:
-            cost: Stage cost of the car that was driven.
+            cost: Stage cost of the driven car.
+
+        Returns:
+            Mean cost (episodes,) [-].
         """
         motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
         currents = self.of("current")
@@ -155,16 +165,30 @@ class Run:
 
 
 def comfort_point(car: Vehicle) -> str:
-    """Return the point at which ISO 2631-1 is evaluated unless told otherwise: the driver, or the centre of gravity.
+    """Return the default point of the evaluation by ISO 2631-1: the driver, or the centre of gravity.
 
     Args:
-        car: Car with named points.
+        car: The car.
+
+    Returns:
+        Name of the point.
     """
     return "driver" if "driver" in car.points else car.body
 
 
 def frequency_weighting(frequency: np.ndarray) -> np.ndarray:
-    """Magnitude of W_k, vertical vibration of a seated person, at `frequency` [Hz] (ISO 2631-1:1997, annex A)."""
+    """Return the magnitude of the frequency weighting W_k for vertical vibration of a seated person.
+
+    Args:
+        frequency: Frequencies (n,) [Hz].
+
+    Returns:
+        Magnitude (n,) [-].
+
+    References:
+        ISO 2631-1:1997, Mechanical vibration and shock, Evaluation of human exposure to whole-body vibration,
+            annex A.
+    """
     s = 2j * np.pi * np.asarray(frequency, float)
 
     def second_order(f: float, q: float) -> np.ndarray:
@@ -180,7 +204,15 @@ def frequency_weighting(frequency: np.ndarray) -> np.ndarray:
 
 
 def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
-    """W_k-weighted RMS [m/s^2] along the first axis of `acceleration` sampled every `step` [s]."""
+    """Return the W_k-weighted RMS of accelerations along the first axis.
+
+    Args:
+        acceleration: Accelerations (n, ...) [m/s^2].
+        step: Sampling step [s].
+
+    Returns:
+        RMS (...) [m/s^2].
+    """
     n = len(acceleration)
     spectrum = np.fft.rfft(acceleration, axis=0)
     gain = frequency_weighting(np.fft.rfftfreq(n, step)).reshape(-1, *[1] * (acceleration.ndim - 1))
@@ -202,11 +234,27 @@ def drive(
     timed: int = TIMED,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
-    """Drive one policy over all episodes; episode i has the road of environment seed ``seed + i``.
+    """Drive one policy over all episodes; episode i has the road of the environment with seed ``seed + i``.
 
-    entry: the policy, on its own plant where it has one, else on `network`. road, randomize, speed [m/s],
-    duration [s], sensors: as the environment takes them. episodes: how many. cost: of the reward. timed: decisions of a policy
-    for many cars at once that are made again, one at a time, for their processor time. progress(share): told now and then.
+    Args:
+        entry: The policy, on its own plant, if any.
+        network: Plant of a policy without a plant of its own.
+        road: The road.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        duration: Length of an episode [s].
+        cost: Stage cost of the reward; None for the usual one.
+        randomize: Ranges of the environment.
+        sensors: Imperfections of the sensors.
+        timed: Number of decisions of a batched policy that are repeated one at a time to measure the time.
+        progress: Called now and then with the finished share.
+
+    Returns:
+        The signals.
+
+    Raises:
+        InputError: A car breaks, or an argument is invalid.
     """
     from .env import CONTROL_STEP, ISDSuspensionVectorEnv
 
@@ -237,7 +285,7 @@ def drive(
         if crew.batched and k < timed:
             seen.append(leg.seen[0].copy())
     times = crew.times
-    if seen:  # one decision at a time, as a controller on a car would make it
+    if seen:  # one decision at a time, as in a real car
         alone = entry.make()
         alone.reset()
         for row in seen:
@@ -254,7 +302,7 @@ def drive(
     )
 
 
-#: what `measures` gives, and in which unit
+#: names and units of the results of `measures`
 MEASURES = {
     "cost": "-",
     "body_acceleration_rms": "m/s^2",
@@ -269,10 +317,13 @@ MEASURES = {
 
 
 def units(car: Vehicle) -> dict[str, str]:
-    """Return the names of the measures of a car and their units: `MEASURES`, and those of axes and corners.
+    """Return the units of the measures of a car: `MEASURES`, and the measures of axes and corners.
 
     Args:
-        car: Car.
+        car: The car.
+
+    Returns:
+        Unit by name.
     """
     own = {f"{axis}_acceleration_rms": "rad/s^2" for axis in car.axes}
     if len(car.corners) > 1:
@@ -283,15 +334,15 @@ def units(car: Vehicle) -> dict[str, str]:
 
 
 def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, tuple[np.ndarray, str]]:
-    """Return mean squares (or means, for cost and energy, or greatest values) by episode, and the unit of the value.
+    """Return mean squares (means for cost and energy, maxima for peaks) by episode.
 
-    Travel, tyre load and current without the name of a corner are those of all corners: the mean of their mean squares, and
-    the greatest peak. Energy is that of all motors.
+    Travel, tyre load and current without the name of a corner combine all corners: the mean of the mean
+    squares, and the largest peak. Energy is the sum over all motors.
 
     Args:
         run: Signals.
         cost: Stage cost of the car.
-        point: Point of the body whose acceleration is weighted by ISO 2631-1; `comfort_point` by default.
+        point: Point of the body whose acceleration is weighted by ISO 2631-1; None for `comfort_point`.
 
     Returns:
         Values (episodes,) and unit by name, the names of `units`.
@@ -337,7 +388,7 @@ PRINTED: tuple[dict[str, tuple[str, str, float, int]], ...] = (
 
 
 def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float]]]:
-    """Return how the measures of axes and corners are printed, a group for each table; none of a quarter car.
+    """Return the printed form of the measures of axes and corners, one group per table; no groups for a quarter car.
 
     Args:
         row: A policy of a score.
@@ -359,23 +410,32 @@ def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float
 
 
 def _thrust(car: Vehicle, corner: Corner) -> float:
-    """Return the thrust per current of the motor of a corner at its terminals [N/A]; 0 without one."""
+    """Return the thrust of a corner's motor at its terminals per current [N/A]; 0 without a motor."""
     motor = next((e for e in car.network.elements if e.name == corner.motor), None)
     return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
 
 
 def _pool(name: str, values: np.ndarray) -> np.ndarray:
-    """Value over episodes (last axis): root of the mean square, mean, or greatest."""
+    """Return the value over episodes (last axis): root of the mean square, mean, or maximum."""
     if name.endswith("_rms"):
         return np.sqrt(values.mean(axis=-1))
     return values.max(axis=-1) if name.startswith("peak") else values.mean(axis=-1)
 
 
 def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dict[str, Any]:
-    """A quantity of the score: the value of episodes (episodes,), and its change against `ground`, episode by episode.
+    """Return a quantity of a score: the value, and the paired change against a reference with its 95 % interval.
 
-    Both as `measures` gives them for `name`. The 95 % interval is that of the ratio of the pooled values over `RESAMPLES`
-    draws of the episodes, the same for every quantity and policy.
+    The interval is that of the ratio of the pooled values over `RESAMPLES` draws of the episodes, with common
+    draws for all quantities and policies.
+
+    Args:
+        name: Name of the measure.
+        values: Values of the policy (episodes,), as returned by `measures`.
+        ground: Values of the reference (episodes,).
+        unit: Unit of the quantity.
+
+    Returns:
+        Plain data with value, unit, change, low and high.
     """
     quantity: dict[str, Any] = {"value": float(_pool(name, values)), "unit": unit}
     if np.all(ground > 0):
@@ -389,9 +449,17 @@ def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dic
 
 
 def fingerprints(road: Any, speed: float, duration: float, seed: int, episodes: int) -> list[list[float]]:
-    """Of each episode's road: its height [m] at every tenth of it, by which others tell that theirs are the same.
+    """Return a fingerprint of each episode's road: its heights at every tenth of the episode.
 
-    road, speed [m/s], duration [s], seed, episodes: as those of `drive`.
+    Args:
+        road: The road.
+        speed: Speed [m/s].
+        duration: Length of an episode [s].
+        seed: Seed of the first episode.
+        episodes: Number of episodes.
+
+    Returns:
+        Heights [m] of each road.
     """
     from gymnasium.utils import seeding
 
@@ -406,12 +474,26 @@ def fingerprints(road: Any, speed: float, duration: float, seed: int, episodes: 
 
 @dataclass
 class Score:
-    """The outcome of `score`; `to_dict` is `isd-score/1`. `runs` keeps the signals for reports.
+    """Result of `score`.
 
-    road, network: their names. speed [m/s], duration [s]. episodes: how many, seeds from `seed` on. policies: a
-    row each, as the contract has it. sensors: what they saw by. raw: what `measures` says
-    of each episode, by policy. roads: a fingerprint of each, see `fingerprints`. references: what puts them in place.
-    plant, ground: the network and the road themselves. comparable: which bounds and published figures may stand beside it.
+    Attributes:
+        road: Name of the road.
+        speed: Speed [m/s].
+        network: Name of the plant.
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+        seed: Seed of the first episode.
+        policies: One row per policy (`isd-score/1`).
+        sensors: Imperfections of the sensors.
+        raw: Values of `measures` by policy and name, one per episode.
+        roads: Fingerprint of each road, see `fingerprints`.
+        runs: Signals by policy, for reports.
+        references: Bounds and published figures, as sentences.
+        plant: The network.
+        ground: The road.
+        comparable: Allowed bounds and published figures.
+        cost: Stage cost of the car.
+        point: Point of the body of the evaluation by ISO 2631-1.
     """
 
     road: str
@@ -429,16 +511,20 @@ class Score:
     plant: Network | None = field(repr=False, default=None)
     ground: Road | None = field(repr=False, default=None)
     comparable: Comparable = field(default_factory=Comparable)
-    cost: StageCost = field(default_factory=StageCost)  # of the car
-    point: str = ""  # of the body, at which ISO 2631-1 is evaluated
+    cost: StageCost = field(default_factory=StageCost)
+    point: str = ""
 
     @property
     def comfort(self) -> str:
-        """Point of the body at which ISO 2631-1 is evaluated, where there are several."""
+        """Point of the body of the evaluation by ISO 2631-1, for a car with several points; otherwise ''."""
         return self.point if self.plant is not None and self.plant.bodies else ""
 
     def to_dict(self) -> dict[str, Any]:
-        """The score as the contract has it."""
+        """Return the score as plain data.
+
+        Returns:
+            Content of a score file (`isd-score/1`).
+        """
         return {
             "schema": SCHEMA,
             "road": self.road,
@@ -467,17 +553,20 @@ def unscored(
     seed: int,
     sensors: Sensors | None = None,
 ) -> Score:
-    """Return the conditions of a score before anything is driven: no quantities, no episodes.
+    """Return the conditions of a score before driving, without quantities and episodes.
 
     Args:
-        entries: Policies; only their names and previews are told.
-        network: Plant.
-        road: Road, as `score` takes it.
+        entries: The policies, for their names and previews.
+        network: The plant.
+        road: The road.
         speed: Speed [m/s].
         episodes: Number of episodes.
         duration: Length of an episode [s].
         seed: Seed of the first episode.
         sensors: Imperfections of the sensors, if any.
+
+    Returns:
+        A score without policies.
     """
     rows = [{"policy": e.name, "preview": {"value": Crew(e, 1).preview, "unit": "s"}} for e in entries]
     return Score(
@@ -511,16 +600,34 @@ def score(
     ceiling: Callable[[float], dict[str, Any] | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Score:
-    """Score policies, by name or as entries, against `reference` (the conventional passive car) on the same roads.
+    """Score policies against a reference on the same roads.
 
-    Changes are paired: episodes are drawn with replacement, the same ones for both, and the 95 % interval is that of
-    the ratio of the pooled values. `clairvoyant`: the least cost known for each episode (episodes,), for the share of the
-    reachable gain. `ceiling(preview)`: the bound for controllers that know so many seconds of road (its `change`), for the
-    share of the causal gain, which is left out where the sample is too small for it (`comparability`).
+    Changes are paired: the 95 % interval is that of the ratio of the pooled values over a bootstrap of the
+    episodes, with common draws for policy and reference.
 
-    network: the plant. road, randomize, sensors, speed [m/s], duration [s], seed: as those of `drive`. cost: the car's usual one
-    unless given. point: of the body, at which ISO 2631-1 is evaluated, see `comfort_point`. progress(name, share): told now
-    and then.
+    Args:
+        policies: Names or entries.
+        network: The plant.
+        reference: Reference of the changes; None for the conventional passive car.
+        road: The road.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        duration: Length of an episode [s].
+        cost: Stage cost; None for the usual one of the car.
+        randomize: Ranges of the environment.
+        sensors: Imperfections of the sensors.
+        point: Point of the body of the evaluation by ISO 2631-1; None for `comfort_point`.
+        clairvoyant: Least known cost of each episode (episodes,), for the share of the reachable gain.
+        ceiling: Returns the bound of controllers with a given preview [s] (its `change`), for the share of
+            the causal gain, which is omitted for small samples (`comparability`).
+        progress: Called now and then with the name of a policy and its finished share.
+
+    Returns:
+        The score.
+
+    Raises:
+        InputError: An argument is invalid, a policy is unknown or named twice, or a car breaks.
     """
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")

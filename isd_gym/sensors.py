@@ -1,7 +1,7 @@
-"""What stands between a car and what its controller sees: noise, lateness, and a road sensor that is not perfect.
+"""Sensors of a controller: noise, delay, and an imperfect preview of the road.
 
-Noise is counted, not drawn one after the other: the error of a channel at a step is a hash of the car's key, the step and
-the channel, so that car i of a batch sees exactly what the single car of its seed sees.
+The noise of a channel at a step is a hash of the car's key, the step and the channel. Car i of a batch
+therefore has exactly the noise of a single car with the same seed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .inputs import is_number
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-#: one sigma of white noise on each measured signal at noise 1; the current is the controller's own and is known
+#: standard deviation of the white noise on each measured signal at noise 1; the current is known exactly
 NOISE = {
     "body_acceleration": 0.1,  # m/s^2
     "suspension_travel": 5e-4,  # m
@@ -27,22 +27,30 @@ NOISE = {
     "device_travel": 1e-4,  # m
     "device_travel_rate": 0.01,  # m/s
 }
-#: the same for the angular accelerations of a body
+#: standard deviation for the angular accelerations of a body
 ANGULAR_NOISE = {
-    "pitch_acceleration": 0.1,  # rad/s^2: two accelerometers of `NOISE`, 1.4 m apart
+    "pitch_acceleration": 0.1,  # rad/s^2; two accelerometers of `NOISE`, 1.4 m apart
     "roll_acceleration": 0.1,  # rad/s^2
 }
-MOST_LATE = 100  # control steps
+MOST_LATE = 100  # largest delay [control steps]
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """What a controller sees of a car; without arguments all of it, at once and exactly.
+    """Imperfections of a controller's sensors; by default all signals are exact and immediate.
 
-    noise [-]: white noise of the measured signals, as a multiple of `NOISE`; (low, high): drawn anew for every episode.
-    delay: control steps by which they come late. road_error [m]: one sigma of the white error of each height of the road ahead.
-    road_lag [s]: the picture of the road is so old, and nobody has shifted it. road_range [m]: how far it reaches; beyond
-    it, the road seems to go on level. The present current is the controller's own and always known.
+    The present current is always known, since the controller sets the current.
+
+    Attributes:
+        noise: White noise of the measured signals as a multiple of `NOISE` [-]; (low, high) to draw the
+            multiple for every episode.
+        delay: Delay of the measured signals [control steps].
+        road_error: Standard deviation of the white error of each height of the road ahead [m].
+        road_lag: Age of the picture of the road [s], which is not compensated.
+        road_range: Range of the road sensor [m]; beyond, the road appears level.
+
+    Raises:
+        InputError: A value is outside its limits.
     """
 
     noise: float | tuple[float, float] = 0.0
@@ -71,9 +79,17 @@ class Sensors:
 
     @classmethod
     def of(cls, given: Sensors | Mapping[str, Any] | str | None) -> Sensors:
-        """Sensors from themselves, a mapping, or a text such as ``noise=1,road_error=0.001``; None: perfect ones.
+        """Return sensors from their attributes.
 
-        Raises `InputError` for a name or a value that there is none of.
+        Args:
+            given: Sensors, attributes by name, or a text such as ``noise=1,road_error=0.001``; None for exact
+                sensors.
+
+        Returns:
+            The sensors.
+
+        Raises:
+            InputError: An attribute or its value is invalid.
         """
         if isinstance(given, Sensors):
             return given
@@ -87,11 +103,15 @@ class Sensors:
 
     @property
     def perfect(self) -> bool:
-        """Whether nothing is hidden."""
+        """Whether all signals are exact and immediate."""
         return self == Sensors()
 
     def to_dict(self) -> dict[str, Any]:
-        """What is not perfect, as plain JSON."""
+        """Return the attributes that differ from exact sensors, as plain data.
+
+        Returns:
+            Value by attribute.
+        """
         usual = asdict(Sensors())
         return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items() if v != usual[k]}
 
@@ -113,7 +133,8 @@ def _parse(text: str) -> dict[str, Any]:
 
 @nb.njit(cache=True)
 def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int, sigma: np.ndarray) -> None:
-    """Add Gaussian noise sigma (cars, n) to columns `first` and after of seen (cars, width): hashed (splitmix64), two a pair of hashes."""
+    """Add Gaussian noise sigma (cars, n) to the columns from `first` of seen (cars, width): two numbers per pair
+    of hashes (splitmix64)."""
     for i in range(len(seen)):
         for j in range(0, sigma.shape[1], 2):
             u = np.empty(2)
@@ -132,7 +153,19 @@ def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int
 
 
 class Sight:
-    """`Sensors` at work on several cars; the measured signals come first in an observation."""
+    """`Sensors` in action on several cars; the measured signals come first in an observation.
+
+    Args:
+        sensors: Imperfections.
+        cars: Number of cars.
+        signals: Kind of each measured signal; signals of the kind 'current' come last and are exact.
+        tracks: Number of tracks of road ahead.
+        points: Number of heights of each track, one per control step.
+        control_step: Control step [s].
+
+    Raises:
+        InputError: The lag of the road is no integer number of control steps.
+    """
 
     def __init__(
         self,
@@ -143,19 +176,7 @@ class Sight:
         points: int,
         control_step: float,
     ) -> None:
-        """Begin with `cars` cars.
-
-        Args:
-            sensors: Imperfections.
-            cars: Number of cars.
-            signals: Kind of each measured signal; those of the kind 'current' come last and are always known.
-            tracks: Number of tracks of road ahead.
-            points: Heights of each track, one a control step.
-            control_step: Control step [s].
-
-        Raises:
-            InputError: The lag of the road is no whole number of control steps.
-        """
+        """Start with `cars` cars at rest."""
         self.sensors, self.signals, self.step = sensors, len(signals), control_step
         self.tracks, self.points = tracks, points
         self.keys, self.count = np.zeros(cars, np.uint64), np.zeros(cars, np.uint64)
@@ -172,7 +193,12 @@ class Sight:
         self._roads = np.zeros((late + 1, cars, tracks * points))
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Car i starts on a new road; what is drawn comes from its own generator, once everything else is drawn."""
+        """Start a car on a new road.
+
+        Args:
+            i: Index of the car.
+            rng: Generator of the car, after all other draws.
+        """
         self.count[i] = 0
         self.keys[i] = rng.integers(2**64, dtype=np.uint64)
         noise = self.sensors.noise
@@ -181,16 +207,23 @@ class Sight:
     def see(
         self, obs: np.ndarray, speeds: np.ndarray, which: np.ndarray | slice, *, first: bool
     ) -> np.ndarray:
-        """What is seen of exact observations (of the cars `which`, width), at the start of their roads (`first`) or a step later.
+        """Return the reported values of exact observations.
 
-        speeds [m/s]: of these cars.
+        Args:
+            obs: Exact observations (cars, width).
+            speeds: Speeds of these cars (cars,) [m/s].
+            which: Indices of these cars.
+            first: Whether the cars are at the start of their roads; otherwise a step has passed.
+
+        Returns:
+            Reported observations (cars, width).
         """
         n, out = self.sigma.shape[1], obs.copy()
         for past, columns in (
             (self._past, slice(0, n)),
             (self._roads, slice(self.signals, self.signals + self.tracks * self.points)),
         ):
-            if first:  # it stood there all the time
+            if first:  # the car stood still before
                 past[:, which] = obs[:, columns]
             elif len(past) > 1:
                 past[1:, which] = past[:-1, which]

@@ -1,4 +1,4 @@
-"""Watching policies drive: live in a window, or as a film. One car of any kind, or two side by side on the same road."""
+"""Live view and films of policies: one car, or two cars side by side on the same road."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from .rendering import CarSnapshot, Snapshot
     from .road import Road
 
-#: [pixel] by number of cars
+#: size of a picture [px] by number of cars
 SIZE = {1: (960, 600), 2: (1200, 640)}
 WIDE = (1400, 600)  # of two cars with a left and a right track, which have two views each
-GIF = 0.75  # of that size, and half the frames: a GIF holds every one of its pixels
+GIF = 0.75  # factor on the size; a GIF stores every pixel, and has half the frames
 
 
 def snapshots(
@@ -37,12 +37,21 @@ def snapshots(
     seconds: float = 10.0,
     seed: int = 0,
 ) -> Iterator[tuple[Snapshot | CarSnapshot, ...]]:
-    """Drive the policies on the same road (that of environment seed `seed`); one snapshot per policy and control step.
+    """Drive policies on the same road.
 
-    Raises `InputError` for a car that breaks, and for what the environment refuses.
+    Args:
+        entries: The policies, on their own plants, if any.
+        network: Plant of policies without a plant of their own.
+        road: The road.
+        speed: Speed [m/s].
+        seconds: Duration [s].
+        seed: Seed of the environment's road.
 
-    entries: the policies, on their own plants where they have one, else on `network`. speed [m/s]. seconds: how
-    long.
+    Yields:
+        One snapshot per policy, for each control step.
+
+    Raises:
+        InputError: A car breaks, or an argument is invalid.
     """
     from .env import CONTROL_STEP, ISDSuspensionEnv
 
@@ -80,7 +89,7 @@ def _check_length(seconds: float) -> None:
 
 
 def _size(network: Network, cars: int) -> tuple[int, int]:
-    """Width and height of a picture [px]."""
+    """Return width and height of a picture [px]."""
     return WIDE if cars == 2 and vehicle(network).wheels.tracks == 2 else SIZE[cars]
 
 
@@ -104,9 +113,17 @@ def film(
     progress: Callable[[float], None] | None = None,
     **drive: Any,
 ) -> None:
-    """Write an MP4 (50 frames a second) or a GIF (25), by the suffix of `path`; options as those of `snapshots`.
+    """Write a film of policies: an MP4 with 50 or a GIF with 25 frames per second.
 
-    entries, network: as those of `snapshots`. progress(share): told now and then.
+    Args:
+        entries: The policies.
+        network: Plant of policies without a plant of their own.
+        path: File to write (.mp4 or .gif).
+        progress: Called now and then with the finished share.
+        drive: Further arguments of `snapshots`.
+
+    Raises:
+        InputError: A car breaks, an argument is invalid, or the film cannot be written.
     """
     from .env import CONTROL_STEP
     from .rendering import write_video
@@ -132,7 +149,11 @@ def film(
 
 
 def check_window() -> None:
-    """Raise `InputError` where `live` could not show anything."""
+    """Check before long work that `live` can open a window.
+
+    Raises:
+        InputError: There is no display, or pygame is missing.
+    """
     from .rendering import check_display
 
     try:
@@ -146,9 +167,15 @@ def check_window() -> None:
 
 
 def live(entries: list[Entry], network: Network | str | Path, **drive: Any) -> None:
-    """Show the policies in a window at the pace of the simulated time, until the end or until the window is closed.
+    """Show policies in a window at the pace of the simulated time, until the end or until the window is closed.
 
-    entries, network and options as those of `snapshots`.
+    Args:
+        entries: The policies.
+        network: Plant of policies without a plant of their own.
+        drive: Further arguments of `snapshots`.
+
+    Raises:
+        InputError: A car breaks, an argument is invalid, or there is no display.
     """
     check_window()
     network = Network.load(network)

@@ -1,6 +1,7 @@
-"""Networks discretised for the kernel, and simulated over records.
+"""Discretisation of networks for the kernel, and simulation over records.
 
-`Plant` is a network (or several of the same structure, one a lane) at a step; `simulate` runs one over given inputs.
+`Plant` is a network (or several networks of the same structure, one per lane) at a step; `simulate` runs a
+model over given inputs.
 """
 
 from __future__ import annotations
@@ -25,43 +26,52 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PHYSICS_STEP = 1e-3  # s
-#: parts of the base vector that are the motion of a node, each the derivative of the one before
+#: parts of the base vector for the motion of a node, each the derivative of the preceding part
 PARTS = ("r", "v", "alpha")
 TOLD = dict(zip(MOTIONS, PARTS, strict=True))
-SEPARATE = (
-    1e-6  # devices that move one another less, of what each moves by its own forces, have a closed form
-)
-AT_ONCE = 1e-12  # m/s per N or A: below is rounding; a damper of 1e12 N s/m
+SEPARATE = 1e-6  # relative coupling of devices below which a closed form is used
+AT_ONCE = 1e-12  # smaller velocities are rounding [m/s per N or A]; corresponds to a damper of 1e12 N s/m
 
 
 @dataclass(frozen=True)
 class Discrete:
-    """One network at one step: its numbers as the kernel reads them, and the blocks of its matrix.
+    """A network at a step: its numbers in the order of the kernel, and the blocks of its matrix.
 
-    `yields`: what forces add to the laws' elongations and rates.
+    The state at the end of a step is A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), with the
+    laws f in the order of the assembly.
+
+    Attributes:
+        blocks: Matrices A, U0, U1, B, G0 and G1.
+        outputs: Matrices of the outputs, for x, u, c and the forces of the laws.
+        yields: Elongations [m/N] and rates [m/(s N)] of the laws per force, in the order of the kernel.
+        numbers: Pool of numbers, without the laws' parameters if each lane has its own (`layout`).
+        ints: Integers of the kernel (`layout`).
+        order: Index of each law in the assembly.
     """
 
-    # x at the end of the step = A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), laws as in the assembly
     blocks: tuple[np.ndarray, ...]
-    outputs: tuple[np.ndarray, ...]  # of x, u, c and the forces of the laws
-    yields: tuple[
-        np.ndarray, np.ndarray
-    ]  # what forces add to elongations and to rates, laws in the kernel's order
-    numbers: np.ndarray  # the pool, without the laws' parameters where a lane has its own (`layout`)
-    ints: np.ndarray  # (`layout`)
-    order: tuple[int, ...]  # place of each law in the assembly
+    outputs: tuple[np.ndarray, ...]
+    yields: tuple[np.ndarray, np.ndarray]
+    numbers: np.ndarray
+    ints: np.ndarray
+    order: tuple[int, ...]
 
     @property
     def layout(self) -> Layout:
+        """Places of the numbers in the kernel's arrays."""
         return layout(self.ints.tolist())
 
     def structure(self) -> tuple[int, ...]:
-        """What lanes of one plant must have in common: all sizes and codes but the way through a step."""
+        """Return the part of the integers that all lanes of a plant share: sizes and codes, without the way through a step.
+
+        Returns:
+            Integers.
+        """
         return tuple(np.delete(self.ints, WAY).tolist())
 
 
 def _columns(asm: Assembly) -> list[int]:
-    """Columns of the base vector that enter linearly over the step: r, v, alpha, F where something uses them."""
+    """Return the used columns of the base vector that are linear over the step: r, v, alpha, F."""
     start, stop = asm.columns("r").start, asm.columns("F").stop
     used = (
         np.any(asm.rate != 0, axis=0)
@@ -73,7 +83,7 @@ def _columns(asm: Assembly) -> list[int]:
 
 
 def _instant(asm: Assembly) -> bool:
-    """Whether friction or a current moves a massless terminal at once, and with it what some law sees."""
+    """Return whether friction or a current moves a massless terminal instantly, in a rate that some law reads."""
     from .kernel.compiled import law_code
 
     c, f = asm.columns("I"), asm.columns("f")
@@ -83,17 +93,32 @@ def _instant(asm: Assembly) -> bool:
 
 
 def side_by_side(asm: Assembly) -> tuple[object, ...]:
-    """What assemblies must have in common to be lanes of one `Plant`. asm: one of them."""
+    """Return the properties that assemblies must share to be lanes of one `Plant`.
+
+    Args:
+        asm: An assembly.
+
+    Returns:
+        A key; equal keys fit together.
+    """
     laws = tuple(type(e).__name__ for e in asm.laws)
     return asm.size, laws, asm.by_difference, asm.outputs_by_difference, _instant(asm)
 
 
 def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
-    """Exact discretisation of the linear part: `columns` first-order hold, currents and friction zero-order hold.
+    """Return the exact discretisation of the linear part: first-order hold for `columns`, zero-order hold for
+    currents and friction.
 
-    Raises `InputError` where the network runs away so fast that its matrices are not finite.
+    Args:
+        asm: Equations of motion.
+        step: Step [s].
+        columns: Columns of the base vector that are linear over the step.
 
-    asm: the equations. step [s].
+    Returns:
+        The discrete network.
+
+    Raises:
+        InputError: The network diverges so fast that its matrices are not finite.
     """
     from .kernel.compiled import law_code
 
@@ -110,7 +135,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
             phi = expm(big) if np.isfinite(big).all() else big
         if not np.isfinite(phi).all():
             raise InputError(
-                f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part grows beyond all numbers"
+                f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part overflows"
             )
         Ad, hold, late = phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
     else:
@@ -134,7 +159,7 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
     states = np.hstack([Ad, U0, U1, hold[:, m : m + nc], blank, start[:, :ns]])
 
     def seen(by: np.ndarray) -> np.ndarray:
-        """Rows of what the laws see, without the forces at the end of the step."""
+        """Return the rows of the laws' elongations or rates, without the forces at the end of the step."""
         at = by[:, x] @ states
         at[:, n + m : n + 2 * m] += by[:, u]
         at[:, n + 2 * m : n + 2 * m + nc] += by[:, c]
@@ -185,14 +210,14 @@ def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
 def _law_numbers(
     laws: Sequence[el.Element], ns: int, GD: np.ndarray, GS: np.ndarray, differ: bool, instant: bool
 ) -> tuple[int, np.ndarray, np.ndarray]:
-    """The way through a step that is open to a car with these laws, what it reads of them, and their parameters (law, number)."""
+    """Return the way through a step for these laws, its numbers, and the laws' parameters (law, number)."""
     lists = [e.law_parameters() for e in laws]
     parameters = np.zeros((len(laws), max(map(len, lists), default=0)))
     for row, numbers in zip(parameters, lists, strict=True):
         row[: len(numbers)] = numbers
     nl = len(laws)
     devices = max(ns, nl - ns, 1)
-    # beyond the general way: constant frictions that the motion yields to, and stops that nothing touches
+    # in addition to the general way: constant frictions with yielding motion, and stops without contact
     constant = all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
     levels = parameters[ns:, 0] if constant and nl > ns else np.zeros(nl - ns)
     spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]) @ levels
@@ -219,7 +244,7 @@ def _law_numbers(
 
 
 def _are_separate(ns: int, GD: np.ndarray, GS: np.ndarray) -> bool:
-    """Return whether the forces of each device, stop p and friction p, hardly move another one within a step."""
+    """Return whether the forces of each device, stop p and friction p, hardly move another device within a step."""
     device = np.concatenate([np.arange(ns), np.arange(len(GD) - ns)])
     across = device[:, None] != device
     for yields in (GD, GS):
@@ -237,7 +262,8 @@ def _closed_form(
     p: int,
     levels: np.ndarray,
 ) -> tuple[np.ndarray, bool]:
-    """Numbers of device p for the closed form (`layout`), and whether there is one: its stop, if any, and its friction."""
+    """Return the numbers of device p (a stop, if any, and a friction) for the closed form (`layout`), and
+    whether the form exists."""
     dry = ns + p
     rubs = dry < len(GD)
     own = GS[dry, dry] if rubs else -1.0
@@ -257,7 +283,15 @@ def _closed_form(
 
 
 def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
-    """The same network with other parameters of its laws (in the assembly's order): its linear part is the same."""
+    """Return a discrete network with other parameters of its laws; the linear part is unchanged.
+
+    Args:
+        part: The discrete network.
+        laws: Laws in the order of the assembly.
+
+    Returns:
+        The changed network.
+    """
     at = part.layout
     way, of_laws, parameters = _law_numbers(
         [laws[i] for i in part.order], at.smooth, *part.yields, bool(at.differ), bool(at.instant)
@@ -273,7 +307,7 @@ def _law_elements(network: Network) -> tuple[el.Element, ...]:
 
 
 def _linear_part(network: Network) -> tuple[Any, ...]:
-    """All that the equations of a network depend on but the parameters of its laws."""
+    """Return everything that the linear equations of a network depend on, without the parameters of its laws."""
     elements = (
         (type(e), e.name, e.where) if e.place == "between" and e.parts() and not any(e.linear()) else e
         for e in network.elements
@@ -283,12 +317,12 @@ def _linear_part(network: Network) -> tuple[Any, ...]:
 
 
 def _pad(block: np.ndarray) -> np.ndarray:
-    """At least one column: what drives a car's current may do so even where the car has no motor."""
+    """Return a block with at least one column: a current may be driven in a car without a motor."""
     return block if block.shape[1] else np.zeros((len(block), 1))
 
 
 def _stored(matrix: np.ndarray) -> np.ndarray:
-    """A matrix column by column, filled up with zeros to a multiple of four rows."""
+    """Return a matrix column by column, padded with zeros to a multiple of four rows."""
     high, wide = matrix.shape
     out = np.zeros((wide, -(-high // 4) * 4))
     out[:, :high] = matrix.T
@@ -296,13 +330,20 @@ def _stored(matrix: np.ndarray) -> np.ndarray:
 
 
 class Plant:
-    """Networks ready for the kernel: one shared by all `lanes`, or one a lane (all of the same structure).
+    """Networks prepared for the kernel: one network shared by all lanes, or one per lane with the same structure.
 
-    `step` [s]; `extra`: output channels after the network's own. `u_columns` says which of the base vector's inputs
-    the kernel reads, in order; `labels` names them as (part, channel): part 'r', 'v', 'alpha' or 'F'. `at` says where
-    things lie in `mats`, `ints` and a state (`layout`).
+    `u_columns` are the inputs of the base vector that the kernel reads, in order; `labels` names them as
+    (part, channel) with part 'r', 'v', 'alpha' or 'F'. `at` gives the places in `mats`, `ints` and a state
+    (`layout`).
 
-    networks: one, or one a lane.
+    Args:
+        networks: One network, or one per lane.
+        step: Step [s].
+        lanes: Number of lanes for a single network.
+        extra: Further output channels, after those of the network.
+
+    Raises:
+        InputError: The step is not positive, or the networks differ in structure.
     """
 
     def __init__(
@@ -319,7 +360,7 @@ class Plant:
         self.networks: list[Network] = list(networks) if several else [networks]  # type: ignore[list-item,arg-type]
         self.lanes = len(self.networks) if several else lanes
         self.step, self.extra = float(step), tuple(extra)
-        # many lanes may share a network, or differ in the parameters of their laws alone
+        # many lanes may share a network, or differ only in the parameters of their laws
         once: dict[int, Assembly] = {}
         linear: dict[tuple[Any, ...], Assembly] = {}
         for net in self.networks:
@@ -348,7 +389,7 @@ class Plant:
                 span = first.columns(part)
                 if span.start <= column < span.stop:
                     parts.append((part, channels[column - span.start].name))
-        #: of every node that is moved, which part of the base vector its input is
+        #: part of the base vector of the input at every moved node
         self.told = {c.name: TOLD[c.quantity] for c in moving}
         self.labels: tuple[tuple[str, str], ...] = tuple(parts)
         #: inputs that are held over a step: currents, then logged channels
@@ -375,7 +416,7 @@ class Plant:
         self.order = first.order
         if several:
             self.mats = aligned(self.groups, at.size, WIDTH)
-            self.mats[:] = parts[0].numbers[:, None]  # lanes that nobody uses must have numbers, too
+            self.mats[:] = parts[0].numbers[:, None]  # unused lanes need valid numbers, too
             for lane, part in enumerate(parts):
                 self.place(self.mats, lane, part)
         else:
@@ -383,11 +424,17 @@ class Plant:
         self.kernel = kernel_of(self.at)
 
     def place(self, mats: np.ndarray, lane: int, part: Discrete) -> None:
-        """Put the numbers of a lane into `mats` (groups, numbers, 8), where every lane has its own."""
+        """Write the numbers of a lane into an array in which every lane has separate numbers.
+
+        Args:
+            mats: Array (groups, numbers, 8), changed in place.
+            lane: Index of the lane.
+            part: The discrete network of the lane.
+        """
         at = self.at
         group, l = divmod(lane, WIDTH)
         mats[group, : at.own, l] = part.numbers[: at.own]
-        count = at.size - at.own  # the parameters of a lane's laws lie together
+        count = at.size - at.own  # the parameters of a lane's laws are contiguous
         mats[group, at.own :].reshape(-1)[l * count : (l + 1) * count] = part.numbers[at.own :]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -405,10 +452,17 @@ class Plant:
         inputs: np.ndarray | None = None,
         held: np.ndarray | None = None,
     ) -> np.ndarray:
-        """A fresh kernel state (rows, lanes); `initial` (n,) or (n, lanes) in the coordinates of the assembly.
+        """Return a new state of the kernel.
 
-        `inputs` (inputs, 1 or lanes): what moves the network at the start, in the order of `labels`; nothing by default.
-        `held` (held inputs, 1 or lanes): currents and logged channels at the start; nothing by default.
+        Args:
+            initial: State (n,) or (n, lanes) in the coordinates of the assembly; None for rest.
+            inputs: Values (inputs, 1 or lanes) of the inputs at the start, in the order of `labels`; None for
+                zero.
+            held: Values (held inputs, 1 or lanes) of currents and logged channels at the start; None for
+                zero.
+
+        Returns:
+            State (rows, lanes).
         """
         state = np.zeros((self.at.height, self.lanes))
         if initial is not None and self.n:
@@ -418,7 +472,14 @@ class Plant:
         return state
 
     def grouped(self, state: np.ndarray) -> np.ndarray:
-        """A state (rows, lanes) as groups (groups, rows, 8)."""
+        """Return a state in groups of lanes.
+
+        Args:
+            state: State (rows, lanes).
+
+        Returns:
+            State (groups, rows, 8).
+        """
         grouped = aligned(self.groups, len(state), WIDTH)
         for group in range(self.groups):
             some = state[:, group * WIDTH : (group + 1) * WIDTH]
@@ -427,18 +488,26 @@ class Plant:
 
     @property
     def memory(self) -> list[int]:
-        """Rows of the kernel's state that hold the states of the hysteresis laws."""
+        """Rows of the kernel's state for the states of the hysteresis laws."""
         laws = self.assemblies[0].laws
         return [self.at.memory + j for j, i in enumerate(self.order) if isinstance(laws[i], el.Hysteresis)]
 
     def softened(self, softness: float) -> np.ndarray:
-        """`mats` with dry friction like a damper below ``softness * |g| * level``, g what a force adds to its own rate."""
+        """Return `mats` with dry friction that is viscous below ``softness * |g| * level``; g is the rate per
+        force of the friction.
+
+        Args:
+            softness: Factor [-].
+
+        Returns:
+            Numbers in the shape of `mats`.
+        """
         at, mats = self.at, self.mats.copy()
         numbers = mats if mats.ndim == 2 else mats.transpose(1, 0, 2)
         for j in range(at.smooth, at.laws):
             own = at.gains + j * at.rows + at.states + j
             with np.errstate(divide="ignore", invalid="ignore"):
-                # what the stop adds to the yielding of the friction on it stays as it is
+                # the contribution of the stop to the yielding of its friction is unchanged
                 give, stopped = (k + CLOSED * (j - at.smooth) for k in (at.give, at.give_stopped))
                 through = np.where(numbers[stopped] > 0, -1.0 / numbers[stopped] - numbers[own], 0.0)
                 numbers[own] *= 1.0 + softness
@@ -448,7 +517,7 @@ class Plant:
         return mats
 
     def _start_laws(self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None) -> None:
-        """Elongations, rates and smooth forces that belong to the initial state and the first inputs."""
+        """Set elongations, rates and smooth forces of the initial state and the first inputs."""
         at = self.at
         x = state[: at.states]
         f, z, d, s = (state[row : row + at.laws] for row in (at.force, at.memory, at.elongation, at.rate))
@@ -468,16 +537,24 @@ class Plant:
                     f[j, lane], z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)
 
     def order_of(self, part: str, name: str) -> int:
-        """How often input `name` is to be differentiated for a `part` of the base vector."""
+        """Return how often an input is differentiated for a part of the base vector.
+
+        Args:
+            part: 'r', 'v', 'alpha' or 'F'.
+            name: Name of the input.
+
+        Returns:
+            Number of derivatives.
+        """
         return PARTS.index(part) - PARTS.index(self.told[name]) if part in PARTS else 0
 
     @property
     def differentiated(self) -> set[str]:
-        """Inputs whose derivatives something acts through."""
+        """Names of the inputs whose derivatives act on the network."""
         return {name for part, name in self.labels if self.order_of(part, name)}
 
     def _unsolved(self, states: np.ndarray) -> list[tuple[int, str] | None]:
-        """Of every lane, the number of the first step that was not solved and the law that was not; None: there is none."""
+        """Return the index of the first unsolved step and the name of the unsolved law for every lane; None for a solved lane."""
         out: list[tuple[int, str] | None] = []
         for lane in range(self.lanes):
             group, l = divmod(lane, WIDTH)
@@ -495,12 +572,18 @@ class Plant:
         initial: np.ndarray | None = None,
         derivatives: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     ) -> np.ndarray:
-        """Outputs (samples, ny, lanes) at every `every`-th step, in SI units.
+        """Simulate, and return the outputs at every `every`-th step.
 
-        `inputs`: SI values by channel at every physics step, shape (every*(samples-1)+1,) or with a lane axis;
-        `derivatives`: (velocity, acceleration) of moved channels where needed and known, else differences.
+        Args:
+            inputs: Values [SI] by channel at every physics step, (every*(samples-1)+1,) or with a lane axis.
+            every: Number of physics steps per output sample.
+            samples: Number of output samples.
+            initial: State in the coordinates of the assembly; None for rest.
+            derivatives: Known velocities and accelerations [SI] of moved nodes by channel; differences
+                otherwise.
 
-        initial: state in the assembly's coordinates, at rest by default.
+        Returns:
+            Outputs (samples, outputs, lanes) [SI].
         """
         total = every * (samples - 1) + 1
         shared = all(np.ndim(v) == 1 for v in inputs.values())
@@ -512,7 +595,7 @@ class Plant:
 
         u = np.zeros((total, len(self.labels), width))
         for j, (part, name) in enumerate(self.labels):
-            order = self.order_of(part, name)  # how often the input is to be differentiated
+            order = self.order_of(part, name)  # number of derivatives of the input
             if not order:
                 u[:, j] = wide(inputs[name])
             elif derivatives is not None and name in derivatives:
@@ -541,9 +624,16 @@ class Plant:
 
 
 def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
-    """What the drive makes of a commanded current (n, lanes) held over each step, in the order of `DRIVE_ORDER`; others last.
+    """Return the current behind a motor's drive, with the effects in the order of `DRIVE_ORDER` and unknown effects last.
 
-    network: the model; motor: the name of its motor; command: the current asked for [A].
+    Args:
+        network: The model.
+        motor: Name of the motor.
+        command: Commanded current (n, lanes) [A], held over each step.
+        step: Step [s].
+
+    Returns:
+        Current (n, lanes) [A].
     """
     out = np.asarray(command, float)
     drive = [e for e in network.elements if e.place == "element" and e.where[0] == motor]
@@ -556,9 +646,15 @@ def effective_current(network: Network, motor: str, command: np.ndarray, step: f
 
 
 def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> dict[str, np.ndarray]:
-    """Outputs (n, ...) as the sensors of the network report them: delay, gain, bias (in the channel's unit).
+    """Return outputs as the sensors of the network report them, with delay, gain and bias.
 
-    outputs: by channel. step [s]: between samples.
+    Args:
+        network: The model.
+        outputs: Exact outputs (n, ...) by channel, in the channel's unit.
+        step: Sampling step [s].
+
+    Returns:
+        Reported outputs (n, ...) by channel.
     """
     seen = dict(outputs)
     for e in network.elements:
@@ -568,9 +664,15 @@ def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> d
 
 
 def upsample(values: np.ndarray, every: int, hold: bool = False) -> np.ndarray:
-    """A record at `every` times its rate: held (currents) or linear in between.
+    """Return a record at a multiple of its sampling rate.
 
-    values (n, ...), the first axis time. hold: keep each value until the next.
+    Args:
+        values: Samples (n, ...) over time.
+        every: Multiple.
+        hold: Whether each value is held until the next (currents), instead of linear interpolation.
+
+    Returns:
+        Samples (every*(n-1)+1, ...).
     """
     if every == 1:
         return np.asarray(values, float)
@@ -580,7 +682,7 @@ def upsample(values: np.ndarray, every: int, hold: bool = False) -> np.ndarray:
     return np.interp(np.arange(every * (n - 1) + 1) / every, np.arange(n), values)
 
 
-#: steps of one simulation: more than a day at 1 ms would be a slip of the unit of time
+#: largest number of steps of a simulation: more than a day at 1 ms suggests a wrong unit of time
 MOST_STEPS = 1e8
 
 
@@ -593,15 +695,26 @@ def simulate(
     initial: np.ndarray | None = None,
     extra: Sequence[Channel] = (),
 ) -> dict[str, np.ndarray]:
-    """Outputs of a model for inputs sampled uniformly at `time` [s]; everything in the channels' own units.
+    """Return the outputs of a model for uniformly sampled inputs; all values are in the units of the channels.
 
-    The physics runs at the largest whole fraction of the sampling step that is not above `step`. Displacements and
-    forces are linear between samples, currents held. Where something acts through the velocity or acceleration of a
-    moved node, these come from a cubic spline through its samples. `initial`: state in the assembly's coordinates.
-    Raises `InputError` for a missing channel, a time that is not uniform, and a simulation that breaks down: it names the
-    time, and the law that could not be solved for.
+    The physics runs at the largest integer fraction of the sampling step that is at most `step`.
+    Displacements and forces are linear between samples; currents are held. If the velocity or acceleration of
+    a moved node acts on the network, a cubic spline through the samples is differentiated.
 
-    model: a network, a built-in one's name, a file or its content. time: (n,) [s]. inputs: (n,) by channel. step [s]. extra: output channels after the network's own.
+    Args:
+        model: The model, or the name of a built-in model, a file, or the content of a file.
+        time: Time stamps (n,) [s].
+        inputs: Samples (n,) by channel.
+        step: Largest physics step [s].
+        initial: State in the coordinates of the assembly; None for rest.
+        extra: Further output channels, after those of the model.
+
+    Returns:
+        Samples (n,) of the outputs by channel.
+
+    Raises:
+        InputError: A channel is missing, the time is not uniform, or the simulation diverges; the message
+            names the time and the unsolved law.
     """
     network = Network.load(model)
     time = np.asarray(time, float)
@@ -622,7 +735,7 @@ def simulate(
     plant = Plant(network, dt / every, extra=extra)
     if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
         raise InputError(
-            f"initial: wants the state ({plant.n},) in the assembly's coordinates, as isd_gym.loggers.start.state_of makes it of nodes' motions"
+            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.loggers.start.state_of makes a state from motions of nodes"
         )
     needs = plant.differentiated
     fine, slopes = {}, {}
@@ -635,7 +748,8 @@ def simulate(
         values = convert(values, c.unit, c.si)
         fine[c.name] = upsample(values, every, hold=c.quantity in HELD)
         if c.name in needs:
-            from scipy.interpolate import CubicSpline  # takes longer to import than most records to simulate
+            # the import takes longer than the simulation of most records
+            from scipy.interpolate import CubicSpline
 
             spline = CubicSpline(np.arange(len(values)) * dt, values)
             at = np.arange(len(fine[c.name])) * (dt / every)
@@ -647,20 +761,16 @@ def simulate(
     if not sound.all():
         failure = plant.unsolved[0]
         at = time[0] + plant.step * failure[0] if failure else time[int(np.argmin(sound))]
-        why = (
-            f"the force of '{failure[1]}' cannot be found"
-            if failure
-            else "the motion grows beyond all numbers"
-        )
+        why = f"the force of '{failure[1]}' cannot be found" if failure else "the motion overflows"
         raise InputError(
-            f"model '{network.name}' breaks down at t = {at:.6g} s: {why} (a smaller step may help, or the model is unstable)"
+            f"model '{network.name}' fails at t = {at:.6g} s: {why} (try a smaller step, or check the stability of the model)"
         )
     named = {c.name: convert(out[:, j, 0], c.si, c.unit) for j, c in enumerate(plant.channels)}
     return sense(network, named, dt)
 
 
 class _Module(ModuleType):
-    """This module can be called: `isd_gym.simulate` is both the module and, as everybody expects, the function."""
+    """A callable module: `isd_gym.simulate` is both the module and the function."""
 
     __call__ = staticmethod(simulate)
 

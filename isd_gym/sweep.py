@@ -1,4 +1,4 @@
-"""Sweeps: the items of a `Grid` done by `engine`, merged to paired intervals (`isd-sweep/1`)."""
+"""Sweeps: the items of a `Grid` run by `engine`, merged to paired intervals (`isd-sweep/1`)."""
 
 from __future__ import annotations
 
@@ -34,9 +34,22 @@ def drive_item(
     condition: dict[str, Any],
     files: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """One item of a sweep: what `isd_gym.scoring.measures` says of each episode, the fallbacks, and a count of the commands.
+    """Run one item of a sweep.
 
-    No signals: it is small. `files`: digests of what the grid's machine read; `InputError` where this one has others.
+    Args:
+        policy: Name of the policy.
+        seed: Seed of the first road.
+        episodes: Number of roads.
+        duration: Length of a road [s].
+        condition: The condition, as plain data.
+        files: Digests of the files that the grid's machine read.
+
+    Returns:
+        `isd_gym.scoring.measures` of each episode, number of fallbacks, and counts of commands; no signals,
+            to keep files small.
+
+    Raises:
+        InputError: A file is missing or differs on this machine.
     """
     from .cost import StageCost
     from .policies import find
@@ -71,7 +84,7 @@ def drive_item(
 
 
 def _watched(entry: Any, counts: Counter[str]) -> Any:
-    """The same policy, its commands counted: how many, and how many were not finite or not what Table 5 allows."""
+    """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
     from .batch import CURRENT_LIMIT, SLEW_LIMIT
     from .driving import Entry
 
@@ -97,7 +110,7 @@ def _watched(entry: Any, counts: Counter[str]) -> Any:
 
 
 def _sound(task: Task, result: Any) -> bool:
-    """Whether `result` is what `drive_item` gives; a file of another version, or of somebody's own, is not."""
+    """Return whether a result has the form of `drive_item`'s; files of other versions or origins do not."""
     from .scoring import MEASURES
 
     episodes, commands = task.arguments["episodes"], result["commands"]
@@ -110,9 +123,17 @@ def _sound(task: Task, result: Any) -> bool:
 
 
 def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
-    """What is there of a sweep (results by the tasks' keys) as `isd-sweep/1`: every quantity with its paired change.
+    """Return the results of a sweep (`isd-sweep/1`): every quantity with its paired change.
 
-    A policy some of whose items are missing is left out of its condition and counted in `missing`. `overall`: see there.
+    A policy with missing items is left out of its condition and counted in `missing`. `overall` compares the
+    policies over all conditions.
+
+    Args:
+        grid: The grid.
+        results: Result by key of a task.
+
+    Returns:
+        Plain data.
     """
     from .scoring import compare
 
@@ -148,10 +169,18 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) -> list[dict[str, Any]]:
-    """Policies over all conditions, best first; each condition counts the same, whatever its road.
+    """Compare policies over all conditions, best first; all conditions have equal weight.
 
-    Policies with a result in every condition have the mean `change` of J, the `worst` condition, and the mean difference of the
-    changes `against` each other policy. Intervals of 95 % come from conditions drawn with replacement, the same draws for all.
+    Policies with a result in every condition get the mean `change` of J, the `worst` condition, and the mean
+    difference of the changes `against` each other policy. Intervals of 95 % come from a bootstrap over
+    conditions with common draws.
+
+    Args:
+        conditions: Results by condition.
+        policies: Names of policies.
+
+    Returns:
+        One entry per policy.
     """
     by = [{row["policy"]: row["cost"].get("change") for row in c["policies"]} for c in conditions]
     whole = [p for p in policies if p != "passive" and all(c.get(p) is not None for c in by)]
@@ -174,7 +203,14 @@ def overall(conditions: Sequence[Mapping[str, Any]], policies: Sequence[str]) ->
 
 
 def check_policies(grid: Grid) -> None:
-    """Raise `InputError` for a policy of the grid that opens in none of its conditions: before long work, not after it."""
+    """Check before long work that every policy of a grid opens in at least one condition.
+
+    Args:
+        grid: The grid.
+
+    Raises:
+        InputError: A policy opens in none of the conditions.
+    """
     from .policies import find
 
     for policy in grid.policies:
@@ -201,10 +237,26 @@ def sweep(
     progress: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> tuple[dict[str, Any], Outcome]:
-    """Do what is left of a grid (or of shard `which` of it, "i/n") in folder `out`; the merged sweep, and what came of the items.
+    """Run the unfinished items of a grid.
 
-    Items are files in ``out/items``; the merged sweep is ``out/sweep.json``, and for reading ``out/sweep.md``, as far as there
-    are items.
+    Items are files in ``out/items``; the merged sweep is ``out/sweep.json``, and a readable table
+    ``out/sweep.md``.
+
+    Args:
+        grid: The grid.
+        out: Folder of the results.
+        jobs: Number of processes.
+        which: Shard "i/n"; None for all items.
+        engine: 'local' or 'ray', see `engine.run`.
+        address: Address of a Ray cluster.
+        progress: Called with the numbers of finished and of all items.
+        say: Called with lines for the user.
+
+    Returns:
+        Merged sweep (`isd-sweep/1`), and the outcome of the items.
+
+    Raises:
+        InputError: The folder cannot be written, or an argument is invalid.
     """
     tasks = grid.tasks()
     mine = shard(tasks, which)
@@ -226,25 +278,50 @@ def sweep(
 
 
 def items_are(count: int) -> str:
+    """Return the subject and verb of a sentence on a number of items.
+
+    Args:
+        count: Number of items.
+
+    Returns:
+        Text such as '2 items are'.
+    """
     return f"{count} item is" if count == 1 else f"{count} items are"
 
 
 def change_cell(q: Mapping[str, Any] | None, key: str = "change", digits: int = 1) -> str:
+    """Return a change with its interval in percent.
+
+    Args:
+        q: Quantity of a merged sweep; None for an empty cell.
+        key: Key of the change.
+        digits: Number of decimals.
+
+    Returns:
+        Text such as '-12.3 [-13.0, -11.6]'.
+    """
     if q is None or key not in q:
         return ""
     text = f"{100 * q[key]:+.{digits}f}"
-    same = q["low"] == q["high"]  # one episode has no interval
+    same = q["low"] == q["high"]  # a single episode has no interval
     return text if same else f"{text} [{100 * q['low']:+.{digits}f}, {100 * q['high']:+.{digits}f}]"
 
 
 def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """The table of a merged sweep: its policies, and a row of texts for each condition and for all, change of J [%]."""
+    """Return the table of a merged sweep: names of policies, and rows of texts with the change of J [%] per condition.
+
+    Args:
+        merged: The merged sweep.
+
+    Returns:
+        Names, and rows.
+    """
     names = list(dict.fromkeys(row["policy"] for c in merged["conditions"] for row in c["policies"]))
     names = [n for n in names if n != "passive"]
     out = []
     for c in merged["conditions"]:
         by = {row["policy"]: row["cost"] for row in c["policies"]}
-        if any(name in by for name in names):  # else nothing of it is done yet
+        if any(name in by for name in names):  # skips conditions without results
             out.append([c["name"], *(change_cell(by.get(name)) for name in names)])
     by = {row["policy"]: row for row in merged["overall"]}
     if by:
@@ -261,7 +338,14 @@ def rows(merged: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def table(merged: Mapping[str, Any]) -> str:
-    """The merged sweep as Markdown."""
+    """Return a merged sweep as Markdown.
+
+    Args:
+        merged: The merged sweep.
+
+    Returns:
+        Text.
+    """
     names, lines = rows(merged)
     seeds = f"seeds {merged['seed']} to {merged['seed'] + merged['episodes'] - 1}"
     text = [

@@ -1,4 +1,4 @@
-"""What a single and a vector environment share: their options, spaces, sensors, cost and limits."""
+"""Common part of the single and the vector environment: options, spaces, sensors, cost and limits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 CONTROL_STEP = 5e-3  # s
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
-PICTURE_WINDOW = 5.5  # m of road before the foremost and behind the rearmost wheel in a picture
+PICTURE_WINDOW = 5.5  # road before the foremost and behind the rearmost wheel in a picture [m]
 OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
 
 
@@ -35,7 +35,7 @@ class Options:
     """Options of the environments: keyword arguments of ``gymnasium.make`` and ``gymnasium.make_vec``.
 
     Raises:
-        InputError: A value is none that the environment takes.
+        InputError: A value is invalid.
     """
 
     # vehicle: name of a built-in network, file or content (`isd-model/1`), or a `Network`
@@ -77,14 +77,18 @@ class Options:
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Options:
-        """Return the options of a mapping, the usual ones where a name is missing.
+        """Return options from a mapping, with defaults for missing names.
 
         Args:
             given: Options by name.
 
+        Returns:
+            The options.
+
         Raises:
-            TypeError: There is no option of a name; libraries that try options of other environments rely on it.
-            InputError: A value is none that the environment takes.
+            TypeError: A name is unknown; libraries that try the options of other environments rely on this
+                error.
+            InputError: A value is invalid.
         """
         known = [f.name for f in fields(cls)]
         for key in given:
@@ -98,6 +102,12 @@ class Options:
 class Task:
     """Cars with the spaces, sensors, costs and limits of the environments.
 
+    Args:
+        count: Number of cars.
+        options: Options of the environment.
+        picture: Whether pictures of the cars will be drawn.
+        threads: Number of threads that share the cars.
+
     Attributes:
         options: Options of the environment.
         network: Network of the cars.
@@ -105,19 +115,15 @@ class Task:
         batch: Cars on their roads.
         labels: Name and unit of each number of an observation.
         slowest: Lowest speed of a car [m/s].
-        step_info: Names of the numbers in `info` of a step beside the speed, in the order of `Batch.judged`.
-        is_faulty: Whether a policy sees anything else than the exact signals.
+        step_info: Names of the numbers in `info` of a step after the speed, in the order of `Batch.judged`.
+        is_faulty: Whether a policy sees signals with errors.
+
+    Raises:
+        InputError: The network is no car, or an option is invalid.
     """
 
     def __init__(self, count: int, options: Options, *, picture: bool = False, threads: int = 1) -> None:
-        """Make `count` cars.
-
-        Args:
-            count: Number of cars.
-            options: Options of the environment.
-            picture: Whether pictures of the cars will be drawn.
-            threads: Number of threads that share the cars.
-        """
+        """Create `count` cars."""
         assert isinstance(options.network, Network) and isinstance(options.cost, StageCost)
         assert isinstance(options.sensors, Sensors)
         self.options, self.network, self.cost = options, options.network, options.cost
@@ -129,7 +135,7 @@ class Task:
         extra = state_channels(self.network) if options.observation == "full" or picture else []
         self.points = round(options.preview / control_step) if options.observation == "preview" else 0
         look = self.points * control_step
-        if picture:  # the road in front of the car is part of the picture
+        if picture:  # a picture shows the road in front of the car
             look = max(look, PICTURE_WINDOW / self.slowest)
             look = control_step * math.ceil(look / control_step)
         self.batch = Batch(
@@ -201,10 +207,13 @@ class Task:
         self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
 
     def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Return the observations (cars, width) of cars at rest at the start of their roads.
+        """Return the observations of cars at rest at the start of their roads.
 
         Args:
-            which: Numbers of the cars.
+            which: Indices of the cars.
+
+        Returns:
+            Observations (cars, width).
         """
         obs = np.zeros((self.batch.count, self.width), np.float32)[which]
         if self.points:
@@ -214,7 +223,11 @@ class Task:
         return self._sense(obs, which, first=True) if self.is_faulty else obs
 
     def observe(self) -> np.ndarray:
-        """Return the observations (count, width) float32 after a step; those of cars that broke are clipped to their bounds."""
+        """Return the observations after a step; observations of broken cars are clipped to their bounds.
+
+        Returns:
+            Observations (count, width) float32.
+        """
         obs = self.batch.seen
         if self.is_faulty:
             obs = self._sense(obs)
@@ -225,15 +238,15 @@ class Task:
     def _sense(
         self, obs: np.ndarray, which: np.ndarray | slice = slice(None), *, first: bool = False
     ) -> np.ndarray:
-        """Return what is reported of exact observations: faults of the model's channels, then `sensors`.
+        """Return reported values of exact observations: first faults of the model's channels, then `sensors`.
 
-        The physics and the reward have the exact signals.
+        Physics and reward use the exact signals.
         """
         names = [signal.name for signal in self.measured]
         step = self.batch.control_step
         for e in self._channel_faults:
             j = names.index(e.where[0])
-            if isinstance(e, el.SensorDelay):  # what `apply` does to a record, a sample at a time
+            if isinstance(e, el.SensorDelay):  # the same as `apply` for a record, one sample at a time
                 low, part = int(e.delay / step), e.delay / step % 1.0
                 past = self._histories.setdefault(e.name, np.zeros((low + 2, self.batch.count)))
                 past[1:, which] = past[:-1, which]
@@ -246,11 +259,11 @@ class Task:
         return np.clip(obs, -self.high, self.high)
 
     def forget(self, i: int, rng: np.random.Generator) -> None:
-        """Let car i start on a new road.
+        """Start a car on a new road.
 
         Args:
-            i: Number of the car.
-            rng: Generator of the car, after it has drawn the road.
+            i: Index of the car.
+            rng: Generator of the car, after the draw of the road.
         """
         if self._sight is not None:
             self._sight.begin(i, rng)
@@ -259,12 +272,15 @@ class Task:
 
 
 def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[str, float]]:
-    """Return a function that makes `info` of a speed and of what the kernel tells of a car.
+    """Return a function that makes `info` from the speed and the numbers of the kernel.
 
-    A display of a dictionary takes a third of the time of `dict` and `zip`.
+    A dictionary display takes a third of the time of `dict` and `zip`.
 
     Args:
-        names: Names of the numbers behind the first one that the kernel tells.
+        names: Names of the numbers after the first number of the kernel.
+
+    Returns:
+        ``info(speed [m/s], numbers) -> dict``.
     """
     pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))
     return eval(f"lambda speed, told: {{'speed': speed, {pairs}}}")

@@ -57,7 +57,7 @@ import numpy as np
 
 from .errors import InputError, shown
 
-#: poles p_i and weights w_i of the normalised cross-spectral density, as `fit_coherence` returns them
+#: poles p_i and weights w_i of the normalised cross-spectral density, as returned by `fit_coherence`
 COHERENCE_POLES = (0.0616719, 0.36458450, 1.47371465, 8.54813673)
 COHERENCE_WEIGHTS = (0.00386171, 0.10422879, 0.96151732, -0.06960782)
 SUM_STATES = len(COHERENCE_POLES) + 1  # first-order states of s
@@ -88,7 +88,7 @@ def coherence(frequency: np.ndarray, width: float, cutoff: float = 0.0) -> np.nd
 
 
 def fitted_coherence(frequency: np.ndarray, width: float, cutoff: float = 0.0) -> np.ndarray:
-    """Return gamma as the filters have it: the rational approximation of `coherence`.
+    """Return the coherence of the filters: the rational approximation of `coherence`.
 
     Args:
         frequency: Spatial frequencies n [cycle/m], any shape.
@@ -106,12 +106,12 @@ def fitted_coherence(frequency: np.ndarray, width: float, cutoff: float = 0.0) -
 def fit_coherence() -> tuple[np.ndarray, np.ndarray]:
     """Return poles and weights that approximate x K1(x): the source of `COHERENCE_POLES` and `COHERENCE_WEIGHTS`.
 
-    The fit approaches the smallest maximum of the relative error of 1 - gamma over `FITTED_BAND`, by least squares of
-    rising powers of the error. The relative error of 1 - gamma is that of the density of the difference of the
+    The fit minimises the largest relative error of 1 - gamma over `FITTED_BAND`, by least squares of rising
+    powers of the error. The relative error of 1 - gamma equals that of the density of the difference of the
     tracks, which excites roll; the absolute error of gamma is smaller.
 
     Returns:
-        Poles p_i (4,) in increasing order and weights w_i (4,) of sum 1, dimensionless.
+        Poles p_i (4,) in increasing order and weights w_i (4,) of sum 1 [-].
     """
     from scipy.optimize import least_squares
     from scipy.special import k1
@@ -153,7 +153,7 @@ def innovations(poles: np.ndarray, coefficients: np.ndarray, spacing: float) -> 
         Discrete poles a_i (n,) and gains g_i [m] (n,) of ``r_i,next = a_i r_i + g_i xi``.
     """
     exponents = poles * spacing
-    bounded = np.maximum(exponents, 1e-150)  # sinh(e) / e is 1 there
+    bounded = np.maximum(exponents, 1e-150)  # sinh(e) / e is 1 for small e
     halves = coefficients * spacing * np.sinh(bounded) / bounded
     scale = float(bounded.max()) ** 2  # the unknown u / scale is of the order of 1
     places = (2 * np.sinh(0.5 * exponents)) ** 2 / scale
@@ -180,14 +180,15 @@ def _polynomial(places: np.ndarray) -> list[float]:
 def track_filters(level: float, cutoff: float, width: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the first-order sections of a rough road with a left and a right track.
 
-    States 0 to `SUM_STATES` - 1 are driven by the noise of the sum, the others by that of the difference:
+    States 0 to `SUM_STATES` - 1 are driven by the noise of the sum, the others by the noise of the
+    difference:
 
         r_i,next = poles_i r_i + gains_i xi_sum         i < SUM_STATES
         r_i,next = poles_i r_i + gains_i xi_difference  i >= SUM_STATES
         left, right = s + d, s - d;  s = r_0 + r_1 + ... + r_4,  d = r_5 + ... + r_8, summed in this order
 
     Args:
-        level: G(n0) n0^2 [m]: the one-sided density is level / (n^2 + cutoff^2).
+        level: G(n0) n0^2 [m]; the one-sided density is level / (n^2 + cutoff^2).
         cutoff: n_c [cycle/m]; 0 for a random walk.
         width: Track width [m].
         spacing: Distance between samples [m]: speed times step.
@@ -196,7 +197,7 @@ def track_filters(level: float, cutoff: float, width: float, spacing: float) -> 
         Poles (TRACK_STATES,) and gains [m] (TRACK_STATES,), read-only.
 
     Raises:
-        InputError: The track width is no plausible one.
+        InputError: The track width is implausible.
     """
     if not NARROWEST <= width <= WIDEST:
         raise InputError(f"track width {width:g} m: give {NARROWEST:g} to {WIDEST:g} m")
@@ -216,21 +217,25 @@ def track_filters(level: float, cutoff: float, width: float, spacing: float) -> 
 
 @dataclass(frozen=True)
 class WheelPositions:
-    """Positions of the wheels of a car: x forward, y to the left (ISO 8855), in the order of the car's road inputs.
+    """Positions of the wheels of a car in the order of the car's road inputs, in the axes of ISO 8855.
 
-    Wheels with the same y run in one track. Otherwise the wheels with y > 0 run in the left track and those with y < 0
-    in the right track; the track width is the distance between the mean y of both sides.
+    Wheels with the same y run in one track. Otherwise the wheels with y > 0 run in the left track and the
+    wheels with y < 0 in the right track; the track width is the distance between the mean y of both sides.
+
+    Attributes:
+        x: Distance of each wheel in front of the centre of gravity [m].
+        y: Distance of each wheel to the left of the centre of gravity [m].
+
+    Raises:
+        InputError: No wheels, unequal numbers of x and y, positions that are not finite, or more than two
+            tracks.
     """
 
-    x: tuple[float, ...]  # [m], forward
-    y: tuple[float, ...]  # [m], to the left
+    x: tuple[float, ...]
+    y: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Check the positions.
-
-        Raises:
-            InputError: No wheels, unequal numbers of x and y, positions that are not finite, or more than two tracks.
-        """
+        """Check the positions."""
         if not self.x or len(self.x) != len(self.y):
             raise InputError(
                 f"wheels: {len(self.x)} positions x and {len(self.y)} positions y; give both for each"
@@ -275,7 +280,8 @@ class WheelPositions:
             step: Step [s].
 
         Returns:
-            Delays [steps] (wheels,), fractions included. A delay within rounding of a whole number is that number.
+            Delays [steps] (wheels,), including fractions. A delay within rounding error of an integer is that
+                integer.
         """
         steps = np.array(self.behind) / (speed * step)
         whole = np.round(steps)

@@ -1,4 +1,4 @@
-"""Units a model or a test bench writes, and their SI values."""
+"""Units of measurement that models and test benches use, with their SI equivalents."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from typing import Any, TypeVar
 
 from .errors import InputError, shown
 
-#: quantity of a channel along a line -> its SI unit
+#: SI unit of each translational quantity
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A"}
-#: quantity as a model file has it -> (what it is to the equations, its SI unit)
+#: quantity in a model file -> (quantity in the equations, SI unit)
 QUANTITIES = {name: (name, unit) for name, unit in UNITS.items()} | {
     "angle": ("displacement", "rad"),
     "angular_velocity": ("velocity", "rad/s"),
     "angular_acceleration": ("acceleration", "rad/s^2"),
     "torque": ("force", "N m"),
-    "voltage": ("current", "V"),  # that a drive is told to give
-    # logged, and acting on no node: what the coefficients of laws may depend on
+    "voltage": ("current", "V"),  # commanded voltage of a drive
+    # logged conditions that act on no node: the coefficients of laws may depend on them
     "temperature": ("condition", "degC"),
     "pressure": ("condition", "Pa"),
     "speed": ("condition", "m/s"),
 }
-#: quantities, as a model file has them, of inputs that act on no node
+#: input quantities of a model file that act on no node
 CONDITIONS = tuple(name for name, (quantity, _) in QUANTITIES.items() if quantity == "condition")
-#: quantities to the equations of inputs that are held from one sample to the next
+#: input quantities of the equations that are held from one sample to the next
 HELD = ("current", "condition")
-#: SI units of what turns
+#: SI units of rotational quantities
 TURNING = ("rad", "rad/s", "rad/s^2", "N m")
-Value = TypeVar("Value", float, Any)  # a number, or an array of them
+Value = TypeVar("Value", float, Any)  # a number, or an array of numbers
 
 #: unit -> (SI unit, factor)
 TABLE: dict[str, tuple[str, float]] = {
@@ -105,24 +105,53 @@ _SPELLINGS |= {"sec": "s", "µm": "um", "kph": "km/h", "newton": "N", "G": "g", 
 
 
 def si_of(unit: str) -> str:
-    """The SI unit of what `unit` measures. Raises `InputError` for one that is not known."""
+    """Return the SI unit of the quantity that a unit measures.
+
+    Args:
+        unit: Name of a unit such as "mm", or an alternative spelling such as "m/s2".
+
+    Returns:
+        Name of the SI unit, such as "m".
+
+    Raises:
+        InputError: The unit is unknown.
+    """
     key = _SPELLINGS.get(unit, unit) if isinstance(unit, str) else unit
     if not isinstance(key, str) or key not in TABLE:
         raise InputError(f"unknown unit {shown(unit)} (known: {', '.join(TABLE)})")
     return TABLE[key][0]
 
 
-#: of a parameter: what turns instead of moving along a line
+#: translational unit -> rotational unit of a parameter
 _ABOUT = {"N": "N m", "m": "rad", "kg": "kg m^2"}
 
 
 def about_axis(unit: str) -> str:
-    """The unit of a parameter between nodes that turn: 'N s/m' is 'N m s/rad' there."""
+    """Return the unit of a parameter between two nodes that rotate.
+
+    Args:
+        unit: Unit of the same parameter between two nodes that translate, such as "N s/m".
+
+    Returns:
+        Unit for rotation, such as "N m s/rad".
+    """
     return re.sub(r"\b(N|m|kg)\b", lambda part: _ABOUT[part[0]], unit)
 
 
 def convert(value: Value, unit: str, target: str) -> Value:
-    """`value` in `unit` as `target`; both must measure the same thing. Raises `InputError`."""
+    """Convert a value from one unit to another unit of the same quantity.
+
+    Args:
+        value: Number, or array of any shape, in `unit`.
+        unit: Name of the present unit.
+        target: Name of the wanted unit.
+
+    Returns:
+        Number or array of the same shape in `target`.
+
+    Raises:
+        InputError: A unit is unknown, or the two units measure different quantities.
+    """
     pair = []
     for name in (unit, target):
         key = _SPELLINGS.get(name, name) if isinstance(name, str) else name
@@ -131,5 +160,5 @@ def convert(value: Value, unit: str, target: str) -> Value:
         pair.append(TABLE[key])
     (si, factor), (si_target, factor_target) = pair
     if si != si_target:
-        raise InputError(f"unit '{unit}' cannot be turned into '{target}'")
+        raise InputError(f"unit '{unit}' cannot be converted to '{target}'")
     return value * (factor / factor_target)

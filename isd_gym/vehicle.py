@@ -1,7 +1,8 @@
-"""Cars as the environment sees a network: motions of the body, corners with a suspension and a wheel, and their signals.
+"""Cars in the view of the environment: motions of the body, corners with a suspension and a wheel, and their signals.
 
-A corner is a road input with the wheel that stands on it. A network without rigid bodies is a quarter car: body and wheel are
-its first two masses. In a network with a rigid body, each wheel carries the body's point that is nearest along the elements.
+A corner is a road input with the wheel on that road. In a network without rigid bodies, a quarter car, body
+and wheel are the first two masses. In a network with a rigid body, each wheel carries the point of the body
+that is nearest along the elements.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ if TYPE_CHECKING:
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_LIMIT = 0.5  # A per control step, Table 5
 AXES = ("pitch", "roll")
-ROAD = "road_"  # how the road inputs of cars with several corners begin
+ROAD = "road_"  # prefix of the road inputs of cars with several corners
 
 
 class Signal(NamedTuple):
-    """A measured signal: its name, unit, and the bound of its absolute value in an observation.
+    """A measured signal of a car.
 
     Attributes:
-        name: Name, with the name of the corner behind it.
+        name: Name, followed by the name of the corner.
         unit: SI unit.
-        bound: Largest absolute value [unit].
+        bound: Bound of its magnitude in an observation [unit].
         kind: Name without the name of the corner.
     """
 
@@ -44,17 +45,17 @@ class Signal(NamedTuple):
 
 @dataclass(frozen=True)
 class Corner:
-    """A wheel, its suspension and the road under it.
+    """A wheel, its suspension and the road under the wheel.
 
     Attributes:
-        name: Name, '' in a quarter car, else as 'front' or 'rear_left'.
+        name: Name such as 'front' or 'rear_left'; '' in a quarter car.
         body: Node of the body above the suspension.
         wheel: Node of the wheel.
-        device: Nodes between which the motor acts; body and wheel where there is no motor.
+        device: Nodes of the motor; body and wheel in a corner without a motor.
         road: Node that the road moves.
-        road_input: Name of the input that moves it.
-        motor: Name of the motor; None where there is none.
-        current_input: Name of the motor's input; None where there is none.
+        road_input: Name of the road input.
+        motor: Name of the motor; None without a motor.
+        current_input: Name of the motor's input; None without a motor.
         x: Distance in front of the centre of gravity [m].
         y: Distance to the left of the centre of gravity [m].
     """
@@ -75,6 +76,9 @@ class Corner:
 
         Args:
             signal: Name of the signal, without the name of the corner.
+
+        Returns:
+            Name of the signal, followed by the name of the corner.
         """
         return f"{signal}_{self.name}" if self.name else signal
 
@@ -84,9 +88,9 @@ class Vehicle:
     """A network as a car.
 
     Attributes:
-        network: Network.
+        network: The network.
         body: Node of the body, at its centre of gravity.
-        angles: Node of the body's angle about each axis that the body turns about, 'pitch' before 'roll'.
+        angles: Node of the body's angle by axis of rotation, 'pitch' before 'roll'.
         corners: Corners in the order of the road inputs.
     """
 
@@ -97,7 +101,7 @@ class Vehicle:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axes about which the body turns."""
+        """Axes of rotation of the body."""
         return tuple(self.angles)
 
     @cached_property
@@ -111,7 +115,7 @@ class Vehicle:
 
     @cached_property
     def driven(self) -> tuple[Corner, ...]:
-        """Corners with a commanded current, in the order of an action; all of them where no corner has a motor."""
+        """Corners with a commanded current, in the order of an action; all corners if no corner has a motor."""
         return tuple(c for c in self.corners if c.motor is not None) or self.corners
 
     @cached_property
@@ -132,7 +136,7 @@ class Vehicle:
 
     @cached_property
     def measured(self) -> tuple[Signal, ...]:
-        """Measured signals in the order of an observation, the currents at its end."""
+        """Measured signals in the order of an observation; the currents come last."""
         out = [
             Signal("body_acceleration", "m/s^2", 200.0, "body_acceleration"),
             *(Signal(f"{axis}_acceleration", "rad/s^2", 200.0, f"{axis}_acceleration") for axis in self.axes),
@@ -177,8 +181,8 @@ class Vehicle:
     def resting_masses(self) -> tuple[float, ...]:
         """Share of the body's mass that rests on each corner [kg].
 
-        The shares balance the weight about the centre of gravity. Of the distributions that do, over more than three corners,
-        these are the most even ones (least sum of squares).
+        The shares balance the weight about the centre of gravity. For more than three corners, the shares are
+        the most even ones (least sum of squares).
 
         Raises:
             InputError: The body would tip over: a corner would have to pull.
@@ -196,13 +200,17 @@ class Vehicle:
         return tuple(mass * round(float(part), 12) for part in parts)
 
     def quarter_car(self, corner: Corner) -> Network:
-        """Return one corner as a quarter car: its elements, and the part of the body's mass that rests on it.
+        """Return a corner as a quarter car: the elements of the corner, and the share of the body's mass that
+        rests on the corner.
 
-        Where the inertias are those of masses at the corners, as a pitch inertia of m a b, the corner moves exactly
-        like this quarter car.
+        If the inertias are those of masses at the corners, such as a pitch inertia of m a b, the corner moves
+        exactly like this quarter car.
 
         Args:
             corner: One of `corners`.
+
+        Returns:
+            Network of the quarter car.
         """
         network = self.network
         if not network.bodies:
@@ -243,12 +251,16 @@ class Vehicle:
         )
 
     def shares(self, channel: Channel) -> tuple[float, ...]:
-        """Return the share of the road's height under each corner that belongs to the reference of a node's displacement.
+        """Return the shares of the road heights in the reference of a node's displacement.
 
-        A node of a corner is above the road of that corner, a node of the body above the mean of all.
+        A node of a corner is measured from the road of the corner, a node of the body from the mean of all
+        roads.
 
         Args:
             channel: Channel `at` a node.
+
+        Returns:
+            Share of the height under each corner, of sum 1.
         """
         count = len(self.corners)
         if channel.quantity != "displacement" or channel.at in self.angles.values():
@@ -267,6 +279,9 @@ def vehicle(network: Network) -> Vehicle:
 
     Args:
         network: Network with a body, and a wheel on each road input.
+
+    Returns:
+        The car.
 
     Raises:
         InputError: The network is no car, or a corner has several motors.
@@ -359,7 +374,7 @@ def _with_body(network: Network) -> Vehicle:
 def _nearest(
     network: Network, start: str | Iterable[str], wanted: Collection[str], *, stop: Collection[str] = ()
 ) -> str | None:
-    """Return the node of `wanted` that is the fewest elements away from `start`; paths do not lead through `stop`."""
+    """Return the node of `wanted` that is the fewest elements away from `start`, on paths outside of `stop`."""
     frontier = [start] if isinstance(start, str) else list(start)
     reached = set(frontier)
     while frontier:
@@ -381,10 +396,13 @@ def _nearest(
 
 
 def kind(network: Network) -> str:
-    """Return what a network is as a car: 'quarter car', 'half car', 'full car' or 'car with 3 corners'.
+    """Return the kind of a car.
 
     Args:
         network: Network of a car.
+
+    Returns:
+        'quarter car', 'half car', 'full car' or 'car with 3 corners'.
 
     Raises:
         InputError: The network is no car.
@@ -394,11 +412,11 @@ def kind(network: Network) -> str:
 
 
 def require_quarter_car(network: Network, what: str) -> None:
-    """Check that a network is a quarter car, for what serves no other car.
+    """Check that a network is a quarter car.
 
     Args:
         network: Network of a car.
-        what: What needs the quarter car, as the message begins: "'lqg' is a policy".
+        what: Start of the message: "'lqg' is a policy".
 
     Raises:
         InputError: The network is no car, or has several corners.
@@ -414,7 +432,10 @@ def signal_channels(network: Network) -> list[Channel]:
     """Return the signals of a car as channels of its network, see `Vehicle.channels`.
 
     Args:
-        network: Network.
+        network: The network.
+
+    Returns:
+        Channels.
 
     Raises:
         InputError: The network is no car.
@@ -426,9 +447,12 @@ def state_channels(network: Network) -> list[Channel]:
     """Return displacement and velocity of every free node, for the full observation and for pictures.
 
     Args:
-        network: Network.
+        network: The network.
+
+    Returns:
+        Channels.
     """
-    points = {p.name for body in network.bodies for p in body.points}  # they follow the body
+    points = {p.name for body in network.bodies for p in body.points}  # points follow the body
     out = []
     for node in network.nodes:
         if node not in points and node not in network.moved_nodes:

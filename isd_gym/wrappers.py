@@ -1,6 +1,8 @@
-"""The vector environment as learning algorithms of any library like it: cars that share a road, scaled features, increments.
+"""The vector environment in a form for learning algorithms of any library: cars on shared roads, scaled
+features, increments as actions.
 
-env = SharedRoads(gymnasium.make_vec("ISDSuspension-v0", 512, autoreset_mode="same_step"), each=8, seed=1_000_000)
+env = SharedRoads(gymnasium.make_vec("ISDSuspension-v0", 512, autoreset_mode="same_step"), each=8,
+seed=1_000_000)
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from .errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-#: RMS of each kind of measured signal on the paper's road, rounded, and of its change in one control step, in SI units
+#: RMS of each kind of measured signal on the paper's road, rounded, and RMS of its change in one control
+#: step, in SI units
 SIZES = {
     "body_acceleration": (1.0, 0.25),
     "pitch_acceleration": (0.4, 0.1),
@@ -31,26 +34,37 @@ SIZES = {
     "device_travel_rate": (0.05, 0.012),
     "current": (2.5, 0.45),
 }
-#: the same for the signals of a quarter car
+#: sizes for the signals of a quarter car
 SCALE, CHANGE = (np.array([SIZES[name][i] for name, _, _ in MEASURED], np.float32) for i in (0, 1))
-#: of the body's velocity [m/s], pitch and roll rate [rad/s], the same
+#: RMS of the body's vertical velocity [m/s], pitch rate and roll rate [rad/s]
 VELOCITIES = {"vertical": 0.07, "pitch": 0.025, "roll": 0.027}
-FADES = 1.0  # s in which their integrals forget
-REWARD = 0.1  # of what a car gains on the others
+FADES = 1.0  # time constant of the leaky integrals [s]
+REWARD = 0.1  # reward per advantage over the group
 
 
 class SharedRoads(VectorWrapper):
-    """Groups of `each` cars on one road; what a car is rewarded for is how much better it does than its group.
+    """Groups of cars on shared roads; the reward of a car is its advantage over its group.
 
-    What the road does to all of a group is no noise any more: one action changes a thousandth of it. Observations (cars,
-    `features`): the measured signals over their size, their changes over theirs, and the velocities of the body, as leaky
-    integrals of its accelerations: 13 numbers of a quarter car, 26 of a half car, 49 of a full car. Actions (cars,
-    `increments`) in [-1, 1]: by which share of what the drive allows in a step each current changes. Group k has the
-    road of seed ``seed + k``, and then that seed's next ones. `cost`: mean stage cost of the last step, whose mean is J.
+    The common effect of the road on a group cancels: a single action changes only a thousandth of that
+    effect. Group k drives on the road of seed ``seed + k``, and then on the next roads of that seed.
+
+    Observations (cars, `features`) are the measured signals over their sizes, their changes over the sizes of
+    the changes, and the velocities of the body, as leaky integrals of its accelerations: 13 numbers for a
+    quarter car, 26 for a half car, 49 for a full car. Actions (cars, `increments`) in [-1, 1] are the change
+    of each current as a share of the drive's largest change per step. `cost` is the mean stage cost of the
+    last step; its mean over time is J.
+
+    Args:
+        env: Vector environment with the measured observation and automatic reset in the same step.
+        each: Number of cars per group.
+        seed: Seed of the first group.
+
+    Raises:
+        InputError: The cars are no multiple of `each`, or the observation is not the measured one.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], *, each: int = 8, seed: int = 1_000_000) -> None:
-        """env: of measured observations."""
+        """Wrap a vector environment."""
         super().__init__(env)
         if env.num_envs % each:
             raise InputError(f"{env.num_envs} cars are no groups of {each}")
@@ -70,13 +84,21 @@ class SharedRoads(VectorWrapper):
         self.single_observation_space, self.single_action_space = self.features, self.increments
         self.observation_space = batch_space(self.features, env.num_envs)
         self.action_space = batch_space(self.increments, env.num_envs)
-        self.autoreset_mode = env.metadata["autoreset_mode"]  # where TorchRL looks for it
+        self.autoreset_mode = env.metadata["autoreset_mode"]  # attribute that TorchRL reads
         self.each = each
         self.seeds: Any = np.repeat(seed + np.arange(env.num_envs // each), each).tolist()
         self.cost = 0.0
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
-        """All groups at the start of their first roads, whatever `seed`."""
+        """Put all groups at the start of their first roads.
+
+        Args:
+            seed: Without effect; the groups have fixed seeds.
+            options: Options of the environment's `reset`.
+
+        Returns:
+            Observations (cars, features) and information.
+        """
         self._seen, info = self.env.reset(seed=self.seeds, options=options)
         self._velocity = np.zeros((self.num_envs, self._motions), np.float32)
         self._ended = np.zeros(self.num_envs, bool)
@@ -92,19 +114,27 @@ class SharedRoads(VectorWrapper):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control step; the rewards sum up to zero in every group."""
+        """Run one control step.
+
+        Args:
+            actions: Actions (cars, increments) in [-1, 1].
+
+        Returns:
+            Observations (cars, features), rewards (cars,) of sum zero in every group, `terminated` (cars,),
+                `truncated` (cars,) and information.
+        """
         last = self._seen
         currents = last[:, -self._currents :] + SLEW_LIMIT * np.clip(actions, -1.0, 1.0)
         self._seen, reward, terminated, truncated, info = self.env.step(currents)
         ended = np.flatnonzero(info.get("_final_obs", np.zeros(0)))
-        for i in ended:  # the last of a road, in the features' terms, too
+        for i in ended:  # the last observation of a road, in terms of the features
             final = info["final_obs"][i][None]
             info["final_obs"][i] = self._features(final, last[i][None], _faded(self._velocity[i], final))[0]
         self._velocity = _faded(self._velocity, self._seen)
         end = terminated | truncated
         begin = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else end
         self._ended = end
-        if begin.any():  # a new road: nothing of the last one is remembered
+        if begin.any():  # a new road: all memory of the preceding road is cleared
             last = np.where(begin[:, None], self._seen, last)
             self._velocity[begin] = 0.0
         self.cost = -float(reward.mean())
@@ -114,7 +144,8 @@ class SharedRoads(VectorWrapper):
 
 
 def _faded(velocity: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """The body's velocities (cars, motions) a control step later: the leaky integrals of its accelerations, the first signals."""
+    """Return the body's velocities (cars, motions) a control step later: leaky integrals of its accelerations,
+    the first signals."""
     motions = velocity.shape[-1]
     faded: np.ndarray = velocity + CONTROL_STEP * (seen[:, :motions] - velocity / FADES)
     return faded
@@ -127,15 +158,18 @@ def cost_of(
     steps: int = 4000,
     name: str = "ISDSuspension-v0",
 ) -> float:
-    """Return J of ``act(features (roads, n)) -> actions (roads, currents)`` on the score's roads.
+    """Return J of a policy on the roads of the score.
 
-    Nothing should be trained on these roads.
+    These roads should not be used for training.
 
     Args:
-        act: Actions for features, see `SharedRoads`.
+        act: ``act(features (roads, n)) -> actions (roads, currents)``, see `SharedRoads`.
         roads: Number of roads.
-        steps: Control steps on each road, 20 s unless given.
+        steps: Number of control steps per road; 20 s by default.
         name: Name of the environment.
+
+    Returns:
+        Mean stage cost J [-].
     """
     env = SharedRoads(gym.make_vec(name, roads, autoreset_mode="disabled"), each=1, seed=0)
     features, _ = env.reset()

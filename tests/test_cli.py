@@ -133,7 +133,7 @@ def test_simulate_takes_other_names_and_writes_over_no_record(tmp_path):
     )
     before = (tmp_path / "d.csv").read_bytes()
     refused = run("simulate", "force-rig", "d.csv", "--out", "./d.csv", cwd=tmp_path)
-    assert refused.returncode == 2 and "it is read; give another name" in refused.stderr
+    assert refused.returncode == 2 and "it is an input file; give another name" in refused.stderr
     lost = run("simulate", "force-rig", "d.csv", "--out", "o.csv", cwd=tmp_path)
     assert lost.returncode == 2 and "--rename COLUMN=displacement" in lost.stderr
     named = ("--rename", "stroke=displacement", "--unit", "displacement=mm")

@@ -73,7 +73,7 @@ def test_what_was_found_in_a_part_comes_back_into_the_whole():
         ("roof", "no node 'roof'"),
         ("road", "moved by an input already"),
         ("piston", "no output measures the motion of 'piston'"),
-        ("body", "everything hangs together beside 'body'"),
+        ("body", "the other nodes are all connected without 'body'"),
     ],
 )
 def test_a_cut_that_makes_no_sense_is_said_in_a_line(node, words):

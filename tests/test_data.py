@@ -164,7 +164,10 @@ def test_channels_are_renamed_and_converted(tmp_path: Path) -> None:
 BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "empty.csv": ("", "is empty"),
     "binary.csv": (b"\x00\x01\x02", "not a text table"),
-    "bare.csv": ("0,1\n1,2\n", "line 1 has 2 fields, no header row names them: --columns NAME,NAME"),
+    "bare.csv": (
+        "0,1\n1,2\n",
+        "line 1 has 2 fields, no header row names them: name the columns with --columns NAME,NAME",
+    ),
     "words.csv": ("time,travel\na,b\n", "no columns of numbers"),
     "ragged.csv": ("time,travel\n0,1\n1,2,3\n2,3\n", "line 3 has 3 fields, the header has 2"),
     "text.csv": ("time,travel\n0,1\n1,oops\n2,3\n", "line 3, column 'travel': 'oops' is not a number"),
@@ -172,7 +175,7 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "lacking.csv": ("time,travl\n0,1\n1,2\n", "no column 'travel'; did you mean 'travl'"),
     "timeless.csv": ("index,travel\n0,1\n1,2\n", "no column 'time'"),
     "weight.csv": ("time,travel [kg]\n0,1\n1,2\n", "column 'travel': unknown unit 'kg'"),
-    "wrong.csv": ("time,travel [N]\n0,1\n1,2\n", "column 'travel': unit 'N' cannot be turned into 'm'"),
+    "wrong.csv": ("time,travel [N]\n0,1\n1,2\n", "column 'travel': unit 'N' cannot be converted to 'm'"),
     "broken.parquet": (b"PAR1 and no more", "cannot be read"),
     "broken.mat": (b"MATLAB no more" * 20, "cannot be read|not a MATLAB file"),
     "broken.mf4": (b"MDF     4.10    " * 8, "is not an MDF file"),
@@ -264,7 +267,9 @@ def test_columns_that_differ_by_their_unit_alone_are_both_there(tmp_path: Path, 
     # each by its whole name
     assert list(read_table(path, rename={first: "u"}, expected={"u": "V"})["u"]) == [1, 2]
     assert list(read_table(path, rename={second: "load"})["load"]) == [10, 20]
-    with pytest.raises(InputError, match=r"'Force' is there as .* and .*: --rename COLUMN=CHANNEL"):
+    with pytest.raises(
+        InputError, match=r"called 'Force': .* and .*; choose one with --rename COLUMN=CHANNEL"
+    ):
         read_table(path, expected={"Force": "m"})
 
 
@@ -333,7 +338,7 @@ def test_segments_of_a_labview_file_follow_one_another(tmp_path: Path) -> None:
     [
         (lambda s: s.replace("0.500000", "oops", 1), "line 2[0-9], column 'Load': 'oops' is not a number"),
         (lambda s: s[: s.index("X_Value")], "holds no data"),
-        (lambda s: s.replace("X_Dimension\tTime", "X_Dimension\tFrequency"), "told over 'Frequency'"),
+        (lambda s: s.replace("X_Dimension\tTime", "X_Dimension\tFrequency"), "recorded over 'Frequency'"),
         (lambda s: s.replace("Travel (mm)", "Load").replace("Y_Unit", "Unit"), "names 'Load' twice"),
         (lambda s: s[:30], "holds no data"),
     ],

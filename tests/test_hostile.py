@@ -719,7 +719,7 @@ def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, mo
     monkeypatch.setattr(isolated.resources, "files", lambda package: tmp_path)
     (tmp_path / "_tables.py").write_text(faulty)
     isolated._stop()
-    refused(lambda: read_table(path), "library that reads it broke down")
+    refused(lambda: read_table(path), "library that reads it crashed")
     (tmp_path / "_tables.py").write_text(program)
     assert len(read_table(path)) == 100
 
@@ -822,7 +822,7 @@ def test_one_reader_for_all_tables_so_a_road_in_millimetres_is_one(tmp_path):
     )
     refused(lambda: road(tmp_path / "f.csv"), "is the height in mm")
     (tmp_path / "u.csv").write_text("distance [m],height [N]\n0,0\n1,0\n")
-    refused(lambda: road(tmp_path / "u.csv"), "unit 'N' cannot be turned into 'm'")
+    refused(lambda: road(tmp_path / "u.csv"), "unit 'N' cannot be converted to 'm'")
 
 
 def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
@@ -905,7 +905,7 @@ def test_what_is_not_finite_is_not_written(tmp_path):
     t = np.arange(2000) * 1e-3
     write_table(tmp_path / "d.csv", Table(t, {"road": 100 * np.sin(20 * t), "current": 0 * t}))
     done = cli("simulate", "m.json", "d.csv", "--out", "o.csv", cwd=tmp_path)
-    assert (
-        done.returncode == 2 and "breaks down at t = " in done.stderr and len(done.stderr.splitlines()) == 1
-    ), done
+    assert done.returncode == 2 and "fails at t = " in done.stderr and len(done.stderr.splitlines()) == 1, (
+        done
+    )
     assert not (tmp_path / "o.csv").exists()

@@ -215,7 +215,7 @@ def test_the_command_writes_its_page_and_over_no_record(tmp_path, program):
     assert done.exit_code == 0, done.output
     assert "<svg" in (tmp_path / "page.html").read_text()
     done = CliRunner().invoke(program, ["inspect", str(file), "--html", str(file)])
-    assert isinstance(done.exception, InputError) and "it is read" in str(done.exception)
+    assert isinstance(done.exception, InputError) and "it is an input file" in str(done.exception)
     assert file.read_bytes() == before
 
 
@@ -422,9 +422,9 @@ def test_a_simulation_begins_as_it_is_told(tmp_path, program, as_file):
     [
         ("mas=1", "'mas' is no node"),
         ("base=1", "'base' is moved by an input"),
-        ("mass=x", "wants NODE=VALUE"),
+        ("mass=x", "give NODE=VALUE"),
         ("no.json", "no such file"),
-        ("mass", "wants NODE=VALUE"),
+        ("mass", "give NODE=VALUE"),
     ],
 )
 def test_a_wrong_start_is_one_line(tmp_path, program, word, words):

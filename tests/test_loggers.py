@@ -153,7 +153,7 @@ def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
     t = even(2.5e-3)
     for name in ("a", "b"):
         write_table(tmp_path / f"{name}.csv", Table(t, {c.name: np.sin(t) for c in CHANNELS}))
-    with pytest.raises(InputError, match=r"--map FILE says which is meant"):
+    with pytest.raises(InputError, match=r"choose one with --map FILE"):
         runs(f"{tmp_path}/a.csv+{tmp_path}/b.csv", NETWORK, CHANNELS)
     by = ChannelMap.from_dict(
         {

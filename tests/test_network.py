@@ -174,7 +174,7 @@ BAD = {
         lambda m: m["outputs"][0].update(unit="furlong"),
         "body_acceleration.*unknown unit 'furlong'",
     ),
-    "wrong unit": (lambda m: m["outputs"][0].update(unit="mm"), "body_acceleration.*cannot be turned into"),
+    "wrong unit": (lambda m: m["outputs"][0].update(unit="mm"), "body_acceleration.*cannot be converted to"),
     "floating node": (
         lambda m: m["elements"][8].update(between=["joint", "nowhere"]),
         "node 'nowhere' floats",

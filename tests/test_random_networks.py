@@ -60,7 +60,7 @@ def test_what_breaks_down_says_when():
         "outputs": [{"name": "x", "quantity": "displacement", "at": "m", "unit": "m"}],
     }  # fmt: skip
     time = np.arange(2001) * 1e-3
-    with pytest.raises(InputError, match=r"breaks down at t = 0\.\d+ s"):
+    with pytest.raises(InputError, match=r"fails at t = 0\.\d+ s"):
         simulate(model, time, {"push": np.ones_like(time)})
 
 

@@ -118,7 +118,7 @@ def test_the_model_file_says_which_input_nobody_measures():
             Network.load(unmeasured(**wrong))
     output = car(True).to_dict()
     output["outputs"][0]["measured"] = False
-    with pytest.raises(InputError, match="leave the output away"):
+    with pytest.raises(InputError, match="remove the output"):
         Network.load(output)
 
 

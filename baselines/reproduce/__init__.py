@@ -1,7 +1,7 @@
-"""`isd-gym reproduce`: every table and figure of the paper computed afresh, beside what is printed, with a verdict.
+"""`isd-gym reproduce`: every table and figure of the paper recomputed beside the printed values, with a verdict.
 
-Each section is a function of a `Study` (what has been driven and found so far) that returns a `Section`: tables,
-pictures, sentences; a file each. Every number in a sentence is computed here; none is copied from an earlier run.
+Each section is a function of a `Study` (shared results) that returns a `Section` with tables, pictures and
+sentences, in one file each. All numbers in sentences are computed; none is copied from an earlier run.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ def command(
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Reproduce every table and figure of the paper beside what is printed, and say which claims hold.
+    """Reproduce every table and figure of the paper beside the printed values, and judge its claims.
 
-    Writes DIR/index.html (one page that opens anywhere), the figures as PNG and DIR/reproduction.json.
+    Writes DIR/index.html (one self-contained page), the figures as PNG and DIR/reproduction.json.
 
     Example: isd-gym reproduce --out reproduction
     """
@@ -44,7 +44,11 @@ def command(
 
 
 def show(result: dict[str, Any]) -> None:
-    """The claims and the tables on the terminal."""
+    """Print the claims and the tables on the terminal.
+
+    Args:
+        result: Result of `reproduce`.
+    """
     from rich import box
     from rich.table import Table as Rich
 

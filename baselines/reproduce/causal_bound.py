@@ -1,4 +1,4 @@
-"""The causal linear-quadratic bound, and where the triples of Tables 7 and 8 lie."""
+"""The causal linear-quadratic bound, and the position of the triples of Tables 7 and 8."""
 
 from __future__ import annotations
 
@@ -33,7 +33,14 @@ if TYPE_CHECKING:
 
 
 def causal_bound(study: Study) -> Section:
-    """What any causal controller can reach; can Table 7 and Table 8 be?"""
+    """Compare the causal bound with Tables 7 and 8.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     study.progress("causal bound", 0.0)
     base = passive_rms()
     (b7, a7), (b8, a8) = PAPER.values()

@@ -17,7 +17,14 @@ from .study import (
 
 
 def device(study: Study) -> Section:
-    """Table 1: area ratio, inertance, stroke."""
+    """Recompute Table 1: area ratio, inertance, stroke.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     main = math.pi / 4 * (0.063**2 - 0.020**2)
     deputy = math.pi / 4 * (0.032**2 - 0.012**2)
     ratio = main / deputy

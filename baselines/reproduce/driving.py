@@ -1,4 +1,4 @@
-"""Policies driven for the paper's tables, and rows of them."""
+"""Policies driven for the paper's tables, and rows of the tables."""
 
 from __future__ import annotations
 
@@ -29,6 +29,18 @@ DRIVEN = ("isd-passive", "lqg", "mpc-paper", "mpc", "mpc-friction")
 
 
 def drive_all(study: Study, plant: str, names: Sequence[str], episodes: int, duration: float) -> Score:
+    """Drive policies on a plant.
+
+    Args:
+        study: Shared results.
+        plant: Name of the network.
+        names: Names of the policies.
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+
+    Returns:
+        The score.
+    """
     network = Network.load(plant)
 
     def tell(name: str, share: float) -> None:
@@ -42,6 +54,14 @@ def drive_all(study: Study, plant: str, names: Sequence[str], episodes: int, dur
 
 
 def triple(row: dict[str, Any]) -> list[float]:
+    """Return the changes of acceleration, travel and tyre load of a row of a score, as fractions.
+
+    Args:
+        row: Row of a score.
+
+    Returns:
+        Three changes.
+    """
     return [
         row[k].get("change", math.nan)
         for k in ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
@@ -61,11 +81,27 @@ def _score_row(row: dict[str, Any], label: str) -> Sequence[str]:
 
 
 def score_rows(found: Score, label: str) -> list[Sequence[str]]:
+    """Return the rows of a table of a score.
+
+    Args:
+        found: The score.
+        label: Suffix of the names.
+
+    Returns:
+        Rows of texts.
+    """
     return [_score_row(row, label) for row in found.policies]
 
 
 def still(duration: float) -> np.ndarray:
-    """(cost, acceleration, travel, tyre load) of the conventional passive car on the road of seed 0."""
+    """Return cost [-], acceleration [m/s^2], travel [m] and tyre load [N] of the conventional passive car on the road of seed 0.
+
+    Args:
+        duration: Length of the episode [s].
+
+    Returns:
+        Mean cost and RMS (4,).
+    """
 
     net = Network.load(SERIES)
     run = drive(passive(net), net, episodes=1, duration=duration)
@@ -76,5 +112,12 @@ def still(duration: float) -> np.ndarray:
 
 
 def own_cost(found: Score) -> float:
-    """Mean cost of the reference."""
+    """Return the mean cost of the reference.
+
+    Args:
+        found: The score.
+
+    Returns:
+        Mean cost [-].
+    """
     return float(next(iter(found.runs.values())).cost(StageCost()).mean())

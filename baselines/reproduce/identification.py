@@ -25,10 +25,17 @@ if TYPE_CHECKING:
 
 
 def table_4(study: Study) -> Section:
-    """Table 4: the identification of section 3.2, on both arrangements and across them."""
+    """Recompute Table 4: the identification of section 3.2 on both arrangements, and across them.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     level = 100.0 * round(
         study.figures["figure_6"]["series"]["plateau"] / 100.0
-    )  # read to 0.1 kN, as the paper does
+    )  # read to 0.1 kN, as in the paper
     series, printed = Network.load(RIG), Network.load(RIG_PRINTED)
     cases = [
         ("series", "series", series, series, 0.0),

@@ -43,11 +43,18 @@ SECTIONS: tuple[Callable[[Study], Section], ...] = (
 
 
 def reproduce(out: Path, quick: bool = False, progress: Progress | None = None) -> dict[str, Any]:
-    """Reproduce and audit the paper into the folder `out`: ``index.html``, the figures as PNG, ``reproduction.json``.
+    """Reproduce and audit the paper: write ``index.html``, the figures as PNG and ``reproduction.json`` atomically.
 
-    `quick`: few and short episodes, for a look. `progress(task, share)`. The folder appears whole or not at all. Returns
-    the figures with the claims, tables and sentences (`isd-reproduction/1`). Raises `InputError` where `out` holds
-    anything else.
+    Args:
+        out: Folder of the results.
+        quick: Whether few and short episodes are driven.
+        progress: Called with a task and its finished share.
+
+    Returns:
+        Figures, claims, tables and sentences (`isd-reproduction/1`).
+
+    Raises:
+        InputError: The folder holds other files, or cannot be written.
     """
     out = Path(out)
     check_folder(out, KIND, "reproduction.json", PARTS)
@@ -124,7 +131,14 @@ def _lead(study: Study) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Plain Python for JSON; what is not finite becomes null."""
+    """Return plain data for JSON; values that are not finite become null.
+
+    Args:
+        value: Any value.
+
+    Returns:
+        Plain data.
+    """
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Figures 3, 4 and 7: the device over frequency."""
+"""Figures 3, 4 and 7: frequency response of the device."""
 
 from __future__ import annotations
 
@@ -25,7 +25,14 @@ from .study import (
 
 
 def response(study: Study) -> Section:
-    """Figures 3, 4 and 7."""
+    """Recompute Figures 3, 4 and 7.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     marks = np.array([0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0])
     if study.quick:
         marks = np.array([0.1, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0])

@@ -1,4 +1,4 @@
-"""The force tests of section 3, simulated: a rig that is moved, and the identification of its oil."""
+"""The force tests of section 3 in simulation: a rig with a moved terminal, and the identification of its oil."""
 
 from __future__ import annotations
 
@@ -20,7 +20,15 @@ if TYPE_CHECKING:
 
 
 def triangle(time: np.ndarray, frequency: float) -> np.ndarray:
-    """Triangle wave [m] of Table 2's amplitude, from 0 upwards."""
+    """Return a triangle wave of Table 2's amplitude, rising from 0.
+
+    Args:
+        time: Time (n,) [s].
+        frequency: Frequency [Hz].
+
+    Returns:
+        Displacement (n,) [m].
+    """
     return AMPLITUDE * 2 / math.pi * np.arcsin(np.sin(2 * math.pi * frequency * time))
 
 
@@ -33,9 +41,20 @@ def force_test(
     step: float = 2.5e-4,
     sampling: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time [s], displacement [m], force [N] of the last periods of a force test.
+    """Simulate a force test, and return its last periods.
 
-    What comes before them, at least two periods and 1.5 s, is left out: the inerter on its oil spring rings for 0.15 s.
+    At least two periods and 1.5 s are omitted first, since the inerter on its oil spring rings for 0.15 s.
+
+    Args:
+        network: The rig.
+        frequency: Frequency [Hz].
+        periods: Number of returned periods.
+        wave: 'sine' or 'triangle'.
+        step: Physics step [s].
+        sampling: Sampling step [s]; None for the physics step.
+
+    Returns:
+        Time [s], displacement [m] and force [N], (n,) each.
     """
     dt = 1 / (frequency * math.ceil(1 / (frequency * (sampling or step))))
     settle = max(2, math.ceil(1.5 * frequency))
@@ -51,7 +70,16 @@ def force_test(
 
 
 def fundamental(time: np.ndarray, signal: np.ndarray, frequency: float) -> complex:
-    """Complex amplitude of the first harmonic of whole periods (phase against a sine)."""
+    """Return the complex amplitude of the first harmonic of whole periods, with the phase relative to a sine.
+
+    Args:
+        time: Time (n,) [s].
+        signal: Signal (n,).
+        frequency: Frequency [Hz].
+
+    Returns:
+        Amplitude in the unit of the signal.
+    """
     turn = np.exp(-2j * math.pi * frequency * time[:-1])
     return complex(2j * np.mean(signal[:-1] * turn))
 
@@ -59,11 +87,21 @@ def fundamental(time: np.ndarray, signal: np.ndarray, frequency: float) -> compl
 def identify(
     truth: Network, model: Network, level: float, *, noise: float, seed: int = 0
 ) -> dict[str, float]:
-    """Table 4 as section 3.2 does it: k_e and c_e of `model` from sines of 2 to 10 Hz, friction given.
+    """Repeat the identification of section 3.2 (Table 4): k_e and c_e from sines of 2 to 10 Hz, with given friction.
 
-    Least squares, trust region reflective, tolerances 0.01 (Table 3), objective (7), from the best of eight stiffnesses: the
-    resonance of inerter and oil lies among the test frequencies, and the objective has several valleys.
-    noise: of the measured force, as a share of its RMS. Returns oil.stiffness [N/m], leak.damping [N s/m] and the RMS error [N] and share.
+    Least squares with the trust region reflective method, tolerances 0.01 (Table 3), objective (7), from the
+    best of eight start stiffnesses: the resonance of inerter and oil is within the test frequencies, so that
+    the objective has several valleys.
+
+    Args:
+        truth: Network that generates the measurements.
+        model: Network to identify.
+        level: Level of the friction [N].
+        noise: Noise of the measured force as a share of its RMS.
+        seed: Seed of the noise.
+
+    Returns:
+        oil.stiffness [N/m], leak.damping [N s/m], and RMS error [N] and share.
     """
     rng = np.random.default_rng(seed)
     step = 5e-4

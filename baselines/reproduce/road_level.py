@@ -1,4 +1,4 @@
-"""Section 4.1: which road gives the passive row of Table 7."""
+"""Section 4.1: the road that gives the passive row of Table 7."""
 
 from __future__ import annotations
 
@@ -26,7 +26,14 @@ if TYPE_CHECKING:
 
 
 def road_level(study: Study) -> Section:
-    """Which passive car, which road level."""
+    """Compare passive cars and road levels with Table 7.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     base = passive_rms()
     isd = stationary(linear_car(SERIES))[0]
     readings = [

@@ -36,7 +36,14 @@ if TYPE_CHECKING:
 
 
 def simulation(study: Study) -> Section:
-    """Figure 10, Table 7, Table 8 beside it: series network and printed equation."""
+    """Recompute Figure 10 and Table 7 beside Table 8, for the series network and the printed equation.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     episodes, duration = (2, 10.0) if study.quick else (32, 20.0)
     series = drive_all(study, SERIES, list(DRIVEN), episodes, duration)
     printed = drive_all(study, PRINTED, ["isd-passive", "lqg", "mpc"], 2 if study.quick else 8, duration)
@@ -72,7 +79,7 @@ def simulation(study: Study) -> Section:
     best = min((r for r in active if r["policy"].startswith("mpc")), key=lambda r: r["cost"]["value"])
     change = triple(best)
     name = best["policy"]
-    # how far a short record may stray: the same controller, 10 s at a time
+    # deviation of a short record: the same controller, 10 s at a time
     pieces = round(10.0 / CONTROL_STEP)
     strays = []
     for key in ("body_acceleration", "suspension_travel", "tyre_load"):

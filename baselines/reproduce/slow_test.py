@@ -23,7 +23,14 @@ from .study import (
 
 
 def slow_test(study: Study) -> Section:
-    """Figure 6: 0.1 Hz triangle."""
+    """Recompute Figure 6, the 0.1 Hz triangle.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     study.progress("force tests", 0.0)
     tests = {n: force_test(n, 0.1, periods=1, wave="triangle", step=1e-3) for n in (RIG, RIG_PRINTED)}
     plateau = {n: float(np.median(np.abs(f))) for n, (_, _, f) in tests.items()}

@@ -1,4 +1,4 @@
-"""What the sections share: the names of the cars, the pieces of a page, what has been found so far."""
+"""Common parts of the sections: names of the cars, pieces of a page, shared results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,16 @@ Progress = Callable[[str, float], None]
 
 @dataclass
 class Table:
-    """Cells as text. `texts`: columns set flush left; `wrap`: the first column may break."""
+    """A table of texts.
+
+    Attributes:
+        title: Title.
+        heads: Column headings.
+        rows: Cells.
+        note: Note below the table.
+        texts: Indices of left-aligned columns.
+        wrap: Whether the first column may wrap.
+    """
 
     title: str
     heads: Sequence[str]
@@ -43,6 +52,15 @@ class Table:
 
 @dataclass
 class Section:
+    """A section of the page.
+
+    Attributes:
+        title: Title.
+        text: Paragraphs.
+        tables: Tables.
+        pictures: Pictures.
+    """
+
     title: str
     text: list[str] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
@@ -51,7 +69,14 @@ class Section:
 
 @dataclass
 class Claim:
-    """One claim: where it stands in the paper, what it says, what was found, and the verdict."""
+    """A claim of the paper.
+
+    Attributes:
+        place: Place in the paper.
+        says: The claim.
+        found: The result.
+        verdict: The verdict.
+    """
 
     place: str
     says: str
@@ -61,7 +86,16 @@ class Claim:
 
 @dataclass
 class Study:
-    """What the sections share: where pictures go, how much work to do, the figures and claims so far."""
+    """Results that the sections share.
+
+    Attributes:
+        folder: Folder of the pictures.
+        quick: Whether few and short episodes are driven.
+        progress: Called with a task and its finished share.
+        figures: Figures by section.
+        claims: Claims so far.
+        evidence: Rows of the table of evidence.
+    """
 
     folder: Path
     quick: bool
@@ -71,5 +105,17 @@ class Study:
     evidence: list[Sequence[str]] = field(default_factory=list)
 
     def picture(self, fig: Any, name: str, title: str, alt: str, caption: str) -> PagePicture:
+        """Save a figure, and return the picture of a page.
+
+        Args:
+            fig: The figure.
+            name: Stem of the file name.
+            title: Title.
+            alt: Text for readers who cannot see the figure.
+            caption: Caption.
+
+        Returns:
+            The picture.
+        """
         data = embedded(save(fig, self.folder / f"{name}.png"))
         return PagePicture(f"{name}.png", title, alt, caption, data, pixels(fig))

@@ -1,4 +1,4 @@
-"""What the paper leaves open: thrust constant, control step, slew limit."""
+"""Parameters that the paper leaves open: thrust constant, control step, slew limit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,17 @@ if TYPE_CHECKING:
 
 
 def drive_lqg(network: Network, control_step: float, episodes: int, duration: float) -> np.ndarray:
-    """(cost, acceleration, travel, tyre load) of the LQG controller at another control step."""
+    """Drive the LQG controller at another control step.
+
+    Args:
+        network: The plant.
+        control_step: Control step [s].
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+
+    Returns:
+        Mean cost [-] and RMS of acceleration [m/s^2], travel [m] and tyre load [N], (4,).
+    """
     entry = Entry("lqg", lambda: make("lqg", model=network, control_step=control_step))
     env = ISDSuspensionVectorEnv(episodes, network=network, control_step=control_step, duration=duration, autoreset_mode="disabled",
                                  max_episode_steps=10**9)  # fmt: skip
@@ -46,7 +56,14 @@ def drive_lqg(network: Network, control_step: float, episodes: int, duration: fl
 
 
 def sweep(study: Study) -> Section:
-    """What the paper leaves open: thrust constant, control step, slew limit."""
+    """Vary the parameters that the paper leaves open: thrust constant, control step, slew limit.
+
+    Args:
+        study: Shared results.
+
+    Returns:
+        The section.
+    """
     thrusts = (40.0, 60.0, 90.0, 130.0)
     steps = (2e-3, 5e-3, 10e-3, 20e-3)
     slews = (0.1, 0.25, 0.5, 1.0, 2.0)
@@ -79,7 +96,7 @@ def sweep(study: Study) -> Section:
     ground = passive_triple(CONTROL_STEP)
 
     def optimum(network: Network, **options: Any) -> np.ndarray:
-        # in the quick run the currents of 2 s are found, else of 10 s
+        # the quick run optimises the currents of 2 s, the full run of 10 s
         found = clairvoyant(network, seed=0, duration=2.0 if study.quick else 10.0, bound=False, **options)
         return np.array([found.value, *found.rms])
 

@@ -138,7 +138,7 @@ def command(
     _print(found)
 
 
-#: verdicts that leave nothing to decide, in words
+#: decided verdicts, in words
 DECIDED = {
     "missing_effect": "the missing effect is named",
     "no_discrepancy": "nothing is missing",
@@ -157,7 +157,7 @@ def _check_undecided(after: Path) -> None:
 
 
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
-    """The records of DATA with the inputs of the model, and its outputs where all of them are there."""
+    """Return the records of DATA with the inputs of the model, and the outputs if complete."""
     from ..data import Table
     from ..loggers.grid import inputs_of
     from ..loggers.records import outputs_of, records_of
@@ -189,7 +189,7 @@ def _made(
     notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
-    """The plan of a test that is made here, and the test written where it is asked for."""
+    """Return the plan of a generated test, and write the test on request."""
     from ..discrepancy.planning import Limits, infer_rig, read_planned_record
     from ..discrepancy.planning import plan as run
 
@@ -253,7 +253,21 @@ def amounts(
     unknown: str,
     own: Mapping[str, str] | None = None,
 ) -> dict[str, float]:
-    """``NAME=VALUE [unit]`` as numbers in `units`; a bare number is in `own` units. Raises `InputError`."""
+    """Return the values of an option ``NAME=VALUE [unit]``.
+
+    Args:
+        values: Values of the option.
+        units: Unit of the result by name.
+        option: Name of the option, for messages.
+        unknown: Description of an unknown name, for messages.
+        own: Unit of a bare number by name; None for the unit of the result.
+
+    Returns:
+        Value by name.
+
+    Raises:
+        InputError: A name is unknown, or a value cannot be converted.
+    """
     from ..units import convert
 
     out = {}

@@ -1,7 +1,8 @@
-"""Records: tables of measured channels, whether they can be trusted, and tools for sampled signals.
+"""Records: tables of measured channels, their quality, and tools for sampled signals.
 
-`table` reads and writes them: what a file holds are `columns`, of a `text` or of a binary format (through `isolated`, in a
-process of their own: `_tables`). `quality` is the data gate, `signals` has noise, derivatives and whether two channels tell the same motion.
+`table` reads and writes tables. `columns` are the content of a text file (`text`) or of a binary file
+(`isolated`, which runs `_tables` in a separate process). `quality` is the data gate. `signals` estimates
+noise and derivatives, and compares channels of the same motion.
 """
 
 from .quality import Finding, check

@@ -1,8 +1,9 @@
-"""Reads MATLAB, Parquet and MDF tables in a process of their own, where a fault or a bomb is only an error.
+"""Reader of MATLAB, Parquet and MDF tables in a separate process, where a fault or a bomb is only an error.
 
-`isolated` starts this text with ``python -c``; nothing of the package is imported here. A request is a line of JSON on
-standard input, the answer a line of JSON on standard output, followed by the columns as float64. The libraries behind these
-formats are written in C: a broken file can bring them down, and a small one can unpack to more than there is.
+`isolated` starts this text with ``python -c``; the text imports nothing from the package. A request is a line
+of JSON on standard input. The answer is a line of JSON on standard output, followed by the columns as
+float64. The libraries for these formats are written in C: a broken file can crash a library, and a small file
+can unpack to more than the memory.
 """
 
 from __future__ import annotations
@@ -17,14 +18,15 @@ HERE = 1 << 20  # bytes unpacked at a time
 
 
 class Refused(Exception):
-    """One line for the user."""
+    """Error with one line for the user."""
 
 
 class TooLarge(Exception):
-    """What the file would take [bytes]."""
+    """Error with the memory that a file would need [bytes]."""
 
 
 def bearable(size, limit):
+    """Raise `TooLarge` for a size [bytes] above the limit [bytes]."""
     if size > limit:
         raise TooLarge(int(size))
 
@@ -33,6 +35,7 @@ def bearable(size, limit):
 
 
 def read_parquet(path, wanted, axis, resample, limit):
+    """Return the numeric columns, their units and the names of other columns of a Parquet file."""
     import pyarrow
     import pyarrow.parquet as parquet
 
@@ -51,7 +54,7 @@ def read_parquet(path, wanted, axis, resample, limit):
     rows = file.metadata.num_rows
     bearable(8 * rows * (len(numeric) + 1), limit)
     columns = []
-    for name in numeric:  # one after the other, and the ones that are wanted alone
+    for name in numeric:  # one column at a time, to bound the memory
         table = file.read(columns=[name], use_threads=False)
         if table.num_columns != 1 or table.column_names[0] != name:
             raise Refused(f"column {name!r} is there more than once")
@@ -63,7 +66,7 @@ def read_parquet(path, wanted, axis, resample, limit):
 
 
 def mat_size(path, limit):
-    """Bytes that the variables of a MATLAB 5 file have unpacked, counted without keeping them."""
+    """Return the unpacked size [bytes] of the variables of a MATLAB 5 file, counted without storing the variables."""
     with open(path, "rb") as stream:
         head = stream.read(128)
         if len(head) < 128 or head[126:128] not in (b"IM", b"MI"):
@@ -91,6 +94,7 @@ def mat_size(path, limit):
 
 
 def read_mat(path, wanted, axis, resample, limit):
+    """Return the numeric vectors, their units and the names of other variables of a MATLAB file."""
     import numpy as np
     from scipy.io import loadmat
 
@@ -109,7 +113,7 @@ def read_mat(path, wanted, axis, resample, limit):
     def take(items, depth=0):
         for name, value in items:
             value = np.asarray(value)
-            if value.dtype.names and value.ndim == 0 and depth < 8:  # a struct: its fields are the channels
+            if value.dtype.names and value.ndim == 0 and depth < 8:  # a struct: the fields are channels
                 fields = {n: value[n].item() for n in value.dtype.names}
                 if name == "units":
                     units.update({n: str(u)[:200] for n, u in fields.items()})
@@ -125,7 +129,7 @@ def read_mat(path, wanted, axis, resample, limit):
                 other.append(name)
 
     take((k, v) for k, v in content.items() if not k.startswith("__"))
-    if wanted is None:  # constants and settings may lie beside the channels
+    if wanted is None:  # constants and settings may accompany the channels
         lengths = [len(v) for v in columns.values()]
         common = len(columns[axis]) if axis in columns else max(lengths, key=lengths.count, default=0)
         columns = {n: v for n, v in columns.items() if len(v) == common}
@@ -134,16 +138,16 @@ def read_mat(path, wanted, axis, resample, limit):
 
 # --------------------------------------------------------------------------------------------------- MDF
 
-#: conversions that are mere arithmetic or tables; a formula in a file is not evaluated
+#: arithmetic and tabular conversions; formulas in a file are not evaluated
 MDF_CONVERSIONS = {4: {0, 1, 2, 4, 5}, 3: {0, 1, 2, 6, 7, 8, 9, 65535}}
 
 
-#: instead of "resample": every channel over the stamps of its own group
+#: value of "resample" that keeps every channel on the stamps of its own group
 OWN = "own"
 
 
 def own_stamps(found):
-    """The stamps of every raster under its number, then the channels as "number name"."""
+    """Return the stamps of every raster under the raster's number, then the channels as "number name"."""
     rasters, columns = [stamps for stamps, _ in list(found.values())[:1]], []
     for name, (stamps, values) in found.items():
         number = next(
@@ -157,6 +161,7 @@ def own_stamps(found):
 
 
 def read_mdf(path, wanted, axis, resample, limit):
+    """Return the numeric channels, their units and the names of other channels of an MDF file."""
     import asammdf
     import numpy as np
 
@@ -168,7 +173,7 @@ def read_mdf(path, wanted, axis, resample, limit):
     with open(path, "rb") as stream, asammdf.MDF(stream) as mdf:
         masters = set(mdf.masters_db.items())
         allowed = MDF_CONVERSIONS[4 if mdf.version >= "4" else 3]
-        names = wanted or [n for n in mdf.channels_db if n != axis]  # no channel wanted: time alone
+        names = wanted or [n for n in mdf.channels_db if n != axis]  # without any wanted channel: time alone
         total = 0
         for name in names:
             places = [p for p in mdf.channels_db.get(name, ()) if tuple(p) not in masters]
@@ -177,7 +182,7 @@ def read_mdf(path, wanted, axis, resample, limit):
                     continue
                 return None, [n for n in list(mdf.channels_db)[:1000] if isinstance(n, str)], name
             if resample == OWN:
-                places = places[:1]  # the same name again: the first group's
+                places = places[:1]  # for a repeated name, the first group
             if len(places) > 1:
                 raise Refused(
                     f"holds channel {name!r} {len(places)} times, in groups {[p[0] for p in places][:20]}"
@@ -226,7 +231,7 @@ LIBRARIES = {"parquet": ["pyarrow", "pyarrow.parquet"], "mat": ["scipy.io"], "md
 
 
 def restrain(memory, seconds):
-    """At most `memory` more bytes and `seconds` more of processor time for this process, where the system can."""
+    """Limit the memory [bytes] and processor time [s] that this process may still use, where the system can."""
     try:
         import resource
     except ImportError:
@@ -239,7 +244,7 @@ def restrain(memory, seconds):
     try:
         with open("/proc/self/statm") as stream:
             size = int(stream.read().split()[0]) * resource.getpagesize()
-    except OSError:  # only Linux tells its size so; elsewhere the sizes told in the file must do
+    except OSError:  # only Linux reports the size this way; elsewhere the sizes in the file must suffice
         return
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     wanted = int(size + memory)
@@ -248,6 +253,7 @@ def restrain(memory, seconds):
 
 
 def peak():
+    """Return the peak memory [bytes] of this process; 0 if unknown."""
     try:
         import resource
 
@@ -257,7 +263,7 @@ def peak():
 
 
 def answer(request):
-    """(header, arrays) for a request."""
+    """Return the header and the arrays that answer a request."""
     import warnings
 
     import numpy as np
@@ -302,9 +308,10 @@ def answer(request):
 
 
 def main():
+    """Answer requests until standard input ends."""
     out = os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nowhere, 1)  # what the libraries have to say is nobody's business
+    os.dup2(nowhere, 1)  # messages of the libraries are discarded
     os.dup2(nowhere, 2)
     for line in sys.stdin.buffer:
         head, arrays = answer(json.loads(line))

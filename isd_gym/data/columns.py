@@ -1,4 +1,4 @@
-"""What a table file holds, whatever its format: columns of values, their units and the lines they stand on."""
+"""Content of a table file in any format: columns of values, units, and line numbers."""
 
 from __future__ import annotations
 
@@ -12,30 +12,51 @@ from typing import Any
 from ..errors import InputError, plain, shown
 from ..units import convert
 
-#: names under which a column of time is known
+#: names of a time column
 TIME_NAMES = ("time", "t", "zeit", "timestamp", "timestamps")
-#: names of a column of stamps, and what such a name may begin with
+#: names and beginnings of names of a column of time stamps
 STAMPS = (*TIME_NAMES, "stamp", "datetime", "date", "clock", "utc", "seconds", "sec")
 BEGINS = ("time", "zeit", "stamp", "date")
-#: names of the columns that are wanted, all of them, or a function that chooses among those there are
+#: names of the wanted columns, a function that chooses from the available names, or None for all columns
 Choice = list[str] | Callable[[list[str]], list[str]] | None
 
 
 @dataclass(frozen=True)
 class Columns:
-    """What a file holds: name -> values, name -> unit where one is told, and the line of each sample where there are lines."""
+    """Content of a table file.
+
+    Attributes:
+        values: Values (n,) by column name.
+        units: Unit by column name, for columns with a unit.
+        lines: Line number of each sample in a text file; empty for other formats.
+    """
 
     values: dict[str, Any]
     units: dict[str, str]
     lines: list[int] = field(default_factory=list)
 
     def line(self, sample: int) -> str:
-        """Where a sample is, for messages."""
+        """Return the position of a sample, for messages.
+
+        Args:
+            sample: Index of the sample, from 0.
+
+        Returns:
+            Text such as 'line 12'.
+        """
         return f"line {self.lines[sample]}" if sample < len(self.lines) else f"sample {sample + 1}"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """The nearest of the `known` names, and some of them, for messages."""
+    """Return the nearest known name and a list of known names, for messages.
+
+    Args:
+        name: Name that a user wrote.
+        known: Available names.
+
+    Returns:
+        A clause for the end of an error message.
+    """
     names = sorted(n for n in known if len(n) <= 200)[:2000]
     near = difflib.get_close_matches(name[:200], names, n=1, cutoff=0.5)
     listed = ", ".join(plain(n, 40) for n in names[:12]) + (", ..." if len(names) > 12 else "")
@@ -43,12 +64,25 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def unit_known(text: str) -> bool:
-    """Whether `text` is a unit."""
+    """Return whether a text is the name of a unit.
+
+    Args:
+        text: Any text.
+    """
     return converts(text, text)
 
 
 def split_header(text: str) -> tuple[str, str]:
-    """``name [unit]`` or ``name (unit)`` -> name, unit. Round brackets that hold no known unit belong to the name."""
+    """Split a header such as ``name [unit]`` or ``name (unit)`` into name and unit.
+
+    Round brackets without a known unit belong to the name.
+
+    Args:
+        text: Cell of a header row.
+
+    Returns:
+        Name, and unit ('' without a unit).
+    """
     match = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*", text.strip())
     if match and match[1]:
         unit = (match[2] if match[2] is not None else match[3]).strip()
@@ -58,12 +92,15 @@ def split_header(text: str) -> tuple[str, str]:
 
 
 def distinct(names: Sequence[str], headers: Sequence[str], units: Sequence[str]) -> list[str]:
-    """Return names that tell columns of one name apart by their units: "Force" twice becomes "Force (V)" and "Force (N)".
+    """Return unique column names; the unit is appended to repeated names, as in "Force (V)" and "Force (N)".
 
     Args:
         names: Names without units.
-        headers: What the file writes for each column; it becomes the name where it holds the unit.
-        units: Unit of each column, '' where the file names none.
+        headers: Header of each column in the file, used as the name if the header includes the unit.
+        units: Unit of each column, '' for a column without a unit.
+
+    Returns:
+        One name per column.
     """
     count = Counter(names)
     out = []
@@ -77,15 +114,20 @@ def distinct(names: Sequence[str], headers: Sequence[str], units: Sequence[str])
 
 
 def column_for(name: str, columns: Collection[str], unit: str = "") -> str:
-    """Return the column that `name` stands for: `name` itself, or the one of several "name (unit)" whose unit fits.
+    """Return the column that a name stands for.
+
+    Among several columns "name (unit)", the column with a convertible unit is meant.
 
     Args:
         name: Name of a column, with or without a unit.
-        columns: Columns that there are.
-        unit: Unit that the column's unit must be convertible to.
+        columns: Available columns.
+        unit: Unit to which the column's unit must be convertible.
+
+    Returns:
+        Full name of the column, or `name` if no column matches.
 
     Raises:
-        InputError: Several columns have this name, and none of them or several have a unit that fits.
+        InputError: Several columns have the name, and not exactly one of them has a convertible unit.
     """
     if name in columns:
         return name
@@ -96,13 +138,18 @@ def column_for(name: str, columns: Collection[str], unit: str = "") -> str:
     if same:
         told = " and ".join(shown(n) for n in same[:4])
         raise InputError(
-            f"column {shown(name)} is there as {told}: --rename COLUMN=CHANNEL says which is meant"
+            f"several columns are called {shown(name)}: {told}; choose one with --rename COLUMN=CHANNEL"
         )
     return name
 
 
 def converts(unit: str, target: str) -> bool:
-    """Return whether values in `unit` can be turned into `target`."""
+    """Return whether values in one unit can be converted to another.
+
+    Args:
+        unit: Name of the present unit.
+        target: Name of the wanted unit.
+    """
     try:
         convert(1.0, unit, target)
     except InputError:

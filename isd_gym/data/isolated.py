@@ -1,7 +1,7 @@
-"""Foreign binary tables, read in a process of their own: see `_tables`, which runs there.
+"""Binary tables, read by `_tables` in a separate process.
 
-One helper process serves all files of this one, so that libraries are loaded once; it ends with it. A fault, an endless loop or a
-bomb in a file ends the helper alone, and is one line here.
+One helper process serves all files, so that libraries are loaded once; the helper ends with this process. A
+crash, an endless loop or a decompression bomb ends the helper alone and gives a one-line error.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-SECONDS, SECONDS_PER_MB = 5.0, 1.0  # processor time for a file
-PATIENCE = 20.0  # times that, by the clock: a busy machine is no endless loop
+SECONDS, SECONDS_PER_MB = 5.0, 1.0  # processor time per file [s]
+PATIENCE = 20.0  # multiple of the processor time, in wall-clock time: a busy machine is no endless loop
 
 
 def _begin() -> Guarded:
@@ -39,7 +39,7 @@ _lock = threading.Lock()
 
 
 def _forget() -> None:
-    """In a forked process: the helper is the parent's."""
+    """Drop the helper in a forked process; the helper belongs to the parent."""
     global _helper, _lock
     _lock = threading.Lock()
     if _helper is not None:
@@ -62,7 +62,21 @@ if hasattr(os, "register_at_fork"):
 def read(
     kind: str, path: Path, wanted: list[str] | None, axis: str, resample: bool | str
 ) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """What `_tables` answers for the file: its header and the columns. Raises `InputError`."""
+    """Return the header and the columns of a binary table.
+
+    Args:
+        kind: 'parquet', 'mat' or 'mdf'.
+        path: The file.
+        wanted: Names of the wanted columns; None for all.
+        axis: Name of the time column.
+        resample: Interpolate channels linearly to the finest raster; 'own' keeps each channel's raster.
+
+    Returns:
+        Header of `_tables`'s answer, and the columns (n,) in its order.
+
+    Raises:
+        InputError: The file cannot be read, or needs too much memory or time.
+    """
     global _helper
     size = plain_file(path) / 2**20
     seconds, limit = SECONDS + SECONDS_PER_MB * size, memory_limit()
@@ -83,7 +97,7 @@ def read(
             _stop()
     if found is None:
         raise InputError(
-            f"{path}: cannot be read (the library that reads it broke down, or took more than {seconds:.0f} s)"
+            f"{path}: cannot be read (the library that reads it crashed, or took more than {seconds:.0f} s)"
         )
     head, arrays = found
     if "lacks" in head:

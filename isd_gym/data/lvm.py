@@ -27,14 +27,14 @@ TIME = "time"
 
 @dataclass
 class _Segment:
-    """A header, the row of names below it, and the rows of data, each with its line."""
+    """Header of a segment, the row of names below the header, and the rows of data with their line numbers."""
 
     tags: dict[str, list[str]] = field(default_factory=dict)
     names: list[str] = field(default_factory=list)
     rows: list[tuple[int, list[str]]] = field(default_factory=list)
 
     def start(self) -> float | None:
-        """Return when the segment began [s since 1970]; None where its header does not say so."""
+        """Return the start of the segment [s since 1970], or None without a valid date and time."""
         date, time = (self.tags.get(key, [""])[0].replace(",", ".") for key in ("Date", "Time"))
         try:
             seconds = float(time[time.rindex(":") + 1 :])
@@ -45,12 +45,12 @@ class _Segment:
 
 
 def _segments(path: Path, text: str) -> tuple[dict[str, str], list[_Segment]]:
-    """Return the tags of the file's header, and its segments."""
+    """Return the tags of the file's header, and the segments."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     separator = "\t" if any("\t" in s for s in lines[:4]) else ","
     head: dict[str, str] = {}
     segments: list[_Segment] = []
-    place, special = "file", False  # the header of the file or of a segment, the names, or the data
+    place, special = "file", False  # header of the file or of a segment, names, or data
     for number, line in enumerate(lines, 1):
         cells = [x.strip() for x in line.split(separator)]
         if cells[0] in ("***Start_Special***", "***End_Special***"):
@@ -78,13 +78,13 @@ def _segments(path: Path, text: str) -> tuple[dict[str, str], list[_Segment]]:
 
 
 def _stamped(path: Path, head: dict[str, str], segment: _Segment) -> list[Columns]:
-    """Return the channels of a segment, those with the same stamps together."""
+    """Return the channels of a segment, grouped by equal time stamps."""
     comma = head.get("Decimal_Separator", ".") == ","
     names = segment.names
     if names and names[-1] == COMMENT:
         names = names[:-1]
     places = [k for k, name in enumerate(names) if name not in (X, "")]
-    # without a column of stamps the cell below "X_Value" is empty; some writers leave its name away
+    # without time stamps the cell below "X_Value" is empty; some writers omit the name
     shift = int(X not in names and not segment.rows[0][1][0])
     told = [segment.tags.get(key, []) for key in ("Y_Unit_Label", "X_Dimension", "X0", "Delta_X")]
     pairs = [split_header(names[k]) for k in places]
@@ -98,7 +98,7 @@ def _stamped(path: Path, head: dict[str, str], segment: _Segment) -> list[Column
     for i, (k, name, unit) in enumerate(zip(places, channels, units, strict=True)):
         dimension = told[1][i] if i < len(told[1]) and told[1][i] else "Time"
         if dimension.lower() != "time":
-            raise InputError(f"{path}: {shown(name)} is told over {shown(dimension)}, not over time")
+            raise InputError(f"{path}: {shown(name)} is recorded over {shown(dimension)}, not over time")
         values = numbers_of(path, segment.rows, k + shift, name, comma)
         axis = max((j for j, n in enumerate(names[:k]) if n == X), default=None)
         if head.get("X_Columns", "One").lower() == "no" or axis is None:
@@ -135,19 +135,23 @@ def _first(path: Path, key: str, row: list[str], channel: int, comma: bool) -> f
         return 0.0
     if not math.isfinite(value) or (key == "Delta_X" and value <= 0):
         raise InputError(
-            f"{path}: its header has no {key} for channel {channel + 1}, and there are no stamps"
+            f"{path}: the header has no {key} for channel {channel + 1}, and the channel has no time stamps"
         )
     return value
 
 
 def read_lvm_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
-    """Return the rasters of a LabVIEW measurement file; segments of the same channels follow one another.
+    """Return the rasters of a LabVIEW measurement file, with consecutive segments joined.
 
-    A segment whose stamps begin anew is placed by the date and time in its header, or a step after the segment before.
+    A segment whose time stamps restart is placed by the date and time in its header, or one step after the
+    preceding segment.
 
     Args:
         path: The file. A file without a header is read as plain text.
-        columns: Names of all columns, for a file without any header row.
+        columns: Names of all columns, for a file without a header row.
+
+    Returns:
+        One entry per raster, with the time stamps [s] under 'time'.
 
     Raises:
         InputError: The file cannot be read, or its segments hold different channels.
@@ -162,7 +166,7 @@ def read_lvm_rasters(path: Path, columns: Sequence[str] | None = None) -> list[C
     names = [[list(c.values) for c in part] for part in parts]
     if other := next((k for k, n in enumerate(names) if n != names[0]), None):
         raise InputError(
-            f"{path}: segment {other + 1} has other channels than the first: save one segment a file"
+            f"{path}: segment {other + 1} has other channels than the first: save one segment per file"
         )
     origin = segments[0].start()
     out = parts[0]
@@ -182,17 +186,21 @@ def read_lvm_rasters(path: Path, columns: Sequence[str] | None = None) -> list[C
 def read_lvm(
     path: Path, wanted: Choice, time: str, resample: bool, columns: Sequence[str] | None = None
 ) -> Columns:
-    """Return the wanted columns of a LabVIEW measurement file over one row of stamps, named 'time'.
+    """Return columns of a LabVIEW measurement file on one row of time stamps, named 'time'.
 
     Args:
         path: The file.
-        wanted: Names, or a function that chooses among those that there are; None for all.
-        time: Name under which the stamps are wanted.
-        resample: Interpolate channels linearly to the finest raster where they have several.
-        columns: Names of all columns, for a file without any header row.
+        wanted: Names, or a function that chooses from the available names; None for all.
+        time: Name of the wanted time column.
+        resample: Interpolate channels on several rasters linearly to the finest raster.
+        columns: Names of all columns, for a file without a header row.
+
+    Returns:
+        The wanted columns.
 
     Raises:
-        InputError: The file cannot be read, lacks a column, or has several rasters.
+        InputError: The file cannot be read, or has several rasters.
+        MissingColumn: A wanted column is missing.
     """
     rasters = read_lvm_rasters(path, columns)
     names = [n for r in rasters for n in r.values if n != TIME]

@@ -1,4 +1,4 @@
-"""The data gate: whether a record can be trusted, before any diagnosis of it."""
+"""The data gate: checks of a record's quality before a diagnosis."""
 
 from __future__ import annotations
 
@@ -28,11 +28,15 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class Finding:
-    """What `check` found.
+    """A defect of a record, found by `check`.
 
-    `level`: error (the record cannot be used as it is), warning (a result that rests on it is in doubt) or note;
-    `channel`: '' where it is the whole record; `message`: one line; `where`: the spans of time [s] concerned, the
-    first 20 of them, empty where it is all of the record; `check`: the name of the check (one of `CHECKS`).
+    Attributes:
+        level: 'error' (the record cannot be used as is), 'warning' (results from the record are doubtful) or
+            'note'.
+        channel: Channel; '' for the whole record.
+        message: One line.
+        where: Spans of time [s] of the defect, at most 20; empty for the whole record.
+        check: Name of the check, of `CHECKS`.
     """
 
     level: Level
@@ -45,15 +49,16 @@ class Finding:
         return f"{self.level}: {self.channel + ': ' if self.channel else ''}{self.message}"
 
 
-#: quantity -> SI unit; the spread (99.5 % of samples lie within it of the median) beyond which it is doubtful, and
-#: impossible, for a suspension or its rig; and the least that a sensor of it could have seen
+#: quantity -> SI unit; spread above which a record is doubtful, and impossible, for a suspension or its rig;
+#: smallest spread that a sensor could resolve. The spread is the largest distance of 99.5 % of the samples
+#: from the median.
 QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "displacement": ("m", 2.0, 5.0, 1e-6),
     "velocity": ("m/s", 10.0, 100.0, 1e-5),  # a vehicle coasts at 40
     "acceleration": ("m/s^2", 200.0, 2000.0, 1e-3),
     "force": ("N", 2e5, 1e6, 1e-2),
     "current": ("A", 200.0, 1000.0, 1e-4),
-    "angle": ("rad", math.inf, math.inf, 1e-6),  # what turns may go on turning
+    "angle": ("rad", math.inf, math.inf, 1e-6),  # a rotation may be unlimited
     "angular_velocity": ("rad/s", 2e3, 2e4, 1e-5),
     "angular_acceleration": ("rad/s^2", 1e5, 1e7, 1e-3),
     "torque": ("N m", 1e5, 1e7, 1e-6),
@@ -63,43 +68,57 @@ QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "speed": ("m/s", 1e3, 1e5, 1e-4),
 }
 MIN_SAMPLES = 200
-#: what `QUANTITIES` and the times below are made for, where no model tells a rig's own: a car's body on its springs [s]
+#: time constant of `QUANTITIES` and of the limits below, if no model gives a rig's own [s]: body of a car on
+#: its springs
 CAR = 0.125
-#: of a rig's own time: the longest and shortest step that are plausible, the longest that is doubtful, the longest rest of a channel
+#: multiples of the rig's time constant: longest and shortest plausible step, longest step without doubt,
+#: longest rest of a channel
 LONGEST, SHORTEST, LONG, REST = 2.0, 8e-6, 0.4, 0.8
-#: share of a channel's power (about its mean) that clipped samples hold, or that frozen samples miss, from which on a finding is an error
-#: (frozen: 3 % of the deviation, the smallest disagreement that a diagnosis calls an effect)
+#: share of a channel's power (about its mean), held by clipped samples or missed by frozen samples, from
+#: which a finding is an error. Frozen: 3 % of the deviation, the smallest disagreement that a diagnosis calls
+#: an effect.
 CLIPPED, MISSED = 0.1, 0.001
-STILL = 0.1  # of a channel's usual power in spans of that length: below, the channel rests there
-GLITCHES = 3  # samples off the one value of a channel that is constant all the same
-ALIKE = 30.0  # a channel within this factor of what the model says of it has the rig's own scale
-SLIP = (600.0, 1600.0)  # factors from it that a wrong unit makes
-#: the checks by name; one that refuses a record may be accepted by its name
+STILL = 0.1  # share of a channel's usual power, in spans of equal length, below which the channel rests
+GLITCHES = 3  # samples that may differ in a constant channel
+ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
+SLIP = (600.0, 1600.0)  # factors between a channel and the model's output that a wrong unit causes
+#: names of the checks; an error may be accepted by the name of its check
 CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies")
-#: checks that no name accepts: a record that fails one cannot be compared
+#: checks whose errors cannot be accepted: such a record cannot be compared
 UNACCEPTABLE = ("time", "finite", "constant")
-_MAX_SPEED = 15.0  # [m/s] RMS that a displacement may imply; wheels and rods stay below 5
+_MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels and rods stay below 5
 
 
 @dataclass(frozen=True)
 class Scale:
-    """A rig's own scale, as its model has it. time [s]: one over the circular frequency of its slowest oscillation.
+    """Time constant and amplitudes of a rig, from its model.
 
-    spread: RMS about the mean [SI] that the model gives each output for the inputs of the table; empty where it tells none.
+    Attributes:
+        time: Reciprocal of the circular frequency of the slowest oscillation [s].
+        spread: RMS about the mean of each output in a simulation of the record [SI]; empty if unknown.
     """
 
     time: float = CAR
     spread: Mapping[str, float] = field(default_factory=dict)
 
     def factor(self, name: str, x: np.ndarray) -> float:
-        """How many times larger channel `name`, x (n,) [SI], is than the model has it; NaN where that is not known."""
+        """Return the ratio of a channel's measured to simulated amplitude.
+
+        Args:
+            name: Channel.
+            x: Measured samples (n,) [SI].
+
+        Returns:
+            Ratio [-]; NaN if the simulated amplitude is unknown.
+        """
         said = self.spread.get(name, 0.0)
         return float(np.std(x)) / said if said > 0 else math.nan
 
     def explains(self, values: Mapping[str, np.ndarray]) -> bool:
-        """Whether all outputs of which the model tells something are as large as it says, so that the inputs are, too.
+        """Return whether all simulated outputs have the measured order of magnitude; the inputs are then plausible, too.
 
-        values: x (n,) [SI] by channel.
+        Args:
+            values: Measured samples (n,) [SI] by channel.
         """
         factors = [self.factor(n, values[n]) for n in self.spread if n in values]
         return bool(factors) and all(1 / ALIKE < f < ALIKE for f in factors)
@@ -110,26 +129,29 @@ def check(
 ) -> list[Finding]:
     """Judge whether a record can be trusted: the data gate of the diagnosis.
 
-    Every test compares a channel with itself, with the other channels, or with what is physically possible. Errors that only a
-    model can show (swapped channels of one kind, shifted time, sign) are not judged.
+    Every test compares a channel with itself, with the other channels, or with physical limits. Errors that
+    only a model reveals (swapped channels of one kind, shifted time, sign) are not judged.
 
-    A constant output is an error. Clipped and frozen samples are warnings unless enough of the signal is affected:
+    A constant output is an error. Clipped and frozen samples are warnings unless enough of the signal is
+    affected:
 
-    - Clipped samples are an error where they hold `CLIPPED` of the channel's power about its mean. Samples at zero are no
-      clipping but rest (a range ends elsewhere), and so are samples during which no other channel moves.
-    - Frozen samples are an error where they miss `MISSED` of the channel's power. The missed power of a stretch is the mean square
-      that linear interpolation over stretches of the same length leaves elsewhere in the channel, and a third of the squared jump
-      with which the channel comes back. Stretches during which no other channel moves do not count, nor stretches before and after
-      which the channel itself is still within its resolution.
+    - Clipped samples are an error if they hold `CLIPPED` of the channel's power about its mean. Samples at
+      zero are rest, not clipping (a range ends elsewhere), and so are samples during which no other channel
+      moves.
+    - Frozen samples are an error if they miss `MISSED` of the channel's power. The missed power of a stretch
+      is the mean square error of linear interpolation over stretches of the same length elsewhere in the
+      channel, plus a third of the squared jump at the end of the stretch. Stretches during which no other
+      channel moves do not count, nor stretches before and after which the channel stays within its
+      resolution.
 
     Args:
         table: The record.
         inputs: Quantity (a key of `QUANTITIES`) by input channel.
         outputs: Quantity by output channel.
-        scale: The rig's own scale, which goes before that of a car.
+        scale: Scale of the rig, from its model; None for the scale of a car.
 
     Returns:
-        Findings, errors first. Without errors and warnings nothing speaks against the record.
+        Findings, errors first. A list without errors and warnings means that the record can be trusted.
 
     Raises:
         InputError: The table lacks a channel, or a quantity is unknown.
@@ -147,7 +169,7 @@ def check(
         text = f"too short: {len(table)} samples of at least {MIN_SAMPLES}"
         found.append(Finding("error", "", text, check="length"))
     if any(f.level == "error" for f in found):
-        return found  # without a time base nothing else can be judged
+        return found  # the other checks need a time base
     time = table.uniform().time
     chance: dict[str, float] = {}
     moving: dict[str, bool] = {}
@@ -161,7 +183,8 @@ def check(
         of_model = scale.factor(name, x) if name in outputs else 1.0 if scale.explains(values) else math.nan
         found += _named("magnitude", _check_magnitude(name, quantity, x, table.step, of_model))
         if noise > resolution:
-            chance[name] = min(1.0, resolution / (2.5 * noise))  # that two samples of it are equal, at rest
+            # probability that two samples are equal at rest
+            chance[name] = min(1.0, resolution / (2.5 * noise))
         if name in outputs or quantity not in (
             "current",
             "force",
@@ -173,7 +196,7 @@ def check(
                 "held", _check_held(name, quantity, x, time, noise, resolution, is_input, rest, others)
             )
             found += held
-            if all(f.level == "note" for f in held):  # what follows a frozen stretch looks like a jump
+            if all(f.level == "note" for f in held):  # a jump may be the end of a frozen stretch
                 grain = max(3 * noise, resolution)
                 command = name in inputs and noise <= resolution
                 found += _named("jumps", _check_spikes(name, quantity, x, time, grain, command))
@@ -189,16 +212,30 @@ def check(
 
 
 def known_check(name: str) -> None:
-    """Raise `InputError` where `name` is no check whose errors can be accepted."""
+    """Check that the errors of a check can be accepted.
+
+    Args:
+        name: Name of a check, or 'all'.
+
+    Raises:
+        InputError: No such check exists, or its errors cannot be accepted.
+    """
     if name not in (*CHECKS, "all") or name in UNACCEPTABLE:
         known = ", ".join(c for c in CHECKS if c not in UNACCEPTABLE)
         raise InputError(f"no check {shown(name)} that can be accepted (there are {known}, all)")
 
 
 def admit(table: Table, findings: Sequence[Finding], notes: list[str], accept: Sequence[str]) -> None:
-    """Note what the data gate found of a table; `InputError` where that stops it and nobody said to go on.
+    """Append the findings of the data gate to the notes, and stop at an error that the user has not accepted.
 
-    table: that was checked. findings: what `check` said. notes: lines that it gets. accept: checks that only warn (their names, or 'all').
+    Args:
+        table: The record.
+        findings: Findings of `check`.
+        notes: Lines for the user; extended in place.
+        accept: Names of checks whose errors become notes, or 'all'.
+
+    Raises:
+        InputError: The record has an error that is not accepted.
     """
     for f in findings:
         message = f"{table.source}: {f.channel + ': ' if f.channel else ''}{f.message}"
@@ -242,8 +279,8 @@ def _check_time(time: np.ndarray, own: float) -> list[Finding]:
         where = tuple((float(time[i]), float(time[i + 1])) for i in np.flatnonzero(gaps)[:20])
         return [Finding("error", TIME, f"{text}, where the step is {step:.4g} s", where)]
     step = float(time[-1] - time[0]) / (len(time) - 1)
-    stray = float(np.ptp(time - step * np.arange(len(time)))) / 2  # from the best uniform grid
-    # stamps written with few digits stray by half the last digit, the ends and so the step by as much
+    stray = float(np.ptp(time - step * np.arange(len(time)))) / 2  # deviation from the best uniform grid
+    # stamps with few digits deviate by half the last digit; the ends, and so the step, deviate as much
     digit = next((10.0**-k for k in range(9) if np.max(np.abs(time - np.round(time, k))) < 1e-3 * step), 0.0)
     if stray > max(0.1 * step, min(0.76 * digit, step)):
         worst = time[int(np.argmax(np.abs(d - step)))]
@@ -255,7 +292,7 @@ def _check_time(time: np.ndarray, own: float) -> list[Finding]:
     shortest, slow = (
         SHORTEST * min(own, CAR),
         max(own, CAR),
-    )  # what is slow on a fast rig is no slip of the unit yet
+    )  # a slow step on a fast rig is no wrong unit yet
     if not shortest <= step <= LONG * slow:
         level: Level = "error" if not shortest <= step <= LONGEST * slow else "warning"
         text = f"a step of {step:.4g} s is implausible: is time in another unit than s?"
@@ -264,7 +301,8 @@ def _check_time(time: np.ndarray, own: float) -> list[Finding]:
 
 
 def _check_magnitude(name: str, quantity: str, x: np.ndarray, step: float, of_model: float) -> list[Finding]:
-    """Amplitudes that cannot be; `of_model`: how many times as large as the model has it, which goes before (NaN: unknown)."""
+    """Return findings on impossible amplitudes; `of_model` is the ratio to the model's amplitude and has
+    priority (NaN: unknown)."""
     unit, doubtful, impossible, least = QUANTITIES[quantity]
     spread = float(np.quantile(np.abs(x - np.median(x)), 0.995))
     text = f"{quantity} reaches {spread:.4g} {unit}"
@@ -290,7 +328,7 @@ def _check_magnitude(name: str, quantity: str, x: np.ndarray, step: float, of_mo
 def _check_content(
     values: Mapping[str, np.ndarray], inputs: Mapping[str, str], outputs: Mapping[str, str], time: np.ndarray
 ) -> list[Finding]:
-    """Samples that are not finite, and channels that hold one value."""
+    """Return findings on samples that are not finite, and on constant channels."""
     found, idle = [], []
     for name, x in values.items():
         bad = ~np.isfinite(x)
@@ -311,17 +349,17 @@ def _check_content(
 
 
 def _constant(x: np.ndarray, glitches: int = GLITCHES) -> float | None:
-    """Return the only value of a channel x (n,), some `glitches` [samples] apart; None for a channel that changes."""
+    """Return the only value of a channel x (n,) apart from some `glitches` [samples]; None for a channel that varies."""
     value = float(np.median(x)) + 0.0  # no negative zero
     off = np.abs(x - value) > 1e-12 * np.max(np.abs(x))
     return value if off.sum() <= glitches else None
 
 
 def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
-    """Whether a channel holds more than noise: it is slow, or its spectrum is not flat, or it follows an input."""
+    """Return whether a channel holds more than noise: slow, or with a spectrum that is not flat, or coherent with an input."""
     if np.std(np.diff(x)) < 0.9 * np.std(x):  # white noise has sqrt(2), AR(1) noise of 0.6 still 0.89
         return True
-    if np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2:  # a train of impacts is white, but not Gaussian
+    if np.mean((x - x.mean()) ** 4) > 4.5 * np.var(x) ** 2:  # a train of impacts is white but not Gaussian
         return True
     options: dict[str, Any] = {"nperseg": min(128, len(x) // 8), "detrend": "linear"}
     power = signal.welch(x, **options)[1][1:-1]
@@ -333,16 +371,17 @@ def _moves(x: np.ndarray, drives: list[np.ndarray]) -> bool:
 
 
 def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First index and length of each run of equal samples."""
+    """Return the first index and the length of each run of equal samples."""
     starts = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
     return starts, np.diff(np.r_[starts, len(x)])
 
 
 def _grain(x: np.ndarray) -> tuple[float, float]:
-    """Noise (standard deviation; 0 if 70 dB below the signal) and resolution of a channel.
+    """Return the noise (standard deviation; 0 if 70 dB below the signal) and the resolution of a channel.
 
-    From eighth differences, which a signal below a tenth of the sampling rate hardly survives, where the channel does
-    not rest, and in windows of 50: noise is there all the time, friction and impacts are not.
+    The noise follows from eighth differences, which suppress signals below a tenth of the sampling rate, in
+    windows of 50 samples outside of rest. Low quantiles over the windows exclude friction and impacts, which
+    are intermittent.
     """
     lengths = _runs(x)[1]
     moving = sliding_window_view(np.repeat(lengths < 5, lengths), 9).all(axis=1)
@@ -357,9 +396,15 @@ def _grain(x: np.ndarray) -> tuple[float, float]:
 
 
 def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
-    """Clipping, frozen stretches and slow sampling of a column x (n,) at even `time` [s] of which nothing else is known.
+    """Return findings on clipping, frozen stretches and slow sampling of a column of unknown quantity.
 
-    name: for the messages.
+    Args:
+        name: Name of the column, for messages.
+        x: Samples (n,) in any unit.
+        time: Even time stamps (n,) [s].
+
+    Returns:
+        Findings; none for a constant column.
     """
     if _constant(x) is not None:
         return []
@@ -367,9 +412,9 @@ def held_samples(name: str, x: np.ndarray, time: np.ndarray) -> list[Finding]:
 
 
 def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) -> bool:
-    """Whether a channel rests at many levels, and so perhaps at its extremes, and leaves each from where it rested.
+    """Return whether a channel rests at many levels, possibly its extremes, and leaves each level continuously.
 
-    Under a dropout the motion goes on: the channel comes back somewhere else.
+    After a dropout the channel returns at another level.
     """
     rests = np.flatnonzero((lengths >= least) & (starts + lengths < len(x)))
     if len(np.unique(x[starts[rests]])) < 5:
@@ -380,9 +425,10 @@ def _sticks(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, least: int) 
 
 
 def _moving_during(others: Sequence[tuple[np.ndarray, float]]) -> Callable[[int, int], bool]:
-    """Return a function that says whether one of the `others` moves from a first sample on for a number of samples.
+    """Return a function that tells whether one of the `others` moves from a first sample for a number of samples.
 
-    A channel moves where its power, without that of its noise, is `STILL` of its usual power in stretches of this length.
+    A channel moves if its power, without that of its noise, is at least `STILL` of its usual power in
+    stretches of equal length.
 
     Args:
         others: Samples (n,) and standard deviation of the noise of each channel.
@@ -410,7 +456,7 @@ def _missed_power(x: np.ndarray, held: np.ndarray, starts: np.ndarray, lengths: 
 
     Args:
         x: Samples.
-        held: True for each stretch that is frozen, of all runs of equal samples.
+        held: True for each frozen run, of all runs of equal samples.
         starts: First sample of each run.
         lengths: Number of samples of each run.
     """
@@ -446,17 +492,19 @@ def _check_held(
     rest: float,
     others: Sequence[tuple[np.ndarray, float]],
 ) -> list[Finding]:
-    """Clipping, frozen sensors, dropouts and slow sampling: samples that are exactly equal, for longer than `rest` [s] or often.
+    """Return findings on clipping, frozen sensors, dropouts and slow sampling.
 
-    Where the channel has noise, many equal samples have no innocent cause but a resolution coarser than the noise of that moment.
-    A channel without noise (an encoder, a command, a simulation) may well rest: only stopping dead in mid-motion is remarked on.
-    The affected share of the signal tells a warning from an error (see `check`). others: the other channels, each with its noise.
+    All are runs of exactly equal samples, longer than `rest` [s] or frequent. In a channel with noise, many
+    equal samples have no innocent cause except a resolution coarser than the momentary noise. A channel
+    without noise (an encoder, a command, a simulation) may rest: only a dead stop in mid-motion is reported.
+    The affected share of the signal separates warnings from errors (see `check`). `others` are the other
+    channels with their noise.
     """
     n, step = len(x), time[1] - time[0]
     starts, lengths = _runs(x)
     usual = int(np.bincount(lengths).argmax())
     stairs = usual > 1 and np.mean(lengths == usual) > 0.6 and len(np.unique(x)) > 20
-    # (an encoder at constant speed makes stairs as well, of one resolution each)
+    # an encoder at constant speed also gives stairs, of one resolution each
     if stairs and np.median(np.abs(np.diff(x[starts]))) > 1.5 * resolution:
         text = f"holds each value for {usual} samples: sampled more slowly than the table"
         return [Finding("warning", name, text)]
@@ -466,13 +514,13 @@ def _check_held(
     position = quantity in ("displacement", "angle") and not is_input
 
     def at_end(value: float, what: str, text: str, level: Level) -> None:
-        """Add what speaks against samples at the largest or the smallest value."""
+        """Add a finding on samples at the largest or the smallest value."""
         settled.append(value)
         longest = int(np.argmax(np.where(x[starts] == value, lengths, 0)))
         moves = not others or moving(int(starts[longest]), int(lengths[longest]))
         flags = x == value
         share = flags.sum() * (value - x.mean()) ** 2 / (n * np.var(x))
-        if abs(value) < 0.5 * resolution:  # at rest, or a sensor that measures one direction alone
+        if abs(value) < 0.5 * resolution:  # at rest, or a sensor of one direction
             if others and moves and share > CLIPPED:
                 text = f"{flags.sum()} samples are exactly 0, its {what} value, while other channels move"
                 text += ": is one direction alone measured?"
@@ -489,17 +537,18 @@ def _check_held(
         sticks = _sticks(x, starts, lengths, least)
         for value, what in _ends(x):
             count = 0 if sticks else np.sum(x == value)
-            beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise  # at a value next to it
+            # at neighbouring values
+            beside = (np.sum(np.abs(x - value) < noise) - count) * resolution / noise
             if count >= max(least, 5 + 10 * beside):
                 text = f"is clipped: {count} samples sit exactly at the {what} value, {value:.6g}"
                 at_end(value, what, text, "warning")
         held = (lengths >= least) & ~np.isin(x[starts], settled)
         held[held] = ~_calm(x, starts[held], lengths[held], min(noise, 2 * resolution))
-        rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # stick and slip, simulated
+        rests = np.sum(held) > 10 and len(np.unique(x[starts[held]])) == 1  # simulated stick and slip
         level: Level = "warning"
         worst: Level = "warning" if rests or sticks else "error"
     else:
-        into = np.abs(np.diff(x, prepend=x[0]))[starts]  # the last step, against the curvature just before it
+        into = np.abs(np.diff(x, prepend=x[0]))[starts]  # last step, compared with the curvature just before
         second = np.abs(np.diff(x, 2, prepend=[x[0], x[0]]))
         curved = np.array([np.median(second[max(s - 6, 0) : s]) if s else np.inf for s in starts])
         held = (lengths >= 5) & (into > 4 * (curved + resolution))
@@ -524,7 +573,7 @@ def _check_held(
 
 
 def _calm(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float) -> np.ndarray:
-    """Return True for each run of equal samples before and after which x (n,) changes by no more than `step` a sample.
+    """Return True for each run of equal samples before and after which x (n,) changes by at most `step` per sample.
 
     Such a channel came to rest; a frozen sensor stops in mid-motion.
     """
@@ -544,24 +593,25 @@ def _calm(x: np.ndarray, starts: np.ndarray, lengths: np.ndarray, step: float) -
 
 
 def _ends(x: np.ndarray) -> tuple[tuple[float, str], tuple[float, str]]:
-    """Return the largest and the smallest value of x (n,), without a negative zero, and their names."""
+    """Return the largest and the smallest value of x (n,), without negative zeros, and their names."""
     return (float(x.max()) + 0.0, "largest"), (float(x.min()) + 0.0, "smallest")
 
 
 def _check_spikes(
     name: str, quantity: str, x: np.ndarray, time: np.ndarray, grain: float, is_command: bool
 ) -> list[Finding]:
-    """One to three samples far off their neighbours on both sides; and a displacement that jumps.
+    """Return findings on one to three samples far from their neighbours on both sides, and on jumps of a displacement.
 
-    "Far": four times any step within ten samples on either side, twelve times the noise, and four times what 97 % of
-    all steps stay below (friction makes an acceleration jump to and fro by as much as its other jumps, not more).
+    "Far" means four times any step within ten samples on either side, twelve times the noise, and four times
+    the 97 % quantile of all steps. (Friction makes an acceleration jump to and fro, but by no more than its
+    other jumps.)
     """
     n, around = len(x), 10
     d = np.abs(np.diff(x))
-    largest = sliding_window_view(d, around).max(axis=1)  # [i]: of d[i] ... d[i + 9]
+    largest = sliding_window_view(d, around).max(axis=1)  # [i]: largest of d[i] ... d[i + 9]
     usual = float(np.quantile(d, 0.97))
     flags = np.zeros(n, bool)
-    # a command may well be a short pulse, and so may a force or an acceleration: an impact
+    # short pulses are plausible in a command, and in a force or an acceleration: an impact
     for width in (1,) if is_command or quantity in ("force", "acceleration") else (1, 2, 3):
         s = np.arange(around + 1, n - width - around)
         local = np.maximum(largest[s - 1 - around], largest[s + width])
@@ -590,8 +640,7 @@ def _check_spikes(
 
 
 def _check_copies(values: dict[str, np.ndarray], chance: dict[str, float], time: np.ndarray) -> list[Finding]:
-    """Columns that are the same, and samples that occur twice, which the channels with noise (those with a `chance`)
-    cannot do by themselves."""
+    """Return findings on identical columns, and on samples that repeat although the channels with a `chance` are noisy."""
     found = []
     names = [n for n, x in values.items() if np.ptp(x) > 0]
     for i, first in enumerate(names):
@@ -606,7 +655,7 @@ def _check_copies(values: dict[str, np.ndarray], chance: dict[str, float], time:
         by = int(shift[count.argmax()])
         flags = np.zeros(len(rows), bool)
         flags[by:] = np.all(rows[by:] == rows[:-by], axis=1)
-        # a periodic simulation without noise repeats on and on
+        # a periodic simulation without noise repeats throughout
         twice = np.sum(np.all(rows[2 * by :] == rows[: -2 * by], axis=1))
         if flags.sum() >= max(5, 3 * twice, 10 * len(rows) * math.prod(chance.values())):
             where = _spans(flags, time)

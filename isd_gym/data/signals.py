@@ -1,4 +1,4 @@
-"""Tools for sampled, noisy signals: their noise, their derivatives, and whether two of them tell the same motion."""
+"""Tools for sampled, noisy signals: noise level, derivatives, and consistency of two channels of one motion."""
 
 from __future__ import annotations
 
@@ -14,17 +14,29 @@ from ..errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-SLIPS = 3  # steps of another length from which on stamps count as rounded
+SLIPS = 3  # number of unequal steps from which stamps count as rounded
 
 
 def noise_level(x: ArrayLike, step: float) -> tuple[float, float]:
-    """Standard deviation and lag-one correlation of the AR(1) measurement noise on a sampled channel (n,).
+    """Return the level and correlation of the AR(1) measurement noise on a sampled channel.
 
-    Assumes that the signal, at the top of the spectrum (from an eighth of the Nyquist frequency up), falls at least
-    as steeply as 1/f^2 in power, as anything with inertia and even a jump does, and that the noise does not: a power
-    law plus AR(1) noise is fitted to a Welch spectrum by Whittle's likelihood. Noise slower than that band cannot be
-    told from signal and is not counted; a signal that reaches the Nyquist frequency is. x in any unit, `step` [s].
-    Raises `InputError` for fewer than 64 samples or ones that are not finite.
+    A power law plus AR(1) noise is fitted to the top of a Welch spectrum (from an eighth of the Nyquist
+    frequency up) by the Whittle likelihood. Assumption: in this band the power of the signal falls at least
+    as steeply as 1/f^2, as that of any body with inertia and even of a jump does, and the noise does not.
+    Noise below this band counts as signal; signal near the Nyquist frequency counts as noise.
+
+    Args:
+        x: Samples (n,) in any unit.
+        step: Sampling step [s].
+
+    Returns:
+        Standard deviation in the unit of `x`, and lag-one correlation [-].
+
+    Raises:
+        InputError: Fewer than 64 samples, or samples that are not finite.
+
+    References:
+        Whittle, "Estimation and information in stationary time series", Arkiv för Matematik, 1953.
     """
     x = np.asarray(x, float)
     if x.ndim != 1 or len(x) < 64 or not np.all(np.isfinite(x)) or not step > 0:
@@ -60,14 +72,27 @@ def noise_level(x: ArrayLike, step: float) -> tuple[float, float]:
 def smooth_derivatives(
     x: ArrayLike, step: float, noise: tuple[float, float] | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity and acceleration (n,) each [m, m/s, m/s^2] from a noisy measured displacement x (n,) [m].
+    """Return position, velocity and acceleration from a noisy measured displacement.
 
-    The smoother of an integrated random walk in AR(1) noise, which is what a Kalman filter and Rauch-Tung-Striebel
-    smoother give for it, computed as a penalised spline (banded, exact at the ends). Its bandwidth, and its order (jerk
-    or snap being white), maximise the restricted likelihood. noise: (sigma [m], lag-one correlation), by default from
-    `noise_level`. Where there is no noise to speak of, x is only differentiated. Raises `InputError` as that does.
+    The estimate is that of a Rauch-Tung-Striebel smoother for an integrated random walk in AR(1) noise,
+    computed as a penalised spline (banded, exact at the ends). Bandwidth and order (white jerk or white snap)
+    maximise the restricted likelihood. A signal with negligible noise is only differentiated.
 
-    step [s].
+    Args:
+        x: Displacement (n,) [m].
+        step: Sampling step [s].
+        noise: Standard deviation [m] and lag-one correlation [-]; None for the estimate of `noise_level`.
+
+    Returns:
+        Position [m], velocity [m/s] and acceleration [m/s^2], (n,) each.
+
+    Raises:
+        InputError: Fewer than 64 samples, samples that are not finite, or a lag-one correlation outside (-1,
+            1).
+
+    References:
+        Rauch, Tung and Striebel, "Maximum likelihood estimates of linear dynamic systems", AIAA Journal,
+            1965.
     """
     x = np.array(x, float)
     sigma, lag1 = noise_level(x, step) if noise is None else noise
@@ -81,7 +106,8 @@ def smooth_derivatives(
     v, a = np.empty_like(x), np.empty_like(x)
     v[2:-2] = (8 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) / (12 * step)
     a[2:-2] = (16 * (x[3:-1] + x[1:-3]) - (x[4:] + x[:-4]) - 30 * x[2:-2]) / (12 * step**2)
-    for ends, at in ((slice(0, 5), (0, 1)), (slice(-5, None), (-2, -1))):  # the quartic through the last five
+    # the quartic through the last five samples
+    for ends, at in ((slice(0, 5), (0, 1)), (slice(-5, None), (-2, -1))):
         p = np.polynomial.Polynomial.fit(np.arange(5), x[ends], 4, domain=[0, 4], window=[0, 4])
         for i in at:
             v[i], a[i] = p.deriv()(i % 5) / step, p.deriv(2)(i % 5) / step**2
@@ -89,7 +115,7 @@ def smooth_derivatives(
 
 
 def _gram(row: np.ndarray, n: int) -> np.ndarray:
-    """D'D in upper banded form, D (n - m + 1, n) being the convolution with `row` (m,)."""
+    """Return D'D in upper banded form; D (n - m + 1, n) is the convolution with `row` (m,)."""
     m = len(row)
     out = np.zeros((m, n))
     for j in range(m):
@@ -99,11 +125,11 @@ def _gram(row: np.ndarray, n: int) -> np.ndarray:
 
 
 def _spline(x: np.ndarray, sigma: float, lag1: float, order: int) -> tuple[float, np.ndarray]:
-    """-2 log restricted likelihood and the smoothed x, with differences of `order` as white noise of fitted size."""
+    """Return -2 log restricted likelihood and the smoothed x; the differences of `order` are white noise of fitted size."""
     n = len(x)
     row = np.array([math.comb(order, k) * (-1.0) ** k for k in range(order + 1)])
     penalty = _gram(row, n)
-    weight = np.zeros_like(penalty)  # the inverse covariance of AR(1) noise of unit variance
+    weight = np.zeros_like(penalty)  # inverse covariance of AR(1) noise of unit variance
     weight[-2:] = _gram(np.array([-lag1, 1.0]), n)
     weight[-1, 0] += 1 - lag1**2
     weight /= 1 - lag1**2
@@ -136,14 +162,17 @@ def _spline(x: np.ndarray, sigma: float, lag1: float, order: int) -> tuple[float
 
 
 def stamp_rounding(time: np.ndarray) -> float:
-    """Return the rounding [s] that stamps (n,) of an even sampling went through; 0 where there is none, or where they are not even.
+    """Return the resolution to which the stamps of a uniform sampling were rounded.
 
-    Even stamps that are rounded to multiples of q have steps of two lengths, multiples of q that differ by q, and stay within q/2 of
-    a straight line. Where a step is no longer than q, fewer than `SLIPS` steps of the rarer length may as well be lost or doubled
-    samples.
+    Uniform stamps that are rounded to multiples of q have steps of two lengths, both multiples of q with
+    difference q, and stay within q/2 of a straight line. If the step is at most q, fewer than `SLIPS` steps
+    of the rarer length may also be lost or doubled samples.
 
     Args:
-        time: Stamps [s].
+        time: Stamps (n,) [s].
+
+    Returns:
+        Resolution [s]; 0 for stamps that are not rounded or not uniform.
     """
     if len(time) < 3 or not np.isfinite(time).all():
         return 0.0
@@ -166,21 +195,31 @@ def stamp_rounding(time: np.ndarray) -> float:
 
 
 def even_stamps(time: np.ndarray) -> np.ndarray:
-    """Return the evenly spaced stamps (n,) nearest to `time` (n,) [s] (least squares over the whole span)."""
+    """Return the uniform stamps nearest to given stamps (least squares over the whole span).
+
+    Args:
+        time: Stamps (n,) [s].
+
+    Returns:
+        Uniform stamps (n,) [s].
+    """
     k = np.arange(len(time)) - 0.5 * (len(time) - 1)
     mean = float(np.mean(time - time[0]))
     return np.asarray(time[0] + mean + k * (float(k @ (time - time[0] - mean)) / float(k @ k)))
 
 
 def unwrapped(angle: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
-    """Return a measured angle (n,) without the jumps of a sensor that begins anew each turn, and how many there were.
+    """Return a measured angle without the jumps of a sensor that restarts at each turn.
 
-    A wrap is a step of nearly a `turn` from one end of a range of one turn to the other, at whose sides the angle goes on as before.
-    Angles with a range of more or less than a turn, or with steps near half a turn, are returned as they are.
+    A wrap is a step of nearly a turn between the ends of a range of one turn; the angle continues smoothly
+    across the step. Angles with another range, or with steps near half a turn, are returned unchanged.
 
     Args:
-        angle: Samples.
-        turn: A turn in the unit of the samples, such as 360 for degrees.
+        angle: Samples (n,).
+        turn: One turn in the unit of the samples, such as 360 for degrees.
+
+    Returns:
+        Angle (n,), and the number of wraps.
     """
     none = np.asarray(angle), 0
     if len(angle) < 3 or not np.isfinite(angle).all() or not np.ptp(angle) <= 1.001 * turn:
@@ -199,9 +238,15 @@ def unwrapped(angle: np.ndarray, turn: float) -> tuple[np.ndarray, int]:
 
 @dataclass(frozen=True)
 class Consistency:
-    """How well one channel is another's time derivative: `gain` [-] and `lag` [s] of the measured derivative against
-    the computed one (1 and 0 where they agree, a negative gain for a wrong sign), `gain_std` [-], and their mean
-    coherence [-] over `band` [Hz]."""
+    """Agreement of one channel with the time derivative of another.
+
+    Attributes:
+        gain: Measured over computed derivative [-]; 1 for agreement, negative for a wrong sign.
+        lag: Delay of the measured derivative [s]; 0 for agreement.
+        coherence: Mean coherence over the band [-].
+        gain_std: Standard deviation of the gain [-].
+        band: Lowest and highest frequency [Hz].
+    """
 
     gain: float
     lag: float
@@ -219,14 +264,24 @@ def integral_consistency(
     band: tuple[float, float] = (0.5, 20.0),
     max_lag: float = 0.25,
 ) -> Consistency:
-    """Compare d^order(lower)/dt^order with `higher`, both (n,), for channels of one node whose kinematics must agree
-    (displacement [m] and acceleration [m/s^2]: order 2).
+    """Compare a time derivative of one channel with another channel of the same node.
 
-    From cross spectra over `band` [Hz], each line weighted by its information coherence/(1 - coherence): nothing is
-    differentiated or integrated in time, so noise and offsets do not enter. Lags beyond `max_lag` [s] are not sought.
-    Raises `InputError` if the record is too short for the band.
+    The comparison uses cross spectra; each line is weighted by its information coherence/(1 - coherence).
+    Nothing is differentiated or integrated in time, so that noise and offsets do not enter.
 
-    step [s].
+    Args:
+        lower: Channel (n,) of lower order, such as a displacement [m].
+        higher: Channel (n,) of higher order, such as an acceleration [m/s^2].
+        step: Sampling step [s].
+        order: Number of time derivatives between the channels; 2 from displacement to acceleration.
+        band: Lowest and highest frequency [Hz].
+        max_lag: Largest delay to be considered [s].
+
+    Returns:
+        Gain, delay and coherence of the measured against the computed derivative.
+
+    Raises:
+        InputError: The channels differ in length, are not finite, or are too short for the band.
     """
     x, y = np.asarray(lower, float), np.asarray(higher, float)
     size = int(min(len(x) // 4, max(4.0 / band[0], 4 * max_lag) / step))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     Reader = Callable[[Path, Choice, str, bool, Sequence[str] | None], Columns]
 
-#: suffixes of files that may hold several rasters
+#: suffixes of files with possibly several rasters
 RASTERS = (".mf4", ".mdf", ".lvm")
 
 
@@ -40,10 +40,16 @@ def _vector(values: Any) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Table:
-    """Channels over a common time.
+    """Channels over a common time. Arrays are copied and read-only.
 
-    `time` (n,) [s]; `columns`: name -> (n,) in the unit that `units` names (SI of its quantity where it names none);
-    `source`: where it came from, for messages. Arrays are copied and read-only. Raises `InputError` on unequal lengths.
+    Attributes:
+        time: Time stamps (n,) [s].
+        columns: Samples (n,) by channel, in the unit of `units`.
+        source: Origin, for messages.
+        units: Unit by channel; a channel without a unit has the SI unit of its quantity.
+
+    Raises:
+        InputError: Lengths differ.
     """
 
     time: np.ndarray
@@ -67,7 +73,14 @@ class Table:
         return len(self.time)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The column `name` (n,); raises `InputError` with the nearest name where there is none."""
+        """Return a column (n,).
+
+        Args:
+            name: Name of the column.
+
+        Raises:
+            MissingColumn: No such column; the message names the nearest one.
+        """
         if name not in self.columns:
             raise MissingColumn(
                 f"{self.source}: no column {shown(name)}; {did_you_mean(name, self.columns)}", name
@@ -76,7 +89,7 @@ class Table:
 
     @property
     def step(self) -> float:
-        """Sampling step [s], the mean over the record; of rounded stamps the slope over all of them."""
+        """Mean sampling step [s]; for rounded stamps the slope of the fitted line."""
         return float((self._ends[1] - self._ends[0]) / (len(self) - 1))
 
     @property
@@ -88,7 +101,11 @@ class Table:
         return float(time[0]), float(time[-1])
 
     def uniform(self) -> Table:
-        """The same samples on an exactly uniform time (for the small jitter and rounding that `check` lets pass)."""
+        """Return the same samples on exactly uniform stamps, without jitter and rounding.
+
+        Returns:
+            Table with the same columns.
+        """
         time = self._ends[0] + self.step * np.arange(len(self))
         return Table(time, self.columns, self.source, self.units)
 
@@ -102,11 +119,24 @@ def read_columns(
     resample: bool = False,
     columns: Sequence[str] | None = None,
 ) -> Columns:
-    """Read the columns of a table file: any separator, decimal commas, preambles, units in the header or the file's own.
+    """Read the columns of a table file.
 
-    The one reader of every table in the project; `read_table` puts a time base and channels on it. `axis`: the name under
-    which MATLAB and MDF files hold what the others are told over. columns: names for text files without a header row. Raises `InputError` with one line, also for what is no
-    plain file or would take more memory than `inputs.memory_limit`.
+    All tables of the project are read here. Separators, decimal commas, preambles and units in a text file
+    are detected. `read_table` adds a time base and channel names.
+
+    Args:
+        path: The file; the suffix gives the format.
+        wanted: Names, or a function that chooses from the available names; None for all.
+        axis: Name of the time column in MATLAB and MDF files.
+        resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster.
+        columns: Names of all columns of a text file without a header row.
+
+    Returns:
+        Values and units by column.
+
+    Raises:
+        InputError: The path is no regular file, the format is unknown, the content cannot be read, or needs
+            more memory than `inputs.memory_limit`.
     """
     path = Path(path)
     try:
@@ -127,14 +157,25 @@ def read_columns(
         raise InputError(
             f"{path}: reading {path.suffix} needs {error.name}: {how_to_install('io')}"
         ) from None
-    except Exception as error:  # whatever it is, it is the file's fault
+    except Exception as error:  # any error of a reader is a fault of the file
         raise InputError(f"{path}: cannot be read ({_one_line(error)})") from None
 
 
 def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list[Columns]:
-    """What a file holds, every raster by itself: the groups of an MDF or LVM file over their own stamps (named 'time' [s]); others have one.
+    """Return the content of a file, one entry per raster.
 
-    path: the file. columns: names for text files without a header row. Raises `InputError` as `read_columns` does.
+    The groups of an MDF or LVM file have their own time stamps, named 'time' [s]. Other formats have one
+    raster.
+
+    Args:
+        path: The file.
+        columns: Names of all columns of a text file without a header row.
+
+    Returns:
+        Values and units by column, for each raster.
+
+    Raises:
+        InputError: The file cannot be read (see `read_columns`).
     """
     path = Path(path)
     if path.suffix.lower() == ".lvm":
@@ -167,16 +208,29 @@ def read_table(
     resample: bool = False,
     header: Sequence[str] | None = None,
 ) -> Table:
-    """Read a table from `path`; the suffix tells the format (.csv .txt .tsv .dat .lvm .parquet .mat .mf4 .mdf).
+    """Read a table of channels over time from a file.
 
-    rename: column in the file -> channel. units: unit of a column, by its channel or its name in the file (goes
-    before what the file itself says; time is 's' unless told). expected: channel -> unit it shall have; then exactly
-    these channels are returned, converted, and a column without any unit is taken to have it already.
-    Without it every numeric column is returned as it is. Of columns that differ by their unit alone, "Force (V)" and
-    "Force (N)", the name "Force" means the column whose unit fits the channel. resample: MDF and LVM channels on different
-    rasters are interpolated linearly to the finest; otherwise they are refused. header: names of all columns of a text file
-    without a header row, with or without units.
-    Nothing in a file is ever executed. Raises `InputError` with one line on whatever cannot be used.
+    The suffix gives the format: .csv .txt .tsv .dat .lvm .parquet .mat .mf4 .mdf. No content of a file is
+    executed. Among columns that differ only by their unit, such as "Force (V)" and "Force (N)", the name
+    "Force" means the column whose unit fits the channel.
+
+    Args:
+        path: The file.
+        rename: Column in the file -> channel.
+        units: Unit by channel or by column; has priority over the unit in the file. Time is in 's' by
+            default.
+        expected: Channel -> wanted unit. Exactly these channels are returned, converted; a column without a
+            unit is assumed to have the wanted unit. None for all numeric columns, unconverted.
+        resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster, instead
+            of an error.
+        header: Names of all columns of a text file without a header row, with or without units.
+
+    Returns:
+        Time stamps [s] and channels.
+
+    Raises:
+        InputError: The file cannot be read, has no time, or holds a unit that cannot be converted.
+        MissingColumn: A wanted channel is missing.
     """
     path = Path(path)
     rename, units = dict(rename or {}), dict(units or {})
@@ -232,13 +286,16 @@ def _by_unit(
     units: Mapping[str, str],
     expected: Mapping[str, str] | None,
 ) -> dict[str, str]:
-    """Return `rename` (column -> channel) with the full names of columns that their units alone tell apart.
+    """Return `rename` (column -> channel) with the full names of columns that differ only by their units.
 
     Args:
         rename: Column -> channel.
         columns: Columns of the file.
-        units: Unit of a column, by its channel or its name.
-        expected: Channel -> unit it shall have; None for all columns as they are.
+        units: Unit by channel or by column.
+        expected: Channel -> wanted unit; None for all columns unconverted.
+
+    Returns:
+        Column -> channel.
 
     Raises:
         InputError: Several columns of one name fit.
@@ -259,14 +316,14 @@ def _one_line(error: Exception) -> str:
 
 
 def _isolated(kind: str) -> Reader:
-    """The reader of a binary format, which runs in a process of its own."""
+    """Return the reader of a binary format, which runs in a separate process."""
 
     def read(
         path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
     ) -> Columns:
         from . import isolated
 
-        if sys.modules.get(_LIBRARIES[kind], 0) is None:  # as good as not installed, for this process
+        if sys.modules.get(_LIBRARIES[kind], 0) is None:  # treated as not installed in this process
             raise ModuleNotFoundError(name=_LIBRARIES[kind])
         given = None if callable(wanted) else wanted
         head, arrays = isolated.read(kind, path, given, axis, resample)
@@ -312,11 +369,17 @@ _READERS: dict[str, Reader] = {
 
 # ---------------------------------------------------------------------------------------------------- writing
 def write_table(path: str | Path, table: Table) -> None:
-    """Write `table` in the format of the suffix (.csv .txt .tsv .parquet .mat .mf4), whole or not at all.
+    """Write a table atomically in the format of the suffix (.csv .txt .tsv .parquet .mat .mf4).
 
-    Numbers survive exactly. Parquet, .mat and .mf4 carry the units; a CSV has the bare channel names as header.
+    Numbers are exact. Parquet, .mat and .mf4 files carry the units; a CSV file has bare channel names as
+    header.
 
-    path: the file.
+    Args:
+        path: File to write.
+        table: Channels over time.
+
+    Raises:
+        InputError: The suffix is unknown, a name is impossible in the format, or the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -1,4 +1,4 @@
-"""Tables written as text, by whatever program: separator, decimal comma, preamble, names and units are found out."""
+"""Reader of text tables: separator, decimal comma, preamble, names and units are detected."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-#: of a text table: characters of a line, columns, and how many times its size it takes in memory while it is read
+#: limits of a text table: characters of a line, number of columns, memory while reading as a multiple of the
+#: size
 LINE_LIMIT, COLUMN_LIMIT, TEXT_SHARE = 131_072, 10_000, 12
 Dialect = tuple[str, bool, int]  # separator, decimal comma, cells of a row
 
 
 def _number(text: str, comma: bool) -> float | None:
-    """The number in a cell, nan for an empty one, None for text."""
+    """Return the number in a cell, NaN for an empty cell, None for text."""
     text = text.strip()
     if len(text) > 400:
         return None
@@ -50,7 +51,7 @@ def _number(text: str, comma: bool) -> float | None:
 
 
 def _stamp(text: str) -> float | None:
-    """Seconds of a date and time, or a time of day, as ISO 8601 writes them; those of a date count from 1970 on."""
+    """Return the seconds of a date and time (since 1970) or of a time of day, in ISO 8601 format; None for other text."""
     if not text[:1].isdigit() or ":" not in text or len(text) > 40:
         return None
     try:
@@ -64,7 +65,17 @@ def _stamp(text: str) -> float | None:
 
 
 def text_of(path: Path) -> str:
-    """The text of a file of bearable size, whatever its encoding."""
+    """Return the text of a file in any encoding.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Text.
+
+    Raises:
+        InputError: The file is too large, or no text table.
+    """
     limit, size = memory_limit(), plain_file(path)
     if size * TEXT_SHARE > limit:
         raise too_large(str(path), size * TEXT_SHARE, limit)
@@ -86,7 +97,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
-    """That under which the last lines hold numbers before all else, all lines alike."""
+    """Return the dialect under which the last lines are rows of numbers of equal width."""
     best: tuple[tuple[float, int], str, bool, int] = ((0.0, 0), ",", False, 0)
     for delimiter, comma in [(d, False) for d in ",;\t"] + [(";", True), ("\t", True), (" ", False)]:
         split = [_cells(s, delimiter) for _, s in rows[-20:]]
@@ -98,7 +109,7 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
     (_, numbers), delimiter, comma, width = best
     if not numbers:
         last = [_number(s.strip(), False) is not None for _, s in rows[-20:]]
-        if sum(last) > 0.5 * len(last):  # one column: the time of a rig that nothing drives
+        if sum(last) > 0.5 * len(last):  # a single column: the time of a rig without inputs and outputs
             return ",", False, 1
         tried = "separators tried: comma, semicolon, tab, blank"
         raise InputError(f"{path}: no columns of numbers found ({tried})")
@@ -106,26 +117,26 @@ def _dialect(path: Path, rows: list[tuple[int, str]]) -> Dialect:
 
 
 def _is_numeric(cells: list[str], width: int, comma: bool) -> bool:
-    """Return whether a row belongs to the numbers: most of its cells are finite numbers, or it holds nothing but numbers and gaps."""
+    """Return whether a row is data: most of its cells are finite numbers, or all its cells are numbers or gaps."""
     found = [_number(x, comma) for x in cells]
     finite = sum(x is not None and math.isfinite(x) for x in found)
     return finite > width / 2 or (finite > 0 and len(cells) == width and None not in found)
 
 
 def _are_units(cells: list[str]) -> bool:
-    """Return whether half of a header row's cells or more are units."""
+    """Return whether at least half of a header row's cells are units."""
     told = [x for x in cells if x not in ("", "-")]
     return bool(told) and sum(map(unit_known, told)) >= 0.5 * len(told)
 
 
-#: a cell of a row that numbers the columns and does not name them
+#: a cell that numbers a column instead of naming it
 _NUMBERED = re.compile(
     r"(channel|chan|ch|kanal|column|col|spalte|sensor|no|nr|#)?[\s_.:#-]*\d+", re.IGNORECASE
 )
 
 
 def _rank(cells: list[str]) -> int:
-    """Return how well a header row names columns: 2 with a name of time in it, 1 with one that begins so, below 0 for bare numbers or gaps."""
+    """Return the rank of a header row: 2 with a name of time, 1 with a beginning of such a name, -1 for numbers or gaps."""
     names = [split_header(x)[0].lower() for x in cells]
     if "" in names or all(map(_NUMBERED.fullmatch, names)):
         return -1
@@ -139,10 +150,11 @@ def _rank(cells: list[str]) -> int:
 def _header(
     path: Path, rows: list[tuple[int, str]], like: Dialect, given: Sequence[str] | None
 ) -> tuple[list[str], dict[str, str], int]:
-    """Return the columns' names, units by name, and the row at which numbers begin.
+    """Return the names of the columns, units by name, and the row at which the numbers begin.
 
-    Of several header rows the row with a name of time has the names (else the last row), and a row of units below it the units;
-    other rows, such as descriptions, are passed over. given: the names where the file has none.
+    Among several header rows, the row with a name of time holds the names (otherwise the last row), and a row
+    of units below holds the units. Other rows, such as descriptions, are skipped. `given` are the names for a
+    file without a header.
     """
     delimiter, comma, width = like
     numeric = [_is_numeric(_cells(s, delimiter), width, comma) for _, s in rows[:200]]
@@ -161,7 +173,7 @@ def _header(
     if not block:
         what = f"the header has {len(heads[-1])}" if heads else "no header row names them"
         told = f"line {rows[first][0]} has {width} fields, {what}"
-        raise InputError(f"{path}: {told}: --columns NAME,NAME,... names the columns of such a file")
+        raise InputError(f"{path}: {told}: name the columns with --columns NAME,NAME,...")
     below = [row for row in block[1:] if _rank(row) <= 0]
     unit_row = next((row for row in reversed(below) if _are_units([x.strip("[]() ") for x in row])), None)
     named = [row for row in block if row is not unit_row]
@@ -176,7 +188,7 @@ def _header(
 
 
 def _picked(path: Path, names: list[str], wanted: list[str] | None, time: str) -> list[int]:
-    """The places of the wanted columns, all of them where none are named, and of whatever may be the time."""
+    """Return the indices of the wanted columns and of the time column; all columns if no names are given."""
     there = Counter(names)
     bases = {n: split_header(n)[0] for n in names}
     for name in wanted or ():
@@ -199,7 +211,7 @@ def _cell_by_cell(
     needed: set[str],
     like: Dialect,
 ) -> dict[str, np.ndarray]:
-    """The columns `used`; one with words in it is left out as remarks, unless it is `needed`."""
+    """Return the columns `used`; a column with text is omitted as remarks, unless it is `needed`."""
     delimiter, comma, width = like
     columns = {names[i]: array("d") for i in used}
     for number, line in rows:
@@ -222,14 +234,20 @@ def _cell_by_cell(
 def numbers_of(
     path: Path, rows: list[tuple[int, list[str]]], place: int, name: str, comma: bool
 ) -> np.ndarray:
-    """Return the numbers (n,) of a column, nan for gaps and for rows that end before it.
+    """Return the numbers of a column, NaN for gaps and for rows that are too short.
 
     Args:
         path: File, for messages.
-        rows: Line and cells of each row.
-        place: Number of the column, from 0 on.
+        rows: Line number and cells of each row.
+        place: Index of the column, from 0.
         name: Name of the column, for messages.
-        comma: Whether decimals stand behind a comma.
+        comma: Whether the decimal separator is a comma.
+
+    Returns:
+        Numbers (n,).
+
+    Raises:
+        InputError: A cell holds text.
     """
     out = np.full(len(rows), math.nan)
     for k, (line, cells) in enumerate(rows):
@@ -246,11 +264,22 @@ def numbers_of(
 def read_text(
     path: Path, wanted: Choice, time: str, resample: bool, columns: Sequence[str] | None = None
 ) -> Columns:
-    """The wanted columns and that of the `time`; a whole file is on one raster, so there is nothing to `resample`.
+    """Return columns of a text table, including the time column.
 
-    columns: names of all columns, for a file without a header row.
+    Args:
+        path: The file.
+        wanted: Names, or a function that chooses from the available names; None for all.
+        time: Name of the wanted time column.
+        resample: Without effect; a text table has one raster.
+        columns: Names of all columns, for a file without a header row.
+
+    Returns:
+        Values, units and line numbers.
+
+    Raises:
+        InputError: The file is empty, too wide, lacks a column, or holds text in a wanted column.
     """
-    # a line ends where an editor says so, not at every separator that Unicode has
+    # lines end at line feeds and carriage returns, not at every separator of Unicode
     lines = text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows = [(i, s) for i, s in enumerate(lines, 1) if s.strip() and s.lstrip()[0] not in "#%"]
     del lines
@@ -271,7 +300,7 @@ def read_text(
     rows = rows[first:]
     numbers = [n for n, _ in rows]
     body = "\n".join(s for _, s in rows)
-    try:  # fast path: every cell of interest a number
+    try:  # fast path: every cell of interest is a number
         data = np.loadtxt(
             io.StringIO(body.replace(",", ".") if comma else body),
             delimiter=None if delimiter == " " else delimiter,

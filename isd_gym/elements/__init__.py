@@ -1,23 +1,25 @@
-"""The two-terminal elements a suspension is made of: equation, parameters, units, plausible ranges, source.
+"""Two-terminal elements of a suspension: equation, parameters, units, plausible ranges, source.
 
-**Adding an element** is writing one class, here or in a file of yours, with `@register`. It says what it is in one of
-four ways:
+**A new element** is one class with `@register`, in this package or in a user's file. The class defines the
+element in one of four ways:
 
-- linear: give `linear()`, its (stiffness, damping, inertance);
-- a smooth law: give `law`, a numba-compilable function
-  ``law(p, d, v, d_last, z, h) -> (force, z_next)`` of the parameters ``p``, the elongation and rate at the end of
-  the step, the elongation at its beginning, one state ``z`` of the law's own and the step ``h``;
-- a set-valued law (dry friction): give `bound`, ``bound(p, d, v) -> level``, the force it can hold or resist with;
-- an effect at a motor (`place = "element"`) or at a measured channel (`place = "channel"`): give `apply`.
+- linear: `linear()` returns (stiffness, damping, inertance);
+- a smooth law: `law` is a numba-compilable function ``law(p, d, v, d_last, z, h) -> (force, z_next)`` of the
+  parameters ``p``, the elongation ``d`` and rate ``v`` at the end of the step, the elongation ``d_last`` at
+  the beginning, a state ``z`` and the step ``h``;
+- a set-valued law (dry friction): ``bound(p, d, v) -> level`` is the largest force that the element can hold
+  or resist with;
+- an effect at a motor (`place = "element"`) or at a measured channel (`place = "channel"`): `apply`
+  transforms the signal.
 
-Nothing else changes, neither the kernel nor the file format nor the diagnosis, which tries it wherever it can stand. What
-it may say of itself besides has defaults that serve a stranger's law: where it makes sense (`stands`), from which values
-fits begin (`starts`), what it holds as special cases (`contains`, `special`), which parameter shapes it (`shaped_by`), where
-its force shows (`plane`), when its values mean what its name says (`well_formed`), which test would tell it (`test`).
-`mechanism` is the kind of effect that a diagnosis may state where the law stays open (`MECHANISMS`; by default 'other').
+Nothing else changes: kernel, file format and diagnosis use the class, and the diagnosis tries the element at
+every sensible place. Further attributes have defaults that suit an unknown law: sensible places (`stands`),
+start values of fits (`starts`), special cases (`contains`, `special`), the shape parameter (`shaped_by`), the
+plane of a plot (`plane`), validity of values (`well_formed`), and a decisive test (`test`). `mechanism` is
+the kind of effect that a diagnosis states if the law stays open (`MECHANISMS`; 'other' by default).
 
-A package offers its elements through the entry point group ``isd_gym.elements`` (a module, or a function without
-arguments, that registers them): then every command knows them.
+A package offers elements through the entry point group ``isd_gym.elements`` (a module, or a function without
+arguments, that registers the elements). All commands then know the elements.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What an element is: its base class, its parameters, the registry, and what it knows of itself.
+"""Base class of elements, their parameters, and the registry.
 
-The force of an element is positive in tension: with the elongation d = x_first - x_second [m] and its rate
-v [m/s] it pulls `first` by -F and `second` by +F.
+The force of an element is positive in tension: with the elongation d = x_first - x_second [m] and the rate v
+[m/s], the element pulls `first` by -F and `second` by +F.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 GROUND = "ground"
 
-#: Kinds of physical effect, as a diagnosis states them: the value of `Element.mechanism` is one of these.
+#: kinds of physical effect that a diagnosis states, the values of `Element.mechanism`
 MECHANISMS = (
     "dry_friction",
     "viscous",
@@ -58,17 +58,25 @@ def parameter(
     spread: float | None = None,
     stride: float | None = None,
 ) -> Any:
-    """A parameter [unit] with its plausible range (low, high) for a car corner, and the hard lower limit.
+    """Define a parameter of an element with unit, plausible range and hard limits.
 
-    The hard upper limit is a million times the plausible end, as often as the unit divides by a length: rigs that move by
-    micrometres do so, too. It holds for the magnitude where there is no lower limit.
+    The hard upper limit (of the magnitude, for a parameter without lower limit) is the plausible end times a
+    million for each division by a length in the unit: rigs may move by micrometres.
 
-    `fixed` parameters give the law its shape and are not fitted unless asked for. `spread`: how far from its default
-    a value is plausible at all (one sigma, where a car's range says nothing about other rigs). `stride`: how far a
-    single step of a fit may go.
+    Args:
+        unit: Name in `units.TABLE` or a product of such names, or '-'.
+        low: Lower end of the plausible range for the corner of a car [unit].
+        high: Upper end of the plausible range [unit].
+        default: Value of a model file that omits the parameter; None for a required parameter.
+        minimum: Hard lower limit [unit].
+        open_end: Whether the hard lower limit itself is excluded.
+        fixed: Whether the parameter only shapes the law and is not fitted by default.
+        spread: Plausible standard deviation from the default [unit], for parameters whose range does not
+            depend on a rig.
+        stride: Largest change in a single step of a fit [unit].
 
-    unit: as in `units.TABLE`, or '-'. low, high: where a fit begins to look. default: in a model file that does not say.
-    minimum: the hard lower limit, itself out of bounds with `open_end`.
+    Returns:
+        A dataclass field.
     """
     lengths = re.search(r"/m(?:\^(\d))?$", unit)
     often = int(lengths[1] or 1) if lengths else 1
@@ -92,13 +100,16 @@ def parameter(
 def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach: float | None = None) -> Any:
     """Return a parameter with the range that is plausible for a missing effect.
 
-    The diagnosis looks for the value within this range. A model file may go beyond it.
+    The diagnosis searches for the value within this range. A model file may exceed the range.
 
     Args:
         of: The parameter, as `parameter` returns it.
-        low: Least plausible value [unit of the parameter].
+        low: Smallest plausible value [unit of the parameter].
         high: Largest plausible value [unit of the parameter].
         reach: Largest factor by which a fit may leave the start value.
+
+    Returns:
+        A dataclass field.
     """
     meta = {**of.metadata, "plausible": (low, high), "reach": reach}
     return field(metadata=meta) if of.default is MISSING else field(default=of.default, metadata=meta)
@@ -109,7 +120,13 @@ def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach:
 
 @dataclass(frozen=True)
 class Motion:
-    """What happens between a pair of nodes in the simulation at hand: elongation d [m], its rate v and acceleration a."""
+    """Simulated relative motion of a pair of nodes.
+
+    Attributes:
+        d: Elongation (n,) [m].
+        v: Rate of elongation (n,) [m/s].
+        a: Second derivative of elongation (n,) [m/s^2].
+    """
 
     d: Array
     v: Array
@@ -117,30 +134,42 @@ class Motion:
 
     @property
     def reach(self) -> float:
-        """Largest elongation [m]."""
+        """Largest magnitude of the elongation [m]."""
         return max(float(np.abs(self.d).max()), 1e-12)
 
 
 def rms(values: Array) -> float:
-    """Root of the mean square of `values`, and no less than what may be divided by."""
+    """Return the root mean square of an array, bounded below for use as a divisor.
+
+    Args:
+        values: Array of any shape.
+
+    Returns:
+        Root mean square in the unit of `values`, at least 1e-12.
+    """
     return max(arrays.rms(values), 1e-12)
 
 
-#: share of the data's typical force that the start of a fit gives
+#: force at the start of a fit, as a share of the typical force of the data
 PROBE = 0.05
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Where a hypothesis is to be tried: the place, what stands there, and how the data are sized.
+    """Place of a hypothesis, with scales of the data at the place.
 
-    `motion` of the pair (None at a motor or a channel); `force` [N]: a typical one of the data; `signal`: deviation of
-    the current [A] of the motor, or of the channel [its unit]; `time` [s]: in which the motion changes, one over its
-    typical circular frequency; `options`: the choices that are not numbers; `samples` (n,): the measured channel, or the current
-    that the motor is told to give, in the channel's unit or in A (None between two nodes); `pitches` [m]: periods that the spectrum of
-    the missing force over travel shows, for a law that repeats over travel.
-
-    network: the model; where: the place.
+    Attributes:
+        network: The model.
+        where: The place: two nodes, a motor, or a channel.
+        motion: Relative motion of the two nodes; None at a motor or a channel.
+        force: Typical force of the data [N].
+        signal: Standard deviation of the motor's current [A], or of the channel [unit of the channel].
+        time: Reciprocal of the typical circular frequency of the motion [s].
+        options: Values of the choices that are not numbers.
+        samples: Measured channel [unit of the channel] or commanded current [A], (n,); None between two
+            nodes.
+        pitches: Periods [m] in the spectrum of the missing force over travel, for laws that repeat over
+            travel.
     """
 
     network: Network
@@ -155,25 +184,31 @@ class Setting:
 
     @property
     def beside(self) -> list[Element]:
+        """Elements at the place."""
         return beside(self.network, self.where)
 
     @property
     def moves(self) -> Motion:
+        """Relative motion of the two nodes."""
         assert self.motion is not None
         return self.motion
 
     @property
     def small(self) -> float:
-        """The force that a start gives [N]."""
+        """Force at the start of a fit [N]."""
         return PROBE * self.force
 
 
 @dataclass(frozen=True)
 class Start:
-    """Values from which a fit begins. `ways`: value sets whose responses are projected together; `grows`: what scales
-    with amplitude; `inverse`: the effect is one over the value; `signed`: it may act either way.
+    """Start values of a fit.
 
-    values: by parameter.
+    Attributes:
+        values: Value by parameter.
+        ways: Value sets whose responses are projected together; the start values alone by default.
+        grows: Parameters that scale with the amplitude of the effect.
+        inverse: Whether the effect is proportional to the reciprocal of the parameters.
+        signed: Whether the effect may have either sign.
     """
 
     values: dict[str, float]
@@ -192,13 +227,16 @@ class Start:
 
 @dataclass(frozen=True)
 class Element:
-    """Anything that stands in a model's list of elements.
+    """An entry of a model's list of elements.
 
-    `name` is unique in the model. `where` holds the terminals (two nodes), or the motor, or the channel.
+    Two functions are compiled into the kernel. ``law(p, d, v, d_last, z, h)`` returns (force [N], next z) for
+    the parameters p, the elongation d [m], its rate v [m/s], the elongation d_last [m] at the step before,
+    the law's state z and the step h [s]. ``bound(p, d, v)`` returns the level [N] that a dry friction can
+    hold.
 
-    Two things are compiled into the kernel. ``law(p, d, v, d_last, z, h)`` gives (force [N], next z) of the parameters p,
-    the elongation d [m], its rate v [m/s], d_last [m] at the step before, the law's state z and the step h [s];
-    ``bound(p, d, v)`` gives the level [N] that a dry friction can hold.
+    Attributes:
+        name: Name, unique in the model.
+        where: Two terminals (nodes), or a motor, or a channel.
     """
 
     name: str
@@ -207,27 +245,28 @@ class Element:
     type: ClassVar[str] = ""
     #: kind of physical effect, one of `MECHANISMS`
     mechanism: ClassVar[str] = "other"
-    place: ClassVar[str] = "between"  # the key that says where: "between", "element" (a motor) or "channel"
+    # key of the place in a model file: "between" (two nodes), "element" (a motor) or "channel"
+    place: ClassVar[str] = "between"
     equation: ClassVar[str] = ""
     source: ClassVar[str] = ""
-    signature: ClassVar[str] = ""  # what tells it from its neighbours
-    test: ClassVar[str] = ""  # the measurement that would
+    signature: ClassVar[str] = ""  # characteristic that distinguishes the element from similar ones
+    test: ClassVar[str] = ""  # measurement that would identify the element
     choices: ClassVar[dict[str, tuple[str, ...]]] = {}
     law: ClassVar[Callable[..., tuple[float, float]] | None] = None
     bound: ClassVar[Callable[..., float] | None] = None
-    #: where its force shows when drawn: over "rate", over "elongation", or in "time" alone
+    #: abscissa of a plot of the force: "rate", "elongation", or "time"
     plane: ClassVar[str] = "elongation"
-    #: put in series with what stands at its terminals, not beside it
+    #: whether a missing element is in series with the elements at its terminals, instead of parallel
     series: ClassVar[bool] = False
-    #: types that it holds as a special case
+    #: types that are special cases of this type
     contains: ClassVar[tuple[str, ...]] = ()
     #: types that a candidate of this type replaces at the same place
     replaces: ClassVar[tuple[str, ...]] = ()
-    #: the parameter that shapes it, for which fits may have several optima
+    #: parameter that shapes the law; fits may have several optima in this parameter
     shaped_by: ClassVar[str | None] = None
-    #: the law reads a logged channel (its field `channel`) in the place of the elongation
+    #: whether the law reads a logged channel (its field `channel`) instead of the elongation
     scheduled: ClassVar[bool] = False
-    #: (length of a period, phase) where it repeats over travel: fits have an optimum a period
+    #: (period, phase) parameters of a law that repeats over travel; fits have one optimum per period
     periodic: ClassVar[tuple[str, str] | None] = None
 
     def __post_init__(self) -> None:
@@ -257,34 +296,72 @@ class Element:
         return self.where[0], self.where[1]
 
     def linear(self) -> tuple[float, float, float]:
-        """(stiffness [N/m], damping [N s/m], inertance [kg]) of the linear part."""
+        """Return the linear part of the element.
+
+        Returns:
+            Stiffness [N/m], damping [N s/m] and inertance [kg].
+        """
         return 0.0, 0.0, 0.0
 
     def parts(self) -> tuple[Element, ...]:
-        """Elements that the kernel steps: the element where a law is defined, no element where the force is linear."""
+        """Return the elements that the kernel steps: this element if it has a law, none if the force is linear.
+
+        Returns:
+            Elements with a law or a bound.
+        """
         return (self,) if self.law is not None or self.bound is not None else ()
 
     def law_parameters(self) -> list[float]:
-        """The numbers that `law` or `bound` reads, in the order it reads them."""
+        """Return the numbers that `law` or `bound` reads, in order.
+
+        Returns:
+            Numbers in the units of the parameters.
+        """
         return [getattr(self, f.name) for f in parameter_fields(type(self))]
 
     def quiet(self) -> float:
-        """|d| [m] below which a smooth law is exactly zero and at rest; 0 where there is no such span."""
+        """Return the elongation below which a smooth law is exactly zero and at rest.
+
+        Returns:
+            Magnitude of the elongation [m]; 0 without such a span.
+        """
         return 0.0
 
     def contact(self) -> tuple[float, float, float, float] | None:
-        """Of a law that is a stop: elongations [m] beyond which it pushes, its stiffness [N/m] and damping [N s/m]; else None.
+        """Return the contact limits of a stop.
 
-        It pushes back with ``k (d - clearance) + c v``, or not at all where that would pull.
+        A stop pushes back with ``k (d - clearance) + c v`` beyond a limit, and never pulls.
+
+        Returns:
+            Elongations of the upper and lower limit [m], stiffness [N/m] and damping [N s/m]; None for other
+                laws.
         """
         return None
 
     def apply(self, signal: Array, step: float) -> Array:
-        """What an element at a motor or a channel makes of its signal (n, ...), sampled every `step` [s]."""
+        """Return the signal behind an element at a motor or a channel.
+
+        Args:
+            signal: Signal (n, ...) before the element.
+            step: Sampling step [s].
+
+        Returns:
+            Signal (n, ...) after the element.
+
+        Raises:
+            NotImplementedError: The element is between two nodes.
+        """
         raise NotImplementedError(f"{self.type} acts between two nodes, not on a signal")
 
     def curve(self, axis: Array) -> Array:
-        """Its force [N] over `axis` (n,): the rate [m/s] or the elongation [m], as `plane` says."""
+        """Return the force of the element over rate or elongation, as `plane` states.
+
+        Args:
+            axis: Rates [m/s] or elongations [m], (n,).
+
+        Returns:
+            Force (n,) [N].
+        """
         p, rate = np.array(self.law_parameters()), self.plane == "rate"
         cls = type(self)
         if cls.bound is not None:
@@ -299,7 +376,11 @@ class Element:
         return np.asarray(self.linear()[1 if rate else 0] * axis, dtype=np.float64)
 
     def to_dict(self) -> dict[str, Any]:
-        """As the model file has it."""
+        """Return the element as an object of a model file.
+
+        Returns:
+            Name, type, place and parameters.
+        """
         place: Any = list(self.where) if self.place == "between" else self.where[0]
         out: dict[str, Any] = {"name": self.name, "type": self.type, self.place: place}
         for f in fields(self):
@@ -311,28 +392,44 @@ class Element:
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        """Whether it makes sense as a missing effect at that place: by default where none of its type stands, or where a second one is
-        more than another value of the first: it has a shape (`shaped_by`), and that of the first is known for sure.
+        """Return whether a missing effect of this type is sensible at a place.
 
-        network: the model; where: the place.
+        By default, a place may have no other element of this type, except if the shape (`shaped_by`) of each
+        one is known for sure: a second element is then more than a change of the first.
+
+        Args:
+            network: The model.
+            where: The place.
         """
         alike = [e for e in beside(network, where) if e.type == cls.type]
         return all(cls.shaped_by and f"{e.name}.{cls.shaped_by}" not in network.uncertainty for e in alike)
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
-        """The choices that are not numbers, each a hypothesis of its own.
+        """Return the choices that are not numbers; each set of choices is a separate hypothesis.
 
-        network: the model; where: the place.
+        Args:
+            network: The model.
+            where: The place.
+
+        Returns:
+            Value by choice, for each hypothesis.
         """
         return [{}]
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        """Where fits begin, sized by the motion and force of the data.
+        """Return start values of fits, scaled by the motion and force of the data.
 
-        By default: a parameter in m (m/s) is tried at shares of the elongation (rate), any other in the middle of its
-        plausible range; those in which the force is linear are then scaled so that it is `PROBE` of the typical force.
+        By default, a parameter in m (m/s) is tried at fractions of the elongation (rate), and any other
+        parameter in the middle of its plausible range. Parameters in which the force is linear are then
+        scaled so that the force is `PROBE` of the typical force.
+
+        Args:
+            at: Place and scales of the data.
+
+        Returns:
+            Start values, best guesses first.
         """
         from .starts import generic_starts
 
@@ -340,7 +437,15 @@ class Element:
 
     @classmethod
     def sized(cls, start: Start, amplitude: Array) -> dict[str, float]:
-        """The start's values when its responses (its `ways`) are to be multiplied by `amplitude`."""
+        """Return start values scaled to fitted amplitudes of the responses.
+
+        Args:
+            start: Start values.
+            amplitude: Factor (ways,) for each response of `start.ways` [-].
+
+        Returns:
+            Value by parameter.
+        """
         values = dict(start.values)
         factor = float(np.clip(amplitude[0], -50.0 if start.signed else 0.1, 50.0))
         for key in start.grows:
@@ -349,9 +454,16 @@ class Element:
 
     @classmethod
     def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        """The values of an effect `factor` times as large as the start has it, its shape as it is.
+        """Return the values of an effect of another size with the same shape.
 
-        One whose size is no multiple of anything stays as it is.
+        An effect without a size stays unchanged.
+
+        Args:
+            start: Start values.
+            factor: Size relative to the start values [-].
+
+        Returns:
+            Value by parameter.
         """
         values = dict(start.ways[0])
         for key in start.grows:
@@ -360,28 +472,49 @@ class Element:
 
     @classmethod
     def special(cls, simple: str, values: Mapping[str, float], motion: Motion | None) -> dict[str, float]:
-        """Start values of the special case `simple` (one of `contains`), from values of its own.
+        """Return start values of a special case.
 
-        motion: of the pair, where it is one.
+        Args:
+            simple: Type of the special case, one of `contains`.
+            values: Value by parameter of this type.
+            motion: Relative motion of the two nodes; None at a motor or a channel.
+
+        Returns:
+            Value by parameter of the special case.
         """
         names = {f.name for f in parameter_fields(TYPES[simple])}
         return {key: value for key, value in values.items() if key in names}
 
     @classmethod
     def tied(cls, network: Network, where: tuple[str, ...]) -> dict[str, str]:
-        """Parameters that are not free but follow another: own name -> path in the network."""
+        """Return the parameters that follow another parameter of the model.
+
+        Args:
+            network: The model.
+            where: The place.
+
+        Returns:
+            Path in the network by parameter of this element.
+        """
         return {}
 
     @classmethod
     def held(cls, options: Mapping[str, str]) -> tuple[str, ...]:
-        """Parameters that keep their start values in a fit, by the choices that are not numbers.
+        """Return the parameters that keep their start values in a fit.
 
-        options: the choices.
+        Args:
+            options: Values of the choices that are not numbers.
+
+        Returns:
+            Names of parameters.
         """
         return ()
 
     def well_formed(self) -> bool:
-        """Whether the values mean what the name says; a law that does not may be a step on the way, but is never named."""
+        """Return whether the values agree with the meaning of the type.
+
+        Other values may occur during a search but are never reported.
+        """
         return True
 
     def support(self, motion: Motion) -> float:
@@ -396,7 +529,7 @@ class Element:
         return 1.0
 
     def differs_from_limit(self, motion: Motion) -> bool:
-        """Return whether a motion distinguishes the law from a limit of the law that has another name.
+        """Return whether a motion distinguishes the law from a limiting case with another name.
 
         Args:
             motion: Motion of the terminals.
@@ -404,28 +537,50 @@ class Element:
         return True
 
     def fault(self, time: float) -> float:
-        """How large a sensor's fault is: of a gain, or of the `time` [s] in which the motion changes; 0 for a force."""
+        """Return the size of a sensor's fault.
+
+        Args:
+            time: Time constant of the motion [s].
+
+        Returns:
+            Relative error of a gain, or delay over `time` [-]; 0 for a force.
+        """
         return 0.0
 
     def own_share(self, beside: Sequence[Element]) -> float:
-        """Share of its force that is its own, and not what could be a parameter of what stands there.
+        """Return the share of the force that no parameter of the neighbouring elements could produce.
 
-        beside: the elements that stand there.
+        Args:
+            beside: Elements at the place.
+
+        Returns:
+            Share from 0 to 1.
         """
         return 1.0
 
     def differing(self, beside: Sequence[Element]) -> tuple[str, str] | None:
-        """Two parameters that are an effect by their difference alone: what they have in common could be a parameter of what stands there.
+        """Return two parameters whose difference alone is the effect.
 
-        beside: the elements that stand there.
+        A neighbouring element could produce the common part of the two parameters.
+
+        Args:
+            beside: Elements at the place.
+
+        Returns:
+            Names of two parameters; None if each parameter is an effect.
         """
         return None
 
 
 def beside(network: Network, where: tuple[str, ...]) -> list[Element]:
-    """The elements at a place: between the same two nodes, at the same motor, on the same channel.
+    """Return the elements at a place: between the same two nodes, at the same motor, or on the same channel.
 
-    network: the model; where: the place.
+    Args:
+        network: The model.
+        where: The place.
+
+    Returns:
+        Elements in the order of the model.
     """
     kind = "between" if len(where) == 2 else None
     return [
@@ -436,7 +591,12 @@ def beside(network: Network, where: tuple[str, ...]) -> list[Element]:
 
 
 def held_by_parameter(network: Network, where: tuple[str, ...]) -> bool:
-    """Whether one of the two is the ground and the other a mass that may move within its stated uncertainty."""
+    """Return whether a place is between the ground and a mass of uncertain size.
+
+    Args:
+        network: The model.
+        where: Two nodes.
+    """
     node = next((n for n in where if n != GROUND), GROUND)
     return (
         GROUND in where
@@ -446,7 +606,13 @@ def held_by_parameter(network: Network, where: tuple[str, ...]) -> bool:
 
 
 def held_still(network: Network, where: tuple[str, ...]) -> bool:
-    """Whether springs hold both terminals to the ground or to a moved node: then a constant force only shifts the rest."""
+    """Return whether springs hold both terminals to the ground or to a moved node; a constant force then only
+    shifts the rest position.
+
+    Args:
+        network: The model.
+        where: Two nodes.
+    """
     held = {GROUND, *network.moved_nodes}
     springs = [set(e.where) for e in network.elements if e.place == "between" and e.linear()[0] > 0]
     grown = True
@@ -458,11 +624,24 @@ def held_still(network: Network, where: tuple[str, ...]) -> bool:
 
 
 def driven_motor(network: Network, where: tuple[str, ...]) -> bool:
+    """Return whether an input commands the current of a motor.
+
+    Args:
+        network: The model.
+        where: The motor.
+    """
     return any(c.quantity == "current" and c.element == where[0] for c in network.inputs)
 
 
 def parameter_fields(cls: type[Element]) -> tuple[Field[Any], ...]:
-    """The numeric parameters of an element class, in order."""
+    """Return the numeric parameters of an element type, in order.
+
+    Args:
+        cls: Class of the element.
+
+    Returns:
+        Dataclass fields with unit, range and limits in their metadata.
+    """
     if cls not in _PARAMETERS:
         _PARAMETERS[cls] = tuple(f for f in fields(cls) if "unit" in f.metadata)
     return _PARAMETERS[cls]
@@ -476,7 +655,17 @@ ENTRY_POINTS = "isd_gym.elements"
 
 
 def register(cls: type[Element]) -> type[Element]:
-    """Class decorator: make an element type known to models, the kernel and the diagnosis."""
+    """Register an element type for models, the kernel and the diagnosis; a class decorator.
+
+    Args:
+        cls: Class of the element; becomes a frozen dataclass.
+
+    Returns:
+        The class.
+
+    Raises:
+        InputError: The class has no type name, or an unknown mechanism.
+    """
     cls = dataclass(frozen=True)(cls)
     if not cls.type:
         raise InputError(f"{cls.__name__} has no type name")
@@ -488,9 +677,9 @@ def register(cls: type[Element]) -> type[Element]:
 
 @functools.cache
 def discover() -> None:
-    """Register what installed packages offer through the entry point group ``isd_gym.elements``.
+    """Register the elements that installed packages offer through the entry point group ``isd_gym.elements``.
 
-    An entry is a module that registers its classes when imported, or a function without arguments that does.
+    An entry point is a module that registers classes on import, or a function without arguments.
     """
     for entry in entry_points(group=ENTRY_POINTS):
         found = entry.load()
@@ -499,9 +688,13 @@ def discover() -> None:
 
 
 def register_file(path: str | Path) -> None:
-    """Run a Python file of the user's own that registers elements. Raises `InputError` where it cannot be run.
+    """Run a Python file of a user that registers elements.
 
-    path: the file.
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: The file does not exist, fails, or registers no element.
     """
     path = Path(path)
     if path.suffix != ".py" or not os.path.isfile(path):

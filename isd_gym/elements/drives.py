@@ -1,4 +1,4 @@
-"""What a drive makes of the current that it is told to give."""
+"""Effects of a drive on its commanded current."""
 
 from __future__ import annotations
 
@@ -14,9 +14,16 @@ if TYPE_CHECKING:
 
 
 def delayed(values: Array, steps: float, before: float | None = None) -> Array:
-    """`values` (n, ...) later by a number of samples, linear in between; `before` them, or the first one.
+    """Return a signal delayed by a number of samples, with linear interpolation.
 
-    steps: need not be whole. Negative steps give earlier values, continued point-symmetrically past the last one.
+    Args:
+        values: Signal (n, ...).
+        steps: Delay [samples], not necessarily an integer. A negative delay advances the signal, which is
+            continued point-symmetrically beyond its end.
+        before: Value before the first sample; None for the first value.
+
+    Returns:
+        Delayed signal (n, ...).
     """
     if steps < 0:
         ahead = min(math.ceil(-steps), len(values) - 1)
@@ -32,7 +39,7 @@ def delayed(values: Array, steps: float, before: float | None = None) -> Array:
 
 
 class _Drive(Element):
-    """At a motor that a current drives; there was no current before the record."""
+    """An effect at a motor that a current drives; the current before the record is zero."""
 
     place = "element"
     plane = "time"
@@ -54,7 +61,8 @@ class ThrustSaturation(_Drive):
         "{current} is approached, and be in proportion below a fifth of it."
     )
     shaped_by = "current"
-    # below a twentieth of the start, which is about the deviation of the command, the drive would hardly follow it
+    # below a twentieth of the start, about the deviation of the command, the drive would hardly follow the
+    # command
     current: float = plausible(parameter("A", 1.0, 50.0, open_end=True), reach=20.0)
 
     def apply(self, signal: Array, step: float) -> Array:
@@ -66,7 +74,8 @@ class ThrustSaturation(_Drive):
 
     @classmethod
     def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        return {"current": start.values["current"] / factor}  # the lower, the more it takes away
+        # a lower saturation current takes more thrust away
+        return {"current": start.values["current"] / factor}
 
 
 @register
@@ -90,7 +99,7 @@ class ActuatorLag(_Drive):
         if not self.time_constant > 0:
             return signal
         pole = math.exp(-step / self.time_constant)
-        share = (1.0 - pole) * self.time_constant / step  # mean of the decay over one step
+        share = (1.0 - pole) * self.time_constant / step  # mean of the decay over a step
         state, _ = lfilter([0.0, 1.0 - pole], [1.0, -pole], signal, axis=0, zi=0.0 * signal[:1])
         return np.asarray(signal + (state - signal) * share, dtype=np.float64)
 
@@ -177,18 +186,22 @@ class QuadraticThrust(_Drive):
             at.options["form"] == "square"
             and min(np.max(at.samples), -np.min(at.samples)) < 0.05 * size.max()
         ):
-            return []  # a command of one sign: the other form gives the same
-        # the square that comes nearest to proportion over these commands
+            return []  # for a command of one sign both forms are equal
+        # the square law closest to proportionality over these commands
         nearest = float(np.sum(size**4) / np.sum(size**3))
         return [Start({"reference": share * nearest}) for share in (0.6, 1.0, 1.7)]
 
 
 def has_levels(samples: Array) -> bool:
-    """Return whether a command (n,) has sizes that differ: of a single one, every static law is another constant."""
+    """Return whether the magnitudes of a command differ; for a single magnitude every static law is only another constant.
+
+    Args:
+        samples: Commands (n,) [A].
+    """
     size = np.abs(samples)
     sizes = size[size > 0.05 * size.max(initial=0.0)]
     return bool(len(sizes) and sizes.std() > 0.1 * sizes.mean())
 
 
-#: order in which a drive's effects act, whatever the order in the model: bus, valve or amplifier, electric circuit, iron
+#: order in which the effects of a drive act, in any model: bus, valve or amplifier, electric circuit, iron
 DRIVE_ORDER = (ActuatorDelay, DriveDeadZone, ActuatorLag, QuadraticThrust, ThrustSaturation)

@@ -1,4 +1,4 @@
-"""Dry friction: a set-valued law holds with any force up to `bound` and slides against `bound`; the kernel projects."""
+"""Dry friction: a set-valued law that holds up to `bound` and slides against `bound`; the kernel projects."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class StribeckFriction(Element):
     )
     plane = "rate"
     contains = ("coulomb_friction",)
-    replaces = ("coulomb_friction",)  # its curve holds the constant level already
+    replaces = ("coulomb_friction",)  # the curve includes the constant level
     shaped_by = "stribeck_velocity"
     bound = staticmethod(_stribeck)
     level: float = parameter("N", 5.0, 2000.0)
@@ -69,7 +69,14 @@ class StribeckFriction(Element):
     stribeck_velocity: float = parameter("m/s", 1e-3, 0.2, open_end=True)
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples of the motion below or above the Stribeck velocity, whichever is smaller."""
+        """Return the share of the samples below or above the Stribeck velocity, whichever is smaller.
+
+        Args:
+            motion: Motion of the terminals.
+
+        Returns:
+            Share from 0 to 1.
+        """
         below = float(np.mean(np.abs(motion.v) < self.stribeck_velocity))
         return min(below, 1.0 - below)
 
@@ -97,7 +104,7 @@ class StribeckFriction(Element):
 
     @classmethod
     def grown(cls, start: Start, factor: float) -> dict[str, float]:
-        # what grows is what it adds to the constant level that stands there
+        # only the addition to the present constant level grows
         level, static = start.values["level"], start.values["static_level"]
         constant = level - 0.3 * (static - level)
         return start.values | {
@@ -106,7 +113,7 @@ class StribeckFriction(Element):
         }
 
     def well_formed(self) -> bool:
-        return self.level <= self.static_level  # one that rises with speed mimics damping
+        return self.level <= self.static_level  # a level that rises with speed mimics damping
 
 
 @register
@@ -129,7 +136,7 @@ class AsymmetricFriction(Element):
     compression: float = parameter("N", 5.0, 2000.0)
 
     def parts(self) -> tuple[Element, ...]:
-        # exactly: whether it slides either way or sticks, it is a friction of the mean level about a constant force
+        # exact in sliding and sticking: a friction of the mean level plus a constant force
         mean, lean = 0.5 * (self.extension + self.compression), 0.5 * (self.extension - self.compression)
         return (
             CoulombFriction(self.name, self.where, mean),  # type: ignore[call-arg]
@@ -141,7 +148,7 @@ class AsymmetricFriction(Element):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        # where nothing but a spring's rest says where zero is, the lean is that spring's
+        # if only a spring defines the zero, the constant part is a preload of the spring
         rubs = any(isinstance(e, StribeckFriction | AsymmetricFriction) for e in beside(network, where))
         return not rubs and not held_still(network, where)
 

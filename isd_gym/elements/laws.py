@@ -1,7 +1,7 @@
 """Smooth laws: numba-compilable functions ``law(p, d, v, d_last, z, h) -> (force, z_next)``.
 
-Of the parameters ``p``, the elongation and rate at the end of the step, the elongation at its beginning, one state
-``z`` of the law's own and the step ``h``.
+Arguments are the parameters ``p``, the elongation ``d`` and rate ``v`` at the end of the step, the elongation
+``d_last`` at the beginning, a state ``z`` and the step ``h``.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ if TYPE_CHECKING:
 
 
 TURN = 2.0 * math.pi  # [rad]
-#: periods over the travel up to which every pitch is tried; of finer ones, those that the spectrum over position shows
+#: number of periods over the travel up to which every pitch is tried; finer pitches come from the spectrum
+#: over position
 PERIODS = 60
-#: relative sigma of a damping up to which its owner knows that there is a damper
+#: relative standard deviation of a damping up to which the damper is known to exist
 SURE_DAMPER = 0.5
-#: periods a turn up to which every whole number is tried
+#: number of periods per turn up to which every integer is tried
 WHOLE_PERIODS = 120
 
 
@@ -60,7 +61,7 @@ def _cubic(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> t
 
 
 def _gas(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
-    # the column never shrinks below 1 % of its length: past that the law has no meaning
+    # the length of the column is bounded at 1 %: below, the law has no meaning
     return p[0] * (1.0 - max(1.0 + d / p[1], 0.01) ** (-p[2])), z
 
 
@@ -70,7 +71,7 @@ def _stop(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tu
     if not touching:
         return 0.0, z
     f = p[1] * over + p[2] * v
-    return (max(f, 0.0) if d > 0.0 else min(f, 0.0)), z  # a stop pushes, it never holds back
+    return (max(f, 0.0) if d > 0.0 else min(f, 0.0)), z  # a stop pushes and never pulls
 
 
 def _backlash(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
@@ -84,7 +85,7 @@ def _bouc_wen(p: Array, d: float, v: float, d_last: float, z: float, h: float) -
     if level <= 0.0 or way == 0.0:
         return z, z
     x = stiffness * abs(way) / level
-    if exponent == 1.0:  # closed form: a line in the state on either side of zero
+    if exponent == 1.0:  # closed form: linear in the state on either side of zero
         u = z / level if way > 0.0 else -z / level
         if u < 0.0:
             a, u = 1.0 - 2.0 * shape, max(u, -1.0)  # du/dx = 1 + a u
@@ -97,8 +98,8 @@ def _bouc_wen(p: Array, d: float, v: float, d_last: float, z: float, h: float) -
             u = 1.0 - (1.0 - u) * math.exp(-x)
         z = level * u if way > 0.0 else -level * u
         return z, z
-    # exponential Runge-Kutta of second order in travel: what saturates does so at any length of a step, and as the number
-    # of parts does not depend on the travel, the force is a smooth function of it
+    # second-order exponential Runge-Kutta method in travel: saturation holds at any length of a step, and a
+    # constant number of parts makes the force a smooth function of the travel
     u, parts = max(min(z / level if way > 0.0 else -z / level, 1.0), -1.0), 8
     x /= parts
     for _ in range(parts):  # du/dx = rest - slope u
@@ -152,7 +153,7 @@ class ConstantForce(Element):
     def starts(cls, at: Setting) -> list[Start]:
         v = at.moves.v
         if (v.min() >= 0.0 or v.max() <= 0.0) and abs(v[-1]) < abs(v[0]):
-            return []  # what runs down one way without turning is slowed by dry friction just so
+            return []  # monotonic motion that slows down without reversal fits dry friction equally well
         return [Start({"force": at.small}, grows=("force",), signed=True)]
 
 
@@ -164,14 +165,14 @@ class GravitySine(Element):
     source = "a pendulum; d0 = 0 hangs, pi stands"
     signature = "a stiffness that softens with amplitude, as the cosine does"
     test = "Hold the pendulum level: its torque must be {torque}, and half of that at 30 degrees."
-    replaces = ("linear_stiffness",)  # its slope at rest is that stiffness
+    replaces = ("linear_stiffness",)  # the slope at rest is the stiffness
     law = staticmethod(_gravity)
-    torque: float = parameter("N", 1e-3, 1e4)  # N m where it turns
+    torque: float = parameter("N", 1e-3, 1e4)  # [N m] at a rotation
     rest: float = parameter("rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, fixed=True)
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        # of what turns about an axis that gravity pulls on
+        # for a body that rotates against gravity
         turns = any(n in network.rotating for n in where)
         return turns and GROUND in where and super().stands(network, where)
 
@@ -219,16 +220,17 @@ class DegressiveDamping(Element):
     test = "Double the speed: the force must grow by less than twice, the less the further beyond {knee}; near rest its slope is {damping}."
     plane = "rate"
     contains = ("linear_damping", "coulomb_friction")
-    replaces = ("linear_damping",)  # its slope at rest is that damping
+    replaces = ("linear_damping",)  # the slope at rest is the damping
     shaped_by = "knee"
     law = staticmethod(_degressive)
     damping: float = parameter("N s/m", 10.0, 1e5)
-    # from the typical rate to nine times as much: below, the force is nearer to dry friction, above, to a linear damper
+    # from the typical rate to nine times the typical rate: below, the law approaches dry friction, above, a
+    # linear damper
     knee: float = plausible(parameter("m/s", 1e-3, 1.0, open_end=True), reach=3.0)
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        # where nobody knows whether there is a damper, dry friction with round corners would pass for one
+        # without a known damper, dry friction with rounded corners would be mistaken for this law
         dampers = [e.name for e in beside(network, where) if e.type == "linear_damping"]
         known = any(network.uncertainty.get(f"{name}.damping", 0.0) <= SURE_DAMPER for name in dampers)
         return known and super().stands(network, where)
@@ -238,7 +240,7 @@ class DegressiveDamping(Element):
         linear = sum(e.linear()[1] for e in at.beside if e.type == "linear_damping")
         force = linear * rms(at.moves.v) or at.small
         knee = 3.0 * rms(at.moves.v)
-        # of the same force as the linear damper, from which it may differ either way
+        # same RMS force as the linear damper, with deviations of either sign
         damping = force / rms(at.moves.v / (1.0 + np.abs(at.moves.v) / knee))
         return [Start({"damping": damping, "knee": knee}, signed=True)]
 
@@ -249,7 +251,11 @@ class DegressiveDamping(Element):
         return {"level": slope * rate} if simple == "coulomb_friction" else {"damping": slope}
 
     def differs_from_limit(self, motion: Motion) -> bool:
-        """Return False where the knee lies so far below the rates of the motion that the law is dry friction."""
+        """Return whether the knee is within the rates of the motion; for a much smaller knee the law is dry friction.
+
+        Args:
+            motion: Motion of the terminals.
+        """
         return self.knee > DRY * rms(motion.v)
 
 
@@ -292,7 +298,7 @@ class AsymmetricDamping(Element):
     def own_share(self, beside: Sequence[Element]) -> float:
         if self.differing(beside) is None:
             return 1.0
-        # what both directions have in common is that damper's
+        # the common part of both directions belongs to the damper
         return abs(self.extension - self.compression) / (
             2 * rms(np.array([self.extension, self.compression]))
         )
@@ -373,7 +379,14 @@ class BumpStop(Element):
         return self.clearance
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples of the motion in contact."""
+        """Return the share of the samples in contact.
+
+        Args:
+            motion: Motion of the terminals.
+
+        Returns:
+            Share from 0 to 1.
+        """
         upper, lower, *_ = self.contact()
         return float(np.mean((motion.d > upper) | (motion.d < lower)))
 
@@ -428,7 +441,8 @@ class Backlash(Element):
 
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
-        # its faces give by a fiftieth of the play under the usual force: beside a damper a softer one would be a compliance
+        # the faces yield by a fiftieth of the play under the typical force: beside a damper, softer faces
+        # would be a compliance
         gaps = [s * rms(at.moves.d) for s in (0.02, 0.2)]
         return [Start({"gap": gap, "stiffness": 50.0 * at.force / gap}, grows=("gap",)) for gap in gaps]
 
@@ -461,12 +475,24 @@ class Hysteresis(Element):
         ]
 
     def support(self, motion: Motion) -> float:
-        """Return the share of the samples of the motion beyond the slip displacement: below it the law is a spring."""
+        """Return the share of the samples beyond the slip displacement; below, the law is a spring.
+
+        Args:
+            motion: Motion of the terminals.
+
+        Returns:
+            Share from 0 to 1.
+        """
         slip = self.level / max(self.stiffness, 1e-300)
         return float(np.mean(np.abs(motion.d - np.median(motion.d)) > slip))
 
     def differs_from_limit(self, motion: Motion) -> bool:
-        """Return False where the motion hardly passes the slip displacement: there the law is a spring with rounded corners."""
+        """Return whether the motion clearly exceeds the slip displacement; for smaller motions the law is a
+        spring with rounded corners.
+
+        Args:
+            motion: Motion of the terminals.
+        """
         return self.support(motion) >= SLIPPING
 
     def curve(self, axis: Array) -> Array:
@@ -492,7 +518,7 @@ class CoggingForce(Element):
         "Pull the device slowly through its whole travel: the force must repeat every {pitch} with "
         "{amplitude}, at the same places each time."
     )
-    contains = ("linear_stiffness",)  # of a pitch longer than the travel
+    contains = ("linear_stiffness",)  # for a pitch longer than the travel
     periodic = ("pitch", "phase")
     choices: ClassVar[dict[str, tuple[str, ...]]] = {"turn": ("any", "whole")}
     law = staticmethod(_cogging)
@@ -511,7 +537,7 @@ class CoggingForce(Element):
 
     @classmethod
     def variants(cls, network: Network, where: tuple[str, ...]) -> list[dict[str, str]]:
-        # a force that repeats with the angle has a whole number of periods a turn, unless a gear lies between
+        # a force that repeats with the angle has an integer number of periods per turn, except behind a gear
         turns = any(n in network.rotating for n in where)
         return [{"turn": "any"}, *([{"turn": "whole"}] if turns else [])]
 
@@ -530,12 +556,14 @@ class CoggingForce(Element):
         if span <= 0:
             return []
         if at.options.get("turn") == "whole":
-            # as many periods a turn as are at least one over the travel, and long enough for the samples
+            # integer numbers of periods per turn: at least one period over the travel, and long enough for
+            # the samples
             most = min(WHOLE_PERIODS, TURN / max(2.5 * float(np.median(np.abs(np.diff(d)))), 1e-9))
             pitches = [TURN / k for k in range(max(1, math.ceil(TURN / span)), int(most) + 1)]
             pitches += [TURN / k for k in (round(TURN / p) for p in at.pitches) if k > most]
         else:
-            # neighbouring pitches shift by a quarter period over the span; less than a period in sight does not repeat
+            # neighbouring pitches differ by a quarter period over the span; less than one visible period is
+            # no repetition
             pitches = [float(1 / cycles) for cycles in np.arange(1 / span, PERIODS / span, 0.25 / span)]
             pitches += at.pitches
         out = []

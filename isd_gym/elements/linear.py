@@ -1,4 +1,4 @@
-"""Springs, dampers, inerters and the motor: what is linear in its motion, and assembled instead of stepped."""
+"""Springs, dampers, inerters and the motor: linear elements, which are assembled instead of stepped."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class SeriesCompliance(LinearStiffness):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        # in series with a lone spring it is a softer spring
+        # in series with a lone spring, the effect is only a softer spring
         return bool({e.type for e in beside(network, where)} - {"linear_stiffness"})
 
     @classmethod
@@ -96,7 +96,7 @@ class Inertance(Element):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        # to the ground it is more of a mass that may move already
+        # an inertance to the ground is a change of a mass that is uncertain already
         return super().stands(network, where) and not held_by_parameter(network, where)
 
     @classmethod
@@ -124,7 +124,7 @@ class TerminalInertia(Element):
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
         here = beside(network, where)
         inert = any(isinstance(e, Inertance) for e in here)
-        # a device has moving parts; to the ground they are an inertance
+        # a device has moving parts; to the ground, their effect is an inertance
         return super().stands(network, where) and (
             inert or (is_device(network, where) and GROUND not in where)
         )
@@ -151,10 +151,15 @@ class Motor(Element):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        return False  # nobody overlooks one
+        return False  # a motor is never overlooked
 
 
 def is_device(network: Network, where: tuple[str, ...]) -> bool:
-    """Whether a motor or an inerter stands there; in a network without any, every joined pair is one."""
+    """Return whether a motor or an inerter is between two nodes; in a network without any, every connected pair is a device.
+
+    Args:
+        network: The model.
+        where: Two nodes.
+    """
     devices = {frozenset(e.where) for e in network.elements if isinstance(e, Motor | Inertance)}
     return frozenset(where) in devices if devices else bool(beside(network, where))

@@ -1,6 +1,6 @@
 """Laws whose coefficient depends on a logged channel, such as a temperature or a speed.
 
-The channel is an input of the model that acts on no node. The kernel gives its value to the law in the place of the
+The channel is an input of the model that acts on no node. The kernel passes its value instead of the
 elongation, which these laws do not read.
 
 References:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from ..network import Network
 
-#: least spread of a logged channel, as a share of its largest value, from which its influence is looked for
+#: smallest standard deviation of a logged channel, as a share of its largest value, for a visible influence
 LEAST_SPREAD = 1e-3
 
 
@@ -51,7 +51,7 @@ class _Scheduled(Element):
 
 
 def _spread(at: Setting) -> tuple[float, float]:
-    """Return mean and deviation of the logged channel; a deviation of 0 where the channel hardly changes."""
+    """Return mean and standard deviation of the logged channel; 0 for the deviation of a nearly constant channel."""
     values = np.zeros(1) if at.samples is None else at.samples
     mean, deviation = float(np.mean(values)), float(np.std(values))
     return mean, deviation if deviation > LEAST_SPREAD * float(np.abs(values).max()) else 0.0

@@ -1,4 +1,4 @@
-"""What a sensor makes of the signal that it is to report."""
+"""Effects of a sensor on its measured signal."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from ..network import Network
 
 
-#: latest (and earliest) that a channel is plausible to be [s]
+#: largest plausible delay or advance of a channel [s]
 LATEST = 0.3
-#: share of a magnitude's largest value that noise may take it below zero
+#: largest negative noise of a magnitude, as a share of its largest value
 NEGATIVE = 0.1
 
 
@@ -69,7 +69,7 @@ class SensorBias(_Sensor):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        free = any(c.name == where[0] and c.offset for c in network.outputs)  # fitted already
+        free = any(c.name == where[0] and c.offset for c in network.outputs)  # already a fitted parameter
         return not free and super().stands(network, where)
 
     @classmethod
@@ -126,7 +126,7 @@ class SensorMagnitude(_Sensor):
     @classmethod
     def starts(cls, at: Setting) -> list[Start]:
         low, high = np.quantile(at.samples, [0.001, 0.999]) if at.samples is not None else (-1.0, 1.0)
-        # no more below zero than noise
+        # below zero only noise
         return [Start({}, signed=True)] if low > -NEGATIVE * high else []
 
 
@@ -160,7 +160,11 @@ class SensorDeadZone(_Sensor):
 
 
 def rests_at_zero(samples: Array) -> bool:
-    """Return whether a signal (n,) is near zero much more often than near the values beside zero."""
+    """Return whether a signal is near zero much more often than near the values beside zero.
+
+    Args:
+        samples: Signal (n,).
+    """
     size = np.abs(samples)
     near = 0.02 * float(np.quantile(size, 0.999))
     at_zero, beside = np.mean(size < near), np.mean((size >= near) & (size < 4.0 * near)) / 3.0

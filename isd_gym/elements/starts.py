@@ -1,4 +1,4 @@
-"""Where fits of a stranger's law begin: sized by the motion and force of the data, though it says nothing of them."""
+"""Start values of fits for laws without `starts` of their own, scaled by the motion and force of the data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def _values_of(f: Field[Any], motion: Motion | None) -> list[float]:
-    """Values of a parameter worth trying: shares of the motion where its unit says so, else its plausible range's middle."""
+    """Return trial values of a parameter: fractions of the motion, or the middle of the plausible range, as the unit suggests."""
     low, high = f.metadata["range"]
     if f.metadata["fixed"]:
         return [float(f.default)]  # type: ignore[arg-type]
@@ -28,7 +28,7 @@ def _values_of(f: Field[Any], motion: Motion | None) -> list[float]:
 
 
 def _force(cls: type[Element], values: Mapping[str, float], at: Setting) -> Array | None:
-    """The force of a law over a thinned piece of the motion at hand; None where the values cannot be."""
+    """Return the force of a law over a thinned piece of the motion; None for impossible values."""
     try:
         e = cls(name="trial", where=at.where, **values, **at.options)
     except (InputError, TypeError):
@@ -52,8 +52,17 @@ def _force(cls: type[Element], values: Mapping[str, float], at: Setting) -> Arra
 
 
 def generic_starts(cls: type[Element], at: Setting) -> list[Start]:
+    """Return start values for a law, scaled by the motion and force of the data.
+
+    Args:
+        cls: Class of the element.
+        at: Place and scales of the data.
+
+    Returns:
+        Start values, best guesses first.
+    """
     free = [f for f in parameter_fields(cls) if not f.metadata["fixed"]]
-    if at.motion is None:  # at a motor or a channel: its effect cannot be sized beforehand
+    if at.motion is None:  # an effect at a motor or a channel has no size before the fit
         middle = {f.name: _values_of(f, None)[0] for f in free}
         return [Start(middle, grows=tuple(middle)[:1])]
     trials: list[dict[str, float]] = [{}]
@@ -69,7 +78,7 @@ def generic_starts(cls: type[Element], at: Setting) -> list[Start]:
             doubled = _force(cls, values | {f.name: 2.0 * values[f.name]}, at)
             if doubled is not None and np.allclose(doubled, 2.0 * force, rtol=1e-6, atol=1e-9 * rms(force)):
                 grows.append(f.name)
-        if not grows:  # several may only scale it together: levels of one curve
+        if not grows:  # several parameters may scale the force only together, such as the levels of a curve
             rest = [f.name for f in free if f.metadata["unit"] not in ("m", "rad", "m/s", "rad/s", "-")]
             doubled = _force(cls, values | {n: 2.0 * values[n] for n in rest}, at)
             if (

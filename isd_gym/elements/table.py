@@ -1,8 +1,8 @@
-"""A law given by numbers: force over elongation, over rate, or over both.
+"""A tabulated law: force over elongation, over rate, or over both.
 
-`elongation` [m] and `rate` [m/s] are its knots, rising, one of them or both; `force` [N] is given at each knot, or for both as a
-row of forces by rate for each elongation. `interpolation`: lines between the knots, or a smooth curve through them;
-`beyond`: past its ends the last force is held, or its last slope.
+`elongation` [m] and `rate` [m/s] are rising knots, for one or both axes. `force` [N] has one value per knot;
+for two axes, one row over the rate for each elongation. `interpolation` is linear between the knots, or a
+smooth curve through the knots. `beyond` holds the last force or the last slope outside the table.
 """
 
 from __future__ import annotations
@@ -21,19 +21,26 @@ if TYPE_CHECKING:
 
     from ..network import Network
 
-KNOTS, CELLS = 500, 20_000  # of an axis, and of a table, at most
-FINER = 8  # lines between two knots of a smooth table
+KNOTS, CELLS = 500, 20_000  # upper limits for knots of an axis, and for values of a table
+FINER = 8  # linear pieces between two knots of a smooth table
 
 
 def knots(unit: str) -> Any:
-    """A row of numbers [unit] of a table; none by default."""
+    """Define an axis or the values of a table; empty by default.
+
+    Args:
+        unit: Unit of the numbers.
+
+    Returns:
+        A dataclass field.
+    """
     from dataclasses import field
 
     return field(default=(), metadata={"knots": unit})
 
 
 def _tabulated(p: Array, d: float, v: float, d_last: float, z: float, h: float) -> tuple[float, float]:
-    # p: scale, how many elongations and rates, whether it goes on beyond its ends, the elongations, the rates, the forces
+    # p: scale, numbers of elongations and rates, extrapolation flag, elongations, rates, forces
     nd, nv, on = int(p[1]), int(p[2]), p[3]
     force, row = 4 + nd + nv, max(nv, 1)
     i, s = 0, 0.0
@@ -126,11 +133,19 @@ class TabulatedForce(Element):
 
     @property
     def over(self) -> str:
-        """'elongation', 'rate' or 'both'."""
+        """Axes of the table: 'elongation', 'rate' or 'both'."""
         return "both" if self.elongation and self.rate else "rate" if self.rate else "elongation"
 
     def at(self, d: Array, v: Array) -> Array:
-        """Force [N] at elongations d [m] and rates v [m/s], both (n,)."""
+        """Return the force at given elongations and rates.
+
+        Args:
+            d: Elongations (n,) [m].
+            v: Rates (n,) [m/s].
+
+        Returns:
+            Force (n,) [N].
+        """
         p = np.array(self.law_parameters())
         return np.array([_tabulated(p, x, s, 0.0, 0.0, 0.0)[0] for x, s in zip(d, v, strict=True)])
 
@@ -154,7 +169,7 @@ class TabulatedForce(Element):
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
-        return False  # the diagnosis draws one where no law explains what is missing
+        return False  # the diagnosis draws a table if no law explains the missing force
 
 
 def _row(values: Any, what: str) -> tuple[float, ...]:
@@ -164,7 +179,7 @@ def _row(values: Any, what: str) -> tuple[float, ...]:
 
 
 def _finer(d: Array, v: Array, f: Array) -> tuple[Array, Array, Array]:
-    """The same table through more knots: a curve that overshoots none of its own, smooth at each."""
+    """Return the same table with more knots: a smooth curve without overshoot."""
     from scipy.interpolate import PchipInterpolator
 
     def between(x: Array) -> Array:
@@ -172,7 +187,7 @@ def _finer(d: Array, v: Array, f: Array) -> tuple[Array, Array, Array]:
 
     if len(d) and len(v):
         most = int(math.sqrt(CELLS / f.size))
-        if most < FINER:  # fine enough as it is
+        if most < FINER:  # already fine enough
             return d, v, f
     if len(d):
         fine = between(d)

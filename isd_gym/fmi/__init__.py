@@ -1,1 +1,1 @@
-"""Functional mock-up units (FMI): units of others as models (`cosimulation`), and networks written as units (`export`)."""
+"""Functional mock-up units (FMI): units of users as models (`cosimulation`), and networks written as units (`export`)."""

@@ -1,8 +1,9 @@
-"""Runs a functional mock-up unit in a process of its own, where its faults are only an error.
+"""Runner of a functional mock-up unit in a separate process, where a fault of the unit is only an error.
 
-`isd_gym.fmi.cosimulation` starts this text with ``python -c``; nothing of the package is imported here. A request is a line of
-JSON on standard input, followed by its arrays as float64; the answer is a line of JSON on standard output, followed by
-arrays. FMPy loads the unit: compiled code of whoever made it, which runs with the rights of this process.
+`isd_gym.fmi.cosimulation` starts this text with ``python -c``; the text imports nothing from the package. A
+request is a line of JSON on standard input, followed by its arrays as float64; the answer is a line of JSON
+on standard output, followed by arrays. FMPy loads the unit: compiled code from its author, which runs with
+the rights of this process.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ REAL = ("Real", "Float64", "Float32")
 
 
 class Refused(Exception):
-    """One line for the user."""
+    """Error with one line for the user."""
 
 
 class Unit:
-    """An unpacked unit, described, and loaded when it is first run."""
+    """An unpacked and described unit, which is loaded for its first run."""
 
     def __init__(self, folder):
         import fmpy
 
         self.fmpy, self.folder, self.instance = fmpy, folder, None
-        self.said: deque[str] = deque(maxlen=3)  # by the unit itself, for the message
+        self.said: deque[str] = deque(maxlen=3)  # last messages of the unit, for the error message
         self.described = fmpy.read_model_description(folder, validate=False)
         kinds = [self.described.coSimulation, self.described.modelExchange]
         self.kind = next(
@@ -74,7 +75,7 @@ class Unit:
             )  # fmt: skip
             self.instance.reset()
         except Exception:
-            self.instance = None  # in whatever state it is: another one next time
+            self.instance = None  # a failed instance is not used again
             raise
         if len(found) < rows:
             raise Refused(f"it stopped at t = {float(found['time'][-1]):.6g} s of {float(time[-1]):.6g}")
@@ -102,7 +103,7 @@ def main():
     asked = os.fdopen(os.dup(0), "rb")
     told = os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_RDWR)
-    for standard in (0, 1, 2):  # what a unit prints is not an answer
+    for standard in (0, 1, 2):  # output of a unit is no answer
         os.dup2(nothing, standard)
     unit = None
     for line in iter(asked.readline, b""):
@@ -126,7 +127,7 @@ def main():
             answer(told, {"refused": "; ".join(" ".join(x.split()) for x in said)[-400:]})
             if unit is not None:
                 unit.said.clear()
-    os._exit(0)  # units do not all survive the unloading of what they brought
+    os._exit(0)  # some units crash when their libraries are unloaded
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""A functional mock-up unit (FMU) of somebody's own as a model: what goes in and out of it, and what it says.
+"""Functional mock-up units (FMU) of users as models: their description and their simulation.
 
-A unit is compiled code of whoever made it. It is opened where its user says that it is trusted, and runs in a process of its
-own (`_host`, with FMPy): that keeps its faults apart, not its intents. FMI 2 and 3, co-simulation and model exchange.
+A unit is compiled code from its author. It is opened only if the user declares trust, and runs in a separate
+process (`_host`, with FMPy), which isolates faults but not malicious code. Supported are FMI 2 and 3,
+co-simulation and model exchange.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from ..arrays import Array
 
-SECONDS = 600.0  # that one run, or the loading, may take
+SECONDS = 600.0  # limit for one run or for loading [s]
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 
 WHY_TRUST = "a unit is compiled code of whoever made it and runs with your rights: it can read, change and send what you can"
@@ -37,7 +38,13 @@ WHY_TRUST = "a unit is compiled code of whoever made it and runs with your right
 
 @dataclass(frozen=True)
 class Port:
-    """A real variable of a unit: its `name`, its `unit` as the unit writes it, its `causality` (input, output or local)."""
+    """A real variable of a unit.
+
+    Attributes:
+        name: Name.
+        unit: Unit in the notation of the FMU.
+        causality: 'input', 'output' or 'local'.
+    """
 
     name: str
     unit: str
@@ -45,7 +52,7 @@ class Port:
 
     @property
     def quantity(self) -> str:
-        """A key of `units.QUANTITIES`, or '' where the unit is none of theirs."""
+        """Key of `units.QUANTITIES`; '' for other units."""
         for quantity, (_, si) in QUANTITIES.items():
             with suppress(InputError):
                 convert(1.0, self.unit, si)
@@ -55,11 +62,16 @@ class Port:
 
 @dataclass(frozen=True)
 class UnitModel:
-    """What a unit's description says, with values of its parameters.
+    """Description of a unit, with values of its parameters.
 
-    inputs, outputs: its real variables, those `outputs` that are no more than local after the others. parameters: start
-    value of each real parameter, in `units` of it; name: as the unit calls itself; limits: (least, largest), infinite where none is stated. uncertainty:
-    relative one-sigma of those that may be refitted.
+    Attributes:
+        name: Name of the unit.
+        inputs: Real inputs.
+        outputs: Real outputs, followed by local variables.
+        parameters: Start value of each real parameter, in its unit.
+        units: Unit by parameter.
+        limits: Smallest and largest value by parameter; infinite if not stated.
+        uncertainty: Relative standard deviation of the parameters to be refitted.
     """
 
     name: str
@@ -71,11 +83,28 @@ class UnitModel:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
 
     def unit_of(self, path: str) -> str:
-        """Unit of the parameter `path`, '' where it has none."""
+        """Return the unit of a parameter.
+
+        Args:
+            path: Name of the parameter.
+
+        Returns:
+            Unit; '' without a unit.
+        """
         return self.units.get(path, "")
 
     def with_parameters(self, values: Mapping[str, float]) -> UnitModel:
-        """The same with other `values` of some parameters. Raises `InputError` for one that it does not have."""
+        """Return a copy with other values of some parameters.
+
+        Args:
+            values: Value by parameter.
+
+        Returns:
+            The changed description.
+
+        Raises:
+            InputError: No such parameter exists.
+        """
         for name in values:
             if name not in self.parameters:
                 raise InputError(
@@ -84,7 +113,14 @@ class UnitModel:
         return replace(self, parameters={**self.parameters, **values})
 
     def save(self, path: str | Path) -> None:
-        """Write the parameters' values to `path` as a parameter set of the SSP standard (.ssv), which simulators of units read."""
+        """Write the values of the parameters as a parameter set of the SSP standard (.ssv), which FMU simulators read.
+
+        Args:
+            path: File to write.
+
+        Raises:
+            InputError: The file cannot be written.
+        """
         from xml.sax.saxutils import quoteattr
 
         rows = [
@@ -97,10 +133,14 @@ class UnitModel:
 
 
 class Unit:
-    """A unit that runs: `model` is what its description says.
+    """A running unit; `model` is its description. A context manager: process and unpacked files end with the block.
 
-    path: of the .fmu. trust: that its code may run here; without it `InputError` is raised and nothing is unpacked. A context manager: the
-    process and the unpacked files go with it. Raises `InputError` with one line for what is no unit, or one that cannot run.
+    Args:
+        path: The .fmu file.
+        trust: Whether the code of the unit may run here; without trust, nothing is unpacked.
+
+    Raises:
+        InputError: Trust is missing, or the file is no FMU that can run here.
     """
 
     def __init__(self, path: str | Path, *, trust: bool = False) -> None:
@@ -110,7 +150,7 @@ class Unit:
             raise InputError(f"{path}: {WHY_TRUST}; --trust-fmu opens it (trust=True in Python)")
         self._folder = tempfile.TemporaryDirectory(prefix="isd-gym-fmu-")
         self._process: Guarded | None = None
-        self._afresh = False  # a process for every run: the unit does not forget the run before
+        self._afresh = False  # a new process for every run: the unit keeps state between runs
         self.runs = 0
         try:
             self._unpack()
@@ -130,7 +170,7 @@ class Unit:
         self.close()
 
     def close(self) -> None:
-        """End its process and remove what was unpacked."""
+        """End the process and remove the unpacked files."""
         self._stop()
         self._folder.cleanup()
 
@@ -144,7 +184,7 @@ class Unit:
                     raise too_large(str(self.path), size, limit)
                 if "modelDescription.xml" not in archive.namelist():
                     raise InputError(f"{self.path}: is no FMU (there is no modelDescription.xml in it)")
-                archive.extractall(self._folder.name)  # keeps within the folder
+                archive.extractall(self._folder.name)  # extraction stays within the folder
         except (
             zipfile.BadZipFile,
             NotImplementedError,
@@ -165,9 +205,22 @@ class Unit:
         outputs: list[str],
         start: Mapping[str, float],
     ) -> Array:
-        """Outputs (rows, outputs) every `step` [s] from rest; each input is set at the beginning of a step.
+        """Return outputs of a simulation from rest; each input is set at the beginning of a step.
 
-        inputs: (rows,) by name. rows: how many samples. outputs: their names. start: values of parameters that differ from the unit's own. All in the unit's own units. Raises `InputError`.
+        All values are in the units of the FMU.
+
+        Args:
+            inputs: Values (rows,) by input.
+            rows: Number of samples.
+            step: Sampling step [s].
+            outputs: Names of the outputs.
+            start: Values of parameters that differ from the start values.
+
+        Returns:
+            Outputs (rows, outputs).
+
+        Raises:
+            InputError: The simulation fails, or an output is not finite.
         """
         names = list(inputs)
         values = np.stack([inputs[n] for n in names], axis=1) if names else np.zeros((rows, 1))
@@ -182,7 +235,11 @@ class Unit:
         return found
 
     def forgets(self, *arguments: Any) -> None:
-        """Run twice with the `arguments` of `run`; where the second differs from the first, every run from here on gets a process of its own."""
+        """Run twice; if the results differ, use a new process for every further run.
+
+        Args:
+            arguments: Arguments of `run`.
+        """
         first, second = self.run(*arguments), self.run(*arguments)
         scale = np.maximum(np.abs(first).max(axis=0), 1e-300)
         if np.any(np.abs(first - second).max(axis=0) > 1e-9 * scale):

@@ -1,11 +1,12 @@
-"""A network as a functional mock-up unit (FMI 2.0, co-simulation), for the simulators that take one.
+"""Export of a network as a functional mock-up unit (FMI 2.0, co-simulation).
 
-`export_fmu` writes it with PythonFMU: the unit holds the model and calls this package's kernel, so that what it says is what
-`isd_gym.simulate` says. It therefore runs where Python finds isd_gym, on Linux and Windows, x86-64.
+`export_fmu` writes the unit with PythonFMU. The unit holds the model and calls this package's kernel, so that
+its results agree with `isd_gym.simulate`. It runs wherever Python finds isd_gym, on Linux and Windows,
+x86-64.
 
-A unit knows an input only at the beginning of a step. A displacement goes from the value of the step before to that of this
-one while the step lasts: outputs at the end of step k belong to the inputs that were set at its beginning, one step late,
-as those of any co-simulation are whose master does not look ahead.
+A unit knows an input only at the beginning of a step. A displacement moves during a step from the value of
+the preceding step to the present value: outputs at the end of step k belong to the inputs at its beginning,
+one step late, as in any co-simulation without look-ahead.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
 else:
     Slave = __import__("pythonfmu").Fmi2Slave if find_spec("pythonfmu") else object
 
-MEMORY = 2.0  # [s] of commands and readings that drives and sensors with a memory are given
-#: exponents of kg, m, s, A, rad in a unit, for what reads the unit definitions
+MEMORY = 2.0  # length of the stored commands and readings for drives and sensors with memory [s]
+#: exponents of kg, m, s, A, rad in a unit, for the unit definitions
 POWERS = {
     "kg": (1, 0, 0, 0, 0), "m": (0, 1, 0, 0, 0), "s": (0, 0, 1, 0, 0), "A": (0, 0, 0, 1, 0), "rad": (0, 0, 0, 0, 1),
     "N": (1, 1, -2, 0, 0), "V": (1, 2, -3, -1, 0),
@@ -47,7 +48,14 @@ POWERS = {
 
 
 def base_units(unit: str) -> dict[str, str] | None:
-    """Return the attributes of a unit's `BaseUnit` in FMI; None for an unknown unit."""
+    """Return the attributes of a unit's `BaseUnit` in FMI.
+
+    Args:
+        unit: Name of the unit.
+
+    Returns:
+        Attributes; None for an unknown unit.
+    """
     si, factor = TABLE.get(unit, (unit, 1.0))
     total = [0] * 5
     for k, side in enumerate(si.split("/")):
@@ -62,10 +70,14 @@ def base_units(unit: str) -> dict[str, str] | None:
 
 
 class Running:
-    """A network that is stepped on with inputs known at the beginning of each step.
+    """A network that is stepped with inputs known at the beginning of each step; values are in the units of the channels.
 
-    Values by channel in the channels' own units. step: the largest physics step [s]. Raises `InputError` where an input is
-    missing.
+    Args:
+        network: The model.
+        step: Largest physics step [s].
+
+    Raises:
+        InputError: The model has a sensor with a lead.
     """
 
     def __init__(self, network: Network, step: float = PHYSICS_STEP) -> None:
@@ -82,13 +94,23 @@ class Running:
         self.moved = {c.name for c in network.moving}
         self.commands: dict[str, deque[float]] = {}
         self.readings: dict[str, deque[float]] = {}
-        self.last: dict[str, list[float]] = {}  # the present value [SI] of each input and the two before it
+        self.last: dict[str, list[float]] = {}  # last three values [SI] of each input, newest first
         self.slope: dict[str, float] = {}
         self.outputs: dict[str, float] = {}
         self.raw: np.ndarray | None = None
 
     def start(self, inputs: Mapping[str, float]) -> dict[str, float]:
-        """At rest, with these inputs; the outputs there."""
+        """Start at rest.
+
+        Args:
+            inputs: Value by input.
+
+        Returns:
+            Value by output.
+
+        Raises:
+            InputError: An input is missing or not finite.
+        """
         now = self._si(inputs)
         self.last = {name: [value] * 3 for name, value in now.items()}
         self.slope = dict.fromkeys(now, 0.0)
@@ -101,7 +123,18 @@ class Running:
         return dict(self.outputs)
 
     def advance(self, inputs: Mapping[str, float], seconds: float) -> dict[str, float]:
-        """Go on for `seconds` with the inputs that hold from now; the outputs at the end."""
+        """Simulate a period with the inputs that hold from now.
+
+        Args:
+            inputs: Value by input.
+            seconds: Length of the period [s].
+
+        Returns:
+            Value by output at the end of the period.
+
+        Raises:
+            InputError: An input is missing or not finite, or the simulation diverges.
+        """
         if not self.last:
             self.start(inputs)
         if not seconds > 0:
@@ -131,7 +164,7 @@ class Running:
     def _plant(self, step: float) -> Plant:
         key = float(f"{step:.9e}")
         if key not in self.plants:
-            if len(self.plants) > 8:  # a master with a step of its own every time
+            if len(self.plants) > 8:  # the master uses a different step every time
                 self.plants.clear()
             self.plants[key] = Plant(self.network, step)
         return self.plants[key]
@@ -173,7 +206,7 @@ class Running:
         self.outputs = self._sensed(named, seconds)
 
     def _curve(self, name: str, rows: int, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A cubic from the last value to this one: its slope goes on from where it was to that of a parabola's end."""
+        """Return a cubic from the last value to the present value, with continuous slope and the end slope of a parabola."""
         end, begin, before = self.last[name]
         s = np.linspace(0.0, 1.0, rows)
         m0 = self.slope[name] * seconds
@@ -203,7 +236,11 @@ class Running:
 
 
 class NetworkSlave(Slave):  # type: ignore[misc]
-    """What PythonFMU runs: a `Running` network with its channels and parameters as variables of the unit."""
+    """The class that PythonFMU runs: a `Running` network whose channels and parameters are variables of the unit.
+
+    Args:
+        options: Arguments of PythonFMU's `Fmi2Slave`.
+    """
 
     MODEL = ""
     STEP = PHYSICS_STEP
@@ -256,7 +293,14 @@ class NetworkSlave(Slave):  # type: ignore[misc]
         return True
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
-        """The model description with the units that PythonFMU does not write."""
+        """Return the model description, with the units that PythonFMU omits.
+
+        Args:
+            model_options: Options of PythonFMU.
+
+        Returns:
+            Root of the XML document.
+        """
         from xml.etree.ElementTree import Element, SubElement
 
         root = super().to_xml(model_options or {})
@@ -290,16 +334,34 @@ def _where(c: Any) -> str:
 
 
 def identifier(name: str) -> str:
-    """A name that a unit's files and a Python class can have."""
+    """Return a name that is valid in the files of a unit and in Python.
+
+    Args:
+        name: Any name.
+
+    Returns:
+        The identifier.
+    """
     words = "".join(w[:1].upper() + w[1:] for w in re.split(r"[^0-9a-zA-Z]+", name) if w) or "Model"
     return f"Model{words}" if not words[0].isalpha() or keyword.iskeyword(words) else words
 
 
 def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = PHYSICS_STEP) -> Path:
-    """Write `model` as a co-simulation unit (FMI 2.0) to `path`; step: its largest physics step [s].
+    """Write a model as a co-simulation unit (FMI 2.0).
 
-    Inputs, outputs and parameters are variables with the model's names and units; parameters are set before the start.
-    Raises `InputError` where PythonFMU is not installed, the suffix is not .fmu or the place cannot be written.
+    Inputs, outputs and parameters are variables with the model's names and units; parameters are set before
+    the start.
+
+    Args:
+        model: The model, or the name of a built-in model, or a file.
+        path: File to write (.fmu).
+        step: Largest physics step [s].
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: PythonFMU is not installed, the suffix is not .fmu, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".fmu":
@@ -313,7 +375,7 @@ def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = P
 
     network = Network.load(model)
     name = identifier(network.name)
-    Plant(network, step)  # says at once what cannot be simulated
+    Plant(network, step)  # raises an error for models that cannot be simulated
     text = (
         f"from isd_gym import fmu\n\n\nclass {name}(fmu.NetworkSlave):\n"
         f"    MODEL = {json.dumps(network.to_dict())!r}\n    STEP = {float(step)!r}\n"

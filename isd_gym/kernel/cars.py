@@ -1,4 +1,4 @@
-"""Cars on their roads: a control step of all of them, with their drives, roads, limits, rewards and observations."""
+"""Cars on their roads: a control step of many cars, with drives, roads, limits, rewards and observations."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from .layout import (
 from .linear import U, clip
 from .steps import march, outputs, pool_of
 
-#: sizes and places of the numbers of a car; constants of the compiled code, which is compiled for each kind of car
+#: sizes and places of the numbers of a car: constants of the code, which is compiled for each kind of car
 CAR = cars_layout(QUARTER_CAR)
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # SplitMix64's step
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # increment of SplitMix64
 
 
 def drive(
@@ -57,27 +57,31 @@ def drive(
     begin,
     stop,
 ):
-    """One control step of the groups of cars from `begin` to before `stop`; the number of cars that broke.
+    """Run one control step of the groups of cars from `begin` to `stop` - 1.
 
-    All arrays but those with a shape of their own are flat, which spares the kernel to make them so.
+    Arrays without a stated shape are flat, which saves the kernel a conversion.
 
     Args:
         mats: Numbers of the plant (`layout`).
         ints: Sizes of the plant, then `setup` of the batch (`layout`, as are cars, ways, settings and said).
         states: States of the groups.
         cars: Numbers of the cars, row by row.
-        ways: Whole numbers of the cars, row by row.
+        ways: Integers of the cars, row by row.
         table: Fixed profiles, one after another [m].
-        past: Currents that the drives have yet to follow (steps, currents, cars), newest first [A].
-        rings: Tracks drawn ahead (tracks, substeps, points, cars), a ring for each physics step of a control step [m].
+        past: Currents that the drives have not reached yet (steps, currents, cars), newest first [A].
+        rings: Tracks drawn ahead (tracks, substeps, points, cars), one ring per physics step of a control
+            step [m].
         ahead: Last ring of each track (cars, tracks * points), car by car [m].
-        history: Tracks that the first axle has passed (groups, tracks, `KEPT`, 8) [m].
-        settings: Numbers that all cars share.
+        history: Tracks behind the first axle (groups, tracks, `KEPT`, 8) [m].
+        settings: Numbers common to all cars.
         said: Reward, costs and tyre loads, row by row.
         seen_out: Observations (cars, signals).
         room: Memory for the inputs of a control step.
         begin: First group.
-        stop: Group behind the last one.
+        stop: End of the groups (exclusive).
+
+    Returns:
+        Number of cars that broke.
     """
     at = layout(ints)
     setup = ints[at.differs + at.laws :]
@@ -87,7 +91,7 @@ def drive(
     nc, size = at.currents, at.height * WIDTH
     c_at = (substeps + 1) * at.inputs
     road_at = c_at + substeps * nc
-    span = (road_at + substeps * (2 + CAR.tracks)) * WIDTH  # of a group
+    span = (road_at + substeps * (2 + CAR.tracks)) * WIDTH  # memory of a group
     together = 1 if own else TOGETHER
     broken = 0
     for head in range(begin, stop, together):
@@ -147,9 +151,9 @@ def drive(
 
 
 def ground(setup, cars, ways, table, rings, ahead, settings, u, room_at, wide, first, count):
-    """The tracks of a group in the physics steps of a control step, as the first axle meets them.
+    """Write the tracks of a group in the physics steps of a control step at the first axle into u (.., 8) from row `room_at`.
 
-    They are left in u (.., 8) from row `room_at` on, track by track a height for each physics step; returns their row.
+    Each track has one height per physics step. Return the first row of the tracks.
     """
     substeps, now = setup[SUBSTEPS], setup[NOW]
     points = ahead.shape[1] // CAR.tracks
@@ -198,9 +202,10 @@ def ground(setup, cars, ways, table, rings, ahead, settings, u, room_at, wide, f
 
 
 def wheels(setup, inputs, cars, history, u, tracks_at, h, wide, group, count):
-    """The road under the wheels of a group in the physics steps of a control step, into u (substeps + 1, inputs, lanes).
+    """Write the road under the wheels of a group in the physics steps of a control step into u (substeps + 1, inputs, lanes).
 
-    A wheel behind the first axle meets what that one met `late` steps before, linear between two steps.
+    A wheel behind the first axle meets the height of the first axle `late` steps before, linear between two
+    steps.
     """
     substeps, kept, now, first = setup[SUBSTEPS], setup[KEPT], setup[KEPT_NOW], group * WIDTH
     if kept > 0:
@@ -253,7 +258,7 @@ def wheels(setup, inputs, cars, history, u, tracks_at, h, wide, group, count):
 
 
 def meet_again(history, cars, late_at, passed, kept, now, u, met_at, substeps, count):
-    """Heights that a wheel behind the first axle meets in the physics steps of a control step, into u from row `met_at` on."""
+    """Write the heights at a wheel behind the first axle in the physics steps of a control step into u from row `met_at`."""
     late = load(cars, late_at)
     first = cars[late_at]
     if count == WIDTH and not some(late != first):  # all lanes at once
@@ -281,7 +286,7 @@ def meet_again(history, cars, late_at, passed, kept, now, u, met_at, substeps, c
 
 
 def show_state(at, state, cars, settings, wide, first, count, seen_out):
-    """The outputs behind the signals, displacements over the road, behind the measured signals of an observation."""
+    """Write displacements over the road and the other outputs after the measured signals of an observation."""
     begin = CAR.measured + CAR.currents
     for l in range(count):
         for j in range(begin, seen_out.shape[1]):
@@ -294,7 +299,7 @@ def show_state(at, state, cars, settings, wide, first, count, seen_out):
 
 
 def look(setup, ahead, track, cars, wide, first, count, seen_out):
-    """A track ahead of a group, relative to the height under its first wheel, behind the measured signals."""
+    """Write a track ahead of a group, relative to the height under its first wheel, after the measured signals."""
     points = ahead.shape[1] // CAR.tracks
     shown = (seen_out.shape[1] - CAR.measured - CAR.currents) // CAR.tracks
     begin = (setup[NOW] + 1) % max(points, 1)
@@ -313,9 +318,9 @@ def look(setup, ahead, track, cars, wide, first, count, seen_out):
 
 
 def judge(at, state, cars, settings, said, wide, first, count):
-    """Signals, costs and reward of a group after its control step; the number of cars that broke in it.
+    """Write signals, costs and reward of a group after its control step, and return the number of cars that broke.
 
-    A broken car's cost is that of the bounds it left.
+    The cost of a broken car is the cost at the violated bounds.
     """
     for i in range(at.outputs):
         store(cars, (CAR.outputs + i) * wide + first, load(state, (at.outcome + i) * WIDTH))
@@ -370,7 +375,7 @@ def judge(at, state, cars, settings, said, wide, first, count):
 
 
 def driven(cars, past, depth, row, wide, e):
-    """Commanded current `row` [A] of car e in the next physics step, after its drive's delay, lag and saturation."""
+    """Return the current `row` [A] of car e in the next physics step, after delay, lag and saturation of its drive."""
     i = cars[(CAR.current + row) * wide + e]
     if depth > 0:
         place, step = row * wide + e, CAR.currents * wide
@@ -384,7 +389,7 @@ def driven(cars, past, depth, row, wide, e):
         i = newer if part == 0.0 else ((1.0 - part) * newer + part * past[place + (low + 1) * step])
     pole, most = cars[(CAR.lag_pole + row) * wide + e], cars[(CAR.saturation + row) * wide + e]
     if pole > 0.0:
-        # mean over the step of the first-order lag, exact
+        # exact mean of the first-order lag over the step
         was = cars[(CAR.lagged + row) * wide + e]
         cars[(CAR.lagged + row) * wide + e] = i + (was - i) * pole
         i = i + (was - i) * (1.0 - pole) / -math.log(pole)
@@ -398,7 +403,7 @@ def road_noise(seed, gain, pole, start, out):
     """Fill `out` with the rough road of one car [m], continuing from counter `seed` and height `start`."""
     r = start
     counters, drawn = np.empty(WIDTH, np.int64), np.empty(WIDTH)
-    for l in range(WIDTH):  # `noise` moves them on before it draws
+    for l in range(WIDTH):  # `noise` increments the counters before the draw
         counters[l] = np.int64(np.uint64(seed) + np.uint64(l + 1) * _GOLDEN - np.uint64(WIDTH) * _GOLDEN)
     for k in range(0, out.shape[0], WIDTH):
         store(drawn, 0, noise(counters, 0, WIDTH))

@@ -1,4 +1,4 @@
-"""The kernel compiled, with every law that is registered or without any; cached on disk under a key made of the sources."""
+"""Compiled kernel, with every registered law or without laws; cached on disk under a hash of the sources."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def _dispatch(functions: Sequence[Callable[..., Any]], fallback: Callable[..., Any]) -> Callable[..., Any]:
-    """One compiled function that calls functions[which]."""
+    """Return a compiled function that calls functions[which]."""
     names = fallback.__code__.co_varnames[: fallback.__code__.co_argcount]
     of_law = ", ".join(names[1:])
     lines = [f"def dispatch({', '.join(names)}):"]
@@ -41,13 +41,24 @@ def _laws() -> tuple[list[type[el.Element]], list[type[el.Element]]]:
 
 
 def law_code(cls: type[el.Element]) -> int:
-    """Code of an element's law in the kernel: >= 0 a smooth law, < 0 a set-valued one."""
+    """Return the code of an element's law in the kernel.
+
+    Args:
+        cls: Class of the element.
+
+    Returns:
+        Code >= 0 of a smooth law, or < 0 of a set-valued law.
+    """
     smooth, dry = _laws()
     return smooth.index(cls) if cls.law is not None else -1 - dry.index(cls)
 
 
 def stamp() -> int:
-    """A number that changes with the kernel's and the laws' code."""
+    """Return a number that changes with the code of the kernel and the laws.
+
+    Returns:
+        48-bit integer.
+    """
     smooth, dry = _laws()
     return _stamp_of((*((c.type, c.law) for c in smooth), *((c.type, c.bound) for c in dry)))
 
@@ -56,7 +67,7 @@ def stamp() -> int:
 def _stamp_of(registered: tuple[tuple[str, Any], ...]) -> int:
     digest = hashlib.sha256()
     for package in (str(__package__), el.__name__):
-        files = resources.files(package).iterdir()  # the package may lie in a zip
+        files = resources.files(package).iterdir()  # the package may be in a zip archive
         for file in sorted((f for f in files if f.name.endswith(".py")), key=lambda f: f.name):
             digest.update(file.read_bytes())
     digest.update(resources.files(__name__.partition(".")[0]).joinpath("cost.py").read_bytes())
@@ -66,7 +77,14 @@ def _stamp_of(registered: tuple[tuple[str, Any], ...]) -> int:
 
 
 class Kernel(NamedTuple):
-    """The compiled functions."""
+    """Compiled functions.
+
+    Attributes:
+        advance: See `steps.advance`.
+        measure: See `steps.measure`.
+        record: See `steps.record`.
+        drive: See `cars.drive`.
+    """
 
     advance: Callable[..., Any]
     measure: Callable[..., Any]
@@ -113,9 +131,9 @@ _MODULES = (
     solve,
     steps,
     cars,
-)  # whose constants the functions read
-#: put in where they are called: what returns a piece of an array cannot be a function of its own where nothing counts
-#: references, and what is called once need not be compiled, optimised and linked twice
+)  # modules with constants of the functions
+#: inlined at the call: functions that return a view cannot be separate without reference counts, and
+#: functions with one call need not be compiled and linked twice
 _INLINE = (
     steps.pool_of,
     laws.parameters,
@@ -126,7 +144,7 @@ _INLINE = (
     solve.unsolved,
     steps.march,
 )
-#: put in by the optimiser: a call would hand over seven numbers for every array
+#: inlined by the optimiser: a call would pass seven numbers per array
 _CLOSE = (
     linear.take,
     linear.sums,
@@ -146,7 +164,7 @@ _INNER: dict[str, Any] = {
 _ENTRY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True}
 if hasattr(
     DefaultOptions, "_nrt"
-):  # nothing inside makes an array, and calls that count no references are inlined
+):  # no function allocates an array, and calls without reference counts are inlined
     _INNER["_nrt"] = False
 
 
@@ -161,8 +179,8 @@ def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kerne
         names["law_bound"] = _dispatch([c.bound for c in dry], laws.law_bound)  # type: ignore[misc]
     laws_ = _LAWS if with_laws else (solve.unsolved, solve.as_it_is)
     for plain in (*_CLOSED, *(_SEVERAL if several else _ALONE), *laws_, *_STEPS, *_ENTRIES):
-        # compiled functions read constants and one another from `names`; the name of a function is part of its key
-        # in numba's cache on disk: the stamp keeps old laws out
+        # compiled functions read constants and functions from `names`; the name of a function is part of its
+        # key in numba's disk cache, and the stamp excludes old laws
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
         twin.__qualname__ = f"{plain.__name__}_{flavour}_{of:x}"
         name = _INSTEAD.get(plain, plain.__name__)
@@ -175,19 +193,26 @@ def kernel(with_laws: bool = True, several: bool = False, car: layout.CarSize = 
     """Return the compiled kernel.
 
     Args:
-        with_laws: Whether it has every law that is registered now; without any it serves networks of the way `CONTACT`.
-        several: Whether, without laws, it serves networks with several devices.
-        car: Numbers of parts of the cars that `drive` is compiled for.
+        with_laws: Whether the kernel has every registered law; without laws, it serves networks of the way
+            `CONTACT`.
+        several: Whether the kernel without laws serves networks with several devices.
+        car: Sizes of the cars for which `drive` is compiled.
+
+    Returns:
+        The compiled functions.
     """
     return _bind(stamp(), with_laws, several, car)
 
 
 def kernel_of(at: layout.Layout, car: layout.CarSize = layout.QUARTER_CAR) -> Kernel:
-    """Return the compiled kernel that serves networks.
+    """Return the compiled kernel for networks of a layout.
 
     Args:
         at: Layout of the networks.
-        car: Numbers of parts of the cars that `drive` is compiled for.
+        car: Sizes of the cars for which `drive` is compiled.
+
+    Returns:
+        The compiled functions.
     """
     closed = at.way == layout.CONTACT
     return kernel(not closed, closed and at.devices > 1, car)

@@ -1,7 +1,8 @@
-"""A step in closed form and without branches: devices of at most one stop (or play) and one constant friction each.
+"""A step in closed form and without branches: devices with at most one stop (or play) and one constant friction each.
 
-A car has one device at each corner. The devices hardly feel one another within a step: what the force of one does to
-another is below a millionth of what it does to its own, and enters with the forces that are known so far.
+A car has one device at each corner. The devices hardly interact within a step: the effect of a device's force
+on another device is below a millionth of the effect on the device itself, and is computed from the known
+forces.
 """
 
 from __future__ import annotations
@@ -12,17 +13,17 @@ from .linear import U, clip, pooled, sums
 
 
 def contact(mats, own, at, state):
-    """A step of one device at most."""
+    """Run a step with at most one device."""
     sums(mats, own, at.matrix, at.rows, at.step_columns, state, at.step, at.rows)
     push, friction = touch(mats, own, at, state, 0)
     apply(mats, own, at, state, push, friction)
 
 
 def contacts(mats, own, at, state):
-    """A step of several devices, in the place of `contact`.
+    """Run a step with several devices, in place of `contact`.
 
-    Columns of stops that do not push, and rows that only a stop that is met asks for, are left out of the linear part. Each
-    device sees the others with their forces of the last step, the states see all forces of this one.
+    Columns of stops without contact, and rows that only a stop in contact needs, are left out of the linear
+    part. Each device uses the other devices' forces of the last step; the states use all forces of this step.
     """
     n, nl, ns = at.states, at.laws, at.smooth
     pushes = False
@@ -80,7 +81,7 @@ def contacts(mats, own, at, state):
 
 
 def among_others(mats, own, at, state, row, p, pushes):
-    """A row of the step with the forces of all devices but p in the last step."""
+    """Return a row of the step with the forces of all devices except p in the last step."""
     ns = at.smooth
     x = load(state, (at.step + row) * WIDTH)
     for j in range(0 if pushes else ns, at.laws):
@@ -90,12 +91,12 @@ def among_others(mats, own, at, state, row, p, pushes):
 
 
 def beside(mats, own, at, state, p):
-    """The other of what stop p sees, its rate, without the forces of its device."""
+    """Return the rate of stop p without the forces of its device."""
     return load(state, (at.other + p) * WIDTH)
 
 
 def beside_others(mats, own, at, state, p):
-    """In the place of `beside` where `contacts` has left it out."""
+    """Return the rate of stop p in place of `beside`, for rows that `contacts` left out."""
     row, x = at.states + at.laws + p, spread(0.0)
     for j in range(at.step_columns):
         x = fused(pooled(mats, own, at.matrix + j * at.rows + row), load(state, j * WIDTH), x)
@@ -104,10 +105,11 @@ def beside_others(mats, own, at, state, p):
 
 
 def touch(mats, own, at, state, p):
-    """Forces of the stop and of the friction of device p, at most one stop (or play) and one constant friction, which may stick.
+    """Return the forces of the stop (or play) and of the constant friction of device p; the friction may stick.
 
-    Clear of the stop the friction is ``clip(-r / g)``. On it, the force of the stop is linear in the friction; with it
-    put in, so is the rate, and the friction a clip again. A stop that would pull is not touched.
+    Without contact, the friction is ``clip(-r / g)``. In contact, the force of the stop is linear in the
+    friction; after substitution the rate is linear, too, and the friction is a clip again. A stop that would
+    pull is out of contact.
     """
     n, nl, ns = at.states, at.laws, at.smooth
     closed, stop, dry = CLOSED * p, p, ns + p
@@ -135,14 +137,15 @@ def touch(mats, own, at, state, p):
             if rubs:
                 slip = pooled(
                     mats, own, at.gains + stop * at.rows + n + dry
-                )  # what the stop does to the sliding
+                )  # effect of the stop on the sliding
                 own_slip = pooled(mats, own, at.gains + dry * at.rows + n + dry)
                 held = clip(fused(slip, alone, rate) * pooled(mats, own, at.give_stopped + closed), level)
             force = fused(shared, held, alone)
             touches = meets & (select(extended, force, -force) > 0.0)
             friction = select(touches, held, friction)
             push = select(touches, force, push)
-            # a damped stop pushes from the instant it is met: one that would at once push clear is met, and no more
+            # a damped stop pushes from the instant of contact; if it would at once push itself clear, the
+            # stop is only just met
             own_yield = pooled(mats, own, at.gains + stop * at.rows + n + stop)
             limit = select(extended, upper, lower)
             rest = fused(yields, friction, free) - limit
@@ -151,7 +154,7 @@ def touch(mats, own, at, state, p):
             if some(short):
                 push = select(short, -rest / own_yield, push)
             if rubs:
-                # where the sliding reverses within the step, friction has the old sign up to that instant
+                # if the sliding reverses within the step, friction has the old sign up to the reversal
                 was = load(state, (at.rate + dry) * WIDTH)
                 end = fused(own_slip, friction, fused(slip, push, rate))
                 turns = touches & ~short & (abs(friction) >= level) & (was * end < 0.0)
@@ -163,7 +166,7 @@ def touch(mats, own, at, state, p):
                         push = select(turns, fused(shared, friction, alone), push)
                         push = select(turns & (select(extended, push, -push) <= 0.0), spread(0.0), push)
                         end = fused(own_slip, friction, fused(slip, push, rate))
-                    # what acted was a mean over the step; what outputs see is the force at its end
+                    # the acting force was a mean over the step; outputs use the force at its end
                     seen = select(end > 0.0, level, -level)
                     store(state, (at.force + dry) * WIDTH, select(turns & (abs(end) > 1e-9), seen, friction))
                 else:
@@ -177,7 +180,7 @@ def touch(mats, own, at, state, p):
 
 
 def apply(mats, own, at, state, push, friction):
-    """States, and what tells a quiet car of each law, with the forces that were found of the stop and of the friction."""
+    """Update states, and the signals by which a quiet car is recognised, with the forces of the stop and of the friction."""
     n, nl, ns = at.states, at.laws, at.smooth
     stop, rub = at.gains, at.gains + ns * at.rows
     pushes, rubs = ns > 0 and at.way == CONTACT and some(push != 0.0), nl > ns

@@ -1,11 +1,12 @@
-"""Eight numbers at once for compiled code: arithmetic on `Lanes` reads like that on a float.
+"""Eight numbers at once in compiled code: arithmetic on `Lanes` has the notation of floats.
 
-A processor's vector instructions, which a compiler finds in loops only where it can prove what may overlap. Compiled functions
-take lanes from flat float64 arrays (`load`, `spread`) and put them back (`store`); in between stand the operators, comparisons
-(a `Mask`), `select`, `fused` and `clip`. What happens in one lane never depends on the others, and the same
-instructions run however many lanes are in use: a car beside seven others is the car alone, to the last bit.
+`Lanes` map to a processor's vector instructions, which a compiler finds in loops only if it can prove the
+absence of overlaps. Compiled functions read lanes from flat float64 arrays (`load`, `spread`) and write them
+back (`store`), with operators, comparisons (a `Mask`), `select`, `fused` and `clip` in between. No lane
+depends on another, and the same instructions run for any number of used lanes: a car beside seven others
+equals the single car bit by bit.
 
-`fused` rounds once (IEEE 754 fusedMultiplyAdd), on any machine.
+`fused` rounds once (IEEE 754 fusedMultiplyAdd) on any machine.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numba.extending import intrinsic, lower_builtin, lower_cast, models, regist
 
 from .layout import WIDTH
 
-_intrinsic: Any = intrinsic  # the checker sees the arguments of what it makes wrongly
+_intrinsic: Any = intrinsic  # the type checker misjudges the arguments of the decorated functions
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 _DOUBLES, _WORDS, _BITS = (ir.VectorType(t, WIDTH) for t in (_DOUBLE, _WORD, ir.IntType(1)))
 
@@ -57,7 +58,7 @@ def _from_float(context, builder, fromty, toty, value):
 
 
 def _operator(symbol: Any, emit: Any, result: _Lanes, operand: _Lanes = LANES, arity: int = 2) -> None:
-    """Teach the compiler `symbol` of `arity` operands, at least one of them lanes and the others lanes or floats."""
+    """Define `symbol` for `arity` operands, at least one of which is lanes; the others are lanes or floats."""
 
     @infer_global(symbol)
     class _(AbstractTemplate):
@@ -101,7 +102,7 @@ def _call(builder: Any, name: str, *args: Any) -> Any:
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.Type) -> Any:
     held = context.make_array(array_type)(context, builder, array)
-    # NUMBA_BOUNDSCHECK=1, with a cache of its own: eight numbers at once are looked after, too
+    # NUMBA_BOUNDSCHECK=1, with a separate cache, checks all eight numbers
     if getattr(config, "BOUNDSCHECK", None):
         last = builder.add(index, ir.Constant(index.type, WIDTH))
         low = builder.icmp_signed("<", index, ir.Constant(index.type, 0))
@@ -117,7 +118,7 @@ def _flat(array: Any, dtype: Any) -> bool:
 
 @_intrinsic
 def load(typing, array, index):
-    """The eight numbers of a flat array from `index` on."""
+    """Return the eight numbers of a flat array from `index`."""
     if not _flat(array, types.float64):
         return None
 
@@ -129,7 +130,7 @@ def load(typing, array, index):
 
 @_intrinsic
 def store(typing, array, index, lanes):
-    """Put lanes into a flat array from `index` on."""
+    """Write lanes into a flat array from `index`."""
     if not _flat(array, types.float64) or lanes != LANES:
         return None
 
@@ -142,7 +143,7 @@ def store(typing, array, index, lanes):
 
 @_intrinsic
 def spread(typing, value):
-    """A number in every lane."""
+    """Return a number in every lane."""
 
     def emit(context, builder, sig, args):
         return _splat(builder, args[0], _DOUBLES)
@@ -152,7 +153,7 @@ def spread(typing, value):
 
 @_intrinsic
 def select(typing, mask, yes, no):
-    """`yes` where the mask holds, `no` elsewhere."""
+    """Return `yes` in lanes of the mask, and `no` in the other lanes."""
     if mask != MASK:
         return None
 
@@ -164,7 +165,7 @@ def select(typing, mask, yes, no):
 
 @_intrinsic
 def fused(typing, a, b, c):
-    """``a b + c``, rounded once."""
+    """Return ``a b + c``, rounded once."""
 
     def emit(context, builder, sig, args):
         return _call(builder, "llvm.fma.v8f64", *args)
@@ -174,7 +175,7 @@ def fused(typing, a, b, c):
 
 @_intrinsic
 def some(typing, mask):
-    """Whether the mask holds in any lane."""
+    """Return whether the mask holds in any lane."""
     if mask != MASK:
         return None
 
@@ -187,7 +188,7 @@ def some(typing, mask):
 
 @_intrinsic
 def bits(typing, mask):
-    """The mask as a whole number: bit l is lane l."""
+    """Return the mask as an integer: bit l is lane l."""
     if mask != MASK:
         return None
 
@@ -206,10 +207,12 @@ _SIGMA = (4 * (65536.0**2 - 1) / 12) ** 0.5
 
 @_intrinsic
 def noise(typing, counters, index, stride):
-    """Eight zero-mean, unit-variance numbers from the counters `index`... of a flat int64 array, which move on by `stride`.
+    """Return eight numbers of zero mean and unit variance from the counters at `index` of a flat int64 array,
+    and advance the counters by `stride`.
 
-    Each is the sum of the four 16-bit uniforms of one SplitMix64 word; counters count in SplitMix64's odd constant. Nearly
-    normal (excess kurtosis -0.3); the road is a sum of thousands of them, hence normal.
+    Each number is the sum of the four 16-bit uniforms of one SplitMix64 word; the counters are multiples of
+    SplitMix64's odd constant. The distribution is nearly normal (excess kurtosis -0.3); the road is a sum of
+    thousands of numbers, and hence normal.
     """
     if not _flat(counters, types.int64):
         return None

@@ -1,31 +1,31 @@
-"""What a law says, and one secant step of it: dry friction `held` or sliding, smooth laws by their functions."""
+"""Force of a law, and one secant step: dry friction `held` or sliding, smooth laws by their functions."""
 
 from __future__ import annotations
 
 from .layout import WIDTH, layout
 from .linear import U, number
 
-TIGHT = 1e-9  # relative change of a force at which a law is settled
+TIGHT = 1e-9  # relative change of a force below which a law has converged
 
 
 def law_force(which, p, d, v, d_last, z, h):
-    """Force [N] and next memory of smooth law `which`; when compiled (`compiled`), of the laws that are registered then."""
+    """Return the force [N] and the next memory of smooth law `which`; replaced by the registered laws in `compiled`."""
     return 0.0, z
 
 
 def law_bound(which, p, d, v):
-    """Bound [N] of dry friction `which`; as `law_force`."""
+    """Return the bound [N] of dry friction `which`; replaced by the registered laws in `compiled`."""
     return 0.0
 
 
 def parameters(mats, own, at, j, l):
-    """The numbers that law j of lane l reads."""
+    """Return the parameters of law j in lane l."""
     begin = at.own * WIDTH + (l * at.laws + j) * at.parameters if own else at.own + j * at.parameters
     return mats[begin : begin + at.parameters]
 
 
 def seen(mats, own, at, state, row, l, skip):
-    """Row `row` of the step in lane l with all forces but that of law `skip`."""
+    """Return row `row` of the step in lane l with the forces of all laws except `skip`."""
     s = state[U((at.step + row) * WIDTH + l)]
     for i in range(at.laws):
         if i != skip:
@@ -34,13 +34,13 @@ def seen(mats, own, at, state, row, l, skip):
 
 
 def held(kind, p, rate, gain, level, d, was, slides):
-    """Mean force over the step of a dry friction that would slide at `rate` [m/s] without it, `was` at the start.
+    """Return the mean force over the step of a dry friction whose rate [m/s] without friction is `rate`, and `was` at the start.
 
-    gain [m/(N s)] is what a force adds to the rate. The friction holds if it can. Where it slides at the end of the
-    step, it has the mean bound over the step, and the old sign up to the instant of reversal, so that a step with a
-    reversal is of second order too (unless the rate is only a difference: `slides` false).
+    `gain` [m/(N s)] is the rate per force. The friction holds if possible. If it slides at the end of the
+    step, the force is the mean bound over the step, with the old sign up to the instant of reversal, so that
+    a step with a reversal is of second order, too (except if the rate is only a difference: `slides` false).
     """
-    if gain >= 0.0:  # prescribed motion: nothing yields
+    if gain >= 0.0:  # prescribed motion: no yielding
         return level if rate > 0.0 else (-level if rate < 0.0 else 0.0)
     hold = -rate / gain
     out = level if hold > level else hold
@@ -58,7 +58,8 @@ def held(kind, p, rate, gain, level, d, was, slides):
 
 
 def ask(mats, own, ints, state, j, l, dd, ds):
-    """Force and next memory of smooth law j of lane l under the forces that act, its elongation off by dd, its rate by ds."""
+    """Return force and next memory of smooth law j of lane l under the acting forces, with elongation and rate
+    changed by dd and ds."""
     at = layout(ints)
     row = at.states + j
     return law_force(
@@ -73,7 +74,7 @@ def ask(mats, own, ints, state, j, l, dd, ds):
 
 
 def rub(mats, own, ints, state, j, l):
-    """Dry friction j of lane l against the sliding that the other forces leave; 1 if it changed."""
+    """Update dry friction j of lane l for the sliding under the other forces; return 1 if the force changed."""
     at = layout(ints)
     row = at.states + j
     old = state[U((at.acting + j) * WIDTH + l)]
@@ -92,12 +93,12 @@ def rub(mats, own, ints, state, j, l):
 
 
 def push(mats, own, ints, state, sweep, j, l):
-    """A secant step of smooth law j of lane l, and the single dry friction with it; 1 if it changed."""
+    """Run a secant step of smooth law j of lane l, with the single dry friction; return 1 if the force changed."""
     at = layout(ints)
     n, nl, ns = at.states, at.laws, at.smooth
     single = nl - ns == 1
     k = at.acting + j
-    # elongation, rate, and the rate at the single friction, as the forces at the end of the step make them
+    # elongation, rate, and the rate at the single friction, from the forces at the end of the step
     d, s, e = state[U((at.first + j) * WIDTH + l)], state[U((at.other + j) * WIDTH + l)], 0.0
     for i in range(ns if single else nl):
         f = state[U((at.acting + i) * WIDTH + l)]
@@ -129,10 +130,11 @@ def push(mats, own, ints, state, sweep, j, l):
     f, factor = state[U(k * WIDTH + l)], state[U((at.factor + j) * WIDTH + l)]
     r = now - f
     if sweep > 0:
-        # secant: step = r / (1 - slope); a law that resists motion has a slope below zero
+        # secant: step = r / (1 - slope); a law that resists motion has a negative slope
         span = f - state[U((at.tried + j) * WIDTH + l)]
         change = now - state[U((at.said + j) * WIDTH + l)]
-        # alone, it also sees how the friction follows; one of many takes only its own share of the change
+        # alone, the law includes the following friction; among many laws, each uses only its own share of the
+        # change
         share = number(mats, own, at.gains + j * at.rows + n + nl + j, l) * span
         whole = s - state[U((at.tried_rate + j) * WIDTH + l)]
         if ns > 1 and abs(whole) > 0.1 * abs(share):
@@ -140,7 +142,7 @@ def push(mats, own, ints, state, sweep, j, l):
         rest = span - change
         if span != 0.0:
             guess = span / rest if span * rest > 0.05 * span * span else 1.0
-            # many sweeps: only ever more careful, so that kinks cannot make it run in circles
+            # after many sweeps the factor only decreases, so that kinks cannot cause a cycle
             factor = guess if sweep < 20 else min(guess, factor)
             state[U((at.factor + j) * WIDTH + l)] = factor
     state[U((at.tried + j) * WIDTH + l)] = f

@@ -1,16 +1,16 @@
-"""Where each number of the kernel lies, by name; read by Python and by compiled code alike.
+"""Place of each number of the kernel, by name; used by Python and by compiled code.
 
-A plant's numbers are three arrays:
+The numbers of a plant are three arrays:
 
-- `ints`: the sizes, in the order of the first fields of `Layout`; then of every law its code, then whether its rate is a
-  difference of its elongations;
-- `mats`: numbers that do not change in a step. A plant whose lanes share a network has one pool of them; where every lane
-  has its own, a group of eight lanes has a pool with each number eight times, side by side (but a law's parameters, which
-  it reads as an array, lie together lane by lane);
-- `state`: rows of eight lanes, what changes.
+- `ints`: the sizes, in the order of the first fields of `Layout`; then the code of every law; then for every
+  law whether its rate is a difference of its elongations;
+- `mats`: numbers that are constant in a step. Lanes with a common network share one pool. Otherwise a group
+  of eight lanes has a pool with each number eight times in a row; the parameters of a law, which are read as
+  an array, are contiguous for each lane;
+- `state`: rows of eight lanes, the variable numbers.
 
-Laws are sorted, smooth ones first. A step computes ``rows``: the states; then of every law what tells a quiet car (elongation of
-a smooth law, rate of a dry one); then of every law the other of the two.
+Laws are sorted, smooth laws first. A step computes ``rows``: the states; then for every law the signal that
+identifies a quiet car (elongation of a smooth law, rate of a dry law); then for every law the other signal.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ import numpy as np
 from ..tracks import SUM_STATES, TRACK_STATES
 
 WIDTH = 8  # lanes of a group
-CLOSED = 8  # numbers of a device whose contact has a closed form
-TOGETHER = 4  # groups of cars that take turns step by step
-#: ways through a step: every law is solved for; only those of lanes in which a smooth one acts; in closed form
+CLOSED = 8  # numbers of a device with a closed form of its contact
+TOGETHER = 4  # groups of cars that alternate step by step
+#: ways through a step: all laws are solved; laws are solved in lanes with an acting smooth law; closed form
 GENERAL, QUIET, CONTACT = 0, 1, 2
 
-#: what an observation shows beside the measured signals: nothing, the whole state, the road ahead
+#: content of an observation after the measured signals: nothing, the whole state, the road ahead
 MEASURED, WHOLE, AHEAD = 0, 1, 2
 
 # Sizes of a plant: the head of `ints`, the first fields of `Layout`.
 STATES, INPUTS, CURRENTS, LAWS, SMOOTH, WAY, OUTPUTS, ROWS, COLUMNS, DIFFER, PARAMETERS, INSTANT = range(12)
 SIZES = 12  # their number; the laws' codes follow
 
-# Whole numbers of a batch of cars: the head of `setup`.
-COUNT = 0  # cars
-SUBSTEPS = 1  # physics steps of a control step
-IS_COMMANDED = 2  # whether the currents are commanded, and limited, or given
-DRIVE_ACTS = 3  # whether a drive does more than hold its current
-SHOWS = 4  # what an observation shows: `MEASURED`, `WHOLE`, `AHEAD`
-NOW = 5  # place in the rings of the road ahead where the next control step begins
-KEPT = 6  # physics steps of the tracks' past that are kept for the wheels behind the first axle
-KEPT_NOW = 7  # place in that past where the next physics step goes
-ALL = 8  # cars, those that fill up the last group included
-DEPTH = 9  # physics steps of past currents that are kept for the drives
-TABLES = 10  # from here on: the tables of `CarsLayout`
+# integers of a batch of cars: head of `setup`
+COUNT = 0  # number of cars
+SUBSTEPS = 1  # physics steps per control step
+IS_COMMANDED = 2  # whether the currents are commanded and limited, or given
+DRIVE_ACTS = 3  # whether a drive has other effects than a held current
+SHOWS = 4  # content of an observation: `MEASURED`, `WHOLE`, `AHEAD`
+NOW = 5  # start of the next control step in the rings of the road ahead
+KEPT = 6  # stored physics steps of the tracks, for the wheels behind the first axle
+KEPT_NOW = 7  # place of the next physics step in the stored tracks
+ALL = 8  # number of cars, including those that complete the last group
+DEPTH = 9  # stored physics steps of currents, for the drives
+TABLES = 10  # start of the tables of `CarsLayout`
 
 #: measured signals of a corner: travel, its rate, device travel, its rate
 CORNER_SIGNALS = 4
@@ -54,7 +54,14 @@ REWARD = 0  # first row of `said`
 
 
 class CarSize(NamedTuple):
-    """Numbers of parts of a car."""
+    """Numbers of parts of a car.
+
+    Attributes:
+        accelerations: Measured accelerations of the body: vertical, pitch, roll.
+        corners: Corners, each with a wheel and a suspension.
+        currents: Commanded currents.
+        tracks: Tracks of the road, 1 or 2.
+    """
 
     accelerations: int  # motions of the body that are measured: vertical, pitch, roll
     corners: int  # wheels, each with a suspension of its own
@@ -63,12 +70,13 @@ class CarSize(NamedTuple):
 
     @property
     def filters(self) -> int:
-        """First-order sections whose sums are the rough tracks."""
+        """Number of first-order sections of the rough tracks."""
         return TRACK_STATES if self.tracks == 2 else 1
 
     @property
     def sum_filters(self) -> int:
-        """Of these, those of the only track, or of half the sum of left and right; the others: half the difference."""
+        """Number of these sections for the only track, or for half the sum of left and right; the others belong
+        to half the difference."""
         return SUM_STATES if self.tracks == 2 else 1
 
 
@@ -76,7 +84,7 @@ QUARTER_CAR = CarSize(accelerations=1, corners=1, currents=1, tracks=1)
 
 
 class CarsLayout(NamedTuple):
-    """Sizes of cars, and where their numbers begin: in `setup` and `settings`, and by row in `cars`, `ways` and `said`."""
+    """Sizes of cars, and starts of their numbers in `setup` and `settings` and by row in `cars`, `ways` and `said`."""
 
     accelerations: int
     corners: int
@@ -84,17 +92,17 @@ class CarsLayout(NamedTuple):
     tracks: int
     filters: int
     sum_filters: int
-    measured: int  # signals of the network that an observation shows, in the order of the outputs
-    signals: int  # these and the tyre loads
+    measured: int  # number of signals of the network in an observation, in the order of the outputs
+    signals: int  # number of these signals and the tyre loads
     # places in `setup`
     columns: (
-        int  # of every corner three: columns of u that take the road's height, rate, acceleration (-1: none)
+        int  # for every corner, three columns of u for height, rate and acceleration of the road (-1: none)
     )
     track: int  # of every corner
-    behind: int  # of every corner, whether it meets its track later than the first axle
-    leader: int  # of every track, the corner that meets it first
-    current_of: int  # of every current of the network, which of those commanded
-    # rows of `cars`, a number a car
+    behind: int  # for every corner, whether its track is delayed against the first axle
+    leader: int  # for every track, its first corner
+    current_of: int  # for every current of the network, the commanded current
+    # rows of `cars`, one number per car
     current: int  # present currents [A]
     lagged: int  # states of the drives' lags [A]
     lag_pole: int  # 0: no lag
@@ -103,24 +111,25 @@ class CarsLayout(NamedTuple):
     target: int  # commanded currents [A]
     height: int  # of the road under each wheel [m]
     height_rate: int  # [m/s]
-    late: int  # by how much a corner is behind the first axle [physics steps]
+    late: int  # delay of a corner against the first axle [physics steps]
     gain: int  # of the filters [m]
     pole: int
     rough: int  # states of the filters [m]
     outputs: int  # from here on
-    # rows of `ways`, a whole number a car
-    profile: int  # of every track, next place in the table of fixed profiles
+    # rows of `ways`, one integer per car
+    profile: int  # for every track, the next place in the table of fixed profiles
     profile_end: int
-    counter: int  # of the random numbers that drive the only track, or the sum and the difference
+    counter: int  # counters of the random numbers of the only track, or of sum and difference
     # places in `settings`
     weights: int  # factors on the squares of accelerations, travels, tyre loads and currents
     bounds: int  # of the measured signals
-    lifted: int  # of every output and corner, the share of the road's height that an observation takes off it
-    # rows of `said`, a number a car
-    cost: int  # a term for each acceleration, then travel, tyre load, current
-    tyre_load: int  # [N], finite even where the car broke
-    broken: int  # 1 where an observation left its bounds or is no number
-    said: int  # rows in all
+    # for every output and corner, the share of the road's height that is subtracted in an observation
+    lifted: int
+    # rows of `said`, one number per car
+    cost: int  # one term per acceleration, then travel, tyre load, current
+    tyre_load: int  # [N], finite also for a broken car
+    broken: int  # 1 for an observation outside its bounds or not finite
+    said: int  # total number of rows
 
 
 def cars_layout(size: CarSize) -> CarsLayout:
@@ -128,6 +137,9 @@ def cars_layout(size: CarSize) -> CarsLayout:
 
     Args:
         size: Numbers of parts of a car.
+
+    Returns:
+        The places.
     """
     na, corners, nc, tracks = size
     filters = size.filters
@@ -149,61 +161,64 @@ def cars_layout(size: CarSize) -> CarsLayout:
 
 
 class Layout(NamedTuple):
-    """Sizes, and where things begin: rows of `state`, numbers of `mats`."""
+    """Sizes, and starts of the parts: rows of `state`, numbers of `mats`."""
 
     # sizes, as they stand at the head of `ints`
     states: int
-    inputs: int  # moved nodes, their derivatives and forces, as far as anything uses them
+    inputs: int  # used inputs: moved nodes, their derivatives, and forces
     currents: int
     laws: int
     smooth: int
     way: int  # GENERAL, QUIET or CONTACT
     outputs: int
-    rows: int  # of a step, a multiple of four
-    columns: int  # of the outputs' matrix
-    differ: int  # 1 where the rate of any law is a difference of elongations
-    parameters: int  # that a law may read
-    instant: int  # 1 where friction or a current moves the terminals of a law at once: see `steps.outputs`
+    rows: int  # rows of a step, a multiple of four
+    columns: int  # columns of the outputs' matrix
+    differ: int  # 1 if the rate of any law is a difference of elongations
+    parameters: int  # largest number of parameters of a law
+    instant: int  # 1 if friction or a current moves the terminals of a law instantly: see `steps.outputs`
     # places in `ints`
-    code: int  # >= 0 a smooth law, < 0 a dry one
+    code: int  # >= 0 for a smooth law, < 0 for a dry law
     differs: int
-    # rows of `state`: what a step reads, in the order of its matrix' columns
+    # rows of `state`: inputs of a step, in the order of the columns of its matrix
     start: int  # inputs at the start of the step
     end: int
     current: int
-    last: int  # elongations of the laws at the start of the step, where `differ`
-    force: int  # of the laws, at the start of the step; it depends on those of the smooth ones, the outputs on all
-    # what a step makes of it before the forces at its end act
+    last: int  # elongations of the laws at the start of the step, for `differ`
+    # forces of the laws at the start of the step; the step depends on the smooth laws, the outputs on all
+    # laws
+    force: int
+    # results of the step before the forces at its end act
     step: int
-    first: int  # of every law, what tells a quiet car
+    first: int  # for every law, the signal that identifies a quiet car
     other: int
-    # of every law
-    acting: int  # force that acts
+    # numbers of every law
+    acting: int  # acting force
     memory: int
     elongation: int
     rate: int
-    factor: int  # of the secant
-    tried: int  # force that was tried; of a dry law, its bound
-    said: int  # what the law answered
-    coming: int  # memory after it
+    factor: int  # factor of the secant step
+    tried: int  # trial force; for a dry law, its bound
+    said: int  # answer of the law
+    coming: int  # next memory
     tried_rate: int
-    failed: int  # number of the first step that was not solved (0: none), and its law
+    failed: int  # number of the first unsolved step (0: none), and its law
     scratch: int
-    outcome: int  # outputs; where `instant`, then elongations and rates of all laws
-    height: int  # rows in all
+    outcome: int  # outputs; for `instant`, also elongations and rates of all laws
+    height: int  # total number of rows
     # numbers of `mats`
     matrix: int
     step_columns: int
-    gains: int  # what the force of a law at the end of the step adds to the rows
-    spans: int  # |elongation| below which a smooth law rests
-    devices: int  # contact in closed form: stops and frictions that share terminals; for each of them `CLOSED` numbers:
-    upper: int  # elongations at which the stop is met
+    gains: int  # contribution of a law's force at the end of the step to the rows
+    spans: int  # |elongation| below which a smooth law is at rest
+    # contact in closed form: stops and frictions with common terminals, `CLOSED` numbers per device
+    devices: int
+    upper: int  # elongations at which the stop is in contact
     lower: int
-    per_elongation: int  # its force, by what the elongation is beyond them, by the rate, by the friction
+    per_elongation: int  # force of the stop per elongation beyond the limits, per rate, per friction
     per_rate: int
     per_friction: int
-    level: int  # of the friction
-    give: int  # friction that stops a rate, clear of the stop and on it
+    level: int  # level of the friction
+    give: int  # friction that stops a rate, without and with contact
     give_stopped: int
     out: int  # matrix of the outputs
     out_rows: int
@@ -212,7 +227,14 @@ class Layout(NamedTuple):
 
 
 def layout(ints: Any) -> Layout:
-    """The `Layout` of `ints` (compiled code calls it, too)."""
+    """Return the layout of `ints`; also called in compiled code.
+
+    Args:
+        ints: Integers of a plant.
+
+    Returns:
+        The layout.
+    """
     n, m, nc, nl, ns = ints[STATES], ints[INPUTS], ints[CURRENTS], ints[LAWS], ints[SMOOTH]
     rows, columns, differ, parameters, instant = (
         ints[ROWS], ints[COLUMNS], ints[DIFFER], ints[PARAMETERS], ints[INSTANT],
@@ -247,7 +269,14 @@ def layout(ints: Any) -> Layout:
 
 
 def aligned(*shape: int) -> np.ndarray:
-    """Zeros that begin where eight lanes are one access to memory; twice as fast as where they are not."""
+    """Return zeros that are aligned for eight lanes, which doubles the speed of memory access.
+
+    Args:
+        shape: Shape of the array.
+
+    Returns:
+        Array of zeros.
+    """
     count = int(np.prod(shape))
     raw = np.zeros(count + WIDTH)
     skip = -(raw.ctypes.data // raw.itemsize) % WIDTH

@@ -1,4 +1,4 @@
-"""The linear part of a step: a matrix of the pool times the state of eight lanes, exact over the step."""
+"""Linear part of a step: a matrix of the pool times the state of eight lanes, exact over the step."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import numba as nb
 from .lanes import fused, load, select, spread, store
 from .layout import WIDTH
 
-U = nb.uintp  # an unsigned index spares the code for negative ones
+U = nb.uintp  # an unsigned index avoids the code for negative indices
 
 
 def sums(mats, own, at, height, columns, state, result, rows):
-    """Rows `result`... of the state = a matrix of the pool, stored column by column, times its first `columns` rows.
+    """Write a matrix of the pool, stored column by column, times the first `columns` rows of the state into the
+    rows from `result`.
 
-    The last rows first: what a step does next begins with them, and the processor does not wait.
+    The last rows are computed first: the rest of the step starts with these rows, so that the processor does
+    not wait.
     """
     for i in range(rows - 4, -1, -4):
         a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
@@ -42,24 +44,25 @@ def sums(mats, own, at, height, columns, state, result, rows):
 
 
 def pooled(mats, own, k):
-    """Number k of the pool, in every lane."""
+    """Return number k of the pool in every lane."""
     if own:
         return load(mats, k * WIDTH)
     return spread(mats[U(k)])
 
 
 def number(mats, own, k, l):
-    """Number k of the pool, of lane l."""
+    """Return number k of the pool of lane l."""
     return mats[U(k * WIDTH + l)] if own else mats[U(k)]
 
 
 def clip(x, level):
+    """Return x limited to +-level."""
     x = select(x > level, level, x)
     return select(x < -level, -level, x)
 
 
 def take(state, row, values, at, width, first, count):
-    """A row of the state from inputs: one number for all lanes (width 1), or those of the `count` cars from `first` on."""
+    """Write a row of the state from inputs: one number for all lanes (width 1), or the numbers of `count` cars from `first`."""
     if width == 1:
         store(state, row * WIDTH, spread(values[U(at)]))
     elif count == WIDTH:

@@ -1,4 +1,4 @@
-"""All laws of a lane at once, where sweeps do not settle: a safeguarded Newton iteration."""
+"""Safeguarded Newton iteration for all laws of a lane at once, used if sweeps do not converge."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from .laws import TIGHT, ask, held, parameters, seen
 from .layout import WIDTH, layout
 from .linear import U, number
 
-ROUNDS = 40  # of one law after the other, each between two forces
-GOOD = 1e-6  # relative error of a force with which a step counts as solved
+ROUNDS = 40  # largest number of rounds of bracketing, law by law
+GOOD = 1e-6  # relative error of a force below which a step counts as solved
 
 
 def newton(mats, own, ints, state, l):
-    """Forces of all laws of lane l at once: Newton steps with one-sided slopes, shortened until they help.
+    """Solve for the forces of all laws of lane l at once: Newton steps with one-sided slopes, shortened until
+    the error decreases.
 
-    What is found is as good as it gets: it stands if the laws agree with it to `GOOD`, else the lane's state becomes nan.
+    The result is accepted if the laws agree with it to `GOOD`; otherwise the state of the lane becomes NaN.
     """
     at = layout(ints)
     n, nl, ns = at.states, at.laws, at.smooth
@@ -37,7 +38,7 @@ def newton(mats, own, ints, state, l):
             by_d, by_s, stick = 0.0, 0.0, 0.0
             if j < ns:
                 said = state[U((at.said + j) * WIDTH + l)]
-                away = 1e-7 if turn % 2 == 0 else -1e-7  # either side of a kink in turn
+                away = 1e-7 if turn % 2 == 0 else -1e-7  # alternate sides of a kink
                 dd = away * (1e-3 + abs(seen(mats, own, at, state, n + j, l, -1)))
                 ds = away * (1e-2 + abs(seen(mats, own, at, state, n + nl + j, l, -1)))
                 by_d = (ask(mats, own, ints, state, j, l, dd, 0.0)[0] - said) / dd
@@ -64,7 +65,7 @@ def newton(mats, own, ints, state, l):
             if error < worst:
                 break
             share *= 0.5
-        if not error < worst:  # no way down: a cautious step towards what the laws say
+        if not error < worst:  # no descent: a cautious step towards the answers of the laws
             for j in range(nl):
                 state[U((at.acting + j) * WIDTH + l)] = state[U(start + j)]
             answers(mats, own, ints, state, l)
@@ -95,10 +96,12 @@ def newton(mats, own, ints, state, l):
 
 
 def bracketed(mats, own, ints, state, l):
-    """Forces of lane l law by law, each halved in between one that is too small and one that is too large; returns as `answers`.
+    """Solve for the forces of lane l law by law, by bisection between a too small and a too large force; return
+    the result of `answers`.
 
-    Slow, and sure where laws resist what moves them, however they jump: a damped stop on a terminal without mass has its force
-    where it is just met. Friction follows without what a reversal within the step does.
+    Slow, and safe for laws that resist motion, even with jumps: the force of a damped stop on a terminal
+    without mass lies at the instant of contact. Friction follows without the effect of a reversal within the
+    step.
     """
     at = layout(ints)
     nl, ns = at.laws, at.smooth
@@ -142,7 +145,7 @@ def bracketed(mats, own, ints, state, l):
 
 
 def excess(mats, own, ints, state, j, l):
-    """What smooth law j of lane l says more than acts, the single friction following."""
+    """Return the answer of smooth law j of lane l minus its acting force; the single friction follows."""
     at = layout(ints)
     if at.laws - at.smooth == 1:
         state[U((at.acting + at.smooth) * WIDTH + l)] = resting(mats, own, ints, state, at.smooth, l)
@@ -150,7 +153,7 @@ def excess(mats, own, ints, state, j, l):
 
 
 def resting(mats, own, ints, state, j, l):
-    """Dry friction j of lane l against what the other forces leave, without what a reversal within the step does, which jumps."""
+    """Return dry friction j of lane l against the other forces, without the effect of a reversal within the step, which jumps."""
     at = layout(ints)
     row = at.states + j
     gain = number(mats, own, at.gains + j * at.rows + row, l)
@@ -159,7 +162,7 @@ def resting(mats, own, ints, state, j, l):
 
 
 def answers(mats, own, ints, state, l):
-    """What all laws of lane l say to the forces that act; the largest relative difference, and its law."""
+    """Write the answers of all laws of lane l to the acting forces; return the largest relative difference and its law."""
     at = layout(ints)
     n, nl, ns = at.states, at.laws, at.smooth
     worst, who = 0.0, 0
@@ -173,7 +176,7 @@ def answers(mats, own, ints, state, l):
         state[U((at.said + j) * WIDTH + l)] = now
         error = abs(now - f) / (1.0 + abs(f))
         if error > TIGHT and j < ns:
-            # a law that jumps (a damped stop as it is met) has any force between, where it jumps
+            # a law with a jump (a damped stop at contact) has any force within the jump
             least, most = now, now
             for side in range(2):
                 near = (1.0 if side == 0 else -1.0) * 1e-9
@@ -189,7 +192,7 @@ def answers(mats, own, ints, state, l):
 
 
 def eliminate(numbers, matrix, right, n):
-    """Solve a small system of equations in place (rows one after another), the largest pivot first."""
+    """Solve a small system of linear equations in place (rows contiguous), with pivoting."""
     for k in range(n):
         best = k
         for i in range(k + 1, n):

@@ -1,4 +1,4 @@
-"""A step law by law, in the lanes where something acts: sweeps over the laws, and what follows from their forces."""
+"""A step law by law in the lanes with acting laws: sweeps over the laws, and the update from their forces."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from .layout import GENERAL, QUIET, WIDTH, layout
 from .linear import U, clip, number, pooled
 from .newton import newton
 
-SWEEPS = 40  # of Gauss-Seidel
-INSTANTS = 200  # the same for the forces of one instant
-QUICK = 20  # of these that may be Newton steps
+SWEEPS = 40  # largest number of Gauss-Seidel sweeps
+INSTANTS = 200  # largest number of sweeps for the forces of one instant
+QUICK = 20  # number of these that may be Newton steps
 
 
 def solved(mats, own, ints, state, count, now):
@@ -35,10 +35,12 @@ def solved(mats, own, ints, state, count, now):
 
 
 def at_once(mats, own, ints, state, count):
-    """Outputs with forces that all laws agree to at this instant: states, inputs and currents stay, massless terminals give way.
+    """Compute outputs with forces on which all laws agree at this instant: states, inputs and currents are
+    fixed, massless terminals yield.
 
-    Newton steps law by law; where they do not settle soon, every force is halved in between two, a single friction following.
-    A law whose rate is only a difference keeps its force. What does not settle at all has no outputs.
+    Newton steps law by law; without quick convergence, every force is bisected, with a single friction
+    following. A law whose rate is only a difference keeps its force. Without convergence there are no
+    outputs.
     """
     at = layout(ints)
     nl, ns = at.laws, at.smooth
@@ -82,7 +84,8 @@ def at_once(mats, own, ints, state, count):
 
 
 def yields(mats, own, ints, state, j, l, column, away):
-    """By how much dry friction j of lane l gives way at once, `away` added to the force that has this column of the outputs."""
+    """Return the instant yielding of dry friction j of lane l after the change `away` of the force in this
+    column of the outputs."""
     at = layout(ints)
     row = at.outputs + at.laws + j
     by_own = number(mats, own, at.out + (at.force + j) * at.out_rows + row, l)
@@ -97,7 +100,7 @@ def yields(mats, own, ints, state, j, l, column, away):
 
 
 def between(mats, own, ints, state, j, l, column):
-    """By how much the force of smooth law j of lane l is to change at this instant, between too little and too much."""
+    """Return the instant change of the force of smooth law j of lane l, between a too small and a too large force."""
     low, high, reach = 0.0, 0.0, 1.0 + abs(state[U((layout(ints).acting + j) * WIDTH + l)])
     if lacks(mats, own, ints, state, j, l, column, 0.0) > 0.0:
         while reach < 1e15 and lacks(mats, own, ints, state, j, l, column, high) > 0.0:
@@ -118,7 +121,7 @@ def between(mats, own, ints, state, j, l, column):
 
 
 def lacks(mats, own, ints, state, j, l, column, change):
-    """What smooth law j of lane l says more than acts when its force has changed, a single friction following at once."""
+    """Return the answer of smooth law j of lane l minus its changed force; a single friction follows at once."""
     at = layout(ints)
     nl, ns = at.laws, at.smooth
     to_d, to_s = at.outputs + j, at.outputs + nl + j
@@ -137,15 +140,15 @@ def lacks(mats, own, ints, state, j, l, column, change):
 
 
 def as_it_is(mats, own, ints, state, count):
-    """In the place of `at_once` where all networks go the way CONTACT."""
+    """Replace `at_once` if all networks use the way CONTACT."""
 
 
 def unsolved(mats, own, ints, state, count, now):
-    """In the place of `solved` where all networks go the way CONTACT."""
+    """Replace `solved` if all networks use the way CONTACT."""
 
 
 def busy(mats, own, ints, state, count):
-    """Lanes (as bits) in which laws are to be solved for; in the others the friction is a clip."""
+    """Return the lanes (as bits) in which laws must be solved; in the other lanes the friction is a clip."""
     at = layout(ints)
     everyone = (1 << count) - 1
     if at.way == GENERAL:
@@ -162,10 +165,11 @@ def busy(mats, own, ints, state, count):
 
 
 def settle(mats, own, ints, state, left):
-    """Forces of all laws at the end of the step in the lanes `left` (bits); those that cannot be found become nan.
+    """Solve for the forces of all laws at the end of the step in the lanes `left` (bits); unsolved forces become NaN.
 
-    Gauss-Seidel over the laws, a secant step in each; a single dry friction is eliminated: it follows the forces of
-    the others at once. Lanes take turns, which keeps the processor busy: a visit is one long chain of operations.
+    Gauss-Seidel over the laws, with one secant step each. A single dry friction is eliminated: it follows the
+    forces of the other laws at once. Lanes alternate to keep the processor busy, since each visit is one long
+    chain of operations.
     """
     at = layout(ints)
     nl, ns = at.laws, at.smooth
@@ -177,15 +181,15 @@ def settle(mats, own, ints, state, left):
                 lost = lost or math.isnan(force)
                 state[U((at.acting + j) * WIDTH + l)] = force
                 if j >= ns:
-                    # the bound is that of the rate at the start of the step: a falling (Stribeck) curve taken at its
-                    # end would have several solutions
+                    # the bound belongs to the rate at the start of the step: a falling (Stribeck) curve at
+                    # the end of the step would have several solutions
                     state[U((at.tried + j) * WIDTH + l)] = law_bound(
                         -1 - ints[U(at.code + j)],
                         parameters(mats, own, at, j, l),
                         state[U((at.elongation + j) * WIDTH + l)],
                         state[U((at.rate + j) * WIDTH + l)],
                     )
-            if lost:  # what was not found once is not looked for again: all would be tried in every step
+            if lost:  # a failed solution is not tried again in every step
                 left &= ~(1 << l)
     for sweep in range(SWEEPS):
         moved = 0
@@ -207,7 +211,7 @@ def settle(mats, own, ints, state, left):
 
 
 def finish(mats, own, ints, state, left):
-    """End the step of the lanes `left` (bits) with the forces that were solved for."""
+    """End the step of the lanes `left` (bits) with the solved forces."""
     at = layout(ints)
     n, nl, ns = at.states, at.laws, at.smooth
     for l in range(WIDTH):
@@ -216,7 +220,7 @@ def finish(mats, own, ints, state, left):
                 t = seen(mats, own, at, state, i, l, -1)
                 if i < n:
                     to = i
-                elif i < n + nl:  # elongations and rates; those of dry laws stand the other way round
+                elif i < n + nl:  # elongations and rates; dry laws have the reverse order
                     to = (at.elongation if i < n + ns else at.rate) + i - n
                 else:
                     to = (at.rate if i < n + nl + ns else at.elongation) + i - n - nl
@@ -226,7 +230,7 @@ def finish(mats, own, ints, state, left):
                 if j < ns:
                     state[U((at.memory + j) * WIDTH + l)] = state[U((at.coming + j) * WIDTH + l)]
                 elif ints[U(at.differs + j)] == 0 and abs(s) > 1e-9:
-                    # what acted was a mean over the step; what outputs see is the force at its end
+                    # the acting force was a mean over the step; outputs use the force at its end
                     d = state[U((at.elongation + j) * WIDTH + l)]
                     f = law_bound(-1 - ints[U(at.code + j)], parameters(mats, own, at, j, l), d, s)
                     f = f if s > 0.0 else -f

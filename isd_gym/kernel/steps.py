@@ -1,4 +1,4 @@
-"""Steps, and what runs many of them: records (`record`), a few steps of many lanes (`advance`), outputs (`measure`)."""
+"""Steps, and loops over steps: records (`record`), a few steps of many lanes (`advance`), outputs (`measure`)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from .solve import at_once, solved
 
 
 def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, count, now):
-    """Run a group of `count` lanes in place for `steps` steps, the first of them number `now`.
+    """Run a group of `count` lanes in place for `steps` steps, the first of which has number `now`.
 
-    u (.., m, width) from row u_at and c (.., nc, width) from row c_at, flat; `width` 1: all lanes have the same inputs, else
-    the group's are those from `first` on.
+    u (.., m, width) from row u_at and c (.., nc, width) from row c_at are flat. With `width` 1 all lanes
+    share the inputs; otherwise the inputs of the group start at `first`.
     """
     m, nc, nl = at.inputs, at.currents, at.laws
     for k in range(steps):
@@ -33,11 +33,11 @@ def march(mats, own, at, ints, state, u, c, u_at, c_at, steps, width, first, cou
 
 
 def outputs(mats, own, at, ints, state, count):
-    """The outputs now, into their rows of the state; the forces of the laws are what they are between the steps.
+    """Write the present outputs into their rows of the state; the forces of the laws are the forces between the steps.
 
-    Where friction or a current moves the terminals of a law at once (`instant`: they have no mass), the forces with which the step
-    ended are not of one instant: friction acted in the mean over the step, the current has just changed. There they
-    are solved for once more, at rest in time.
+    If friction or a current moves the terminals of a law instantly (`instant`: massless terminals), the
+    forces at the end of the step do not belong to one instant: friction acted in the mean over the step, and
+    the current has just changed. In this case the forces are solved again for the instant.
     """
     sums(mats, own, at.out, at.out_rows, at.columns, state, at.outcome, at.out_rows)
     if at.instant:
@@ -57,13 +57,15 @@ def outputs(mats, own, at, ints, state, count):
 
 
 def pool_of(mats, own, at, group):
+    """Return the numbers of a group."""
     return mats[group * at.size * WIDTH : (group + 1) * at.size * WIDTH] if own else mats
 
 
 def record(mats, ints, states, u, c, every, width, lanes, out):
-    """A whole record: flat u (N*every+1, m, width) and c (N*every, nc, width); the lanes share inputs if width is 1.
+    """Run a whole record: flat u (N*every+1, m, width) and c (N*every, nc, width); lanes share inputs if width is 1.
 
-    out (N+1, ny, lanes) holds the outputs at every `every`-th step. `states`: of the groups, one after another.
+    out (N+1, ny, lanes) receives the outputs at every `every`-th step. `states` are the states of the groups,
+    contiguous.
     """
     at = layout(ints)
     own = mats.shape[0] != at.size
@@ -80,7 +82,7 @@ def record(mats, ints, states, u, c, every, width, lanes, out):
             if k > 0:
                 begin = (k - 1) * every
                 march(pool, own, at, ints, state, u, c, begin, begin, every, width, first, count, begin + 1)
-            for j in range(nc):  # a current acts from its sample on
+            for j in range(nc):  # a current acts from its sample onwards
                 take(state, at.current + j, c, min(k * every, last) * nc + j, width, first, count)
             outputs(pool, own, at, ints, state, count)
             for i in range(ny):
@@ -108,7 +110,7 @@ def advance(mats, ints, state, u, c, lanes):
 
 
 def measure(mats, ints, state, u, c, lanes, out):
-    """Outputs now: out (ny, lanes) from u (m, lanes) and c (nc, lanes)."""
+    """Write the present outputs into out (ny, lanes) from u (m, lanes) and c (nc, lanes)."""
     at = layout(ints)
     pools, own = mats.reshape(-1), mats.size != at.size
     work = np.zeros(at.height * WIDTH)

@@ -1,4 +1,4 @@
-"""Rough road of a left and a right track, drawn ahead: the numbers that a control step draws step by step."""
+"""Rough road of a left and a right track, drawn ahead with the numbers that a control step draws step by step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Records as loggers write them: files with their own stamps and rates, oddities, and which column is which channel."""
+"""Records in the form that loggers write: files with separate time stamps and rates, oddities, and the map from
+columns to channels."""
 
 from .mapping import ChannelMap, Column, Logger, files_of, runs
 from .recording import Raster, Recording, Signal, mended, rasters

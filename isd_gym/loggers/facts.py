@@ -1,4 +1,4 @@
-"""What a column of a logger's file is like: its rate, range and band, and what is odd about it."""
+"""Properties of a logged column: rate, range, bandwidth and oddities."""
 
 from __future__ import annotations
 
@@ -18,12 +18,19 @@ from .recording import GAP, Raster, even, rounded
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-FEW = 5.0  # samples a period: below that a picture of the motion is poor
+FEW = 5.0  # samples per period below which the motion is poorly resolved
 
 
 @dataclass(frozen=True)
 class Oddity:
-    """Something about a column (or about the stamps, `column` '') that a person should see. `where`: file; `advice`: what helps."""
+    """A remark on a column or on the time stamps, for the user.
+
+    Attributes:
+        where: File.
+        column: Column; '' for the time stamps.
+        text: The observation.
+        advice: Remedy; '' if there is none.
+    """
 
     where: str
     column: str
@@ -37,7 +44,22 @@ class Oddity:
 
 @dataclass(frozen=True)
 class Facts:
-    """A column: `rate` [Hz], least and largest value and RMS about the mean in its own unit, `band` [Hz] half of whose power lies below."""
+    """Properties of a column.
+
+    Attributes:
+        file: Index of the file.
+        raster: Index of the raster in the file.
+        name: Name of the column.
+        unit: Unit; '' if unknown.
+        rate: Sampling rate [Hz].
+        samples: Number of samples.
+        missing: Number of samples that are not finite.
+        least: Smallest value [unit].
+        largest: Largest value [unit].
+        mean: Mean [unit].
+        deviation: RMS about the mean [unit].
+        band: Frequency [Hz] below which half of the power lies.
+    """
 
     file: int
     raster: int
@@ -54,12 +76,21 @@ class Facts:
 
     @property
     def constant(self) -> bool:
-        """Whether it never changes."""
+        """Whether the column never changes."""
         return not self.deviation > 1e-12 * max(abs(self.largest), abs(self.least), 1e-300)
 
 
 def facts_of(raster: Raster, file: int, number: int) -> list[Facts]:
-    """Facts of every column of a raster."""
+    """Return the properties of every column of a raster.
+
+    Args:
+        raster: The raster.
+        file: Index of the file.
+        number: Index of the raster in the file.
+
+    Returns:
+        One entry per column.
+    """
     out = []
     for name, x in raster.columns.items():
         good = x[np.isfinite(x)]
@@ -86,7 +117,14 @@ def _band(x: np.ndarray, rate: float) -> float:
 
 
 def odd_stamps(raster: Raster) -> list[Oddity]:
-    """Gaps, repeats, stamps that run backwards or stray, a unit of time that cannot be."""
+    """Return remarks on the time stamps: gaps, repeats, reversals, jitter and an impossible unit of time.
+
+    Args:
+        raster: The raster.
+
+    Returns:
+        Remarks, possibly none.
+    """
     out: list[Oddity] = []
     t = raster.time[np.isfinite(raster.time)]
 
@@ -132,7 +170,14 @@ def odd_stamps(raster: Raster) -> list[Oddity]:
 
 
 def si_unit(unit: str) -> str:
-    """The SI unit of what `unit` measures; '' for one that is not known."""
+    """Return the SI unit of the quantity that a unit measures.
+
+    Args:
+        unit: Name of a unit.
+
+    Returns:
+        SI unit; '' for an unknown unit.
+    """
     try:
         return si_of(unit)
     except InputError:
@@ -140,13 +185,28 @@ def si_unit(unit: str) -> str:
 
 
 def quantity_of(unit: str) -> str | None:
-    """The quantity along a line that a unit measures; None for any other."""
+    """Return the translational quantity that a unit measures.
+
+    Args:
+        unit: Name of a unit.
+
+    Returns:
+        Quantity such as 'force'; None for other units.
+    """
     si = si_unit(unit)
     return next((q for q, u in UNITS.items() if u == si), None)
 
 
 def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
-    """Dead, frozen and stepped columns, ones a factor of 1000 off, and rates that are too slow for what they show."""
+    """Return remarks on a column: dead, frozen or stepped values, a factor of 1000, or a rate too low for its motion.
+
+    Args:
+        raster: The raster.
+        facts: Properties of the column.
+
+    Returns:
+        Remarks, possibly none.
+    """
     x = raster.columns[facts.name]
     out: list[Oddity] = []
 
@@ -160,7 +220,7 @@ def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
         return out
     good = np.isfinite(x)
     quantity = quantity_of(facts.unit)
-    # commands of a current are held by design
+    # a commanded current is held by design
     if quantity != "current" and good.all() and len(x) >= 64 and not (np.diff(raster.time) <= 0).any():
         for f in held_samples(facts.name, x, raster.time):
             say(f.message)
@@ -175,7 +235,7 @@ def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
 
 
 def _smooth(x: np.ndarray) -> bool:
-    """Whether a column is a motion and not white noise: its neighbours tell of each other."""
+    """Return whether a column is a motion and not white noise: neighbouring samples are correlated."""
     x = x - x.mean()
     return bool(abs(np.dot(x[1:], x[:-1])) > 0.2 * np.dot(x, x))
 
@@ -185,7 +245,7 @@ def _odd_scale(raster: Raster, facts: Facts, x: np.ndarray, quantity: str) -> li
     factor = convert(1.0, facts.unit, si)
     spread = factor * float(np.quantile(np.abs(x - np.median(x)), 0.995))
     speed = 0.0
-    if quantity == "displacement" and raster.step > 0:  # of stamps that are no numbers there is no step
+    if quantity == "displacement" and raster.step > 0:  # invalid stamps have no step
         lag = min(max(1, round(0.02 / raster.step)), len(x) - 1)
         speed = factor * float(np.std(x[lag:] - x[:-lag])) / (lag * raster.step)
     big, small = spread > doubtful or speed > 15.0, spread < 2 * least
@@ -209,7 +269,14 @@ def _odd_scale(raster: Raster, facts: Facts, x: np.ndarray, quantity: str) -> li
 
 
 def factor_hint(gain: float) -> str:
-    """Words for a factor between a measured and an expected signal: 1000, g, a sign; '' near one."""
+    """Return a hint for a factor between a measured and an expected signal.
+
+    Args:
+        gain: Measured over expected [-].
+
+    Returns:
+        A clause on a factor of 1000, on g or on a sign; '' near one.
+    """
     size = abs(gain)
     for k, text in (
         (1e3, "a factor of 1000 too large"),
@@ -228,12 +295,20 @@ _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 
 def sparkline(x: Sequence[float] | np.ndarray, width: int = 20) -> str:
-    """A column as one line of `width` characters: between its least and largest value in every dot's time, four dots high."""
+    """Draw a column as one line of Braille characters between its smallest and largest value.
+
+    Args:
+        x: Samples (n,).
+        width: Number of characters; each shows 2 x 4 dots.
+
+    Returns:
+        One line of text.
+    """
     x = np.asarray(x, float)
     good = x[np.isfinite(x)]
     if not len(good):
         return " " * width
-    size = np.abs(good).max() or 1.0  # so that no difference is beyond what a float holds
+    size = np.abs(good).max() or 1.0  # keeps differences within the range of a float
     x = x / size
     lo, hi = good.min() / size, good.max() / size
     span = hi - lo or 1.0
@@ -248,7 +323,7 @@ def sparkline(x: Sequence[float] | np.ndarray, width: int = 20) -> str:
             continue
         top = round(3 * (hi - part.max()) / span)
         bottom = round(3 * (hi - part.min()) / span)
-        if previous is not None:  # a line that is not broken
+        if previous is not None:  # an unbroken line
             top, bottom = min(top, previous[1]), max(bottom, previous[0])
         previous = round(3 * (hi - part.max()) / span), round(3 * (hi - part.min()) / span)
         for row in range(top, bottom + 1):

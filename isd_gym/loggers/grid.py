@@ -1,4 +1,4 @@
-"""Inputs on a uniform grid, interpolated knowingly where their own stamps are others."""
+"""Inputs on a uniform grid, with a stated interpolation between different time stamps."""
 
 from __future__ import annotations
 
@@ -17,9 +17,18 @@ if TYPE_CHECKING:
 
 
 def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, str]:
-    """An input (n,) at the instants `at` [s], and how: '' where it has these very stamps.
+    """Return an input at given instants.
 
-    A current and what a drive commands are held, a force and a logged channel are linear between samples, a motion a cubic spline.
+    A current or a command is held between samples, a force or a logged channel is linear, and a motion is a
+    cubic spline.
+
+    Args:
+        signal: The logged input.
+        at: Instants (n,) [s].
+        quantity: Quantity of the input, such as 'displacement'.
+
+    Returns:
+        Values (n,) in the unit of the signal, and the kind of interpolation ('' for identical stamps).
     """
     t, x = signal.time, signal.values
     if len(t) >= len(at):
@@ -39,7 +48,20 @@ def sampled(signal: Signal, at: np.ndarray, quantity: str) -> tuple[np.ndarray, 
 def inputs_of(
     recording: Recording, channels: Sequence[Channel], notes: list[str], step: float | None = None
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(time (n,) [s], the inputs in SI by name): over the finest input's own stamps, or at `step` [s]."""
+    """Return the inputs of a model on a common grid.
+
+    Args:
+        recording: The run.
+        channels: Inputs of the model.
+        notes: Lines for the user; extended by the interpolations.
+        step: Step of the grid [s]; None for the stamps of the finest input.
+
+    Returns:
+        Time (n,) [s], and inputs (n,) [SI] by name.
+
+    Raises:
+        InputError: There are no inputs, or a unit cannot be converted.
+    """
     own = [recording.signals[c.name] for c in channels]
     if not own:
         raise InputError(f"{recording.name}: no inputs to simulate for")

@@ -1,11 +1,13 @@
-"""Which column of which logger's file is which channel of a model: the file that `isd-gym inspect --out` writes (`isd-map/1`).
+"""Map from the columns of loggers' files to the channels of a model: the file of `isd-gym inspect --out` (`isd-map/1`).
 
     {"schema": "isd-map/1", "model": "car.json",
-     "loggers": [{"file": "body.csv", "stamps": {"column": "Zeit", "unit": "ms"}}, {"file": "wheel.mf4", "lag": 0.004}],
-     "channels": {"body_acceleration": {"logger": 1, "column": "az_body", "unit": "g", "sign": -1, "sure": 0.97}}}
+     "loggers": [{"file": "body.csv", "stamps": {"column": "Zeit", "unit": "ms"}}, {"file": "wheel.mf4",
+     "lag": 0.004}],
+     "channels": {"body_acceleration": {"logger": 1, "column": "az_body", "unit": "g", "sign": -1, "sure":
+     0.97}}}
 
-`logger` counts from 1, in the order in which the files of a run are named (``body.csv+wheel.mf4``). `lag` [s]: by how much
-a logger's stamps are known to be late; without it that is fitted. `sure` and `why` are for people.
+`logger` counts from 1, in the order of a run's files (``body.csv+wheel.mf4``). `lag` [s] is the known delay
+of a logger's time stamps; an unknown delay is fitted. `sure` and `why` are for people.
 """
 
 from __future__ import annotations
@@ -29,14 +31,20 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 SCHEMA = "isd-map/1"
-JOIN = "+"  # between the files of one run
+JOIN = "+"  # separator between the files of a run
 
 
 @dataclass(frozen=True)
 class Column:
-    """Where a channel is: `column` of the file of `logger` (from 1 on), in `unit` (the file's own where None), times `sign`.
+    """Column of a channel.
 
-    `sure` [0 to 1] and `why`: how it was found.
+    Attributes:
+        column: Name of the column.
+        logger: Number of the logger, from 1.
+        unit: Unit of the column; None for the unit in the file.
+        sign: Factor 1 or -1.
+        sure: Probability of the match, from 0 to 1; None if unknown.
+        why: Reasons for the match.
     """
 
     column: str
@@ -47,7 +55,11 @@ class Column:
     why: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """As the file has it."""
+        """Return the column as an object of a map file.
+
+        Returns:
+            Plain data.
+        """
         out: dict[str, Any] = {"logger": self.logger, "column": self.column}
         if self.unit:
             out["unit"] = self.unit
@@ -60,9 +72,14 @@ class Column:
 
 @dataclass(frozen=True)
 class Logger:
-    """A logger: its `file` (for people), the column and unit of its stamps, and its `lag` [s] where that is known.
+    """A logger.
 
-    `columns`: names of the columns of a file without a header row.
+    Attributes:
+        file: Name of its file, for people.
+        stamp: Column of the time stamps; None to detect the column.
+        unit: Unit of the time stamps; None for the unit in the file, otherwise s.
+        lag: Delay of the time stamps [s]; None if unknown.
+        columns: Names of the columns of a file without a header row.
     """
 
     file: str = ""
@@ -72,7 +89,11 @@ class Logger:
     columns: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As the file has it."""
+        """Return the logger as an object of a map file.
+
+        Returns:
+            Plain data.
+        """
         out: dict[str, Any] = {"file": self.file}
         stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit)) if v}
         if self.columns:
@@ -82,7 +103,14 @@ class Logger:
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """What `isd-gym inspect` suggests, and `--map` takes. `source`: the file it was read from, for messages."""
+    """Columns of the channels of a model, as `isd-gym inspect` suggests and `--map` reads.
+
+    Attributes:
+        channels: Column by channel.
+        loggers: Loggers, in the order of a run's files.
+        model: File of the model.
+        source: File of the map, for messages.
+    """
 
     channels: Dict[str, Column]
     loggers: tuple[Logger, ...] = ()
@@ -91,12 +119,33 @@ class ChannelMap:
 
     @classmethod
     def load(cls, path: str | Path) -> ChannelMap:
-        """Read a map file; `InputError` with the place for whatever is wrong in it."""
+        """Read a map file.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The map.
+
+        Raises:
+            InputError: The file cannot be read or has an invalid entry; the message names the entry.
+        """
         return cls.from_dict(read_json(path), str(path))
 
     @classmethod
     def from_dict(cls, data: Any, source: str = "the map") -> ChannelMap:
-        """A map of plain data."""
+        """Return a map from the content of a map file.
+
+        Args:
+            data: Plain data.
+            source: Origin, for messages.
+
+        Returns:
+            The map.
+
+        Raises:
+            InputError: An entry is invalid; the message names the entry.
+        """
         _keys(data, {"schema", "model", "loggers", "channels"}, source)
         if data.get("schema") != SCHEMA:
             raise InputError(f"{source}: its schema is not '{SCHEMA}'")
@@ -146,7 +195,11 @@ class ChannelMap:
         return cls(channels, tuple(loggers), _text(data.get("model", ""), f"{source}: model") or "", source)
 
     def to_dict(self) -> dict[str, Any]:
-        """As the file has it (`isd-map/1`)."""
+        """Return the content of the map file (`isd-map/1`).
+
+        Returns:
+            Plain data.
+        """
         return {
             "schema": SCHEMA,
             "model": self.model,
@@ -155,7 +208,14 @@ class ChannelMap:
         }
 
     def save(self, path: str | Path) -> None:
-        """Write the file, whole or not at all, a channel a line."""
+        """Write the map file atomically, one channel per line.
+
+        Args:
+            path: File to write.
+
+        Raises:
+            InputError: The file cannot be written.
+        """
         data = self.to_dict()
         rows = {k: [json.dumps(v, ensure_ascii=False) for v in data[k]] for k in ("loggers",)}
         channels = [
@@ -172,7 +232,14 @@ class ChannelMap:
         write_text(path, text)
 
     def check(self, network: Network) -> None:
-        """Raise `InputError` where the map names channels that the model lacks."""
+        """Check that the model has all channels of the map.
+
+        Args:
+            network: The model.
+
+        Raises:
+            InputError: A channel is unknown.
+        """
         known = [c.name for c in (*network.inputs, *network.outputs)]
         for name in self.channels:
             if name not in known:
@@ -181,12 +248,22 @@ class ChannelMap:
                 raise InputError(f"{self.source}: the model has no channel {shown(name)}; {hint}")
 
     def measured(self, network: Network) -> Network:
-        """The model with those of its outputs that the map has a column for. Raises `InputError` where there is none."""
+        """Return the model with only the outputs that the map has columns for.
+
+        Args:
+            network: The model.
+
+        Returns:
+            The model with fewer outputs.
+
+        Raises:
+            InputError: The map has a channel that the model lacks, or no output.
+        """
         self.check(network)
         found = network.with_outputs(self.channels)
         if not found.outputs:
             raise InputError(
-                f"{self.source}: it maps none of the model's outputs ({', '.join(c.name for c in network.outputs)})"
+                f"{self.source}: no output of the model has a column ({', '.join(c.name for c in network.outputs)})"
             )
         return found
 
@@ -209,7 +286,18 @@ def _text(value: Any, where: str) -> Any:
 
 
 def files_of(text: str | Path) -> list[Path]:
-    """The files of one run: ``body.csv+wheel.mf4``; a name that is there as it stands is that file."""
+    """Return the files of one run.
+
+    Args:
+        text: One file, or several files as ``body.csv+wheel.mf4``. The name of an existing file may contain
+            the separator.
+
+    Returns:
+        Paths in the given order.
+
+    Raises:
+        InputError: A file is named twice.
+    """
     whole = Path(text)
     if JOIN not in str(text) or whole.exists():
         return [whole]
@@ -229,12 +317,23 @@ def runs(
     units: Dict[str, str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> list[Recording]:
-    """The run of one or several loggers' files, in pieces between the gaps that the loggers left.
+    """Return a run of one or several loggers' files, split at gaps in the time stamps.
 
-    network: the model; wanted: those of its channels that are needed. by: which column is which channel; without it columns
-    have the channels' names, after `rename` (column -> channel), and `units` (channel or column -> unit). columns: names for
-    files without a header row, of which the map names none. Raises
-    `InputError` with one line for a column that is not there, stamps that overlap or run backwards, and the rest.
+    Args:
+        text: The files, as `files_of` reads them.
+        network: The model.
+        wanted: Channels of the model that are needed.
+        by: Columns of the channels; None for columns with the names of the channels.
+        rename: Column -> channel.
+        units: Unit by channel or by column.
+        columns: Names for files without a header row, unless the map has names.
+
+    Returns:
+        Pieces of the run, in order of time.
+
+    Raises:
+        InputError: A column is missing, stamps overlap or run backwards, the loggers have no common time, or
+            all pieces are too short.
     """
     files = files_of(text)
     loggers = by.loggers if by else ()
@@ -258,7 +357,7 @@ def runs(
             kind = "the input " if lost[0] in {c.name for c in network.inputs} else ""
             raise InputError(f"{by.source}: no column for {kind}{', '.join(lost)}{without(network, lost[0])}")
     place = {c.name: _find(c, network, by, files, found) for c in wanted}
-    # only what is used is cut at its gaps
+    # only used rasters are cut at their gaps
     cut: dict[tuple[int, int], list[Raster]] = {}
     for _, at in place.values():
         if at not in cut:
@@ -319,7 +418,7 @@ def runs(
 
 
 def _common_origin(found: list[list[Raster]], notes: list[str]) -> None:
-    """Absolute stamps count from the first of them on; a logger whose stamps are not absolute, from its own first."""
+    """Count absolute stamps from the earliest stamp, and relative stamps of a logger from the logger's first stamp."""
     starts = [min(r.time[0] for r in group) for group in found]
     absolute = [bool(s > EPOCH) for s in starts]
     first = min((s for s, a in zip(starts, absolute, strict=True) if a), default=0.0)
@@ -340,6 +439,7 @@ def _by_name(
     renamed: Dict[str, str],
     units: Dict[str, str],
 ) -> ChannelMap:
+    """Return the map of columns with the names of channels."""
     channels = {}
     for c in wanted:
         column = renamed.get(c.name, c.name)
@@ -349,7 +449,7 @@ def _by_name(
         holders = [i for i, names in enumerate(full, 1) if names]
         if len(holders) > 1:
             names = " and ".join(str(files[i - 1]) for i in holders)
-            raise InputError(f"column {shown(column)} is in {names}: --map FILE says which is meant")
+            raise InputError(f"column {shown(column)} is in {names}: choose one with --map FILE")
         channels[c.name] = Column(column, (holders or [1])[0], units.get(c.name) or units.get(column))
     return ChannelMap(channels, source="by name")
 
@@ -361,7 +461,7 @@ def _find(
     files: Sequence[Path],
     found: Sequence[Sequence[Raster]],
 ) -> tuple[str, tuple[int, int]]:
-    """(column, (file, raster)) of a channel: in the logger that the map names, or in the only one that has it."""
+    """Return (column, (file, raster)) of a channel: in the logger that the map names, or in the only logger with the column."""
     source = by.channels[channel.name]
     holders = [
         (i, k) for i, group in enumerate(found) for k, r in enumerate(group) if source.column in r.columns
@@ -379,7 +479,7 @@ def _find(
     told = JOIN.join(map(str, files))
     if by.source == "by name":
         raise InputError(
-            f"{told}: no column {shown(source.column)}{hint} (--map FILE or --rename COLUMN={channel.name} says which it is; "
+            f"{told}: no column {shown(source.column)}{hint} (name the column with --map FILE or --rename COLUMN={channel.name}; "
             f"isd-gym inspect suggests a map){without(network, channel.name)}"
         )
     raise InputError(

@@ -1,4 +1,5 @@
-"""Which column is which channel of a model: names, units, and physics (derivatives, and what the model says when driven)."""
+"""Match between columns and channels of a model: names, units, and physics (derivatives, and a simulation with
+candidate inputs)."""
 
 from __future__ import annotations
 
@@ -25,32 +26,48 @@ if TYPE_CHECKING:
     from ..network import Channel, Network
     from .recording import Raster
 
-COLUMNS = 60  # that are looked at; of more, those whose names and units speak loudest
-DRIVES = 40  # choices of input columns that are simulated
-SAMPLES = 6000  # of the stretch that is compared
-LAG = 0.5  # [s] between loggers
-NOTHING = -3.0  # a score below which a channel rather has no column
-PHYSICS = 9.0  # what a simulation that follows a column to the last bit is worth
-DERIVATIVE = 2.0  # score of a column that is the derivative of another
+COLUMNS = 60  # largest number of columns; with more columns, the best by name and unit
+DRIVES = 40  # largest number of simulated choices of input columns
+SAMPLES = 6000  # samples of the compared stretch
+LAG = 0.5  # largest lag between loggers [s]
+NOTHING = -3.0  # score below which a channel has no column
+PHYSICS = 9.0  # score of a perfect match with a simulation
+DERIVATIVE = 2.0  # score of a column that is the derivative of another column
 ORDER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A column for a channel: its place, the unit taken for it, its sign, the score, and why."""
+    """A candidate column for a channel.
+
+    Attributes:
+        facts: Properties of the column.
+        unit: Assumed unit.
+        sign: Factor 1 or -1.
+        score: Score; larger is better.
+        follows: Correlation with the simulation.
+        gain: Measured over simulated amplitude, in the unit.
+        why: Reasons.
+    """
 
     facts: Facts
     unit: str
     sign: int = 1
     score: float = 0.0
-    follows: float = math.nan  # correlation with the simulation
-    gain: float = math.nan  # measured over simulated, in the unit
+    follows: float = math.nan
+    gain: float = math.nan
     why: tuple[str, ...] = ()
 
 
 @dataclass
 class Suggestion:
-    """A mapping with how sure each channel is, what is missing, and remarks."""
+    """A suggested map.
+
+    Attributes:
+        channels: Candidate and probability by channel.
+        missing: Channels without a column.
+        remarks: Lines for the user.
+    """
 
     channels: dict[str, tuple[Candidate, float]] = field(default_factory=dict)
     missing: list[str] = field(default_factory=list)
@@ -59,7 +76,16 @@ class Suggestion:
     def map(
         self, files: Sequence[Sequence[Raster]], model: str, columns: Sequence[str] | None = None
     ) -> ChannelMap:
-        """As a file for ``--map``. columns: names that files without a header row were given."""
+        """Return the suggestion as a map for ``--map``.
+
+        Args:
+            files: Rasters of every file.
+            model: File of the model.
+            columns: Names that files without a header row were given.
+
+        Returns:
+            The map.
+        """
         channels = {
             name: Column(
                 c.facts.name,
@@ -78,11 +104,19 @@ class Suggestion:
 
 
 def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: Network) -> Suggestion:
-    """Columns for the channels of a model.
+    """Suggest columns for the channels of a model.
 
-    files: the rasters of every file; facts: of all columns. Each channel's score adds up its column's name, its unit, the
-    derivatives among columns, and how closely the column follows a simulation that the chosen inputs drive. How sure a
-    channel is comes from how much the best choice of all without that column is worse.
+    The score of a choice is the sum over channels of the scores of name, unit, derivatives among columns, and
+    correlation with a simulation that the chosen inputs drive. The probability of a channel's column follows
+    from the loss of score in the best choice without that column.
+
+    Args:
+        files: Rasters of every file.
+        facts: Properties of all columns.
+        network: The model.
+
+    Returns:
+        Columns, missing channels and remarks.
     """
     out = Suggestion()
     wanted = [*network.inputs, *network.outputs]
@@ -101,7 +135,7 @@ def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: 
         prior = prior + _derivatives(wanted, live, window, prior)
     choices = _choices(network, live, prior, window)
     solved = [_solve(network, wanted, live, prior, window, choice) for choice in choices]
-    # a constant column may be an input that was not used
+    # a constant column may be an unused input
     best = max(solved, key=lambda s: s.total)
     for i, c in enumerate(wanted):
         found = best.picks[i]
@@ -133,11 +167,11 @@ def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: 
 
 
 def _prior(f: Facts, c: Channel, network: Network) -> float:
-    """What name and unit of a column say for a channel."""
+    """Return the score of a column's name and unit for a channel."""
     score = alike(f.name, c, network)
     if known := si_unit(f.unit):
         return score + 2.0 if known == c.si else -20.0
-    return score - (4.0 if f.unit and f.unit not in ("-", "1") else 0.0)  # a unit of nothing that moves
+    return score - (4.0 if f.unit and f.unit not in ("-", "1") else 0.0)  # a unit of no mechanical quantity
 
 
 # ------------------------------------------------------------------------------------------------- physics
@@ -145,13 +179,19 @@ def _prior(f: Facts, c: Channel, network: Network) -> float:
 
 @dataclass(frozen=True)
 class Window:
-    """The stretch that is compared: `time` (n,) [s], and every column on it (columns, n)."""
+    """The compared stretch.
+
+    Attributes:
+        time: Time stamps (n,) [s].
+        values: Samples of every column (columns, n).
+    """
 
     time: np.ndarray
     values: np.ndarray
 
     @property
     def step(self) -> float:
+        """Sampling step [s]."""
         return float(self.time[1] - self.time[0])
 
 
@@ -170,7 +210,7 @@ def _window(files: Sequence[Sequence[Raster]], live: Sequence[Facts]) -> Window 
     step = min(r.step for r in good.values())
     if stop - start < 64 * step:
         return None
-    # the middle of a long record; over several rasters a common step, as fine as the finest
+    # the middle of a long record; for several rasters a common step, equal to the finest
     count = int((stop - start) / step)
     if count > SAMPLES:
         start += 0.5 * (count - SAMPLES) * step
@@ -188,7 +228,8 @@ def _window(files: Sequence[Sequence[Raster]], live: Sequence[Facts]) -> Window 
 def _derivatives(
     wanted: Sequence[Channel], live: Sequence[Facts], window: Window, prior: np.ndarray
 ) -> np.ndarray:
-    """What it adds to a channel's score that its column is the derivative (or the integral) of a column that another may be."""
+    """Return the score of each channel and column for columns that are derivatives or integrals of candidates of
+    other channels."""
     out = np.zeros(prior.shape)
     known: dict[tuple[int, int, int], float] = {}
 
@@ -224,14 +265,14 @@ def _derivatives(
     return out
 
 
-#: a choice of inputs: for each the column's number, the unit and the sign
+#: a choice of inputs: index of the column, unit and sign for each input
 Drive = tuple[tuple[int, str, int], ...]
 
 
 def _choices(
     network: Network, live: Sequence[Facts], prior: np.ndarray, window: Window | None
 ) -> list[Drive]:
-    """What may drive the model, likeliest first."""
+    """Return candidate choices of input columns, most probable first."""
     options: list[list[tuple[float, tuple[int, str, int]]]] = []
     for i, c in enumerate(network.inputs):
         rows = []
@@ -250,7 +291,7 @@ def _choices(
 
 
 def _units(f: Facts, c: Channel) -> list[tuple[str, float]]:
-    """Units that a column may be in as this channel, and what each costs."""
+    """Return candidate units of a column as a channel, with the penalty of each unit."""
     if si_unit(f.unit):
         return [(f.unit, 0.0)]
     from ..data.quality import QUANTITIES
@@ -282,18 +323,19 @@ class _Solved:
 
     total: float
     picks: list[Candidate | None]
-    table: np.ndarray  # (outputs, columns) scores
+    table: np.ndarray  # scores (outputs, columns)
     base: float
     drive: Drive
     shift: int
     failed: str = ""
 
     def place(self, i: int) -> object:
+        """Return file, raster and name of a channel's column; None without a column."""
         p = self.picks[i]
         return None if p is None else (p.facts.file, p.facts.raster, p.facts.name)
 
     def without(self, i: int) -> float:
-        """The best total where channel `i` has another column than it has."""
+        """Return the best total without the present column of channel `i`."""
         if i < self.shift:
             return -math.inf
         j = i - self.shift
@@ -307,7 +349,7 @@ class _Solved:
 
 
 def _assigned(table: np.ndarray) -> tuple[float, np.ndarray]:
-    """(sum, column of every row) of the best assignment; the last columns stand for none."""
+    """Return the sum and the column of every row of the best assignment; the last columns mean no column."""
     if not table.size:
         return 0.0, np.zeros(0, int)
     rows, columns = linear_sum_assignment(-table)
@@ -374,7 +416,7 @@ def _weighed(
     said: np.ndarray | None,
     network: Network,
 ) -> Candidate:
-    """A column as an output: what its name and unit say, and how it follows the simulation."""
+    """Return a column as candidate of an output: score of name, unit and correlation with the simulation."""
     why = _reasons(f, c, network)
     options = _units(f, c)
     unit = options[0][0]
@@ -382,13 +424,13 @@ def _weighed(
         return Candidate(f, unit, 1, prior - options[0][1], why=why)
     x = window.values[k]
     lag = min(int(LAG / window.step), len(x) // 4)
-    skip = len(x) // 8  # from rest
+    skip = len(x) // 8  # start-up from rest
     a, b = said[skip:] - said[skip:].mean(), x[skip:] - x[skip:].mean()
     r = correlate(b, a, mode="full", method="fft")[len(a) - 1 - lag : len(a) + lag]
     r = r / (len(a) * max(a.std() * b.std(), 1e-300))
     at = int(np.argmax(np.abs(r)))
     follows, sign = float(min(abs(r[at]), 1.0)), 1 if r[at] >= 0 else -1
-    size = b.std() / a.std()  # of what is measured over what is simulated, both in their own unit
+    size = b.std() / a.std()  # measured over simulated, in their units
     choice = []
     for u, cost in options if not f.unit else [(unit, 0.0)]:
         gain = float(convert(size, u, c.unit))

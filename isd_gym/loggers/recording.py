@@ -1,8 +1,8 @@
-"""Records as loggers write them: every channel over its own stamps, of one file or several.
+"""Records in the form that loggers write: every channel on separate time stamps, from one or several files.
 
-A `Raster` is what a file holds over one row of stamps; `mended` takes repeats out and splits at gaps, and says where. A
-`Recording` is a run: the model's channels, each a `Signal` with its own stamps and the clock that wrote them. Nothing here
-is resampled.
+A `Raster` holds the columns of a file on one row of stamps; `mended` removes repeats, splits at gaps, and
+reports both. A `Recording` is a run: the channels of a model, each a `Signal` with its stamps and clock.
+Nothing is resampled.
 """
 
 from __future__ import annotations
@@ -27,15 +27,23 @@ if TYPE_CHECKING:
 
     from ..data.columns import Columns
 
-EPOCH = 1e8  # [s] later stamps count from 1970: absolute ones
-LEAST = 200  # samples of a piece between two gaps; shorter ones are left out
-GAP = 1.7  # steps
-UNEVEN = 0.1  # of a step: beyond, stamps are no uniform grid
+EPOCH = 1e8  # later stamps are absolute and count from 1970 [s]
+LEAST = 200  # smallest number of samples between two gaps; shorter pieces are omitted
+GAP = 1.7  # smallest gap, in steps
+UNEVEN = 0.1  # largest deviation of stamps from a uniform grid, in steps
 
 
 @dataclass(frozen=True)
 class Raster:
-    """Columns of a file over one row of stamps: `time` (n,) [s]; `units` where the file tells them; `stamp`: their column."""
+    """Columns of a file on one row of time stamps.
+
+    Attributes:
+        source: The file.
+        time: Time stamps (n,) [s].
+        columns: Samples (n,) by column.
+        units: Unit by column, for columns with a unit.
+        stamp: Name of the column of time stamps.
+    """
 
     source: str
     time: np.ndarray
@@ -48,7 +56,7 @@ class Raster:
 
     @cached_property
     def step(self) -> float:
-        """Median step [s]; of rounded stamps the mean step."""
+        """Median step [s]; for rounded stamps the mean step."""
         if stamp_rounding(self.time):
             return float(np.diff(even_stamps(self.time)).mean())
         d = np.diff(self.time)
@@ -56,16 +64,36 @@ class Raster:
 
     @property
     def name(self) -> str:
-        """The file's name."""
+        """Name of the file."""
         return plain(Path(self.source).name, 60)
 
     def rows(self, keep: np.ndarray | slice) -> Raster:
-        """The same with some of its samples."""
+        """Return the raster with a selection of its samples.
+
+        Args:
+            keep: Mask (n,) or slice.
+
+        Returns:
+            The shorter raster.
+        """
         return replace(self, time=self.time[keep], columns={k: v[keep] for k, v in self.columns.items()})
 
 
 def stamps_of(found: Columns, path: str | Path, wanted: str | None = None) -> str:
-    """The column that holds the stamps: `wanted`, one of a usual name, or the only one that rises evenly."""
+    """Return the name of the column of time stamps.
+
+    Args:
+        found: Columns of the file.
+        path: The file, for messages.
+        wanted: Name of the column; None for a column with a usual name, or the only column that rises
+            uniformly.
+
+    Returns:
+        Name of the column.
+
+    Raises:
+        InputError: No such column exists.
+    """
     if wanted is not None:
         if wanted not in found.values:
             raise InputError(f"{path}: no column {shown(wanted)} of stamps (it has: {_listed(found)})")
@@ -80,7 +108,7 @@ def stamps_of(found: Columns, path: str | Path, wanted: str | None = None) -> st
         if len(names) == 1 or (names and names[0] == next(iter(found.values))):
             return names[0]
     raise InputError(
-        f"{path}: no column 'time' [s]: --rename COLUMN=time says which it is (it has: {_listed(found)})"
+        f"{path}: no column 'time' [s]: name the time column with --rename COLUMN=time (it has: {_listed(found)})"
     )
 
 
@@ -103,10 +131,19 @@ def rasters(
     unit: str | None = None,
     columns: Sequence[str] | None = None,
 ) -> list[Raster]:
-    """All rasters of a file, in seconds; absolute stamps stay absolute (from 1970 on).
+    """Return all rasters of a file, with time stamps in seconds; absolute stamps stay absolute (since 1970).
 
-    stamp: the column that holds the stamps; unit: theirs, else what the file says, else s. columns: names for a file without a
-    header row. Raises `InputError`.
+    Args:
+        path: The file.
+        stamp: Column of the time stamps; None to detect the column.
+        unit: Unit of the time stamps; None for the unit in the file, otherwise s.
+        columns: Names for a file without a header row.
+
+    Returns:
+        One entry per raster.
+
+    Raises:
+        InputError: The file cannot be read, or has no time stamps.
     """
     out = []
     for found in read_rasters(path, columns):
@@ -132,9 +169,17 @@ def rasters(
 
 
 def mended(raster: Raster, notes: list[str]) -> list[Raster]:
-    """The pieces of a raster between its gaps, doubled samples taken out; what was done is told in `notes`, and where.
+    """Return the pieces of a raster between gaps, without repeated samples.
 
-    Raises `InputError` where stamps run backwards or overlap: nobody can say what belongs where.
+    Args:
+        raster: The raster.
+        notes: Lines for the user; extended by each change and its place.
+
+    Returns:
+        Pieces in order of time.
+
+    Raises:
+        InputError: Stamps run backwards or overlap, so that the order of the samples is unknown.
     """
     where = raster.name
     good = np.isfinite(raster.time)
@@ -153,7 +198,7 @@ def mended(raster: Raster, notes: list[str]) -> list[Raster]:
         k = int(np.argmax(d < 0))
         raise InputError(
             f"{raster.source}: stamps run backwards after sample {k + 1}, from {_at(raster.time[k])} to {_at(raster.time[k + 1])}: "
-            "overlapping or reversed pieces; cut the file there and name the pieces as records of their own"
+            "overlapping or reversed pieces; cut the file there and give the pieces as separate records"
         )
     if (d == 0).any():
         raster = _without_repeats(raster, notes)
@@ -161,7 +206,15 @@ def mended(raster: Raster, notes: list[str]) -> list[Raster]:
 
 
 def rounded(rounding: float, step: float) -> str:
-    """Words for stamps that were rounded to `rounding` [s] where the step is `step` [s]."""
+    """Return a sentence on rounded time stamps.
+
+    Args:
+        rounding: Resolution of the stamps [s].
+        step: Sampling step [s].
+
+    Returns:
+        A sentence.
+    """
     return f"stamps are rounded to {rounding:.3g} s; taken as evenly sampled at {1 / step:.7g} Hz"
 
 
@@ -190,8 +243,8 @@ def _without_repeats(raster: Raster, notes: list[str]) -> Raster:
         )
         return replace(raster, time=even)
     raise InputError(
-        f"{raster.source}: {len(at)} stamps occur twice with other values, first {first} after its begin: two pieces overlap; "
-        "cut the file and name the pieces as records of their own"
+        f"{raster.source}: {len(at)} time stamps occur twice with different values, first {first} after the start: two pieces overlap; "
+        "cut the file and give the pieces as separate records"
     )
 
 
@@ -219,12 +272,15 @@ def _split(raster: Raster, notes: list[str]) -> list[Raster]:
 
 
 def continuous(name: str, values: np.ndarray, unit: str) -> tuple[np.ndarray, str]:
-    """Return a column (n,) without the jumps of an angle that begins anew each turn, and a line that says so ('' where there are none).
+    """Return a column without the jumps of an angle that restarts at each turn.
 
     Args:
-        name: Name of the column, for the line.
-        values: Samples in `unit`.
-        unit: Unit of an angle; others are returned as they are.
+        name: Name of the column, for the message.
+        values: Samples (n,) in `unit`.
+        unit: Unit; columns that are no angles are returned unchanged.
+
+    Returns:
+        Samples (n,), and a line for the user ('' without jumps).
     """
     try:
         turn = convert(1.0, "rev", unit)
@@ -236,7 +292,11 @@ def continuous(name: str, values: np.ndarray, unit: str) -> tuple[np.ndarray, st
 
 
 def even(time: np.ndarray) -> bool:
-    """Whether stamps (n,) lie on a uniform grid, within a tenth of a step or the rounding of the stamps."""
+    """Return whether stamps lie on a uniform grid, within a tenth of a step or the resolution of the stamps.
+
+    Args:
+        time: Time stamps (n,) [s].
+    """
     if len(time) < 3 or stamp_rounding(time):
         return True
     grid = np.linspace(time[0], time[-1], len(time))
@@ -248,7 +308,15 @@ def even(time: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class Signal:
-    """A channel as it was logged: `values` (n,) in `unit` at its own stamps `time` (n,) [s] of the clock `clock`."""
+    """A logged channel.
+
+    Attributes:
+        time: Time stamps (n,) [s] of the clock.
+        values: Samples (n,) in `unit`.
+        unit: Unit.
+        clock: Name of the logger's clock.
+        column: Name of the column.
+    """
 
     time: np.ndarray
     values: np.ndarray
@@ -268,17 +336,28 @@ class Signal:
         return float(self.time[-1] - self.time[0]) / max(len(self.time) - 1, 1)
 
     def within(self, start: float, stop: float) -> Signal:
-        """Its samples from `start` to `stop` [s]."""
+        """Return the samples in an interval of time.
+
+        Args:
+            start: First instant [s].
+            stop: Last instant [s].
+
+        Returns:
+            The shorter signal.
+        """
         keep = (self.time >= start) & (self.time <= stop)
         return replace(self, time=self.time[keep], values=self.values[keep])
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A run: the model's channels by name, each over its own stamps.
+    """A run: the channels of a model, each on separate time stamps.
 
-    `lags`: clock -> seconds that its stamps are known to be late; a clock that is not named is off by an unknown time.
-    `notes`: what was done to the files.
+    Attributes:
+        name: Name, for messages.
+        signals: Signal by channel.
+        lags: Known delay [s] of the stamps by clock; a clock without an entry has an unknown delay.
+        notes: Changes that were made to the files.
     """
 
     name: str
@@ -288,11 +367,15 @@ class Recording:
 
     @property
     def clocks(self) -> list[str]:
-        """The clocks of its channels, as they come."""
+        """Names of the clocks of the channels."""
         return list(dict.fromkeys(s.clock for s in self.signals.values()))
 
     def table(self) -> Table | None:
-        """The run as a table, where all channels have the same even stamps of one clock; None elsewhere."""
+        """Return the run as a table if all channels have the same uniform stamps of one clock, otherwise None.
+
+        Returns:
+            The table in the units of the signals, or None.
+        """
         first = next(iter(self.signals.values()))
         same = all(
             len(s.time) == len(first.time) and (s.time is first.time or np.array_equal(s.time, first.time))
@@ -304,12 +387,23 @@ class Recording:
         return Table(first.time, {n: s.values for n, s in self.signals.items()}, self.name, units)
 
     def together(self) -> tuple[float, float]:
-        """From when to when [s] every channel is there."""
+        """Return the interval in which all channels are present.
+
+        Returns:
+            First and last instant [s].
+        """
         return max(s.time[0] for s in self.signals.values()), min(s.time[-1] for s in self.signals.values())
 
 
 def spans(pieces: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[float, float]]:
-    """Where all of several rows of spans [s] overlap."""
+    """Return the common part of several lists of intervals.
+
+    Args:
+        pieces: Lists of intervals [s].
+
+    Returns:
+        Intervals [s] within an interval of every list.
+    """
     out = list(pieces[0])
     for row in pieces[1:]:
         out = [(max(a, c), min(b, d)) for a, b in out for c, d in row if min(b, d) > max(a, c)]

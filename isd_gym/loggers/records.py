@@ -1,4 +1,4 @@
-"""From what is named on a command line to records: tables where a file is one, recordings where loggers differ."""
+"""Records from names on a command line: tables for uniform files, recordings for several loggers."""
 
 from __future__ import annotations
 
@@ -30,10 +30,22 @@ def records_of(
     units: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> list[Table | Recording]:
-    """The records that a name stands for: one, or the pieces between its gaps.
+    """Return the records of a name on the command line: one record, or the pieces between gaps.
 
-    path: a table, or the files of several loggers of one run (``body.csv+wheel.mf4``). network: the model; wanted: those
-    of its channels that are needed. by, rename, units, columns: as `runs` takes them. Raises `InputError`.
+    Args:
+        path: A table, or the files of several loggers of one run (``body.csv+wheel.mf4``).
+        network: The model.
+        wanted: Channels of the model that are needed.
+        by: Columns of the channels; None for columns with the names of the channels.
+        rename: Column -> channel.
+        units: Unit by channel or by column.
+        columns: Names for files without a header row.
+
+    Returns:
+        Tables or recordings.
+
+    Raises:
+        InputError: A file cannot be read, or lacks a channel.
     """
     files = files_of(path)
     if by is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
@@ -59,9 +71,20 @@ def outputs_of(
     rename: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> list[str]:
-    """Those of the model's outputs that are there: in the files of `path`, or in the map `by` that says which column is which.
+    """Return the outputs of a model that the files or the map provide.
 
-    network: the model. rename: the channels that columns of other names are. columns: names for files without a header row.
+    Args:
+        path: A table, or the files of several loggers of one run.
+        network: The model.
+        by: Columns of the channels.
+        rename: Column -> channel.
+        columns: Names for files without a header row.
+
+    Returns:
+        Names of outputs, in the order of the model.
+
+    Raises:
+        InputError: A file cannot be read.
     """
     names = dict(rename or {})
     there = set(by.channels if by else ())
@@ -72,10 +95,18 @@ def outputs_of(
 
 
 def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
-    """The road that a logger measured over a drive: the column that the map has for what moves the model.
+    """Return the road that a logger measured during a drive: the column of the input that moves the model.
 
-    path, network: as `records_of` takes them; of several loggers' files the one with the road is enough. by: the map.
-    Raises `InputError`.
+    Args:
+        path: The file of the logger with the road, or the files of all loggers.
+        network: The model.
+        by: Columns of the channels.
+
+    Returns:
+        Road height over time.
+
+    Raises:
+        InputError: The model has no single road, the map has no column for the road, or the stamps have gaps.
     """
     moved = [c for c in network.moving if c.quantity == "displacement"]
     if len(moved) != 1:
@@ -96,7 +127,7 @@ def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
 def _of_one_logger(
     path: str | Path, network: Network, channel: Channel, by: ChannelMap, source: Column
 ) -> list[Recording]:
-    """A channel of one logger's file, by a map of several loggers; `InputError` where it is another logger's file."""
+    """Return a channel from one logger's file, by a map of several loggers; raise `InputError` for the file of another logger."""
     logger = by.loggers[source.logger - 1]
     alone = replace(by, channels={channel.name: replace(source, logger=1)}, loggers=(logger,))
     try:

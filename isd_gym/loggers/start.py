@@ -1,4 +1,4 @@
-"""An initial state from how the nodes stand and move at the first sample."""
+"""Initial states from positions and velocities of nodes at the first sample."""
 
 from __future__ import annotations
 
@@ -17,22 +17,33 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 MOTION = ("displacement", "velocity")
-LOOSE = 1e-6  # weight of "at rest" where nothing is told of a node
+LOOSE = 1e-6  # weight of "at rest" for nodes without a given motion
 
 
 def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
-    """What ``--initial`` was given: ``NODE=VALUE``, ``NODE.velocity=VALUE``, or a JSON file {node: {displacement, velocity}}, in SI."""
+    """Return the motions that ``--initial`` names.
+
+    Args:
+        words: ``NODE=VALUE`` [m], ``NODE.velocity=VALUE`` [m/s], or a JSON file {node: {displacement,
+            velocity}}.
+
+    Returns:
+        Displacement [m] and velocity [m/s] by node.
+
+    Raises:
+        InputError: A word is invalid.
+    """
     out: dict[str, dict[str, float]] = {}
     for word in words:
         name, joined, value = word.partition("=")
         if not joined:
-            if not os.path.exists(word) and "." not in word:  # a node, and its value forgotten
+            if not os.path.exists(word) and "." not in word:  # a node without a value
                 raise InputError(
-                    f"--initial {shown(word)}: wants NODE=VALUE, NODE.velocity=VALUE (SI), a file, or fit"
+                    f"--initial {shown(word)}: give NODE=VALUE or NODE.velocity=VALUE (SI units), a file, or fit"
                 )
             data = read_json(Path(word))
             if not isinstance(data, dict) or not all(isinstance(v, dict) for v in data.values()):
-                raise InputError(f"{word}: wants {{node: {{displacement, velocity}}}}")
+                raise InputError(f"{word}: must be an object {{node: {{displacement, velocity}}}}")
             for node, motion in data.items():
                 for key, x in motion.items():
                     _put(out, node, key, number(x, f"{word}: {shown(node)}"), word)
@@ -45,7 +56,9 @@ def motions_of(words: Sequence[str]) -> dict[str, dict[str, float]]:
         except ValueError:
             x = math.nan
         if not math.isfinite(x):
-            raise InputError(f"--initial {word}: wants NODE=VALUE or NODE.velocity=VALUE in SI, or a file")
+            raise InputError(
+                f"--initial {word}: give NODE=VALUE or NODE.velocity=VALUE in SI units, or a file"
+            )
         _put(out, node, key, x, word)
     return out
 
@@ -59,10 +72,19 @@ def _put(out: dict[str, dict[str, float]], node: str, key: str, value: float, wo
 def state_of(
     network: Network, motions: Mapping[str, Mapping[str, float]], inputs: Mapping[str, Any], step: float
 ) -> np.ndarray:
-    """The state (n,) in the assembly's coordinates in which nodes stand [m] and move [m/s] as told, all others rest.
+    """Return the state in which nodes have given motions and all other nodes rest.
 
-    inputs: of the simulation, by channel in SI, `step` [s] between their samples: what moves nodes at the first one. Raises
-    `InputError` for a node that the model lacks or that an input moves, and for motions that no state of it has.
+    Args:
+        network: The model.
+        motions: Displacement [m] and velocity [m/s] by node.
+        inputs: Inputs of the simulation [SI] by channel; the first samples move nodes.
+        step: Sampling step of the inputs [s].
+
+    Returns:
+        State (n,) in the coordinates of the assembly.
+
+    Raises:
+        InputError: A node does not exist or is moved by an input, or no state has these motions.
     """
     free, rows, given = _motion(network, inputs, step)
     for node in motions:
@@ -85,9 +107,16 @@ def state_of(
 def motions_at(
     network: Network, state: np.ndarray, inputs: Mapping[str, Any], step: float
 ) -> dict[str, dict[str, float]]:
-    """How the nodes stand [m] and move [m/s] in a state (n,): what `state_of` takes.
+    """Return the motions of the nodes in a state: the inverse of `state_of`.
 
-    inputs, step: as there.
+    Args:
+        network: The model.
+        state: State (n,) in the coordinates of the assembly.
+        inputs: Inputs of the simulation [SI] by channel.
+        step: Sampling step of the inputs [s].
+
+    Returns:
+        Displacement [m] and velocity [m/s] by node.
     """
     free, rows, given = _motion(network, inputs, step)
     displacement, velocity = np.split(rows @ state + given, 2)
@@ -100,7 +129,8 @@ def motions_at(
 def _motion(
     network: Network, inputs: Mapping[str, Any], step: float
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """(free nodes, their displacements and velocities as rows (2 nodes, n) over the state, and what the inputs add at first)."""
+    """Return the free nodes, their displacements and velocities as rows (2 nodes, n) over the state, and the
+    contribution of the inputs."""
     asm = assemble(network)
     free = [n for n in asm.network.nodes if n not in asm.network.moved_nodes]
     x, r, v = (asm.columns(part) for part in ("x", "r", "v"))

@@ -1,4 +1,4 @@
-"""What the names of columns and channels have in common: the words of test benches, in English and German, and their short forms."""
+"""Common words of the names of columns and channels: the vocabulary of test benches in English and German, with abbreviations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ..network import Channel, Network
 
-#: words that mean the same -> the one they count as
+#: synonyms by their common word
 _SAME = {
     "acceleration": "acc accel accelerometer acceleration beschleunigung beschl a az acz accz accelz imu",
     "velocity": "vel velo velocity speed geschwindigkeit geschw rate v vz",
@@ -24,12 +24,19 @@ _SAME = {
     "input": "input drive command cmd soll demand setpoint excitation anregung",
 }
 _WORD = {w: key for key, words in _SAME.items() for w in words.split()}
-#: short forms that mean little by themselves
+#: abbreviations with little meaning alone
 _WEAK = {"a", "v", "x", "z", "f", "i", "s", "u", "rel", "cell", "top", "rate", "length", "base", "table"}
 
 
 def tokens(name: str) -> dict[str, float]:
-    """The words of a name, and what each is worth: ``accZ_Body1`` -> acceleration, body."""
+    """Return the words of a name with their weights, as ``accZ_Body1`` -> acceleration, body.
+
+    Args:
+        name: Name of a column or channel.
+
+    Returns:
+        Weight [-] by word.
+    """
     split = re.sub(r"([a-zäöü])([A-ZÄÖÜ])", r"\1 \2", name)
     split = re.sub(r"([A-Za-z])(\d)", r"\1 \2", split)
     out: dict[str, float] = {}
@@ -43,7 +50,15 @@ def tokens(name: str) -> dict[str, float]:
 
 
 def channel_words(channel: Channel, network: Network) -> dict[str, float]:
-    """The words that a column of this channel may have: of its name, its quantity, and where it is."""
+    """Return the words that the column of a channel may have: words of the channel's name, quantity and place.
+
+    Args:
+        channel: The channel.
+        network: The model.
+
+    Returns:
+        Weight [-] by word.
+    """
     out = tokens(channel.name)
     out[channel.quantity] = max(out.get(channel.quantity, 0.0), 1.0)
     for node in (channel.at, *(channel.between or ()), *channel.elements):
@@ -53,7 +68,16 @@ def channel_words(channel: Channel, network: Network) -> dict[str, float]:
 
 
 def alike(column: str, channel: Channel, network: Network) -> float:
-    """How much a column's name speaks for a channel, from -2 to 5."""
+    """Return the score of a column's name for a channel.
+
+    Args:
+        column: Name of the column.
+        channel: The channel.
+        network: The model.
+
+    Returns:
+        Score from -2 to 5.
+    """
     if column.strip().lower() == channel.name.lower():
         return 5.0
     own, theirs = tokens(column), channel_words(channel, network)

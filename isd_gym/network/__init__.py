@@ -1,8 +1,8 @@
-"""A suspension as a network: masses, named nodes, and two-terminal elements between them.
+"""A suspension as a network: masses, named nodes, and two-terminal elements between nodes.
 
-`Network` is the model (`model`), `isd-model/1` its JSON file (`format`); `assemble` turns it into equations of motion
-without any hand derivation (`assembly`, `frames`), and `linearise` into a state space with named signals, for controllers and frequency
-responses (`linear`).
+`Network` is the model (`model`), and `isd-model/1` its JSON format (`format`). `assemble` derives the
+equations of motion (`assembly`, `frames`). `linearise` gives a state space with named signals, for
+controllers and frequency responses (`linear`).
 """
 
 from ..units import UNITS

@@ -1,19 +1,20 @@
-"""Equations of motion of a network, assembled without any hand derivation, and their state space.
+"""Equations of motion of a network, and their state space.
 
-With the generalized coordinates q (the displacements of the free nodes; with rigid bodies and levers fewer, `coordinates`),
-the moved nodes r(t) and the incidence E of everything that is
-not linear (motors, friction, force laws f)::
+The generalized coordinates q are the displacements of the free nodes (fewer with rigid bodies and levers, see
+`coordinates`). With the moved nodes r(t), and the incidence E of motors, friction and force laws f::
 
     M q'' + C q' + K q + M_r r'' + C_r r' + K_r r + E f = F
 
-M is singular where nodes have no mass. Its singular value decomposition tells the directions V of q = V a + ... that carry
-momentum (two states each) from the rest; among the rest, those with damping are first-order states and those
-without are algebraic. The momentum p = a' + (U^T M V)^-1 U^T M_r r' is the state instead of the velocity, so that r'' is
-needed by no state, only by outputs. V hangs on which nodes have mass, not on how much (`_upright`).
+M is singular if nodes have no mass. Its singular value decomposition separates the directions V of q = V a +
+... with momentum (two states each) from the rest. Damped directions of the rest are first-order states;
+undamped directions are algebraic. The momentum p = a' + (U^T M V)^-1 U^T M_r r' is a state instead of the
+velocity, so that only outputs need r''. V depends on which nodes have mass, not on the size of the masses
+(`_upright`).
 
-Where a node is moved by its velocity or its acceleration, which tell its place only up to constants, what is tied to it
-is seen from a frame that moves with it: q = q_rel + 1 r, and every mass feels -m r'' (`frames`). Then no r is needed where
-nothing but dampers ties it to the ground, and no r' where nothing does; momentum is kept where r' is known.
+A node that is moved by its velocity or acceleration has a position that is unknown up to constants. The nodes
+tied to it are described in a frame that moves with it: q = q_rel + 1 r, and every mass feels -m r''
+(`frames`). Then r is not needed if only dampers tie the node to the ground, and r' is not needed without such
+a tie; momentum remains a state if r' is known.
 """
 
 from __future__ import annotations
@@ -38,19 +39,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Assembly:
-    """The equations of a network, with every law's force f an input of the linear part.
+    """Equations of motion of a network; the force f of every law is an input of the linear part.
 
-    The columns of all matrices are the base vector (x, r, v, alpha, F, I, f): states, displacement [m], velocity and
-    acceleration of the moved nodes, force inputs [N], currents [A], law forces [N]. ``dx/dt = rate @ base``.
-    `elongation` and `elongation_rate` have one row per law; rows of `by_difference` laws hang on an algebraic node, whose
-    velocity is the difference of its positions.
+    The columns of all matrices are the base vector (x, r, v, alpha, F, I, f): states, displacement [m],
+    velocity and acceleration of the moved nodes, force inputs [N], currents [A], law forces [N].
 
-    `outputs` has one row per channel; those of `outputs_by_difference` hang on an algebraic node too.
+    Attributes:
+        network: The model.
+        channels: Channels of the outputs.
+        size: Numbers of states, moved nodes, force inputs, currents and laws.
+        laws: Elements with a law.
+        rate: Time derivative of the states, rows (states, columns).
+        elongation: Elongation of each law [m], rows (laws, columns).
+        elongation_rate: Rate of elongation of each law [m/s], rows (laws, columns).
+        by_difference: Whether each law acts on an algebraic node, whose velocity is the difference of its
+            positions.
+        outputs: Rows (channels, columns).
+        outputs_by_difference: Whether each output is on an algebraic node.
+        position: Positions of the nodes, moved nodes last, rows (nodes, columns).
+        velocity: Velocities of the nodes, moved nodes last, rows (nodes, columns).
     """
 
     network: Network
-    channels: tuple[Channel, ...]  # of the outputs
-    size: tuple[int, int, int, int, int]  # states, moved nodes, force inputs, currents, laws
+    channels: tuple[Channel, ...]
+    size: tuple[int, int, int, int, int]
     laws: tuple[el.Element, ...]
     rate: np.ndarray
     elongation: np.ndarray
@@ -58,21 +70,34 @@ class Assembly:
     by_difference: tuple[bool, ...]
     outputs: np.ndarray
     outputs_by_difference: tuple[bool, ...]
-    position: np.ndarray  # of the nodes, moved ones last
+    position: np.ndarray
     velocity: np.ndarray
 
     def columns(self, part: str) -> slice:
-        """Columns of a `part` of the base vector: 'x', 'r', 'v', 'alpha', 'F', 'I' or 'f'."""
+        """Return the columns of a part of the base vector.
+
+        Args:
+            part: 'x', 'r', 'v', 'alpha', 'F', 'I' or 'f'.
+
+        Returns:
+            Slice of the columns.
+        """
         return _spans(self.size)[part]
 
 
 def assemble(network: Network, extra: Sequence[Channel] = ()) -> Assembly:
-    """Equations of motion of any network, and the rows of its outputs (and of `extra` channels after them).
+    """Return the equations of motion of a network, and the rows of its outputs.
 
-    Raises `InputError` where the massless part is singular or an output asks for what the network does not define
-    (the acceleration of a massless node).
+    Args:
+        network: The model.
+        extra: Further output channels, after those of the model.
 
-    network: as it is, masses and all.
+    Returns:
+        The equations.
+
+    Raises:
+        InputError: The massless part is singular, or an output is not defined in the network, such as the
+            acceleration of a massless node.
     """
     return _assemble(network, extra) if extra else network._assembly
 
@@ -134,7 +159,7 @@ def _schedule(
     by_difference: Sequence[bool],
     size: Size,
 ) -> None:
-    """Give laws that read a logged channel its value in the place of the elongation.
+    """Give laws that read a logged channel the value of the channel instead of the elongation.
 
     Logged channels follow the currents in the base vector.
 
@@ -153,14 +178,14 @@ def _schedule(
 
 # ---------------------------------------------------------------------------------- the parts of an assembly
 
-#: what is said of a network whose equations are not finite
-TOO_FAR_APART = "the model's numbers lie too far apart: its equations are not finite"
+#: message for equations that are not finite
+TOO_FAR_APART = "the model's parameters differ by too many orders of magnitude: its equations are not finite"
 
-NO_MASS = 1e-10  # of the largest singular value: what is below carries no momentum, or is not damped
-NO_SHARE = 1e-9  # of a direction in a row: below is rounding
-ROUNDING = 1e-12  # of the largest number of its kind: what cancels does so exactly
-NO_HOLD = 1e-12  # of the largest stiffness: what is below holds nothing
-UPRIGHT = 0.3  # of the largest share of a node in a space: one as large is its direction
+NO_MASS = 1e-10  # share of the largest singular value below which a direction carries no momentum or damping
+NO_SHARE = 1e-9  # share of a direction in a row below which the direction is rounding
+ROUNDING = 1e-12  # share of the largest number of its kind below which a number has cancelled
+NO_HOLD = 1e-12  # share of the largest stiffness below which a stiffness holds nothing
+UPRIGHT = 0.3  # share of the largest node of a space from which a node is a direction of the basis
 
 Size = tuple[int, int, int, int, int]
 
@@ -171,14 +196,14 @@ def _widths(size: Size) -> tuple[int, ...]:
 
 
 def _spans(size: Size) -> dict[str, slice]:
-    """Where the parts of the base vector stand."""
+    """Return the slices of the parts of the base vector."""
     ends = np.cumsum([0, *_widths(size)]).tolist()
     names = ("x", "r", "v", "alpha", "F", "I", "f")
     return {name: slice(begin, end) for name, begin, end in zip(names, ends[:-1], ends[1:], strict=True)}
 
 
 def _entries(size: Size, part: str, rows: int, start: int = 0) -> np.ndarray:
-    """Entries `start`... of a part of the base vector, as rows over it."""
+    """Return the entries from `start` of a part of the base vector, as rows over the base vector."""
     out = np.zeros((rows, sum(_widths(size))))
     out[np.arange(rows), _spans(size)[part].start + start + np.arange(rows)] = 1.0
     return out
@@ -190,7 +215,7 @@ def _hangs_on(row: np.ndarray, directions: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class _Matrices:
-    """Of all coordinates: inertia [kg], damping [N s/m], stiffness [N/m]."""
+    """Inertia [kg], damping [N s/m] and stiffness [N/m] of all coordinates."""
 
     inertia: np.ndarray
     damping: np.ndarray
@@ -216,11 +241,11 @@ def _matrices(network: Network, nodes: Coordinates, between: Sequence[el.Element
 
 @dataclass(frozen=True)
 class _Ties:
-    """What moved nodes do to free ones (free, moved), those that are seen from a frame included (`frames`)."""
+    """Matrices (free, moved) that tie free nodes to moved nodes, including nodes seen from a frame (`frames`)."""
 
-    frame: np.ndarray  # one where a free node is seen from the frame of a moved one
+    frame: np.ndarray  # 1 for a free node seen from the frame of a moved node
     inertia: np.ndarray
-    momentum: np.ndarray  # the inertia, where the velocity of the moved node is known
+    momentum: np.ndarray  # the inertia, for moved nodes of known velocity
     damping: np.ndarray
     stiffness: np.ndarray
 
@@ -243,10 +268,11 @@ def _ties(network: Network, nodes: Coordinates, matrices: _Matrices) -> _Ties:
 
 @dataclass(frozen=True)
 class _Split:
-    """Directions of the free nodes (free, .), and what becomes of the forces on them (., free).
+    """Directions of the free nodes (free, .), and matrices (., free) from the forces on the free nodes.
 
-    inertial ones carry momentum; of the `massless` rest some are damped, the others algebraic. accelerates, yields: acceleration
-    of the inertial and rate of the damped ones per force. left_algebraic: the equations without inertia and damping.
+    `inertial` directions carry momentum; the `massless` rest is partly damped, partly algebraic.
+    `accelerates` and `yields` give the acceleration of the inertial and the rate of the damped directions per
+    force. `left_algebraic` gives the equations without inertia and damping.
     """
 
     inertial: np.ndarray
@@ -259,7 +285,7 @@ class _Split:
 
 
 def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
-    """Raises `InputError` where an inertia hangs between a massless node and a moved one."""
+    """Return the directions of the free nodes; raise `InputError` for an inertia between a massless and a moved node."""
     free = len(nodes.free)
     inertia, damping = matrices.inertia[:free, :free], matrices.damping[:free, :free]
     left, values, right = np.linalg.svd(inertia) if free else (np.eye(0), np.zeros(0), np.eye(0))
@@ -286,10 +312,11 @@ def _split(matrices: _Matrices, ties: _Ties, nodes: Coordinates) -> _Split:
 
 
 def _upright(directions: np.ndarray) -> np.ndarray:
-    """Another orthonormal basis (free, .) of the space of `directions` (free, .): one that hangs on this space alone.
+    """Return another orthonormal basis (free, .) of the space of `directions` (free, .), which depends on the space alone.
 
-    Singular vectors turn about where two values cross, or for no reason; a state that means another motion for the tenth digit
-    of a mass could not be kept while a mass is fitted. Node after node is cut down to what of it is in the space.
+    Singular vectors rotate near crossing singular values. The meaning of a state would then change with the
+    tenth digit of a mass, and the state could not be kept during a fit of the mass. The basis consists of the
+    projections of one node after another.
     """
     nodes, rank = directions.shape
     if rank == nodes:
@@ -305,14 +332,14 @@ def _upright(directions: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Pushes:
-    """Forces besides those of inertia, damping and stiffness, over the base vector: on the nodes, and of each motor."""
+    """Forces besides inertia, damping and stiffness as rows over the base vector: on the nodes, and of each motor."""
 
     nodes: np.ndarray
     motors: dict[str, np.ndarray]
 
 
 def _pushes(network: Network, nodes: Coordinates, laws: Sequence[el.Element], size: Size) -> _Pushes:
-    """Forces push in, motors and laws (positive in tension) out."""
+    """Return the forces on the nodes: forces push inwards, motors and laws (positive in tension) outwards."""
     at, width = _spans(size), sum(_widths(size))
     push = np.zeros((nodes.count, width))
     for j, channel in enumerate(c for c in network.inputs if c.quantity == "force"):
@@ -332,9 +359,9 @@ def _pushes(network: Network, nodes: Coordinates, laws: Sequence[el.Element], si
 
 @dataclass(frozen=True)
 class _Motion:
-    """Rows over the base vector: rates of the states, and of all nodes position, velocity and acceleration.
+    """Rows over the base vector: rates of the states; position, velocity and acceleration of all nodes.
 
-    The velocity is without the algebraic directions. massless, algebraic: directions of all nodes.
+    The velocity excludes the algebraic directions. `massless` and `algebraic` are directions of all nodes.
     """
 
     rate: np.ndarray
@@ -348,12 +375,12 @@ class _Motion:
 def _motion(
     nodes: Coordinates, matrices: _Matrices, ties: _Ties, split: _Split, push: np.ndarray, size: Size
 ) -> _Motion:
-    """Raises `InputError` where nothing holds a massless node."""
+    """Return the motion of all nodes; raise `InputError` for a massless node without support."""
     (free, moved), s = ties.frame.shape, split
     inertias, dampings = len(s.accelerates), len(s.yields)
     r, v, alpha = (_entries(size, part, moved) for part in ("r", "v", "alpha"))
     C, K = matrices.damping[:free, :free], matrices.stiffness[:free, :free]
-    # states: displacement and momentum of the inertial directions, displacement of the damped ones
+    # states: displacement and momentum of the inertial directions, displacement of the damped directions
     inertial, momentum = _entries(size, "x", inertias), _entries(size, "x", inertias, inertias)
     damped = _entries(size, "x", dampings, 2 * inertias)
     inertial_rate = momentum - s.accelerates @ ties.momentum @ v
@@ -384,7 +411,7 @@ def _motion(
 
 
 def _algebraic(K: np.ndarray, split: _Split, known: np.ndarray, free: Sequence[str]) -> np.ndarray:
-    """Displacements along the algebraic directions, in which springs alone balance what is `known`."""
+    """Return displacements along the algebraic directions, in which springs alone balance the `known` forces."""
     left = split.left_algebraic.T
     held = left @ K @ split.algebraic
     if not held.size:
@@ -411,7 +438,7 @@ class _Outputs:
     size: Size
 
     def row(self, channel: Channel) -> tuple[np.ndarray, bool]:
-        """The row of a channel, and whether the channel is the difference of what the row gives."""
+        """Return the row of a channel, and whether the channel is the difference quotient of the row."""
         where = f"output '{channel.name}'"
         total = np.zeros(sum(_widths(self.size)))
         if channel.element is not None:
@@ -424,7 +451,7 @@ class _Outputs:
         return self.mover(str(channel.at), where), False
 
     def mover(self, node: str, where: str) -> np.ndarray:
-        """Return the force that moves a moved node, as a load cell between drive and node reads it."""
+        """Return the force that moves a moved node, as measured by a load cell between drive and node."""
         total, at = np.zeros(sum(_widths(self.size))), self.nodes.index[node]
         for e in self.network.elements:
             sign = self.nodes.incidence(e.between)[at] if e.place == "between" else 0.0
@@ -433,7 +460,7 @@ class _Outputs:
         total = total + self.network.masses.get(node, 0.0) * self.motion.acceleration[at]
         if not self.nodes.dependent:
             return total
-        for other, mass in self.network.carried.items():  # what bodies and levers tie to the node
+        for other, mass in self.network.carried.items():  # masses of bodies and levers tied to the node
             row = self.nodes.row(other)
             if row[at] and not (other == node and node in self.network.masses):
                 total = total + row[at] * mass * (row @ self.motion.acceleration)
@@ -444,7 +471,7 @@ class _Outputs:
         return total
 
     def of(self, row: np.ndarray, quantity: str, where: str) -> tuple[np.ndarray, bool]:
-        """Displacement, velocity or acceleration of a combination of nodes."""
+        """Return displacement, velocity or acceleration of a combination of nodes."""
         if quantity == "displacement":
             return row @ self.motion.position, False
         if quantity == "velocity":
@@ -456,7 +483,7 @@ class _Outputs:
         return row @ self.motion.acceleration, False
 
     def force_of(self, e: el.Element, where: str) -> np.ndarray:
-        """Force of an element, positive in tension."""
+        """Return the force of an element, positive in tension."""
         row = self.nodes.incidence(e.between)
         if e.parts():
             return np.asarray(

@@ -1,4 +1,4 @@
-"""Rigid bodies with named points, and levers: the ideal constraints between the nodes of a network."""
+"""Rigid bodies with named points, and levers: ideal constraints between the nodes of a network."""
 
 from __future__ import annotations
 
@@ -12,21 +12,33 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MASSES = (1e-9, 1e9)  # [kg] or [kg m^2]
-#: axes about which a body may turn
+#: axes of rotation of a body
 AXES = ("pitch", "roll")
-FARTHEST = 1e3  # [m] of a point from the centre of gravity
-RATIOS = (1e-9, 1e9)  # of a lever, its sign left out
-#: unit of a lever's ratio -> whether the first and the second node turn
+FARTHEST = 1e3  # largest distance of a point from the centre of gravity [m]
+RATIOS = (1e-9, 1e9)  # magnitudes of a lever's ratio
+#: unit of a lever's ratio -> whether the first and the second node rotate
 LEVER_UNITS = {"m/m": (False, False), "m/rad": (False, True), "rad/m": (True, False), "rad/rad": (True, True)}
 
 
 def angle_node(body: str, axis: str) -> str:
-    """Return the name of the node that is a body's angle about an axis: 'body.pitch'."""
+    """Return the name of the node that is the angle of a body about an axis.
+
+    Args:
+        body: Name of the body.
+        axis: 'pitch' or 'roll'.
+
+    Returns:
+        Name such as 'body.pitch'.
+    """
     return f"{body}.{axis}"
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value of a file is a finite number."""
+    """Return whether a value from a file is a finite number.
+
+    Args:
+        value: Any value.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return isinstance(value, int) or math.isfinite(value)
@@ -47,19 +59,29 @@ class Point:
     y: float = 0.0
 
     def arm(self, axis: str) -> float:
-        """Return the upward motion of the point per angle about an axis [m/rad].
+        """Return the upward motion of the point per angle about an axis.
 
-        Axes as in ISO 8855: x forward, y left, z up; pitch is positive nose down, roll positive right side down.
+        Axes as in ISO 8855: x forward, y left, z up; pitch is positive nose down, roll positive right side
+        down.
+
+        Args:
+            axis: 'pitch' or 'roll'.
+
+        Returns:
+            Lever arm [m/rad].
+
+        References:
+            ISO 8855, Road vehicles: Vehicle dynamics and road-holding ability, Vocabulary.
         """
         return -self.x if axis == "pitch" else self.y
 
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body: a mass that moves up and down, and turns about each axis for which it has an inertia.
+    """A rigid body: a mass that moves up and down, and rotates about each axis with an inertia.
 
-    The centre of gravity is a node of the body's name, the angle about an axis a turning node ('body.pitch'), and every
-    point a node that follows them: z_point = z - x pitch + y roll.
+    The centre of gravity is a node with the name of the body, and the angle about an axis a rotational node
+    ('body.pitch'). Every point is a node that follows: z_point = z - x pitch + y roll.
 
     Attributes:
         name: Name of the body and of the node at its centre of gravity.
@@ -69,7 +91,7 @@ class Body:
         points: Named points.
 
     Raises:
-        InputError: A number is no number, or outside of the range that is handled.
+        InputError: A value is not a number, or is outside its limits.
     """
 
     name: str
@@ -100,34 +122,38 @@ class Body:
 
     @property
     def inertias(self) -> dict[str, float]:
-        """Moment of inertia [kg m^2] about each axis that the body turns about."""
+        """Moment of inertia [kg m^2] by axis of rotation."""
         both = {"pitch": self.pitch, "roll": self.roll}
         return {axis: inertia for axis, inertia in both.items() if inertia is not None}
 
     @property
     def angles(self) -> dict[str, str]:
-        """The turning node of each axis that the body turns about."""
+        """Rotational node by axis of rotation."""
         return {axis: angle_node(self.name, axis) for axis in self.inertias}
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """The centre of gravity, the angles and the points."""
+        """Names of the nodes: centre of gravity, angles and points."""
         return (self.name, *self.angles.values(), *(p.name for p in self.points))
 
     @property
     def carried(self) -> dict[str, float]:
-        """Mass [kg] or moment of inertia [kg m^2] of the body's own nodes."""
+        """Mass [kg] or moment of inertia [kg m^2] of the centre of gravity and the angles."""
         turning = {angle_node(self.name, axis): inertia for axis, inertia in self.inertias.items()}
         return {self.name: self.mass, **turning}
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The numbers of the body that may be changed, by path: 'body.mass', 'body.inertia.pitch'."""
+        """Parameters of the body by path: 'body.mass', 'body.inertia.pitch'."""
         inertias = {f"{self.name}.inertia.{axis}": float(value) for axis, value in self.inertias.items()}
         return {f"{self.name}.mass": float(self.mass), **inertias}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the body as the model file has it."""
+        """Return the body as an object of a model file.
+
+        Returns:
+            Plain data.
+        """
         out: dict[str, Any] = {"mass": self.mass}
         if self.inertias:
             out["inertia"] = self.inertias
@@ -140,8 +166,8 @@ class Body:
 class Lever:
     """A ratio between the motions of two nodes, of translation or rotation: z_first = ratio z_second.
 
-    A lever has no mass and no play. It is a rocker or bell crank (m/m), a rack and pinion (m/rad), a drum (rad/m) or a
-    gear (rad/rad).
+    A lever has no mass and no play. Examples are a rocker or bell crank (m/m), a rack and pinion (m/rad), a
+    drum (rad/m) and a gear (rad/rad).
 
     Attributes:
         name: Name of the lever.
@@ -150,7 +176,7 @@ class Lever:
         unit: Unit of the ratio, one of `LEVER_UNITS`.
 
     Raises:
-        InputError: The ratio, the unit or the pair of nodes is not one.
+        InputError: The ratio, the unit or the pair of nodes is invalid.
     """
 
     name: str
@@ -174,20 +200,30 @@ class Lever:
 
     @property
     def turning(self) -> tuple[str, ...]:
-        """The nodes of the lever that turn."""
+        """Rotational nodes of the lever."""
         return tuple(n for n, turns in zip(self.between, LEVER_UNITS[self.unit], strict=True) if turns)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the lever as the model file has it."""
+        """Return the lever as an object of a model file.
+
+        Returns:
+            Plain data.
+        """
         return {"name": self.name, "between": list(self.between), "ratio": self.ratio, "unit": self.unit}
 
 
 def body_of(name: str, data: Mapping[str, Any]) -> Body:
-    """Return the body that an entry of a model file describes, its keys checked before.
+    """Return the body of an entry of a model file whose keys are valid.
 
     Args:
         name: Name of the body.
         data: Entry with 'mass', 'inertia' (by axis) and 'points' (by name, with 'x' and 'y').
+
+    Returns:
+        The body.
+
+    Raises:
+        InputError: A value is not a number, or is outside its limits.
     """
     inertia = data.get("inertia", {})
     points = tuple(Point(p, at.get("x", 0.0), at.get("y", 0.0)) for p, at in data.get("points", {}).items())

@@ -1,8 +1,8 @@
-"""Generalized coordinates of a network: what remains of its nodes once rigid bodies and levers tie some to others.
+"""Generalized coordinates of a network: the independent nodes under the constraints of rigid bodies and levers.
 
-Every node moves as a linear combination of the coordinates, node = T [free coordinates; moved nodes]. The points of a body
-follow its centre of gravity and its angles; each lever eliminates one node more. Where no body and no lever is, the coordinates
-are the nodes.
+Every node moves as a linear combination of the coordinates, node = T [free coordinates; moved nodes]. The
+points of a body follow the centre of gravity and the angles; each lever eliminates a node. Without bodies and
+levers, the coordinates are the nodes.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from .model import Network
 
 GROUND = "ground"
-NOTHING = 1e-12  # of the largest coefficient of a constraint: what is below has cancelled
+NOTHING = 1e-12  # share of the largest coefficient of a constraint below which a coefficient has cancelled
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The coordinates in the order of all matrices, free ones and then moved nodes, and the nodes as rows over them.
+    """Coordinates in the order of all matrices (free, then moved), and nodes as rows over the coordinates.
 
     Attributes:
-        nodes: All nodes of the network but the ground, in the order of `Network.nodes`.
-        free: Nodes that are coordinates and that no input moves.
+        nodes: All nodes of the network except the ground, in the order of `Network.nodes`.
+        free: Coordinates that no input moves.
         moved: Nodes that inputs move.
-        dependent: Row over the coordinates of every node that is none itself.
+        dependent: Row over the coordinates of every node that is not a coordinate.
     """
 
     nodes: tuple[str, ...]
@@ -40,20 +40,34 @@ class Coordinates:
 
     @property
     def count(self) -> int:
-        """Number of coordinates, moved nodes included."""
+        """Number of coordinates, including moved nodes."""
         return len(self.free) + len(self.moved)
 
     @cached_property
     def index(self) -> dict[str, int]:
-        """Place of each coordinate."""
+        """Index of each coordinate."""
         return {n: i for i, n in enumerate(self.free + self.moved)}
 
     def row(self, node: str) -> np.ndarray:
-        """Return the motion of a node as a row over the coordinates; zeros for the ground."""
+        """Return the motion of a node as a row over the coordinates.
+
+        Args:
+            node: Name of the node.
+
+        Returns:
+            Row (coordinates,); zeros for the ground.
+        """
         return self.incidence((node, GROUND))
 
     def incidence(self, pair: tuple[str, str]) -> np.ndarray:
-        """Return the distance between two nodes, first minus second, as a row over the coordinates."""
+        """Return the distance between two nodes, first minus second, as a row over the coordinates.
+
+        Args:
+            pair: Two nodes; either may be the ground.
+
+        Returns:
+            Row (coordinates,).
+        """
         row = np.zeros(self.count)
         for node, sign in zip(pair, (1.0, -1.0), strict=True):
             if node in self.index:
@@ -63,7 +77,14 @@ class Coordinates:
         return row
 
     def of_nodes(self, rows: np.ndarray) -> np.ndarray:
-        """Return rows of all nodes, where `rows` are those of the coordinates."""
+        """Return rows of all nodes from rows of the coordinates.
+
+        Args:
+            rows: Rows (coordinates, n).
+
+        Returns:
+            Rows (nodes, n).
+        """
         if not self.dependent:
             return rows
         return np.array([self.row(n) for n in self.nodes]) @ rows
@@ -71,6 +92,12 @@ class Coordinates:
 
 def coordinates(network: Network) -> Coordinates:
     """Return the generalized coordinates of a network.
+
+    Args:
+        network: The model.
+
+    Returns:
+        The coordinates.
 
     Raises:
         InputError: Levers, bodies and moved nodes contradict or repeat one another.
@@ -93,7 +120,7 @@ def coordinates(network: Network) -> Coordinates:
 
 
 class _Elimination:
-    """Nodes as combinations of those that no constraint has eliminated yet."""
+    """Nodes as combinations of the nodes that are not yet eliminated."""
 
     def __init__(self, network: Network) -> None:
         self.names = network.nodes
@@ -104,7 +131,8 @@ class _Elimination:
         points = {p.name for b in network.bodies for p in b.points}
         angles = {n for b in network.bodies for n in b.angles.values()}
         centres = {b.name for b in network.bodies}
-        # a shaft's inertia seen at its rack compares with the other masses: turning ends are eliminated first
+        # the inertia of a shaft, seen at its rack, is comparable with the other masses: rotational nodes are
+        # eliminated first
         self.rank = {
             n: 0
             if n in points
@@ -119,7 +147,11 @@ class _Elimination:
         }
 
     def impose(self, constraint: dict[str, float], where: str) -> None:
-        """Eliminate a node by a constraint, the sum of coefficient times node being zero.
+        """Eliminate a node by a constraint: the sum of coefficient times node is zero.
+
+        Args:
+            constraint: Coefficient by node.
+            where: Name of the constraint, for messages.
 
         Raises:
             InputError: The constraint leaves nothing to eliminate.

@@ -1,4 +1,4 @@
-"""A network cut at a node whose motion was measured: that drives what is tied to it, and what lies behind is left out."""
+"""Cuts of a network at a node of measured motion: the motion becomes an input, and the part behind the node is removed."""
 
 from __future__ import annotations
 
@@ -13,12 +13,21 @@ if TYPE_CHECKING:
 
 
 def cut(network: Network, node: str) -> Network:
-    """What lies on this side of a node, moved by the node's own measured motion.
+    """Return the part of a model on the far side of a node from the moved nodes, driven by the measured motion of the node.
 
-    Behind it lies all that hangs on a moved node and on nothing else: a car cut at its wheel is what stands above the wheel, and
-    tyre and road, with what was measured of them, are left out. The output that saw the node is the input now; its mass acts on
-    nothing any more. network: the whole model; node: its name. Raises `InputError` with one line where no output sees the
-    motion of the node, or where nothing that moves lies behind it.
+    The removed part consists of all nodes that are connected with a moved node only. A car cut at its wheel
+    keeps everything above the wheel; tyre and road, and their outputs, are removed. The output that measured
+    the node becomes an input, and the mass of the node has no effect.
+
+    Args:
+        network: The whole model.
+        node: Name of the node.
+
+    Returns:
+        The part.
+
+    Raises:
+        InputError: No output measures the motion of the node, or no moved node lies behind the node.
     """
     if node not in network.nodes:
         raise InputError(f"cut: no node {shown(node)}; there are {', '.join(network.nodes)}")
@@ -76,7 +85,14 @@ def cut(network: Network, node: str) -> Network:
 
 
 def cut_nodes(network: Network) -> list[str]:
-    """Return the nodes of a `network` at which it can be cut."""
+    """Return the nodes at which a model can be cut.
+
+    Args:
+        network: The model.
+
+    Returns:
+        Names of nodes.
+    """
     places = []
     for node in dict.fromkeys(c.at for c in network.outputs if c.at is not None and c.quantity in MOTIONS):
         try:
@@ -88,7 +104,15 @@ def cut_nodes(network: Network) -> list[str]:
 
 
 def without(network: Network, name: str) -> str:
-    """What helps where input `name` of a `network` was not measured, as the end of a message; '' where nothing does."""
+    """Return advice for an input that was not measured, as the end of a message.
+
+    Args:
+        network: The model.
+        name: Name of the input.
+
+    Returns:
+        A clause; '' without advice.
+    """
     if any(c.name == name and c.quantity == "condition" for c in network.inputs):
         return "; where nobody logged it, leave the input and the elements that read it out of the model"
     road = next((c for c in network.moving if c.name == name and c.quantity == "displacement"), None)
@@ -104,9 +128,14 @@ def without(network: Network, name: str) -> str:
 
 
 def rejoin(whole: Network, part: Network) -> Network:
-    """The whole model with what a diagnosis made of a part of it: its elements at their new values, and those it added.
+    """Return the whole model with the results of a diagnosis of a part: new parameters and added elements.
 
-    whole: before the cut; part: what `cut` gave, changed since.
+    Args:
+        whole: Model before the cut.
+        part: Result of `cut`, changed by the diagnosis.
+
+    Returns:
+        The whole model.
     """
     node = next((n for n in part.moved_nodes if n not in whole.moved_nodes), None)
     behind = _behind(whole, node) if node is not None else set()
@@ -130,15 +159,16 @@ def rejoin(whole: Network, part: Network) -> Network:
 
 
 def _uncertain(network: Network, uncertainty: Mapping[str, float]) -> Network:
-    """Return the network with those of the uncertainties whose parameters it has."""
+    """Return the network with the uncertainties of the parameters that exist."""
     known = network.parameters
     return replace(network, uncertainty={k: v for k, v in uncertainty.items() if k in known})
 
 
 def _behind(network: Network, node: str) -> set[str]:
-    """Nodes that, without `node`, hang together with one that an input moves. Raises `InputError` where there is none.
+    """Return the nodes that, without `node`, are connected with a moved node; raise `InputError` if there are none.
 
-    Where all do, as the roads of a half car cut at one wheel do, the part with the largest mass stays.
+    If all nodes are connected with a moved node, as in a half car cut at one wheel, the part with the largest
+    mass stays.
     """
     links: dict[str, set[str]] = {n: set() for n in network.nodes}
     pairs = [e.where for e in network.elements if e.place == "between" and GROUND not in e.where]
@@ -159,29 +189,27 @@ def _behind(network: Network, node: str) -> set[str]:
                 frontier += links[here]
         parts.append(part)
     if not parts:
-        raise InputError(f"cut: nothing that an input moves lies behind '{node}'")
+        raise InputError(f"cut: no moved node is behind '{node}'")
     out = set().union(*parts)
     if out >= set(network.nodes) - {node} and len(parts) > 1:
         out -= max(parts, key=lambda part: sum(m for n, m in network.carried.items() if n in part))
     if out >= set(network.nodes) - {node}:
-        raise InputError(
-            f"cut: everything hangs together beside '{node}': leaving out what moves would leave nothing"
-        )
+        raise InputError(f"cut: the other nodes are all connected without '{node}': nothing would be left")
     return out
 
 
 def _stays(where: Sequence[str], node: str, behind: set[str]) -> bool:
-    """Return whether an element or a lever between the nodes `where` is on this side of `node`."""
+    """Return whether an element or a lever between the nodes `where` stays."""
     return not set(where) & behind and set(where) != {node, GROUND}
 
 
 def _heard(c: Channel, nodes: set[str], names: set[str]) -> bool:
-    """Whether all that a channel is about is still there."""
+    """Return whether all nodes and elements of a channel stay."""
     about = {n for n in (c.at, *(c.between or ())) if n is not None and n != GROUND}
     return about <= nodes and set(c.elements) <= names
 
 
 def _idle(c: Channel, fixed: set[str]) -> bool:
-    """Whether an output sees nothing but what an input already tells."""
+    """Return whether an output measures only the motion of inputs."""
     ends = {c.at, GROUND} if c.at is not None else set(c.between or ())
     return c.quantity in MOTIONS and ends <= fixed

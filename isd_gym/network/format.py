@@ -1,4 +1,4 @@
-"""The file format `isd-model/1`: JSON to a `Network` and back, with one line that names the place of an error."""
+"""File format `isd-model/1`: conversion between JSON and `Network`, with one-line errors that name the place."""
 
 from __future__ import annotations
 
@@ -24,17 +24,31 @@ if TYPE_CHECKING:
     from .model import Offset
 
 SCHEMA = "isd-model/1"
-TEXT_LENGTH = 4000  # of a model's own name and description
+TEXT_LENGTH = 4000  # largest length of a model's name and description
 
 
 def builtin_networks() -> list[str]:
-    """Names of the models that come with the package."""
+    """Return the names of the models in the package.
+
+    Returns:
+        Names, sorted.
+    """
     folder = resources.files("isd_gym") / "networks"
     return sorted(p.name.removesuffix(".json") for p in folder.iterdir() if p.name.endswith(".json"))
 
 
 def read(source: str | Path | Mapping[str, Any]) -> Network:
-    """A built-in name ('quarter-car-isd'), a JSON file, or a dict. Raises `InputError` with one line."""
+    """Read a model.
+
+    Args:
+        source: Name of a built-in model ('quarter-car-isd'), a JSON file, or the content of a file.
+
+    Returns:
+        The model.
+
+    Raises:
+        InputError: The file cannot be read, or an entry is invalid.
+    """
     if isinstance(source, Mapping):
         return from_dict(source)
     text_name = str(source)
@@ -44,7 +58,7 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
         builtin = resources.files("isd_gym") / "networks" / f"{text_name}.json"
         data = parse_json(builtin.read_bytes(), where)
     else:
-        if not os.path.exists(source):  # which answers for whatever is no name of a file, too
+        if not os.path.exists(source):  # an existence test covers impossible file names, too
             near = get_close_matches(text_name[:200], known, 1)
             asked = f" (did you mean '{near[0]}'?)" if near else ""
             raise InputError(
@@ -53,7 +67,9 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
         if os.path.isdir(source):
             raise InputError(f"cannot read {where}: it is a folder")
         if text_name.lower().endswith(".fmu"):
-            raise InputError(f"{where}: an FMU shows no inside; only `isd-gym diagnose --model` takes one")
+            raise InputError(
+                f"{where}: the content of an FMU is hidden; only `isd-gym diagnose --model` accepts an FMU"
+            )
         data = parse_json(read_bytes(source), where)
     try:
         return from_dict(data)
@@ -62,7 +78,17 @@ def read(source: str | Path | Mapping[str, Any]) -> Network:
 
 
 def from_dict(data: Any) -> Network:
-    """The model that a JSON object describes. Raises `InputError` with one line that names the place."""
+    """Return the model of a JSON object.
+
+    Args:
+        data: Content of a model file (`isd-model/1`).
+
+    Returns:
+        The model.
+
+    Raises:
+        InputError: An entry is invalid; the message names the entry.
+    """
     known = {
         "schema",
         "name",
@@ -85,7 +111,7 @@ def from_dict(data: Any) -> Network:
             raise InputError(f"{key} must be an object of node: {unit}")
     for node in inertias:
         if node in masses:
-            raise InputError(f"inertias: '{node}' has a mass already; what turns has an inertia alone")
+            raise InputError(f"inertias: '{node}' has a mass already; a rotational node has only an inertia")
     for key in ("elements", "levers", "inputs", "outputs"):
         if not isinstance(data.get(key, []), list):
             raise InputError(f"{key} must be a list")
@@ -109,7 +135,14 @@ def from_dict(data: Any) -> Network:
 
 
 def to_dict(network: Network) -> dict[str, Any]:
-    """The JSON object of a model."""
+    """Return the JSON object of a model.
+
+    Args:
+        network: The model.
+
+    Returns:
+        Plain data (`isd-model/1`).
+    """
     out: dict[str, Any] = {"schema": SCHEMA, "name": network.name}
     if network.description:
         out["description"] = network.description
@@ -129,7 +162,14 @@ def to_dict(network: Network) -> dict[str, Any]:
 
 
 def dumps(network: Network) -> str:
-    """The model as JSON text, one element or channel a line."""
+    """Return a model as JSON text, one element or channel per line.
+
+    Args:
+        network: The model.
+
+    Returns:
+        Text of a model file.
+    """
     lines = []
     for key, value in to_dict(network).items():
         if isinstance(value, list):
@@ -171,10 +211,16 @@ def _nodes_of(value: Any, where: str) -> tuple[str, str]:
 
 
 def read_bodies(data: Any) -> tuple[Body, ...]:
-    """Return the rigid bodies of a model file, an object of body by name.
+    """Return the rigid bodies of a model file.
+
+    Args:
+        data: Object of body by name.
+
+    Returns:
+        Bodies in the order of the file.
 
     Raises:
-        InputError: A key is unknown or missing, or a value is none.
+        InputError: A key is unknown or missing, or a value is invalid.
     """
     if not isinstance(data, Mapping):
         raise InputError(f"bodies must be an object of body by name, not {type(data).__name__}")
@@ -201,10 +247,17 @@ def read_bodies(data: Any) -> tuple[Body, ...]:
 
 
 def read_lever(data: Any, index: int) -> Lever:
-    """Return the lever that an entry of a model file describes.
+    """Return a lever of a model file.
+
+    Args:
+        data: Entry of the lever.
+        index: Index of the entry, for messages.
+
+    Returns:
+        The lever.
 
     Raises:
-        InputError: A key is unknown or missing, or a value is none.
+        InputError: A key is unknown or missing, or a value is invalid.
     """
     name = _name_of(data, "levers", index)
     where = f"lever '{name}'"
@@ -215,11 +268,23 @@ def read_lever(data: Any, index: int) -> Lever:
 
 
 def read_element(data: Any, index: int) -> el.Element:
+    """Return an element of a model file.
+
+    Args:
+        data: Entry of the element.
+        index: Index of the entry, for messages.
+
+    Returns:
+        The element.
+
+    Raises:
+        InputError: The type is unknown, or a key is unknown, missing or invalid.
+    """
     name = _name_of(data, "elements", index)
     where = f"element '{name}'"
     kind = data.get("type")
     if isinstance(kind, str) and kind not in el.TYPES:
-        el.discover()  # an installed package may offer it
+        el.discover()  # an installed package may offer the type
     if not isinstance(kind, str) or kind not in el.TYPES:
         raise InputError(f"{where}: unknown type {shown(kind)} (known: {', '.join(sorted(el.TYPES))})")
     cls = el.TYPES[kind]
@@ -237,6 +302,19 @@ def read_element(data: Any, index: int) -> el.Element:
 
 
 def read_channel(data: Any, kind: str, index: int) -> Channel:
+    """Return an input or output of a model file.
+
+    Args:
+        data: Entry of the channel.
+        kind: 'inputs' or 'outputs'.
+        index: Index of the entry, for messages.
+
+    Returns:
+        The channel.
+
+    Raises:
+        InputError: A key is unknown, missing or invalid.
+    """
     name = _name_of(data, kind, index)
     where = f"{kind[:-1]} '{name}'"
     _check_keys(
@@ -268,7 +346,7 @@ def read_channel(data: Any, kind: str, index: int) -> Channel:
     if found != si:
         other = next((q for q, (_, unit) in QUANTITIES.items() if unit == found), None)
         hint = f' (that is the unit of "quantity": "{other}")' if other else ""
-        raise InputError(f"{where}: unit '{data['unit']}' cannot be turned into '{si}'{hint}")
+        raise InputError(f"{where}: unit '{data['unit']}' cannot be converted to '{si}'{hint}")
     noise = data.get("noise")
     if noise is not None and (
         isinstance(noise, bool) or not isinstance(noise, int | float) or not 0 < noise < math.inf
@@ -317,7 +395,7 @@ def _axis_of(data: Mapping[str, Any], quantity: str, where: str) -> tuple[str, s
     """Return the node that is the angle of a body about an axis, and the axis.
 
     Raises:
-        InputError: "body" and "axis" are not both there, or the quantity is not one of rotation.
+        InputError: "body" or "axis" is missing, or the quantity is no rotation.
     """
     body, axis = data.get("body"), data.get("axis")
     if not isinstance(body, str) or axis not in AXES:
@@ -326,7 +404,9 @@ def _axis_of(data: Mapping[str, Any], quantity: str, where: str) -> tuple[str, s
             f"{shown(axis)}"
         )
     if {"at", "between", "element"} & set(data):
-        raise InputError(f'{where}: "body" and "axis" say all: leave out "at", "between" and "element"')
+        raise InputError(
+            f'{where}: "body" and "axis" are sufficient: leave out "at", "between" and "element"'
+        )
     if QUANTITIES[quantity][1] not in TURNING:
         raise InputError(
             f'{where}: "{quantity}" is no motion about an axis; for that of the centre of gravity write "at": "{body}"'

@@ -1,4 +1,4 @@
-"""Frames that move with a node of which only the velocity or the acceleration is known, and what these do not tell."""
+"""Frames that move with a node of unknown position: nodes whose input is a velocity or an acceleration."""
 
 from __future__ import annotations
 
@@ -15,10 +15,17 @@ if TYPE_CHECKING:
 
 
 def frames(network: Network) -> dict[str, int]:
-    """Free nodes that are seen from the frame of a moved one: node -> number of the input that moves it (of `moving`).
+    """Return the free nodes that are described in the frame of a moved node.
 
-    network: the model. Raises `InputError` where a part of the network has a moved node that is told by its velocity or
-    acceleration, and another moved node besides.
+    Args:
+        network: The model.
+
+    Returns:
+        Index of the input in `Network.moving`, by free node.
+
+    Raises:
+        InputError: A part of the network has a node that is moved by its velocity or acceleration, and
+            another moved node.
     """
     out: dict[str, int] = {}
     for j, c in enumerate(network.moving):
@@ -42,15 +49,15 @@ def frames(network: Network) -> dict[str, int]:
 
 
 def order_told(network: Network, pair: tuple[str, str]) -> int:
-    """Return the lowest derivative of the distance between two nodes that the model has from its inputs.
+    """Return the lowest derivative of the distance between two nodes that the inputs determine.
 
     Args:
         network: The model.
         pair: Two nodes; either may be the ground.
 
     Returns:
-        0 where the distance is known, 1 where only its rate is (a node moved by its velocity, against the ground), 2 where
-        only the acceleration is.
+        0 for a known distance; 1 for a known rate only (a node moved by its velocity, relative to the
+            ground); 2 for a known acceleration only.
     """
     frame = frames(network)
     frame |= {str(c.at): j for j, c in enumerate(network.moving) if c.quantity != "displacement"}
@@ -61,7 +68,15 @@ def order_told(network: Network, pair: tuple[str, str]) -> int:
 
 
 def unknown(network: Network, spans: Mapping[str, slice]) -> list[tuple[int, str]]:
-    """Columns of the base vector that no input tells, and what each is."""
+    """Return the columns of the base vector that no input determines, with the quantity of each.
+
+    Args:
+        network: The model.
+        spans: Slices of the base vector by part.
+
+    Returns:
+        Column and 'displacement' or 'velocity'.
+    """
     told = [MOTIONS.index(c.quantity) for c in network.moving]
     places = [(spans["r"].start + j, "displacement") for j, order in enumerate(told) if order > 0]
     return places + [(spans["v"].start + j, "velocity") for j, order in enumerate(told) if order > 1]
@@ -70,14 +85,23 @@ def unknown(network: Network, spans: Mapping[str, slice]) -> list[tuple[int, str
 def complete(
     network: Network, unknown: Sequence[tuple[int, str]], rate: Any, d: Any, v: Any, outputs: Sequence[Any]
 ) -> None:
-    """Raise `InputError` where equations or outputs need what the velocity or the acceleration of a node does not tell.
+    """Check that equations and outputs do not need the unknown position or velocity of a moved node.
 
-    unknown: columns of the base vector that are not known, and what each is.
+    Args:
+        network: The model.
+        unknown: Unknown columns of the base vector, with the quantity of each.
+        rate: Rows of the state derivatives.
+        d: Rows of the elongations of laws.
+        v: Rows of the rates of elongation of laws.
+        outputs: Rows of the outputs.
+
+    Raises:
+        InputError: An equation or an output needs an unknown quantity.
     """
     moving = [c for c in network.moving if c.quantity != "displacement"]
 
     def first(rows: Any) -> tuple[int, str] | None:
-        """Row and what it lacks."""
+        """Return the first row with an unknown quantity, and the quantity."""
         for k, row in enumerate(rows):
             for column, lacking in unknown:
                 if abs(row[column]) > 1e-9 * max(np.abs(row).max(), 1e-300):

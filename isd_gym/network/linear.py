@@ -1,4 +1,4 @@
-"""A network about rest as a linear state space with named signals, for controllers and frequency responses."""
+"""Linear state space of a network about rest with named signals, for controllers and frequency responses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StateSpace:
-    """``dx/dt = A x + B u``, ``y = C x + D u``, SI units, with the names of inputs u and outputs y."""
+    """Linear system ``dx/dt = A x + B u``, ``y = C x + D u`` in SI units with named signals.
+
+    Attributes:
+        A: State matrix (states, states).
+        B: Input matrix (states, inputs).
+        C: Output matrix (outputs, states).
+        D: Feedthrough matrix (outputs, inputs).
+        inputs: Names of the inputs u.
+        outputs: Names of the outputs y.
+    """
 
     A: np.ndarray
     B: np.ndarray
@@ -31,14 +40,21 @@ class StateSpace:
     outputs: tuple[str, ...]
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
-        """Complex frequency response, shape (len(frequency), outputs, inputs), at `frequency` [Hz]."""
+        """Return the complex frequency response.
+
+        Args:
+            frequency: Frequencies (n,) [Hz].
+
+        Returns:
+            Response (n, outputs, inputs).
+        """
         s = 2j * np.pi * np.asarray(frequency, float)
         eye = np.eye(len(self.A))
         return np.array([self.C @ np.linalg.solve(si * eye - self.A, self.B) + self.D for si in s])
 
 
 def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness [N/m] and damping [N s/m] of each law at rest, or of `damping` where it names the law.
+    """Return stiffness [N/m] and damping [N s/m] of each law at rest; `damping` has priority.
 
     Laws that read a logged channel have the slope at the reference of the channel.
     """
@@ -55,13 +71,27 @@ def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[n
 
 
 def own_time(network: Network) -> float | None:
-    """One over the circular frequency [s] of the slowest oscillation of a `network` about rest; None where nothing oscillates."""
+    """Return the time constant of a network: one over the circular frequency of the slowest oscillation about rest.
+
+    Args:
+        network: The model.
+
+    Returns:
+        Time constant [s]; None without oscillations.
+    """
     natural = natural_frequencies(network)
     return float(1.0 / (2 * np.pi * natural.min())) if len(natural) else None
 
 
 def natural_frequencies(network: Network) -> np.ndarray:
-    """Return the natural frequencies [Hz] of the oscillations of a `network` about rest, ascending; empty where nothing oscillates."""
+    """Return the natural frequencies of the oscillations of a network about rest.
+
+    Args:
+        network: The model.
+
+    Returns:
+        Frequencies [Hz], ascending; empty without oscillations.
+    """
     try:
         poles = np.linalg.eigvals(linearise(network.with_outputs(())).A)
     except (InputError, np.linalg.LinAlgError):
@@ -70,16 +100,16 @@ def natural_frequencies(network: Network) -> np.ndarray:
 
 
 def transfer(network: Network, frequency: np.ndarray) -> np.ndarray:
-    """Return the complex frequency response of the outputs of a network to its inputs, about rest, in SI units.
+    """Return the complex frequency response of the outputs of a network to its inputs, about rest.
 
-    The derivatives of an input through which something acts are part of the response to that input.
+    If an input acts through its derivatives, their effect is part of the response to the input.
 
     Args:
-        network: The network.
-        frequency: Frequencies [Hz], shape (n,).
+        network: The model.
+        frequency: Frequencies (n,) [Hz].
 
     Returns:
-        Response, shape (n, outputs, inputs).
+        Response (n, outputs, inputs) in SI units.
 
     Raises:
         InputError: The network has no linear state space.
@@ -102,14 +132,23 @@ def linearise(
     damping: Mapping[str, float] | None = None,
     laws: bool = False,
 ) -> StateSpace:
-    """State space of a network about rest, for controllers and frequency responses.
+    """Return the state space of a network about rest, for controllers and frequency responses.
 
-    `outputs` adds channels to the network's own. A law counts as a linear damper of `damping[element name]`
-    [N s/m] (statistical linearisation of friction, equation 9), else by its slope at rest; with `laws=True` its
-    force is an input of that name instead. Velocities and accelerations of moved nodes appear as inputs
-    ``road'`` and ``road''`` where something acts through them.
+    Velocities and accelerations of moved nodes appear as inputs ``road'`` and ``road''`` if they act on the
+    network.
 
-    network: a network, a built-in one's name, a file or its content.
+    Args:
+        network: The model, or the name of a built-in model, a file, or the content of a file.
+        outputs: Further output channels, after those of the network.
+        damping: Linear damping [N s/m] by name of a law, instead of the slope of the law at rest (statistical
+            linearisation of friction, equation 9).
+        laws: Whether the force of each law is an input with the law's name, instead of the slope of the law.
+
+    Returns:
+        The state space.
+
+    Raises:
+        InputError: The network has no linear state space.
     """
     network = Network.load(network)
     asm = assemble(network, outputs)
@@ -123,7 +162,7 @@ def linearise(
             # f = Kd d + Kc v with d, v = rows @ base and base containing f: solve for f
             rows = slopes_k[:, None] * asm.elongation + slopes_c[:, None] * asm.elongation_rate
             gain = np.linalg.solve(np.eye(len(asm.laws)) - rows[:, f], rows)
-        except (ArithmeticError, np.linalg.LinAlgError):  # a law without a slope, or one that nothing holds
+        except (ArithmeticError, np.linalg.LinAlgError):  # a law without a slope or without support
             raise InputError(TOO_FAR_APART) from None
         rate, out = rate + rate[:, f] @ gain, out + out[:, f] @ gain
         if not (np.isfinite(rate).all() and np.isfinite(out).all()):

@@ -1,4 +1,4 @@
-"""The model: masses, named nodes, two-terminal elements between them, and what is put in and read out."""
+"""The model: masses, named nodes, two-terminal elements between nodes, inputs and outputs."""
 
 from __future__ import annotations
 
@@ -20,35 +20,52 @@ if TYPE_CHECKING:
     from .assembly import Assembly
 
 GROUND = "ground"
-#: inputs of these quantities move a node
+#: quantities of inputs that move a node
 MOTIONS = ("displacement", "velocity", "acceleration")
-#: what a model may ask for: longer names, more parts or larger numbers are refused, not tried
+#: limits of a model; larger models are refused
 NAME_LENGTH, NODES, ELEMENTS, CHANNELS = 200, 250, 1000, 1000
-#: an unknown constant of an output's sensor: one for all records, or one for each record
+#: unknown constant of an output's sensor: one for all records, or one per record
 Offset = Literal["free", "record"]
 
 
 def check_name(name: Any, what: str) -> str:
-    """`name`, where it may be the name of a node, an element or a channel; raises `InputError` elsewhere."""
+    """Return a name that is valid for a node, an element or a channel.
+
+    Args:
+        name: The name.
+        what: Description of its place, for messages.
+
+    Returns:
+        The name.
+
+    Raises:
+        InputError: The name is no text, too long, or has control characters.
+    """
     if not isinstance(name, str) or not 0 < len(name) <= NAME_LENGTH or not harmless(name):
         raise InputError(
-            f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, none that steers a terminal)"
+            f"{what}: {shown(name)} cannot be a name (1 to {NAME_LENGTH} characters, without control characters)"
         )
     return name
 
 
 @dataclass(frozen=True)
 class Channel:
-    """An input or output: a quantity `at` a node, `between` two nodes, or of an `element`.
+    """An input or output of a model.
 
-    `quantity`: what it is to the equations (a key of `UNITS`); `unit` says whether it turns (an angle in deg is a
-    displacement, a torque in N m a force) and whether a drive is commanded by a current or a voltage.
-    `factor` turns the channel's own unit into SI; `offset`: the unknown constant of an output's sensor, "free" (one for all
-    records), "record" (one for each record) or None;
-    `noise`: its RMS in the channel's unit, where the owner of the sensor knows it; `measured`: false for a road that nobody measures.
-
-    `name`: of the column in a table.
-    `axis`: 'pitch' or 'roll' where `at` is the angle of a body ('body.pitch'), which a model file has as "body" and "axis".
+    Attributes:
+        name: Name of the channel, and of its column in a table.
+        quantity: Quantity in the equations (a key of `UNITS`). An angle in deg is a displacement, a torque in
+            N m a force, a commanded voltage a current.
+        unit: Unit of the channel in a table.
+        at: Node.
+        between: Two nodes of a relative motion.
+        element: Element of a force or current; several for the sum of their forces.
+        offset: Unknown constant of an output's sensor: 'free' (one for all records), 'record' (one per
+            record) or None.
+        noise: RMS of an output's noise from the sensor's data sheet [unit]; None if unknown.
+        measured: False for a road that was not measured.
+        axis: 'pitch' or 'roll' if `at` is the angle of a body ('body.pitch'); a model file has "body" and
+            "axis" instead.
     """
 
     name: str
@@ -56,30 +73,34 @@ class Channel:
     unit: str
     at: str | None = None
     between: tuple[str, str] | None = None
-    element: str | tuple[str, ...] | None = None  # several: the sum of their forces
+    element: str | tuple[str, ...] | None = None
     offset: Offset | None = None
-    noise: float | None = None  # RMS in the channel's unit, from the sensor's sheet
+    noise: float | None = None
     measured: bool = True
     axis: str | None = None
 
     @property
     def si(self) -> str:
-        """The SI unit in which the equations have it."""
+        """SI unit in the equations."""
         return si_of(self.unit)
 
     @property
     def spoken(self) -> str:
-        """Its quantity as a model file has it: 'angle' for a displacement in deg."""
+        """Quantity as in a model file, such as 'angle' for a displacement in deg."""
         si = self.si
         return next((q for q, is_ in QUANTITIES.items() if is_ == (self.quantity, si)), self.quantity)
 
     @property
     def elements(self) -> tuple[str, ...]:
-        """The elements the channel belongs to."""
+        """Names of the elements of the channel."""
         return (self.element,) if isinstance(self.element, str) else self.element or ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As the model file has it (`isd-model/1`)."""
+        """Return the channel as an object of a model file (`isd-model/1`).
+
+        Returns:
+            Plain data.
+        """
         out: dict[str, Any] = {"name": self.name, "quantity": self.spoken}
         if self.at is not None and self.axis is not None:
             out |= {"body": self.at.removesuffix(f".{self.axis}"), "axis": self.axis}
@@ -101,15 +122,24 @@ class Channel:
 
 @dataclass(frozen=True)
 class Network:
-    """A suspension model: `masses` [kg] by node, `elements`, `inputs`, `outputs`, `uncertainty` (relative sigma).
-
-    Of the nodes in `turning` the mass is a moment of inertia [kg m^2]: they, and what is tied to them, turn.
-    `bodies` are rigid bodies, whose points are ordinary nodes, and `levers` couple two nodes by a ratio.
+    """A suspension model.
 
     Immutable and validated on construction; `with_parameters` and `with_element` return changed copies.
-    Raises `InputError` with one line that names the place.
 
-    `name` and `description` are for people.
+    Attributes:
+        name: Name, for people.
+        masses: Mass [kg] by node, or moment of inertia [kg m^2] for nodes in `turning`.
+        elements: Two-terminal elements, and effects at motors and channels.
+        inputs: Input channels.
+        outputs: Output channels.
+        uncertainty: Relative standard deviation by parameter path; parameters without an entry are known.
+        description: Description, for people.
+        turning: Rotational nodes among the masses.
+        bodies: Rigid bodies; their points are ordinary nodes.
+        levers: Ratios that couple two nodes.
+
+    Raises:
+        InputError: An entry is invalid; the message names the entry in one line.
     """
 
     name: str
@@ -127,9 +157,17 @@ class Network:
 
     @classmethod
     def load(cls, source: str | Path | Mapping[str, Any] | Network) -> Network:
-        """A built-in name ('quarter-car-isd'), a JSON file, a dict, or a network as it is.
+        """Read a model.
 
-        source: any of these.
+        Args:
+            source: Name of a built-in model ('quarter-car-isd'), a JSON file, the content of a file, or a
+                network, which is returned unchanged.
+
+        Returns:
+            The model.
+
+        Raises:
+            InputError: The file cannot be read, or an entry is invalid.
         """
         from .format import read
 
@@ -137,25 +175,50 @@ class Network:
 
     @classmethod
     def from_dict(cls, data: Any) -> Network:
-        """A network of the `data` of a model file (`isd-model/1`)."""
+        """Return the model of a JSON object.
+
+        Args:
+            data: Content of a model file (`isd-model/1`).
+
+        Returns:
+            The model.
+
+        Raises:
+            InputError: An entry is invalid; the message names the entry.
+        """
         from .format import from_dict
 
         return from_dict(data)
 
     def to_dict(self) -> dict[str, Any]:
-        """As the model file has it (`isd-model/1`)."""
+        """Return the model as the content of a model file (`isd-model/1`).
+
+        Returns:
+            Plain data.
+        """
         from .format import to_dict
 
         return to_dict(self)
 
     def dumps(self) -> str:
-        """The model as JSON text, one element or channel a line."""
+        """Return the model as JSON text, one element or channel per line.
+
+        Returns:
+            Text of a model file.
+        """
         from .format import dumps
 
         return dumps(self)
 
     def save(self, path: str | Path) -> None:
-        """Write the model file at `path`, whole or not at all."""
+        """Write a model file atomically.
+
+        Args:
+            path: File to write.
+
+        Raises:
+            InputError: The file cannot be written.
+        """
         from ..files import write_text
 
         write_text(path, self.dumps())
@@ -194,7 +257,7 @@ class Network:
         outputs = {c.name for c in self.outputs}
         for e in self.elements:
             if e.place == "between" and len(set(e.where)) != 2:
-                raise InputError(f"element '{e.name}' stands between '{e.where[0]}' and itself")
+                raise InputError(f"element '{e.name}' connects '{e.where[0]}' to itself")
             if e.place == "element" and e.where[0] not in motors:
                 raise InputError(f"element '{e.name}': no motor '{e.where[0]}'")
             if e.place == "channel" and e.where[0] not in outputs:
@@ -234,7 +297,7 @@ class Network:
             coordinates(self)
 
     def _check_bodies(self) -> None:
-        """A body's nodes are its own, and a lever couples two nodes that are no ground."""
+        """Check that the nodes of a body belong to the body alone, and that no lever has the ground as a node."""
         for body in self.bodies:
             check_name(body.name, "body")
         for lever in self.levers:
@@ -254,7 +317,7 @@ class Network:
                 taken[node] = f"a node of body '{body.name}'"
 
     def _check_axis(self, c: Channel, where: str) -> None:
-        """Whether a channel about a body's axis has a body that turns about the axis."""
+        """Check that the body of a channel rotates about the channel's axis."""
         name = str(c.at).removesuffix(f".{c.axis}")
         body = next((b for b in self.bodies if b.name == name), None)
         if body is None:
@@ -278,7 +341,7 @@ class Network:
                 )
 
     def _check_conditions(self) -> None:
-        """Every law that reads a logged channel names an input that is one."""
+        """Check that every law with a logged channel names an input that acts on no node."""
         known = [c.name for c in self.inputs if c.quantity == "condition"]
         for e in self.elements:
             if e.scheduled and getattr(e, "channel", "") not in known:
@@ -305,12 +368,12 @@ class Network:
             raise InputError(f"input '{c.name}': only outputs have a noise")
         if not c.measured and c.quantity != "displacement":
             raise InputError(
-                f"input '{c.name}': only a moved node's displacement may go unmeasured, not a {c.quantity}"
+                f"input '{c.name}': only a moved node's displacement may be unmeasured, not a {c.quantity}"
             )
 
     def _check_output(self, c: Channel, by_name: Mapping[str, el.Element]) -> None:
         if not c.measured:
-            raise InputError(f"output '{c.name}': only an input may go unmeasured: leave the output away")
+            raise InputError(f"output '{c.name}': only an input may be unmeasured: remove the output")
         if c.offset not in (None, "free", "record"):
             raise InputError(
                 f"output '{c.name}': offset must be 'free', 'record' or None, not {shown(c.offset)}"
@@ -342,7 +405,7 @@ class Network:
         for node, others in links.items():
             if node not in held and len(others) < 2:
                 raise InputError(
-                    f"node '{node}' floats: it has no mass and no input and hangs on one element "
+                    f"node '{node}' floats: it has no mass and no input, and only one element is connected to it "
                     f"(give it a mass, an input, or call it 'ground')"
                 )
         # an inerter to the ground is an inertia: a force may drive its node
@@ -360,7 +423,8 @@ class Network:
                 )
 
     def _check_turning(self) -> None:
-        """What is tied together turns, or moves along a line: nothing here turns the one into the other."""
+        """Check that connected nodes are all rotational or all translational; no element converts between
+        rotation and translation."""
         if not self.rotating:
             return
         for body in self.bodies:
@@ -399,7 +463,8 @@ class Network:
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        """All nodes but the ground: masses first, then those of bodies, then in order of appearance, moved nodes last."""
+        """Names of all nodes except the ground: nodes with masses, nodes of bodies, others in order of
+        appearance, moved nodes last."""
         seen = dict.fromkeys(self.masses)
         for body in self.bodies:
             seen |= dict.fromkeys(body.nodes)
@@ -413,18 +478,19 @@ class Network:
 
     @cached_property
     def moved_nodes(self) -> tuple[str, ...]:
+        """Names of the nodes that inputs move."""
         return tuple(str(c.at) for c in self.moving)
 
     @property
     def moving(self) -> tuple[Channel, ...]:
-        """The inputs that move a node: by its displacement, its velocity or its acceleration."""
+        """Inputs that move a node by its displacement, velocity or acceleration."""
         return tuple(c for c in self.inputs if c.quantity in MOTIONS)
 
     @cached_property
     def tied(self) -> dict[str, int]:
-        """Number of the part of the network that each node belongs to: what elements and bodies tie together.
+        """Index of the connected part of the network by node; elements and bodies connect nodes.
 
-        The ground is left out, and a lever ties nothing: at its two ends motion is not the same.
+        The ground is excluded, and levers do not connect nodes: the motions at the two ends differ.
         """
         links: dict[str, set[str]] = {n: set() for n in self.nodes}
         pairs = [e.where for e in self.elements if e.place == "between" and GROUND not in e.where]
@@ -451,9 +517,17 @@ class Network:
         between: tuple[str, str] | None = None,
         element: str | None = None,
     ) -> Channel:
-        """A channel in SI units that would see a node, two of them, or an element, whether they turn or not.
+        """Return a channel in SI units that measures a node, two nodes or an element, of translation or rotation.
 
-        name: of the channel. quantity: displacement, velocity, acceleration or force. at, between, element: what it sees.
+        Args:
+            name: Name of the channel.
+            quantity: 'displacement', 'velocity', 'acceleration' or 'force'.
+            at: Measured node.
+            between: Two nodes of a relative motion.
+            element: Element of a force.
+
+        Returns:
+            The channel.
         """
         if element is not None:
             between = self.element(element).between
@@ -467,7 +541,7 @@ class Network:
 
     @cached_property
     def rotating(self) -> frozenset[str]:
-        """Nodes that turn: by their inertia, by a channel in units of rotation, or tied to one that does."""
+        """Rotational nodes: nodes with a moment of inertia or a channel of rotation, and all nodes connected to such a node."""
         seeds = set(self.turning) | {n for b in self.bodies for n in b.angles.values()}
         seeds |= {n for v in self.levers for n in v.turning}
         for c in self.inputs + self.outputs:
@@ -484,12 +558,12 @@ class Network:
 
     @property
     def inertial_nodes(self) -> tuple[str, ...]:
-        """Nodes that have momentum: those with a mass, and all nodes of bodies."""
+        """Nodes with momentum: nodes with a mass, and all nodes of bodies."""
         return (*self.masses, *(n for b in self.bodies for n in b.nodes))
 
     @property
     def carried(self) -> dict[str, float]:
-        """Mass [kg] or moment of inertia [kg m^2] by node, those of bodies at their centres and angles."""
+        """Mass [kg] or moment of inertia [kg m^2] by node; for bodies at their centres and angles."""
         out = dict(self.masses)
         for body in self.bodies:
             out |= body.carried
@@ -497,12 +571,12 @@ class Network:
 
     @property
     def total_mass(self) -> float:
-        """Mass [kg] of all that moves along a line, bodies included."""
+        """Total mass [kg] of translational nodes and bodies."""
         return sum(m for n, m in self.carried.items() if n not in self.rotating)
 
     @cached_property
     def parameters(self) -> dict[str, float]:
-        """Every number of the model by its path: 'body.mass', 'body.inertia.pitch', 'oil.stiffness', 'pinion.ratio', ..."""
+        """All parameters of the model by path: 'body.mass', 'body.inertia.pitch', 'oil.stiffness', 'pinion.ratio', ..."""
         out = {self.mass_path(node): float(m) for node, m in self.masses.items()}
         for body in self.bodies:
             out |= body.parameters
@@ -512,14 +586,31 @@ class Network:
         return out | {f"{v.name}.ratio": float(v.ratio) for v in self.levers}
 
     def mass_path(self, node: str) -> str:
-        """Path of a node's mass: 'body.mass', or 'arm.inertia' where it turns; 'body.inertia.pitch' of a body's angle."""
+        """Return the parameter path of the mass of a node.
+
+        Args:
+            node: Name of the node.
+
+        Returns:
+            'body.mass', 'arm.inertia' for a rotational node, or 'body.inertia.pitch' for the angle of a body.
+        """
         for body in self.bodies:
             if node in body.carried:
                 return list(body.parameters)[list(body.carried).index(node)]
         return f"{node}.{'inertia' if node in self.turning else 'mass'}"
 
     def unit_of(self, path: str) -> str:
-        """Unit of a parameter path."""
+        """Return the unit of a parameter.
+
+        Args:
+            path: Path of the parameter, such as 'oil.stiffness'.
+
+        Returns:
+            Unit.
+
+        Raises:
+            InputError: No such parameter exists.
+        """
         owner, _, name = path.rpartition(".")
         for e in self.elements:
             if e.name == owner:
@@ -544,7 +635,7 @@ class Network:
         raise InputError(f"no parameter {shown(path)}; there are {', '.join(self.parameters)}")
 
     def _unit(self, e: el.Element, unit: str) -> str:
-        """The unit of a parameter of an element where it stands."""
+        """Return the unit of a parameter of an element at its place."""
         motor = e.name if isinstance(e, el.Motor) else e.where[0] if e.place == "element" else ""
         if motor and any(motor in c.elements and c.si == "V" for c in self.inputs):
             unit = unit.replace("A", "V")
@@ -552,16 +643,33 @@ class Network:
         return about_axis(unit) if turns else unit
 
     def element(self, name: str) -> el.Element:
-        """The element of that `name`; `InputError` where there is none."""
+        """Return an element.
+
+        Args:
+            name: Name of the element.
+
+        Returns:
+            The element.
+
+        Raises:
+            InputError: No such element exists.
+        """
         for e in self.elements:
             if e.name == name:
                 return e
         raise InputError(f"no element {shown(name)}; there are {', '.join(e.name for e in self.elements)}")
 
     def with_parameters(self, values: Mapping[str, float]) -> Network:
-        """A copy with the parameters at the given paths replaced.
+        """Return a copy with changed parameters.
 
-        values: number by path ('body.mass', 'main_spring.stiffness').
+        Args:
+            values: Value by path ('body.mass', 'main_spring.stiffness'), in the parameter's unit.
+
+        Returns:
+            The changed model.
+
+        Raises:
+            InputError: No such parameter exists, or a value is outside its limits.
         """
         masses, bodies = dict(self.masses), {path: b.name for b in self.bodies for path in b.parameters}
         levers = {f"{v.name}.ratio": v.name for v in self.levers}
@@ -580,7 +688,7 @@ class Network:
             else:
                 masses[owner] = float(value)
         elements = tuple(replace(e, **changes[e.name]) if e.name in changes else e for e in self.elements)
-        # numbers alone do not change what was checked of the structure
+        # values do not change the checked structure
         out = copy(self)
         for name in ("parameters", "_assembly"):
             out.__dict__.pop(name, None)
@@ -595,9 +703,14 @@ class Network:
         return out
 
     def with_table(self, name: str, force: Any) -> Network:
-        """A copy in which the `tabulated_force` of that name has other forces.
+        """Return a copy with other forces in a `tabulated_force`.
 
-        name: of the element; force [N]: as it has them.
+        Args:
+            name: Name of the element.
+            force: Forces [N] in the shape of the table.
+
+        Returns:
+            The changed model.
         """
         out = copy(self)
         for key in ("parameters", "_assembly"):
@@ -607,7 +720,18 @@ class Network:
         return out
 
     def with_element(self, element: el.Element | Mapping[str, Any], *, at: int | None = None) -> Network:
-        """A copy with one more element, appended (or at a position in the list)."""
+        """Return a copy with an additional element.
+
+        Args:
+            element: The element, or its object in a model file.
+            at: Index in the list of elements; None for the end.
+
+        Returns:
+            The changed model.
+
+        Raises:
+            InputError: The element is invalid or not connected.
+        """
         if not isinstance(element, el.Element):
             from .format import read_element
 
@@ -617,9 +741,16 @@ class Network:
         return replace(self, elements=tuple(listed))
 
     def without_element(self, name: str) -> Network:
-        """A copy without an element, and without the uncertainty of its parameters.
+        """Return a copy without an element and the uncertainties of its parameters.
 
-        name: of the element.
+        Args:
+            name: Name of the element.
+
+        Returns:
+            The changed model.
+
+        Raises:
+            InputError: No such element exists.
         """
         self.element(name)
         return replace(
@@ -629,14 +760,28 @@ class Network:
         )
 
     def with_outputs(self, names: Collection[str]) -> Network:
-        """The model with those of its outputs alone that `names` has; what its other sensors do is left out, too."""
+        """Return a copy with fewer outputs, without the effects at the removed sensors.
+
+        Args:
+            names: Names of the outputs to keep.
+
+        Returns:
+            The changed model.
+        """
         outputs = tuple(c for c in self.outputs if c.name in names)
         gone = {c.name for c in self.outputs} - {c.name for c in outputs}
         elements = tuple(e for e in self.elements if e.place != "channel" or e.where[0] not in gone)
         return replace(self, outputs=outputs, elements=elements) if gone else self
 
     def free_name(self, stem: str) -> str:
-        """`stem`, or stem_2, stem_3, ...: a name no element or node has yet."""
+        """Return a name that no element, lever or node has yet.
+
+        Args:
+            stem: Wanted name.
+
+        Returns:
+            `stem`, or `stem` with the suffix _2, _3, ...
+        """
         taken = {e.name for e in self.elements} | {v.name for v in self.levers} | set(self.nodes)
         names = (stem if i == 1 else f"{stem}_{i}" for i in range(1, 10_000))
         return next(n for n in names if n not in taken)

@@ -1,12 +1,13 @@
-"""Pictures of cars on their rolling road, and films of them.
+"""Pictures of cars on a rolling road, and films.
 
-`Renderer.draw` paints one or two snapshots (two for comparison: same road, same scales): a `Snapshot` of a quarter car, or a
-`CarSnapshot` of a car with a rigid body. It knows nothing of the simulation: whoever has the displacements of the nodes can
-draw. `write_video` makes a film of frames.
+`Renderer.draw` paints one or two snapshots (two for comparison, on the same road with the same scales): a
+`Snapshot` of a quarter car, or a `CarSnapshot` of a car with a rigid body. The renderer knows nothing of the
+simulation; the displacements of the nodes suffice. `write_video` makes a film of frames.
 
-From the bottom up: `palette` and `backend`, the drawing surface (`canvas`), what is shown (`snapshots`), symbols of elements
-(`symbols`), parts of a car (`wheel`, `corner`, `road`), whole cars (`quarter_car`, `rigid_car`), live curves (`curves`, `panel`),
-frames (`renderer`) and films (`film`). What other modules may use is imported here.
+From the bottom up: `palette` and `backend`, the drawing surface (`canvas`), the content (`snapshots`),
+symbols of elements (`symbols`), parts of a car (`wheel`, `corner`, `road`), whole cars (`quarter_car`,
+`rigid_car`), live curves (`curves`, `panel`), frames (`renderer`) and films (`film`). Names for other modules
+are imported here.
 """
 
 from __future__ import annotations

@@ -54,6 +54,19 @@ def start_display(pg: Any) -> None:
 
 
 def extra(module: str, doing: str, package: str) -> Any:
+    """Import an optional module.
+
+    Args:
+        module: Name of the module.
+        doing: Purpose, for the message.
+        package: Name of the package, for the message.
+
+    Returns:
+        The module.
+
+    Raises:
+        InputError: The module is not installed.
+    """
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -61,6 +74,14 @@ def extra(module: str, doing: str, package: str) -> Any:
 
 
 def pygame() -> Any:
+    """Return the module pygame.
+
+    Returns:
+        The module.
+
+    Raises:
+        InputError: pygame is not installed.
+    """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pygame 2.6 warns of pkg_resources on import

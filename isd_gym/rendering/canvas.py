@@ -1,4 +1,4 @@
-"""The surface that a picture is drawn on."""
+"""The drawing surface of a picture."""
 
 from __future__ import annotations
 
@@ -20,9 +20,15 @@ Anchor = Literal["left", "center", "right"]
 
 
 class Canvas:
-    """A surface for shapes and words.
+    """A surface for shapes and text; coordinates are in pixels.
 
-    Shapes are drawn at twice the size and scaled down, so they are smooth; text is set as it is.
+    Shapes are drawn at twice the size and scaled down for smooth edges; text is drawn at its final size.
+
+    Args:
+        pg: The module pygame.
+        width: Width [px].
+        height: Height [px].
+        unit: Unit of the layout [px].
     """
 
     def __init__(self, pg: Any, width: int, height: int, unit: float) -> None:
@@ -37,25 +43,44 @@ class Canvas:
         pg.font.init()
 
     def row(self, y: int, width: float, colour: Colour) -> None:
+        """Draw a horizontal line of the backdrop.
+
+        Args:
+            y: Row on the large surface.
+            width: Width on the large surface.
+            colour: Colour.
+        """
         self.pg.draw.line(self._large, colour, (0, y), (width, y))
 
     def keep_backdrop(self) -> None:
+        """Store the present shapes as the backdrop of all frames."""
         self._backdrop.blit(self._large, (0, 0))
 
     def start(self) -> None:
+        """Start a frame with the backdrop."""
         self._large.blit(self._backdrop, (0, 0))
 
     def clip(self, left: float = 0.0, top: float = 0.0, width: float = 0.0, height: float = 0.0) -> None:
-        """Draw shapes only inside this box; without arguments, everywhere."""
+        """Restrict shapes to a box; without arguments, remove the restriction.
+
+        Args:
+            left: Left edge [px].
+            top: Upper edge [px].
+            width: Width [px].
+            height: Height [px].
+        """
         box = None if width == 0.0 else (round(2 * left), round(2 * top), round(2 * width), round(2 * height))
         self._large.set_clip(box)
 
     @contextmanager
     def mirrored(self, axis: float) -> Iterator[None]:
-        """Exchange left and right of all shapes that are drawn within; words are not mirrored.
+        """Exchange left and right of all shapes within the block; text is not mirrored.
 
         Args:
-            axis: Place that stays [px].
+            axis: Horizontal position of the axis [px].
+
+        Yields:
+            Nothing.
         """
         self._axis = axis
         try:
@@ -64,23 +89,39 @@ class Canvas:
             self._axis = None
 
     def _placed(self, points: Sequence[Point] | NDArray[np.float64]) -> list[list[float]]:
-        """Points on the large surface."""
+        """Return points on the large surface."""
         large = 2 * np.asarray(points)
         if self._axis is not None:
             large[:, 0] = 4 * self._axis - large[:, 0]
         return large.tolist()
 
     def finish(self) -> None:
+        """Complete a frame: scale the shapes and draw the text."""
         self.pg.transform.smoothscale(self._large, self.frame.get_size(), self.frame)
         self.frame.blits(self._texts, False)
         self._texts.clear()
 
     def pixels(self) -> NDArray[np.uint8]:
+        """Return the frame.
+
+        Returns:
+            Frame (height, width, 3) uint8.
+        """
         width, height = self.frame.get_size()
         raw = self.pg.image.tobytes(self.frame, "RGB")
         return np.frombuffer(raw, np.uint8).reshape(height, width, 3).copy()
 
     def rect(self, colour: Colour, x: float, y: float, w: float, h: float, *, radius: float = 0.0) -> None:
+        """Draw a filled rectangle.
+
+        Args:
+            colour: Colour.
+            x: Left edge [px].
+            y: Upper edge [px].
+            w: Width [px].
+            h: Height [px].
+            radius: Radius of the corners [px].
+        """
         if self._axis is not None:
             x = 2 * self._axis - x - w
         left, top = round(2 * x), round(2 * y)
@@ -99,16 +140,49 @@ class Canvas:
         line: float,
         radius: float = 0.0,
     ) -> None:
+        """Draw a filled rectangle with a frame.
+
+        Args:
+            fill: Colour of the area.
+            edge: Colour of the frame.
+            x: Left edge [px].
+            y: Upper edge [px].
+            w: Width [px].
+            h: Height [px].
+            line: Width of the frame [px].
+            radius: Radius of the corners [px].
+        """
         self.rect(edge, x, y, w, h, radius=radius)
         self.rect(fill, x + line, y + line, w - 2 * line, h - 2 * line, radius=max(0.0, radius - line))
 
     def circle(self, colour: Colour, x: float, y: float, r: float) -> None:
+        """Draw a disc.
+
+        Args:
+            colour: Colour.
+            x: Horizontal position of the centre [px].
+            y: Vertical position of the centre [px].
+            r: Radius [px].
+        """
         self.pg.draw.circle(self._large, colour, self._placed([(x, y)])[0], 2 * r)
 
     def polygon(self, colour: Colour, points: Sequence[Point] | NDArray[np.float64]) -> None:
+        """Draw a filled polygon.
+
+        Args:
+            colour: Colour.
+            points: Corners (n, 2) [px].
+        """
         self.pg.draw.polygon(self._large, colour, self._placed(points))
 
     def lines(self, colour: Colour, points: Sequence[Point] | NDArray[np.float64], width: float) -> None:
+        """Draw a polyline.
+
+        Args:
+            colour: Colour.
+            points: Points (n, 2) [px].
+            width: Width of the line [px].
+        """
         self.pg.draw.lines(self._large, colour, False, self._placed(points), max(1, round(2 * width)))
 
     def text(
@@ -123,7 +197,21 @@ class Canvas:
         face: str = "",
         room: float | None = None,
     ) -> float:
-        """Set `words` with their middle at height `y`, smaller or cut to fit `room`; returns the width."""
+        """Draw text, reduced or cut to the available width.
+
+        Args:
+            words: The text.
+            x: Horizontal position of the anchor [px].
+            y: Vertical position of the middle [px].
+            size: Font size [units of the layout].
+            colour: Colour.
+            anchor: 'left', 'center' or 'right'.
+            face: '' or the name of a font face, such as 'Bold'.
+            room: Available width [px]; None without a limit.
+
+        Returns:
+            Width of the text [px].
+        """
         surface = self._typeset(words, size, colour, face)
         if room is not None:
             if surface.get_width() > room:
@@ -140,7 +228,7 @@ class Canvas:
     def _typeset(self, words: str, size: float, colour: Colour, face: str) -> Any:
         key = (words, size, colour, face)
         if key not in self._set:
-            if len(self._set) > 1500:  # numbers that change all the time
+            if len(self._set) > 1500:  # changing numbers
                 self._set.clear()
             if (size, face) not in self._fonts:
                 pixels = max(9, round(size * self.unit))
@@ -150,7 +238,7 @@ class Canvas:
 
 
 def _font_file(face: str) -> str:
-    import matplotlib  # it brings the DejaVu fonts: the same picture on every machine
+    import matplotlib  # matplotlib includes the DejaVu fonts: equal pictures on all machines
 
     return str(
         Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"DejaVuSans{'-' + face if face else ''}.ttf"
@@ -158,6 +246,15 @@ def _font_file(face: str) -> str:
 
 
 def number(value: float, digits: int, *, sign: bool = True) -> str:
-    """A number with a true minus sign, and no minus before zero."""
+    """Return a number with a true minus sign, without a negative zero.
+
+    Args:
+        value: The number.
+        digits: Number of decimals.
+        sign: Whether a plus sign is written.
+
+    Returns:
+        Text.
+    """
     value = round(value, digits) + 0.0
     return f"{value:{'+' if sign else ''}.{digits}f}".replace("-", "−")

@@ -1,4 +1,4 @@
-"""The suspension of a corner: spring, damper and the hydraulic device between the body and a wheel.
+"""The suspension of a corner: spring, damper and hydraulic device between the body and a wheel.
 
 Lengths are in units of the layout at static equilibrium.
 """
@@ -18,21 +18,25 @@ if TYPE_CHECKING:
 
 OIL_SPRING, DEVICE, DAMPER = 18.0, 73.0, 99.0
 LENGTH = OIL_SPRING + DEVICE + DAMPER
-DEVICE_STROKE, DAMPER_STROKE, LONE_DAMPER_STROKE = 18.5, 29.0, 45.0  # room for motion, either way
+DEVICE_STROKE, DAMPER_STROKE, LONE_DAMPER_STROKE = 18.5, 29.0, 45.0  # range of motion in each direction
 OIL_STROKE = 10.0
-#: how far the suspension reaches to either side of the wheel; the motor's cylinder is at the right
+#: extent of the suspension to the left and right of the wheel; the motor's cylinder is at the right
 LEFT, RIGHT = 73.0, 92.0
-CYLINDER = 0.05  # stroke of the main cylinder (Table 1) [m], as drawn where no stop ends the travel before
+CYLINDER = 0.05  # stroke of the main cylinder (Table 1) [m], drawn if no stop ends the travel before
 Words = Literal["all", "nodes", ""]
-#: alone as in a quarter car; beside others, seen from the side; beside others, seen from behind without the motor's cylinder
+#: alone in a quarter car; one of several from the side; one of several from behind, without the motor's
+#: cylinder
 Setting = Literal["alone", "side", "rear"]
 
 
 def demands(corner: CornerSnapshot) -> list[tuple[float, float]]:
-    """Return motions [m] of a corner and the room [units of the layout] that each has, either way.
+    """Return the motions of a corner and the available ranges.
 
     Args:
         corner: Corner.
+
+    Returns:
+        Motion [m] and range in each direction [units of the layout].
     """
     top = corner.body if corner.joint is None else corner.joint
     stroke = LONE_DAMPER_STROKE if corner.joint is None else DAMPER_STROKE
@@ -44,7 +48,17 @@ def demands(corner: CornerSnapshot) -> list[tuple[float, float]]:
 
 
 class Suspension:
-    """The suspension of a corner in a picture."""
+    """The suspension of a corner in a picture.
+
+    Args:
+        canvas: Canvas.
+        corner: Corner.
+        x: Position of the wheel [px].
+        unit: Unit of the layout [px].
+        scale: Length of a metre of motion [px].
+        words: 'all' for names of elements and nodes, 'nodes' for nodes alone, '' for no names.
+        setting: Surroundings of the suspension.
+    """
 
     def __init__(
         self,
@@ -57,17 +71,7 @@ class Suspension:
         words: Words = "",
         setting: Setting = "alone",
     ) -> None:
-        """Take the place and the size of the suspension.
-
-        Args:
-            canvas: Canvas.
-            corner: Corner.
-            x: Place of the wheel [px].
-            unit: Unit of the layout [px].
-            scale: Length of a metre of motion [px].
-            words: Which names are written: of elements and nodes, of nodes, or none.
-            setting: What it stands beside.
-        """
+        """Store position and size of the suspension."""
         self.canvas, self.corner, self.x, self.u, self.scale = canvas, corner, x, unit, scale
         self.words, self.setting = words, setting
 
@@ -84,7 +88,7 @@ class Suspension:
         Args:
             seat: Height of the body's underside over the wheel [px].
             carrier: Height of the plate over the wheel [px].
-            spring_seat: Height of the body's underside over the main spring [px], of a body that tilts.
+            spring_seat: Height of the body's underside over the main spring [px], for a tilted body.
         """
         spring_seat = seat if spring_seat is None else spring_seat
         c, u, corner = self.canvas, self.u, self.corner
@@ -105,15 +109,15 @@ class Suspension:
             self._tag("damper", self.x + 20 * u, carrier - 0.4 * DAMPER * u, "left")
 
     def _name(self, words: str, x: float, y: float) -> None:
-        """The name of a node."""
+        """Write the name of a node."""
         self.canvas.text(words, x, y, size=9.5, colour=MUTED, face="Oblique")
 
     def _tag(self, words: str, x: float, y: float, anchor: Anchor) -> None:
-        """The name of an element."""
+        """Write the name of an element."""
         self.canvas.text(words, x, y, size=9.5, colour=MUTED, anchor=anchor)
 
     def _device(self, seat: float, joint: float) -> None:
-        """Oil spring, main cylinder (rod: piston, barrel: joint), and the motor's cylinder at its side."""
+        """Draw oil spring, main cylinder (rod: piston, barrel: joint), and the motor's cylinder at its side."""
         c, u, x, corner = self.canvas, self.u, self.x, self.corner
         travel = corner.device_travel
         assert travel is not None
@@ -125,7 +129,7 @@ class Suspension:
             if self.words == "all":
                 self._tag("oil spring", x + 15 * u, seat + 6.5 * u, "left")
 
-        # Main cylinder
+        # main cylinder
         foot, bore = 6 * u, (2 * DEVICE_STROKE + 8) * u
         top = joint - foot - bore
         c.rect(STEEL, x - 2.5 * u, joint - foot - u, 5 * u, foot + u)
@@ -146,10 +150,10 @@ class Suspension:
             self._thrust(x + aside * u, (node + joint) / 2)
 
     def _motor(self, top: float, bore: float, travel: float) -> None:
-        """The motor's (deputy) cylinder at the side of the main cylinder.
+        """Draw the motor's (deputy) cylinder at the side of the main cylinder.
 
-        Oil that the rising piston pushes out at the top moves the mover to the right, so extension reads to the right; its
-        ends are the end stop (paper, Table 1).
+        Oil that the rising piston displaces at the top moves the mover to the right, so that extension is to
+        the right; the ends of the cylinder are the end stop (paper, Table 1).
         """
         c, u, x, corner = self.canvas, self.u, self.x, self.corner
         left, width, high = x + 24 * u, 68 * u, 19 * u
@@ -190,7 +194,7 @@ class Suspension:
         mover = 14 * u
         centre = left + width / 2 + float(np.clip(share, -1.02, 1.02)) * (width / 2 - 4 * u - mover / 2)
         c.rect(INK, centre - mover / 2, middle - high / 2 + 2.2 * u, mover, high - 4.4 * u, radius=1.5 * u)
-        if limit is not None:  # gauge: the mover's place between the stops, read as travel of the device
+        if limit is not None:  # gauge: position of the mover between the stops, as travel of the device
             reach, y = width / 2 - 4 * u - mover / 2, top + bore + 16 * u
             dial = left + width / 2
             c.rect(MUTED, dial - reach, y - 0.4 * u, 2 * reach, 0.8 * u)

@@ -30,7 +30,7 @@ class History:
         self.rows: deque[tuple[float, ...]] = deque()
 
     def add(self, snapshot: AnySnapshot) -> None:
-        """Append the values of a snapshot and of the moments before that are not known yet.
+        """Append the values of a snapshot and of its unknown earlier moments.
 
         Args:
             snapshot: Snapshot later than all before.
@@ -44,14 +44,22 @@ class History:
             self.rows.popleft()
 
     def array(self) -> NDArray[np.float64]:
-        """Return time [s] and values, shape (n, 1 + traces)."""
+        """Return the stored values.
+
+        Returns:
+            Time [s] and values (n, 1 + traces).
+        """
         flat = itertools.chain.from_iterable(self.rows)
         width = len(self.rows[0])
         return np.fromiter(flat, np.float64, width * len(self.rows)).reshape(-1, width)
 
 
 class Scale:
-    """Range of a plot: three units either way, ticks at two; the unit is 1, 2 or 4 times a power of ten."""
+    """Range of a plot: three units in each direction, with ticks at two; the unit is 1, 2 or 4 times a power of ten.
+
+    Args:
+        unit: Smallest unit of the axis.
+    """
 
     def __init__(self, unit: float) -> None:
         self.unit = unit
@@ -76,13 +84,13 @@ def plot(
     data: Sequence[NDArray[np.float64]],
     column: int,
 ) -> None:
-    """Draw a live plot: its title with the RMS of what is shown, below it the curves.
+    """Draw a live plot: its title with the RMS, and the curves below.
 
     Args:
         c: Canvas.
         box: Left edge, top, right edge and foot [px].
         trace: Quantity.
-        scale: Range of the axis; it widens where the curves need it.
+        scale: Range of the axis, which widens if necessary.
         data: Time [s] and values in the units of the plots of each car (n, columns).
         column: Column of the quantity.
     """
@@ -116,7 +124,7 @@ def plot(
     now = max(rows[-1, 0] for rows in data)
     for rows, colour, line in zip(
         data, CAR_COLOURS, (1.9, 1.3), strict=False
-    ):  # the first shows behind the second
+    ):  # the first curve is behind the second
         if len(rows) > 1:
             x = right - (now - rows[:, 0]) / SECONDS * (right - left)
             y_values = middle - rows[:, column] / scale.unit * unit_height

@@ -22,15 +22,16 @@ if TYPE_CHECKING:
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Write a film as an MP4 or a GIF, whole or not at all.
+    """Write frames as an MP4 or a GIF film, atomically.
 
     Args:
-        path: File; its suffix decides, .mp4 or .gif.
-        frames: Frames, uint8 of shape (height, width, 3), all of one size.
-        fps: Frames per second; at most 50 in a GIF, since viewers play none faster.
+        path: File to write (.mp4 or .gif).
+        frames: Frames (height, width, 3) uint8 of equal size.
+        fps: Frames per second; at most 50 in a GIF, the limit of most viewers.
 
     Raises:
-        InputError: The suffix, the frames or `fps` are not as above, or an MP4 is asked for without imageio-ffmpeg.
+        InputError: The suffix is unknown, the frames are missing or unequal, the frame rate is invalid, or
+            imageio-ffmpeg is missing for an MP4.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -68,11 +69,12 @@ def _checked(frames: Iterable[NDArray[np.uint8]], path: Path) -> Iterator[NDArra
 def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
     encoder = extra("imageio_ffmpeg", "writing an MP4", "imageio-ffmpeg").get_ffmpeg_exe()
     first = next(frames)
-    height, width = (size + size % 2 for size in first.shape[:2])  # the codec wants even sides
+    height, width = (size + size % 2 for size in first.shape[:2])  # the codec requires even sides
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {fps:.6f} -i -"
     target = "-an -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart"
     command = [encoder, "-y", "-loglevel", "error", *source.split(), *target.split(), str(path)]
-    # In a session of its own, Ctrl-C reaches the encoder through us alone, and no half film is finished.
+    # in a separate session, Ctrl-C reaches the encoder only through this process, and no partial film is
+    # completed
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     ) as process:
@@ -94,10 +96,10 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> N
 
 
 def _write_gif(path: Path, frames: Iterator[NDArray[np.uint8]], fps: float) -> None:
-    from PIL import Image  # matplotlib needs it too
+    from PIL import Image  # matplotlib depends on this package, too
 
-    # One palette for the whole film, from its beginning and the colours of the picture: what stands still
-    # keeps its pixels, so the file is small and free of flicker.
+    # one palette for the whole film, from its beginning and the colours of the picture: static parts keep
+    # their pixels, so that the file is small and free of flicker
     opening = list(itertools.islice(frames, 64))
     samples = opening[:: max(1, len(opening) // 8)]
     ramps = [

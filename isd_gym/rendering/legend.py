@@ -1,4 +1,4 @@
-"""Rulers: what a length in a picture stands for."""
+"""Rulers: the real size of lengths in a picture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def rulers(c: Canvas, window: Window, scale: float, factor: float) -> None:
         c: Canvas.
         window: Part of the picture with the road.
         scale: Length of a metre of motion [px].
-        factor: Factor by which motions are exaggerated.
+        factor: Factor of the exaggerated motions.
     """
     u = c.unit
     margin, foot = 10 * u, window.foot - 11 * u

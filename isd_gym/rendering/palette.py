@@ -1,7 +1,7 @@
 """Colours of the pictures.
 
-The colours of the cars are those of Okabe and Ito (Color Universal Design, 2008), which the colour-blind can tell apart.
-No meaning hangs on colour alone.
+The colours of the cars are those of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers
+can distinguish. No meaning depends on colour alone.
 """
 
 from __future__ import annotations
@@ -29,9 +29,19 @@ GROUND_MARK: Colour = (184, 176, 165)
 OIL: Colour = (250, 222, 160)
 
 CAR_COLOURS = (BLUE, VERMILLION)
-PULL, PUSH = GREEN, PURPLE  # thrust that contracts the device (positive current), that extends it
+PULL, PUSH = GREEN, PURPLE  # contracting thrust (positive current), extending thrust
 
 
 def mix(first: Colour, second: Colour, share: float) -> Colour:
+    """Return a mixture of two colours.
+
+    Args:
+        first: Colour at share 0.
+        second: Colour at share 1.
+        share: Share of the second colour, from 0 to 1.
+
+    Returns:
+        The colour.
+    """
     r, g, b = (round(a + (c - a) * share) for a, c in zip(first, second, strict=True))
     return r, g, b

@@ -20,18 +20,18 @@ CELL = 25.0  # height of a corner's current [units of the layout]
 
 
 class Panel:
-    """The panel of one car or of two, with what its curves remember."""
+    """The panel of one car or of two, including the memory of the curves.
+
+    Args:
+        canvas: Canvas.
+        left: Left edge [px].
+        right: Right edge [px].
+        height: Height [px].
+        cars: Number of cars.
+    """
 
     def __init__(self, canvas: Canvas, left: float, right: float, height: float, cars: int) -> None:
-        """Take the right part of the picture.
-
-        Args:
-            canvas: Canvas.
-            left: Left edge [px].
-            right: Right edge [px].
-            height: Height [px].
-            cars: Number of cars.
-        """
+        """Use the right part of the picture."""
         self.canvas, self.x0, self.x1 = canvas, left + 14 * canvas.unit, right - 14 * canvas.unit
         self.height = height
         self._histories = [History() for _ in range(cars)]
@@ -111,7 +111,7 @@ class Panel:
 
 
 def _currents(c: Canvas, x0: float, x1: float, y: float, corners: Sequence[CornerSnapshot]) -> float:
-    """The current of each corner, placed as the corners are from above with the front at the top; returns the foot."""
+    """Draw the current of each corner in a top view of the car with the front at the top, and return the foot [px]."""
     u = c.unit
     sides = sorted({corner.y for corner in corners}, reverse=True)
     axles = sorted({corner.x for corner in corners}, reverse=True)

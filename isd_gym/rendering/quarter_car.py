@@ -1,4 +1,4 @@
-"""The picture of a quarter car: a wheel on its rolling road, the suspension with the names of its parts, the body."""
+"""Picture of a quarter car: a wheel on a rolling road, the suspension with the names of its parts, and the body."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ if TYPE_CHECKING:
     from .snapshots import Snapshot
 
 # Lengths in units of the layout (a pixel at 640x400), at static equilibrium.
-METRE = 40.0  # of road
-FLOOR = 58.0  # from the foot of the picture to the road
-CARRIER = 9.0  # from the top of the tyre to the wheel carrier
+METRE = 40.0  # length of a metre of road
+FLOOR = 58.0  # distance from the foot of the picture to the road
+CARRIER = 9.0  # distance from the top of the tyre to the wheel carrier
 BODY = 40.0
-SCALE = wheel.RADIUS / wheel.METRES  # of a metre of motion that is not exaggerated
+SCALE = wheel.RADIUS / wheel.METRES  # length of a metre of motion without exaggeration
 
 
 class QuarterCarScene:
-    """A quarter car on its road."""
+    """A quarter car on its road.
 
-    most = 6.0  # largest factor by which motions are exaggerated
+    Args:
+        canvas: Canvas.
+        snapshot: Content of the picture.
+        left: Left edge [px].
+        width: Width [px].
+        colour: Colour of the body.
+        roomy: Whether the names of elements fit.
+    """
+
+    most = 6.0  # largest exaggeration of motions
 
     def __init__(
         self, canvas: Canvas, snapshot: Snapshot, left: float, width: float, colour: Colour, roomy: bool
     ) -> None:
-        """Take a part of the picture.
-
-        Args:
-            canvas: Canvas.
-            snapshot: What is shown.
-            left: Left edge [px].
-            width: Width [px].
-            colour: Colour of the body.
-            roomy: Whether there is room for names of elements.
-        """
+        """Use a part of the picture."""
         self.canvas, self.shot, self.left, self.width, self.colour = canvas, snapshot, left, width, colour
         self.roomy = roomy
         self.u = canvas.unit
@@ -59,10 +59,13 @@ class QuarterCarScene:
         self.reference = reference_height(self.road, self.contact)
 
     def needed(self, reference: float) -> float:
-        """Return the largest motion, as a share of the room that it has without exaggeration.
+        """Return the largest motion as a share of its range without exaggeration.
 
         Args:
-            reference: Height of the road at large [m].
+            reference: Mean height of the road [m].
+
+        Returns:
+            Share [-].
         """
         shot = self.shot
         demands = [
@@ -77,8 +80,8 @@ class QuarterCarScene:
         """Draw the car.
 
         Args:
-            reference: Height of the road at large [m].
-            factor: Factor by which motions are exaggerated.
+            reference: Mean height of the road [m].
+            factor: Factor of the exaggerated motions.
         """
         c, u, shot = self.canvas, self.u, self.shot
         scale = factor * wheel.RADIUS * u / wheel.METRES  # [px/m]
@@ -93,7 +96,7 @@ class QuarterCarScene:
         c.clip(self.left, 0, self.width, self.height)
         wheel.side_tyre(c, self.x, hub, contact_y, u, lifted=shot.corner.has_lifted)
         ground(c, self.window, road_y, shot.speed * shot.time, u)
-        # rolls with the road as it is drawn
+        # rolls with the drawn road
         wheel.side_rim(c, self.x, hub, u, shot.speed * shot.time * METRE / wheel.RADIUS)
         reach = 66 * u
         wheel.carrier(c, self.x, hub, carrier, reach, u, u)

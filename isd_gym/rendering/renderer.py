@@ -29,25 +29,25 @@ SMALLEST = (640, 400)  # [px]
 class Renderer:
     """Frames of one car, or of two cars of one kind side by side.
 
-    In mode "rgb_array" `draw` returns the frame and needs no display. In mode "human" `draw` shows the frame in a window and keeps
-    the pace of the simulated time. Calls that come faster than `fps` (at most 60) per simulated second enter the curves but
-    are not painted, so a control loop of 5 ms may call `draw` at every step.
+    In mode "human", `draw` shows the frame in a window at the pace of the simulated time. Calls that are
+    faster than `fps` per simulated second enter the curves without a new frame, so that a 5 ms control loop
+    may call `draw` at every step.
 
-    The scales only widen while time runs, where the motion leaves them. A snapshot that is earlier than the last one starts
-    afresh.
+    Scales only widen over time, for larger motions. A snapshot that is earlier than the last one restarts the
+    curves.
 
     Args:
-        mode: "human" or "rgb_array".
+        mode: "rgb_array" for frames without a display, or "human" for a window.
         width: Width [px], at least 640.
         height: Height [px], at least 400.
         cars: Number of cars, 1 or 2.
-        fps: Largest number of painted frames per simulated second in a window.
+        fps: Frames per simulated second, at most 60 in a window.
 
     Attributes:
-        closed: Whether the viewer has shut the window (its button, Escape or q).
+        closed: Whether the viewer has closed the window (its button, Escape or q).
 
     Raises:
-        InputError: An argument is out of range, pygame is missing, or a window finds no display.
+        InputError: An argument is invalid, pygame is missing, or there is no display for a window.
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class Renderer:
             raise InputError(f"fps must be positive, got {fps}")
         self.mode, self.width, self.height, self.cars, self.fps = mode, width, height, cars, fps
         self.closed = False
-        self._now = self._painted = -math.inf  # [s] of simulated time
+        self._now = self._painted = -math.inf  # simulated time [s]
         self._pg = pygame()
-        self._unit = min(width / 640, height / 400)  # everything is laid out for 640x400
+        self._unit = min(width / 640, height / 400)  # the layout is defined for 640x400
         self._window: Any = None
         if mode == "human":
             self._open_window()
@@ -114,7 +114,7 @@ class Renderer:
         return None
 
     def close(self) -> None:
-        """Shut the window, if there is one; the renderer cannot be used in mode "human" afterwards."""
+        """Close the window, if any; afterwards the renderer cannot be used in mode "human"."""
         if self._window is not None:
             self._pg.display.quit()
             self._window = None

@@ -1,7 +1,7 @@
-"""The picture of a car with a rigid body: from the side, and from behind where it has a left and a right track.
+"""Picture of a car with a rigid body: from the side, and from behind for a car with a left and a right track.
 
-Wheels, wheelbase and track are drawn to one scale. Motions are exaggerated vertically, all by the same factor, so that the body
-remains a straight bar: its slope in the picture is the factor times its angle.
+Wheels, wheelbase and track have one scale. Motions are exaggerated vertically by a common factor, so that the
+body remains a straight bar: its slope in the picture is the factor times its angle.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from .snapshots import CarSnapshot, CornerSnapshot
 
 BEHIND, AHEAD, ASIDE = 1.3, 2.1, 0.65  # road beyond the outermost wheels [m]
-OVERHANG, OVERHANG_ASIDE = 1.05, 0.25  # of the body over the outermost wheels [m]
+OVERHANG, OVERHANG_ASIDE = 1.05, 0.25  # overhang of the body beyond the outermost wheels [m]
 # Lengths in units of the layout (a pixel at 640x400), at static equilibrium.
 LARGEST_METRE = 90.0
-FLOOR = 66.0  # from the foot of the picture to the road
-CARRIER = 9.0  # from the top of a tyre to its carrier, of a suspension in full size
+FLOOR = 66.0  # distance from the foot of the picture to the road
+CARRIER = 9.0  # distance from the top of a tyre to its carrier, for a suspension of full size
 BAR, CABIN = 15.0, 40.0
-TOP = 44.0  # above the cabin
-SMALLEST_SUSPENSION = 0.25  # size against that of a quarter car
+TOP = 44.0  # free height above the cabin
+SMALLEST_SUSPENSION = 0.25  # size relative to that of a quarter car
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class View:
 
     Attributes:
         shot: The car.
-        is_rear: Whether it is the view from behind.
+        is_rear: Whether the view is from behind.
         window: Part of the picture; its origin is the centre of gravity.
     """
 
@@ -56,11 +56,26 @@ class View:
     window: Window
 
     def along(self, x: float, y: float) -> float:
-        """Return the distance of a place to the right of the centre of gravity in the picture [m]."""
+        """Return the distance of a point to the right of the centre of gravity in the picture.
+
+        Args:
+            x: Distance in front of the centre of gravity [m].
+            y: Distance to the left of the centre of gravity [m].
+
+        Returns:
+            Distance [m].
+        """
         return -y if self.is_rear else x
 
     def place(self, corner: CornerSnapshot) -> float:
-        """Return the place of a corner in the picture [px]."""
+        """Return the position of a corner in the picture.
+
+        Args:
+            corner: The corner.
+
+        Returns:
+            Horizontal position [px].
+        """
         return self.window.origin + self.along(corner.x, corner.y) * self.window.metre
 
     def _depth(self, corner: CornerSnapshot) -> float:
@@ -68,7 +83,7 @@ class View:
 
     @cached_property
     def near(self) -> tuple[CornerSnapshot, ...]:
-        """The corners in front, from left to right."""
+        """Front corners of the view, from left to right."""
         first: dict[float, CornerSnapshot] = {}
         for corner in sorted(self.shot.corners, key=self._depth):
             first.setdefault(self.along(corner.x, corner.y), corner)
@@ -76,15 +91,18 @@ class View:
 
     @property
     def far(self) -> tuple[CornerSnapshot, ...]:
-        """The corners behind those in front."""
+        """Corners behind the front corners of the view."""
         return tuple(corner for corner in self.shot.corners if corner not in self.near)
 
     def body_heights(self, along: NDArray[np.float64], *, is_far: bool = False) -> NDArray[np.float64]:
-        """Return displacements [m] of the body along its near or its far edge.
+        """Return displacements of the body along its near or its far edge.
 
         Args:
             along: Distances to the right of the centre of gravity [m] (n,).
-            is_far: Whether of the far edge.
+            is_far: Whether the edge is the far one.
+
+        Returns:
+            Displacements (n,) [m].
         """
         depths = [self._depth(corner) for corner in self.shot.corners]
         depth = max(depths) if is_far else min(depths)
@@ -93,22 +111,22 @@ class View:
 
 
 class RigidCarScene:
-    """A car with a rigid body on its road."""
+    """A car with a rigid body on its road.
 
-    most = 10.0  # largest factor by which motions are exaggerated
+    Args:
+        canvas: Canvas.
+        snapshot: Content of the picture.
+        left: Left edge [px].
+        width: Width [px].
+        colour: Colour of the body.
+    """
+
+    most = 10.0  # largest exaggeration of motions
 
     def __init__(
         self, canvas: Canvas, snapshot: CarSnapshot, left: float, width: float, colour: Colour
     ) -> None:
-        """Take a part of the picture.
-
-        Args:
-            canvas: Canvas.
-            snapshot: What is shown.
-            left: Left edge [px].
-            width: Width [px].
-            colour: Colour of the body.
-        """
+        """Use a part of the picture."""
         self.canvas, self.shot, self.left, self.width, self.colour = canvas, snapshot, left, width, colour
         self.u = canvas.unit
         self.height = canvas.frame.get_height()
@@ -120,7 +138,7 @@ class RigidCarScene:
         self.reference = float(np.mean([reference_height(road, base) for road in self.roads]))
 
     def _lay_out(self) -> None:
-        """Divide the picture among the views and find the size of the parts."""
+        """Divide the picture among the views, and compute the size of the parts."""
         shot, u = self.shot, self.u
         x = [corner.x for corner in shot.corners]
         y = [corner.y for corner in shot.corners]
@@ -146,7 +164,7 @@ class RigidCarScene:
         if apart.size:
             reach = 2 * suspension.RIGHT if len(set(x)) == 2 else suspension.LEFT + suspension.RIGHT
             size = min(size, float(apart.min()) * self.metre / (1.03 * reach * u))
-        self.unit = max(size, SMALLEST_SUSPENSION) * u  # of the suspensions
+        self.unit = max(size, SMALLEST_SUSPENSION) * u  # unit of the suspensions
 
     def _along_track(self, profile: NDArray[np.float64], window: Window) -> NDArray[np.float64]:
         shot = self.shot
@@ -157,17 +175,20 @@ class RigidCarScene:
         return int(self.shot.is_wide and corner.y < 0)
 
     def _road_under(self, corner: CornerSnapshot) -> float:
-        """Height of the road under a wheel [m]."""
+        """Return the height of the road under a wheel [m]."""
         shot = self.shot
         profile = shot.road_profiles[self._track(corner)]
         place = shot.road_behind + corner.x - max(other.x for other in shot.corners)
         return float(np.interp(place, np.arange(profile.size) * shot.road_step, profile))
 
     def needed(self, reference: float) -> float:
-        """Return the largest motion, as a share of the room that it has without exaggeration.
+        """Return the largest motion as a share of its range without exaggeration.
 
         Args:
-            reference: Height of the road at large [m].
+            reference: Mean height of the road [m].
+
+        Returns:
+            Share [-].
         """
         size = self.unit / self.u
         ends = [height for view in self.views for height in view.body_heights(self._ends(view))]
@@ -179,7 +200,7 @@ class RigidCarScene:
         return max(motion * self.metre / self.u / room for motion, room in demands)
 
     def _ends(self, view: View) -> NDArray[np.float64]:
-        """Ends of the body in a view, to the right of its centre of gravity [m]."""
+        """Return the ends of the body in a view, to the right of its centre of gravity [m]."""
         along = [view.along(corner.x, corner.y) for corner in self.shot.corners]
         over = OVERHANG_ASIDE if view.is_rear else OVERHANG
         return np.array([min(along) - over, max(along) + over])
@@ -188,8 +209,8 @@ class RigidCarScene:
         """Draw the car.
 
         Args:
-            reference: Height of the road at large [m].
-            factor: Factor by which motions are exaggerated.
+            reference: Mean height of the road [m].
+            factor: Factor of the exaggerated motions.
         """
         c, u = self.canvas, self.u
         self.lift, self.scale = reference, factor * self.metre
@@ -209,7 +230,7 @@ class RigidCarScene:
     # --- heights ----------------------------------------------------------------------------------
 
     def _down(self, height: float, above: float = 0.0) -> float:
-        """Place [px] of what is `height` [m] above static equilibrium and there `above` [px] above the road."""
+        """Return the position [px] of a point `height` [m] above static equilibrium and `above` [px] above the road."""
         return self.floor - above - (height - self.lift) * self.scale
 
     def _hub(self, corner: CornerSnapshot) -> float:
@@ -217,7 +238,7 @@ class RigidCarScene:
 
     @property
     def _rest(self) -> float:
-        """Underside of the body above the road at rest [px]."""
+        """Height of the body's underside above the road at rest [px]."""
         return (2 * wheel.RADIUS - wheel.SQUASH) * self.wheel_unit + (CARRIER + suspension.LENGTH) * self.unit
 
     # --- parts ------------------------------------------------------------------------------------
@@ -243,7 +264,7 @@ class RigidCarScene:
         )  # fmt: skip
 
     def _far_side(self, view: View) -> None:
-        """What is behind: road, wheels and edge of the body, pale."""
+        """Draw the far side in pale colours: road, wheels and edge of the body."""
         if not view.far:
             return
         last = max(view.far, key=lambda corner: corner.x if view.is_rear else corner.y)
@@ -272,7 +293,8 @@ class RigidCarScene:
             drawn = Suspension(c, corner, x, unit=self.unit, scale=self.scale, setting=setting)
             seat = self._down(corner.body, self._rest)
             is_right = view.along(corner.x, corner.y) > middle
-            # from the side the springs are outside and the motors between the axles, from behind the springs are inside
+            # from the side, the springs are outside and the motors between the axles; from behind, the
+            # springs are inside
             is_mirrored = is_right != view.is_rear
             aside = drawn.spring_place * self.unit * (1 if is_mirrored else -1)
             spring_seat = self._underside(view, x + aside)
@@ -281,12 +303,12 @@ class RigidCarScene:
         self._body(view)
 
     def _underside(self, view: View, x: float) -> float:
-        """Height of the body's underside at a place in the picture [px]."""
+        """Return the height of the body's underside at a horizontal position in the picture [px]."""
         along = np.array([(x - view.window.origin) / self.metre])
         return self._down(float(view.body_heights(along)[0]), self._rest)
 
     def _edge(self, view: View, share: float, above: float, *, is_far: bool = False) -> Point:
-        """A point of the body [px]: at a share of its length, `above` [px] its underside."""
+        """Return a point of the body [px]: at a share of its length, `above` [px] its underside."""
         first, last = self._ends(view)
         along = np.array([first + share * (last - first)])
         height = float(view.body_heights(along, is_far=is_far)[0])

@@ -1,4 +1,4 @@
-"""The road in a picture: heights over its width, and the ground below them."""
+"""The road in a picture: heights over the width, and the ground below."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Window:
         left: Left edge [px].
         right: Right edge [px].
         foot: Lower edge [px].
-        origin: Place that distances along the road count from [px].
+        origin: Position of distance 0 along the road [px].
         metre: Length of a metre of road [px].
     """
 
@@ -37,30 +37,40 @@ class Window:
     metre: float
 
     def columns(self) -> NDArray[np.float64]:
-        """Return the places [px] (n,) at which the road is drawn: one every two pixels."""
+        """Return the positions at which the road is drawn, one every two pixels.
+
+        Returns:
+            Positions (n,) [px].
+        """
         return np.linspace(self.left, self.right, int((self.right - self.left) / 2) + 1)
 
     def heights(self, profile: NDArray[np.float64], step: float, behind: float) -> NDArray[np.float64]:
-        """Return the heights [m] (n,) at `columns`.
+        """Return the heights of the road at `columns`.
 
         Args:
             profile: Heights [m] (m,) from behind the origin to ahead.
             step: Distance of two heights [m].
             behind: Length of the profile behind the origin [m].
+
+        Returns:
+            Heights (n,) [m].
         """
         place = np.arange(profile.size) * step - behind
         return np.interp((self.columns() - self.origin) / self.metre, place, profile)
 
 
 def reference_height(heights: NDArray[np.float64], contact: float) -> float:
-    """Return the height of the road at large [m], which the camera follows.
+    """Return the mean height of the road, which the camera follows.
 
-    A mean that fades towards the edges moves smoothly. Heights count from the one under the wheel, so that a road's own height
-    is gone before anything is rounded.
+    The weights vanish towards the edges, for a smooth motion. Heights are relative to the height under the
+    wheel, so that rounding does not depend on the altitude of the road.
 
     Args:
         heights: Heights over the width of the picture [m] (n,).
         contact: Height under the wheel [m].
+
+    Returns:
+        Mean height [m].
     """
     weight = np.hanning(heights.size + 2)[1:-1]
     return contact + float((heights - contact) @ weight / weight.sum())
@@ -75,15 +85,15 @@ def ground(
     *,
     is_behind: bool = False,
 ) -> None:
-    """Draw the ground below a road, from the side with marks that make the speed visible.
+    """Draw the ground below a road, from the side with marks that show the speed.
 
     Args:
         c: Canvas.
         window: Part of the picture.
         y: Heights of the road at the columns of the window [px] (n,).
-        travelled: Distance that the car has driven [m]; None for a section across the road.
+        travelled: Driven distance [m]; None for a section across the road.
         u: Unit of the layout [px].
-        is_behind: Whether the road is pale, behind another road that is drawn later.
+        is_behind: Whether another road is in front; the ground is then pale.
     """
     x = window.columns()
     surface = np.column_stack([x, y])

@@ -1,8 +1,8 @@
-"""What one frame shows of a car: plain numbers, so that whoever has the displacements of the nodes can draw.
+"""Content of a frame of a car: plain numbers, independent of the simulation.
 
-Signs are those of the model. A displacement is positive upwards, a travel is positive in extension, and a positive
-current pulls the terminals of the device together (force positive in tension). Axes are those of ISO 8855: x forward, y to
-the left; pitch is positive nose down, roll positive right side down.
+Signs are those of the model. A displacement is positive upwards, a travel is positive in extension, and a
+positive current pulls the terminals of the device together (force positive in tension). Axes are those of ISO
+8855: x forward, y to the left; pitch is positive nose down, roll positive right side down.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Trace(NamedTuple):
         title: Title of the plot.
         unit: Unit of the plot.
         factor: Value in the unit of the plot per SI unit.
-        scale: Smallest unit of the axis, which reaches to three of them [unit].
-        digits: Digits behind the point of the RMS.
+        scale: Smallest unit of the axis, which has a range of three units [unit].
+        digits: Number of decimals of the RMS.
     """
 
     title: str
@@ -80,7 +80,7 @@ class CornerSnapshot:
     wheel: float
     # node between oil spring and inerter [m]; None: the model has none
     piston: float | None = None
-    # node between inerter and damper [m]; None: a corner without the device
+    # node between inerter and damper [m]; None without a device
     joint: float | None = None
     # [A]
     current: float = 0.0
@@ -102,14 +102,14 @@ class CornerSnapshot:
 
     @property
     def device_travel(self) -> float | None:
-        """Extension of the device [m], None where there is no device."""
+        """Extension of the device [m]; None without a device."""
         if self.joint is None:
             return None
         return (self.body if self.piston is None else self.piston) - self.joint
 
     @property
     def has_lifted(self) -> bool:
-        """Whether the tyre carries nothing."""
+        """Whether the tyre carries no load."""
         return self.static_tyre_load is not None and self.tyre_load <= -self.static_tyre_load
 
 
@@ -129,13 +129,13 @@ class Snapshot:
     wheel: float
     # node between oil spring and inerter [m]; None: the model has none
     piston: float | None = None
-    # node between inerter and damper [m]; None: a car without the device
+    # node between inerter and damper [m]; None without a device
     joint: float | None = None
     # height of the road from behind the wheel to ahead [m], shape (n,)
     road_profile: NDArray[np.float64]
     # distance of two samples of the profile [m]
     road_step: float
-    # length of the profile behind the wheel [m]; None: the wheel is in the middle
+    # length of the profile behind the wheel [m]; None for a wheel in the middle
     road_behind: float | None = None
     # [m/s]
     speed: float
@@ -157,15 +157,15 @@ class Snapshot:
     cost: float | None = None
     # name above the picture
     label: str = ""
-    # time [s], body acceleration [m/s^2] and suspension travel [m] of the moments before, for the curves; without them the
-    # curves go through the moments that were drawn
+    # time [s], body acceleration [m/s^2] and suspension travel [m] of earlier moments, for the curves;
+    # otherwise the curves connect the drawn moments
     past: Sequence[tuple[float, ...]] = ()
 
     def __post_init__(self) -> None:
         _check_finite(self, "snapshot")
         object.__setattr__(self, "road_profile", _checked_road(self.road_profile, 1))
         _check_positive(self, "snapshot", "road_step")
-        _ = self.corner  # checked with the rest
+        _ = self.corner  # raises an error for an invalid corner
 
     @cached_property
     def corner(self) -> CornerSnapshot:
@@ -180,7 +180,7 @@ class Snapshot:
 
     @property
     def device_travel(self) -> float | None:
-        """Extension of the device [m], None where there is no device."""
+        """Extension of the device [m]; None without a device."""
         return self.corner.device_travel
 
     @property
@@ -201,11 +201,11 @@ class CarSnapshot:
     time: float
     # displacement of the body at its centre of gravity [m]
     heave: float
-    # angle [rad]; None: the body does not pitch
+    # angle [rad]; None for a body without pitch
     pitch: float | None = None
-    # angle [rad]; None: the body does not roll
+    # angle [rad]; None for a body without roll
     roll: float | None = None
-    # wheels with their suspensions; the right track is that of y < 0
+    # wheels with their suspensions; wheels with y < 0 run in the right track
     corners: tuple[CornerSnapshot, ...]
     # name and place (x, y) [m] of other points of the body
     points: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -219,15 +219,15 @@ class CarSnapshot:
     speed: float
     # vertical acceleration at the centre of gravity [m/s^2]
     body_acceleration: float
-    # [rad/s^2]; None: the body does not pitch
+    # [rad/s^2]; None for a body without pitch
     pitch_acceleration: float | None = None
-    # [rad/s^2]; None: the body does not roll
+    # [rad/s^2]; None for a body without roll
     roll_acceleration: float | None = None
     # mean cost so far
     cost: float | None = None
     # name on the body
     label: str = ""
-    # time [s] and accelerations as in `traces` [SI] of the moments before, for the curves
+    # time [s] and accelerations of earlier moments, in the order of `traces` [SI], for the curves
     past: Sequence[tuple[float, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -245,7 +245,7 @@ class CarSnapshot:
 
     @property
     def is_wide(self) -> bool:
-        """Whether the car has wheels at the left and at the right."""
+        """Whether the car has left and right wheels."""
         return len({corner.y for corner in self.corners}) > 1
 
     @property

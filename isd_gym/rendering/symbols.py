@@ -28,7 +28,7 @@ def coil(
 
     Args:
         c: Canvas.
-        x: Place of the axis [px].
+        x: Position of the axis [px].
         top: Upper end [px].
         bottom: Lower end [px].
         radius: Radius [px].
@@ -52,7 +52,7 @@ def coil(
                 part = points[max(start, 0) : stop + 1]
                 if len(part) > 1:
                     c.lines(near if front else far, part, line if front else 0.8 * line)
-    for start, stop in halves:  # round the turns
+    for start, stop in halves:  # around the turns
         for k in (start, stop):
             if 0 < k < phase.size - 1:
                 c.circle(near, points[k, 0], points[k, 1], line / 2)
@@ -63,11 +63,11 @@ def dashpot(c: Canvas, x: float, top: float, bottom: float, length: float, strok
 
     Args:
         c: Canvas.
-        x: Place of the axis [px].
+        x: Position of the axis [px].
         top: Upper end [px].
         bottom: Lower end [px].
         length: Length at rest [px].
-        stroke: Room for motion, either way [px].
+        stroke: Range of motion in each direction [px].
         u: Unit of the layout [px].
     """
     foot, cup, half = 5 * u, 2 * stroke + 4 * u, 12 * u
@@ -83,6 +83,16 @@ def dashpot(c: Canvas, x: float, top: float, bottom: float, length: float, strok
 
 
 def arrow(c: Canvas, colour: Colour, x: float, tail: float, head: float, width: float) -> None:
+    """Draw a vertical arrow.
+
+    Args:
+        c: Canvas.
+        colour: Colour.
+        x: Horizontal position [px].
+        tail: Height of the tail [px].
+        head: Height of the head [px].
+        width: Width of the shaft [px].
+    """
     way = 1.0 if head > tail else -1.0
     tip = min(abs(head - tail), 2.2 * width)
     neck = head - way * tip

@@ -1,6 +1,6 @@
-"""Wheels on the road, seen from the side and from behind.
+"""Wheels on the road, from the side and from behind.
 
-Lengths are in units of the layout in which the radius of a wheel at rest is `RADIUS`.
+Lengths are in units of the layout; the radius of a wheel at rest is `RADIUS`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from .canvas import Canvas
 
 RADIUS = 38.0
-METRES = 0.32  # radius that the wheel stands for [m]
-SQUASH = 4.0  # of the tyre under its static load
-WIDTH = 24.0  # from behind
+METRES = 0.32  # radius of the represented wheel [m]
+SQUASH = 4.0  # compression of the tyre under its static load
+WIDTH = 24.0  # width from behind
 RUBBER: Colour = (58, 63, 68)
 RUBBER_FAR: Colour = (176, 182, 188)
 
@@ -26,22 +26,22 @@ RUBBER_FAR: Colour = (176, 182, 188)
 def side_tyre(
     c: Canvas, x: float, hub: float, contact: float, u: float, *, lifted: bool, colour: Colour = RUBBER
 ) -> None:
-    """Draw a tyre from the side, which touches the road as long as it carries load.
+    """Draw a tyre from the side, in contact with the road while the tyre carries load.
 
-    The road is painted over what is pressed in.
+    The road is painted over the compressed part.
 
     Args:
         c: Canvas.
-        x: Place of the hub [px].
+        x: Position of the hub [px].
         hub: Height of the hub [px].
-        contact: Height of the road under it [px].
+        contact: Height of the road under the hub [px].
         u: Unit of the layout [px].
-        lifted: Whether the tyre carries nothing.
+        lifted: Whether the tyre carries no load.
         colour: Colour of the rubber.
     """
     radius = RADIUS * u
     gap = contact - hub
-    angle = np.linspace(0.0, 2 * np.pi, 73)[:-1]  # from straight down
+    angle = np.linspace(0.0, 2 * np.pi, 73)[:-1]  # from the lowest point
     below = np.maximum(np.cos(angle), 0.0)
     squash = float(np.clip((radius - gap) / radius, 0.0, 0.5))
     aside = np.abs((angle + np.pi) % (2 * np.pi) - np.pi)
@@ -74,7 +74,17 @@ def side_rim(c: Canvas, x: float, hub: float, u: float, turn: float) -> None:
 def rear_wheel(
     c: Canvas, x: float, hub: float, contact: float, u: float, *, lifted: bool, colour: Colour = RUBBER
 ) -> None:
-    """Draw a wheel from behind; arguments as those of `side_tyre`."""
+    """Draw a wheel from behind.
+
+    Args:
+        c: Canvas.
+        x: Position of the hub [px].
+        hub: Height of the hub [px].
+        contact: Height of the road under the hub [px].
+        u: Unit of the layout [px].
+        lifted: Whether the tyre carries no load.
+        colour: Colour of the rubber.
+    """
     foot = hub + RADIUS * u if lifted else contact + 1.5 * u
     top = hub - RADIUS * u
     c.rect(colour, x - WIDTH / 2 * u, top, WIDTH * u, foot - top, radius=6 * u)
@@ -84,11 +94,11 @@ def rear_wheel(
 
 
 def carrier(c: Canvas, x: float, hub: float, top: float, reach: float, u: float, pin: float) -> None:
-    """Draw hub, upright and the plate over the tyre on which the suspension stands.
+    """Draw hub, upright and the plate over the tyre that carries the suspension.
 
     Args:
         c: Canvas.
-        x: Place of the hub [px].
+        x: Position of the hub [px].
         hub: Height of the hub [px].
         top: Height of the plate [px].
         reach: Half the width of the plate [px].

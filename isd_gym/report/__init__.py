@@ -1,6 +1,7 @@
-"""Pages that open anywhere: of a diagnosis and of a score.
+"""Self-contained pages of a diagnosis, a plan and a score.
 
-`plots` sets the looks and puts a page together, `charts` tells a chart once, for the picture and for the live page.
+`plots` sets the style and assembles pages. `charts` describes a chart once, for the picture and for the live
+page.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Charts told once and drawn twice: as a picture (matplotlib) and live in the page (``templates/page.js``).
+"""Charts that are described once and drawn twice: as a picture (matplotlib) and live in a page (``templates/page.js``).
 
-A `Chart` is panels, a `Panel` two axes and what is drawn on them. `draw` makes the picture that a page shows where no
-script runs and that is printed; `live` is the same as JSON, which the page's script makes into plots with values under the
-pointer, zoom and series that can be switched off. Long signals travel as 16-bit numbers, so that pages stay small.
+A `Chart` consists of panels; a `Panel` has two axes and items. `draw` makes the picture for print and for
+pages without scripts. `live` gives the same chart as JSON; the page's script adds values under the pointer,
+zoom, and series that can be hidden. Long signals are stored as 16-bit numbers, to keep pages small.
 """
 
 from __future__ import annotations
@@ -43,38 +43,69 @@ QUIET = Look(MUTED, "-", "", 0.9)
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis: `label` and `unit` of its values; `rows` names whole numbers from the top down instead."""
+    """An axis.
+
+    Attributes:
+        label: Label of its values.
+        unit: Unit; '' without a unit.
+        log: Whether the axis is logarithmic.
+        low: Lower end of the picture and of the first live view; None to fit the values.
+        high: Upper end; None to fit the values.
+        ticks: Positions and texts of the ticks; empty for automatic ticks.
+        rows: Names of the integers from the top down, instead of numbers.
+    """
 
     label: str = ""
     unit: str = ""
     log: bool = False
-    low: float | None = None  # in the picture, and where a live plot begins
+    low: float | None = None
     high: float | None = None
     ticks: Ticks = ()
     rows: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
+        """Label with the unit."""
         return f"{self.label} [{self.unit}]" if self.unit and self.label else self.label
 
 
 @dataclass(frozen=True)
 class Line:
-    """A curve, with a `band` (low, high) about it where it has one. `still`: whether it is in the picture."""
+    """A curve, optionally with a band.
+
+    Attributes:
+        name: Name in the legend.
+        x: Abscissae (n,).
+        y: Ordinates (n,).
+        look: Style.
+        band: Lower and upper ordinates (n,) of the band; None without a band.
+        fill: Whether the area down to the axis is filled.
+        still: Whether the curve is in the picture.
+        on: Whether the curve is visible at the start of a live chart.
+    """
 
     name: str
     x: Array
     y: Array
     look: Look
     band: tuple[Array, Array] | None = None
-    fill: bool = False  # down to the axis
+    fill: bool = False
     still: bool = True
-    on: bool = True  # shown from the start in a live chart
+    on: bool = True
 
 
 @dataclass(frozen=True)
 class Dots:
-    """A cloud of samples."""
+    """A cloud of samples.
+
+    Attributes:
+        name: Name in the legend.
+        x: Abscissae (n,).
+        y: Ordinates (n,).
+        look: Style.
+        size: Diameter of a dot [pt].
+        alpha: Opacity from 0 to 1.
+    """
 
     name: str
     x: Array
@@ -86,7 +117,22 @@ class Dots:
 
 @dataclass(frozen=True)
 class Marks:
-    """Single points with intervals; `texts` stand beside them, `notes` are what they say under the pointer."""
+    """Single points, optionally with intervals.
+
+    Attributes:
+        name: Name in the legend.
+        x: Abscissae (n,).
+        y: Ordinates (n,).
+        look: Style.
+        x_interval: Lower and upper abscissae; None without intervals.
+        y_interval: Lower and upper ordinates; None without intervals.
+        texts: Labels beside the points.
+        notes: Texts under the pointer.
+        open: Whether markers are hollow.
+        size: Size of a marker [pt].
+        bar: Width of the interval lines [pt].
+        quiet: Whether the points are absent from the legend, since the labels name the points.
+    """
 
     name: str
     x: Sequence[float]
@@ -98,13 +144,20 @@ class Marks:
     notes: Sequence[str] = ()
     open: bool = False
     size: float = 7.0
-    bar: float = 1.0  # width of the intervals
-    quiet: bool = False  # not in the picture's legend: its texts say who it is
+    bar: float = 1.0
+    quiet: bool = False
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A straight line across the panel at a value of `axis`, with a word where it needs one."""
+    """A straight line across a panel.
+
+    Attributes:
+        axis: Axis of the value, 'x' or 'y'.
+        at: Value.
+        text: Label; '' without a label.
+        look: Style.
+    """
 
     axis: str
     at: float
@@ -114,7 +167,12 @@ class Rule:
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of x that is shaded."""
+    """A shaded interval of x.
+
+    Attributes:
+        low: Lower end.
+        high: Upper end.
+    """
 
     low: float
     high: float
@@ -125,22 +183,42 @@ Item = Line | Dots | Marks | Rule | Span
 
 @dataclass(frozen=True)
 class Panel:
-    """Items on two axes. Panels of the same `link` share their x: zoom and pointer go together."""
+    """Items on two axes.
+
+    Attributes:
+        x: Horizontal axis.
+        y: Vertical axis.
+        items: Items in the order of drawing.
+        title: Title; '' without a title.
+        link: Panels with the same link share zoom and pointer along x.
+        tall: Height relative to the other panels of the chart.
+    """
 
     x: Axis
     y: Axis
     items: tuple[Item, ...]
     title: str = ""
     link: str = ""
-    tall: float = 1.0  # height relative to the others' of its chart
+    tall: float = 1.0
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure of a page. `choices`: the panels by the name of a record; the picture shows the first.
+    """A figure of a page.
 
-    walk: a live chart has buttons that go along x. size: of the picture [inch]. captions: of the choices whose words differ from
-    `caption`, by name.
+    Attributes:
+        name: Stem of the file name.
+        title: Title.
+        alt: Text for readers who cannot see the figure.
+        caption: Caption.
+        choices: Panels by the name of a record; the picture shows the first.
+        columns: Number of columns of panels.
+        size: Size of the picture [inch].
+        walk: Whether a live chart has buttons for moving along x.
+        widths: Relative widths of the columns; empty for equal widths.
+        align: Whether the panels of a column are aligned.
+        still: Number of panels in the picture; None for all.
+        captions: Captions by choice, for choices with another caption than `caption`.
     """
 
     name: str
@@ -153,17 +231,25 @@ class Chart:
     walk: bool = False
     widths: tuple[float, ...] = ()
     align: bool = True
-    still: int | None = None  # how many panels are in the picture; all unless given
+    still: int | None = None
     captions: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def panels(self) -> Sequence[Panel]:
-        """Those of the picture."""
+        """Panels of the picture."""
         return next(iter(self.choices.values()))[: self.still]
 
 
 def picture(chart: Chart, folder: Path) -> Picture:
-    """Draw `chart` into `folder` and make it ready for a page; to be called within `plots.style`."""
+    """Draw a chart into a folder, and return the figure of a page; to be called within `plots.style`.
+
+    Args:
+        chart: The chart.
+        folder: Folder of the PNG file.
+
+    Returns:
+        Figure with picture and live form.
+    """
     fig = figure(*chart.size)
     draw(fig, chart)
     path = save(fig, folder / f"{chart.name}.png")
@@ -174,7 +260,12 @@ def picture(chart: Chart, folder: Path) -> Picture:
 
 
 def draw(fig: Figure, chart: Chart) -> None:
-    """Draw the first choice of `chart` on an empty figure."""
+    """Draw the first choice of a chart on an empty figure.
+
+    Args:
+        fig: The figure.
+        chart: The chart.
+    """
     panels = chart.panels
     columns = min(chart.columns, len(panels))
     rows = -(-len(panels) // columns)
@@ -204,7 +295,7 @@ def draw(fig: Figure, chart: Chart) -> None:
         own = {label: h for h, label in zip(*ax.get_legend_handles_labels(), strict=True)}
         handles |= {k: h for k, h in own.items() if k not in handles}
     if handles:
-        room = max(1, int(chart.size[0] / 7.2 * 95))  # characters
+        room = max(1, int(chart.size[0] / 7.2 * 95))  # width in characters
         wide = 6 + max(map(len, handles))
         fig.legend(
             list(handles.values()),
@@ -214,7 +305,7 @@ def draw(fig: Figure, chart: Chart) -> None:
         )
     if chart.align:
         fig.align_ylabels([ax for ax, _ in beside[::columns]])
-    for ax, panel in beside:  # after the layout is known
+    for ax, panel in beside:  # after the layout is computed
         _label(fig, ax, panel)
 
 
@@ -313,7 +404,7 @@ def _axis(ax: Axes, which: str, axis: Axis) -> None:
 
 
 def _label(fig: Figure, ax: Axes, panel: Panel) -> None:
-    """The words beside points, where they cover nothing."""
+    """Write labels beside points without overlaps."""
     points, spans = [], []
     for m in (i for i in panel.items if isinstance(i, Marks) and i.texts):
         points += [(x, y, t, m.look.colour) for x, y, t in zip(m.x, m.y, m.texts, strict=True)]
@@ -326,7 +417,16 @@ def _label(fig: Figure, ax: Axes, panel: Panel) -> None:
 
 
 def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:
-    """Round numbers between two positive ones: more than two of them where there are."""
+    """Return ticks at round numbers between two positive numbers, if possible more than two.
+
+    Args:
+        low: Lower end.
+        high: Upper end.
+        form: Format of the texts.
+
+    Returns:
+        Positions and texts.
+    """
     ticks: list[float] = []
     for steps in ((1,), (1, 2, 5), range(1, 10), [1 + k / 10 for k in range(90)]):
         ticks = [
@@ -341,7 +441,15 @@ def log_ticks(low: float, high: float, form: str = "{:g}") -> Ticks:
 
 
 def decades(low: float, high: float) -> Ticks:
-    """Ticks at powers of ten between two positive numbers, or rounder ones where there is no decade."""
+    """Return ticks at powers of ten between two positive numbers, or at round numbers within a decade.
+
+    Args:
+        low: Lower end.
+        high: Upper end.
+
+    Returns:
+        Positions and texts.
+    """
     ticks = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)]
     if len(ticks) < 2:
         return log_ticks(low, high)
@@ -353,7 +461,15 @@ def decades(low: float, high: float) -> Ticks:
 
 
 def packed(values: Array, few: int = 64) -> Any:
-    """Numbers for the script: a list where there are `few`, an even grid in three, others on a scale of 16 bits."""
+    """Return numbers in a compact form for the script.
+
+    Args:
+        values: Numbers (n,).
+        few: Largest length of a plain list.
+
+    Returns:
+        A list for few numbers, three numbers for a uniform grid, otherwise 16-bit integers on a scale.
+    """
     values = np.asarray(values, float)
     if len(values) > 2 and np.ptp(steps := np.diff(values)) < 1e-6 * abs(steps[0]):
         return {"from": float(values[0]), "to": float(values[-1]), "n": len(values)}
@@ -369,7 +485,14 @@ def packed(values: Array, few: int = 64) -> Any:
 
 
 def packed_log(values: Array) -> Any:
-    """Positive numbers over many decades, to 16 bits of their logarithm."""
+    """Return positive numbers over many decades as 16-bit integers of their logarithms.
+
+    Args:
+        values: Numbers (n,).
+
+    Returns:
+        The compact form of the logarithms.
+    """
     values = np.asarray(values, float)
     with np.errstate(divide="ignore", invalid="ignore"):
         inner = packed(np.where(values > 0, np.log(values), np.nan))
@@ -377,7 +500,14 @@ def packed_log(values: Array) -> Any:
 
 
 def live(chart: Chart) -> dict[str, Any]:
-    """The chart as the page's script wants it."""
+    """Return a chart in the form of the page's script.
+
+    Args:
+        chart: The chart.
+
+    Returns:
+        Plain data.
+    """
     return {
         "columns": chart.columns,
         "walk": chart.walk,
@@ -416,7 +546,7 @@ def _panel(p: Panel) -> dict[str, Any]:
 
 
 def _order(item: Item) -> int:
-    return 0 if isinstance(item, Line) else 1  # the first line carries the x of all
+    return 0 if isinstance(item, Line) else 1  # the first line holds the x values of all lines
 
 
 def _item(item: Item, panel: Panel, shared: bool) -> dict[str, Any]:

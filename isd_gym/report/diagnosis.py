@@ -1,4 +1,4 @@
-"""The report of a diagnosis: one page that a person can read, print and pass on, and its figures."""
+"""Report of a diagnosis: one page with its figures, to read, print and share."""
 
 from __future__ import annotations
 
@@ -57,39 +57,40 @@ STAGES = {
     "noise_floor": ("noise", "what no model can pass: the measurement noise"),
 }
 RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
-#: of a force without a name: what it depends on
+#: axes of an unnamed force
 OVER = {"rate": "rate", "elongation": "travel", "both": "travel and rate"}
 
 
 def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str, str] | None = None) -> Path:
-    """Write ``diagnosis.json`` and ``model.json`` into `folder`, then ``report.html`` and its figures as PNG beside them.
+    """Write ``diagnosis.json`` and ``model.json`` into a folder, then ``report.html`` and its figures as PNG.
 
-    An earlier diagnosis is replaced in one step by the results, and the results in one step by the folder with its report.
+    The results replace an earlier diagnosis in one step; the folder with the report replaces the results in
+    one step.
 
     Args:
-        diagnosis: The result to show.
-        folder: New, empty or an earlier diagnosis.
+        diagnosis: The result.
+        folder: A new or empty folder, or an earlier diagnosis.
         about: Lines for "how it was done", such as {"model": "rig.json"}.
 
     Returns:
-        The path of the page.
+        Path of the page.
 
     Raises:
-        InputError: `folder` holds anything else, or cannot be written.
-        ReportError: The report cannot be drawn; the results are in `folder`.
+        InputError: The folder holds other files, or cannot be written.
+        ReportError: The report cannot be drawn; the results are in the folder.
     """
     folder = Path(folder)
     with whole_folder(folder, *FOLDER) as place:
         diagnosis.save(place)
     try:
         _draw_report(diagnosis, folder, dict(about or {}))
-    except Exception as error:  # minutes of work are not lost to a picture
+    except Exception as error:  # a failing figure must not lose the results of a long computation
         raise ReportError("the report", error, f"the results are in '{folder}'") from error
     return folder / "report.html"
 
 
 def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> None:
-    """Exchange `folder` for one with the results, the page and its figures."""
+    """Exchange the folder for a folder with the results, the page and its figures."""
     view = View(diagnosis)
     with style(), whole_folder(folder, *FOLDER) as place:
         diagnosis.save(place)
@@ -111,9 +112,13 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
 
 
 def check_target(folder: str | Path) -> None:
-    """Raise `InputError` where `write_report` would not write: before long work, not after it.
+    """Check before long work that `write_report` can write to a folder.
 
-    folder: where it would write.
+    Args:
+        folder: The folder.
+
+    Raises:
+        InputError: The folder holds other files, or cannot be written.
     """
     check_folder(folder, *FOLDER)
 
@@ -123,19 +128,28 @@ def check_target(folder: str | Path) -> None:
 
 @dataclass(frozen=True)
 class Scale:
-    """How a channel is printed: values times `factor` in `unit`."""
+    """Display scale of a channel.
+
+    Attributes:
+        factor: Displayed over SI value.
+        unit: Displayed unit.
+    """
 
     factor: float
     unit: str
 
 
 class View:
-    """A diagnosis made ready for a page: words, scales and the records that are drawn."""
+    """A diagnosis prepared for a page: words, scales and the drawn records.
+
+    Args:
+        diagnosis: The result.
+    """
 
     def __init__(self, diagnosis: Diagnosis) -> None:
         self.d = d = diagnosis
         self.named = bool(d.effects)
-        # whether the new model has anything new
+        # whether the new model differs from the given model
         self.changed = self.named or d.tabulated is not None or d.reason == "kind_certain"
         self.title = TITLES.get(d.verdict, d.verdict)
         if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
@@ -176,7 +190,11 @@ class View:
         return Scale(1.0, unit_text(unit))
 
     def drawings(self) -> list[tuple[str, str]]:
-        """The network as SVG with a title each: as given, and with what was found in colour."""
+        """Return drawings of the network: as given, and with the result in colour.
+
+        Returns:
+            Title and SVG of each drawing.
+        """
         if not isinstance(self.d.base, Network) or not isinstance(self.d.model, Network):
             return []
         known = {e.name for e in self.d.base.elements}
@@ -190,18 +208,29 @@ class View:
             return []
 
     def turns(self, pair: Sequence[str]) -> bool:
-        """Whether what stands between two nodes turns: torque over angle in place of force over travel."""
+        """Return whether two nodes rotate relative to each other: torque over angle instead of force over travel.
+
+        Args:
+            pair: Two nodes.
+        """
         return isinstance(self.d.base, Network) and any(n in self.d.base.rotating for n in pair)
 
     def lights(self, c: Contender) -> str:
-        """What of the drawing lights up for a rival, as JSON."""
+        """Return the highlighted parts of the drawing for a rival.
+
+        Args:
+            c: The rival.
+
+        Returns:
+            JSON list of parts.
+        """
         if not isinstance(self.d.base, Network):
             return "[]"
         return json.dumps([part for where in c.where for part in place_parts(self.d.base, where)])
 
     @property
     def summary(self) -> str:
-        """The diagnosis in a sentence, with units, numbers and channels as the rest of the page writes them."""
+        """Summary of the diagnosis in a sentence, with units, numbers and channels in the style of the page."""
         text = unit_text(self.d.summary)
         text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), text)
         for c in self.channels:
@@ -210,12 +239,26 @@ class View:
 
     @staticmethod
     def place_text(place: Sequence[str]) -> str:
-        """Return a place in words: two nodes, or a channel or motor."""
+        """Return a place in words: two nodes, or a channel or motor.
+
+        Args:
+            place: The place.
+
+        Returns:
+            A phrase.
+        """
         return f"{place[0]} – {place[1]}" if len(place) == 2 else channel_text(place[0])
 
     @staticmethod
     def bar(share: float) -> str:
-        """Return a probability as an inline bar with its figure."""
+        """Return a probability as an inline bar with its value.
+
+        Args:
+            share: Probability from 0 to 1.
+
+        Returns:
+            SVG and text.
+        """
         full, width = 60, 60 * min(max(share, 0.0), 1.0)
         return (
             f'<svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" fill="{PALE}"/>'
@@ -223,7 +266,14 @@ class View:
         )
 
     def effect_text(self, e: Any) -> str:
-        """``coulomb friction between piston and joint``."""
+        """Return an effect in words, such as ``coulomb friction between piston and joint``.
+
+        Args:
+            e: The effect.
+
+        Returns:
+            A phrase.
+        """
         if e.channel is not None:
             return f"{channel_text(e.effect)} in {channel_text(e.channel)}"
         if not e.between:
@@ -232,6 +282,14 @@ class View:
         return f"{channel_text(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
 
     def contender_text(self, c: Any) -> str:
+        """Return a rival in words.
+
+        Args:
+            c: The rival.
+
+        Returns:
+            A phrase.
+        """
         parts = []
         for effect, where in zip(c.effects, c.where, strict=True):
             joined = " and ".join(channel_text(w) if len(where) == 1 else w for w in where)
@@ -239,23 +297,44 @@ class View:
         return ", with ".join(parts)
 
     def quantity(self, q: Any) -> str:
-        """``296.6 N``: the value with as many digits as its interval warrants."""
+        """Return a value with its unit, such as ``296.6 N``, with the digits that its interval warrants.
+
+        Args:
+            q: The quantity.
+
+        Returns:
+            Text.
+        """
         return f"{_digits(q.value, q.low, q.high)}\u00a0{unit_text(q.unit)}".strip()
 
     @staticmethod
     def figure(value: float) -> str:
-        """A figure of a gate: three digits at most, no exponent; a dash where there is none."""
+        """Return the value of a gate with at most three digits and without exponent, or a dash.
+
+        Args:
+            value: The value.
+
+        Returns:
+            Text.
+        """
         if not math.isfinite(value):
             return "–"
         return (f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}").replace("-", "−")
 
     def needed(self, g: Any) -> str:
-        """``≥ 0.05``: what a gate asks of its figure."""
+        """Return the requirement of a gate, such as ``≥ 0.05``.
+
+        Args:
+            g: The gate.
+
+        Returns:
+            Text.
+        """
         return f"{RELATIONS[g.relation]}\u00a0{self.figure(g.limit)}"
 
     @property
     def force_text(self) -> str:
-        """``force between body and wheel, as a table over travel``, of one without a name."""
+        """Description of an unnamed force, such as ``force between body and wheel, as a table over travel``."""
         t = self.d.tabulated
         if t is None:
             return ""
@@ -264,7 +343,7 @@ class View:
 
     @property
     def nearest_text(self) -> str:
-        """The known laws nearest to a force without a name, with the share of the force that each gives."""
+        """Known laws nearest to an unnamed force, with the share of the force that each law explains."""
         near = self.d.tabulated.nearest if self.d.tabulated is not None else ()
         return ", ".join(
             f"{channel_text(name)} ({percent(share, 0, sign=False)} of it)" for name, share in near
@@ -272,7 +351,7 @@ class View:
 
     @property
     def shares_text(self) -> str:
-        """How much of a force over travel and rate one of them alone gives; empty of a force over one."""
+        """Shares of a force over travel and rate that a single axis explains; '' for a force over one axis."""
         shares = self.d.tabulated.shares if self.d.tabulated is not None else ()
         return ", ".join(
             f"a function of {OVER[over]} alone gives {percent(x, 0, sign=False)} of it" for over, x in shares
@@ -280,7 +359,7 @@ class View:
 
     @property
     def best_text(self) -> str:
-        """The best candidate where nothing is named, with what it explains and the gates that it fails; empty where there was none."""
+        """Best candidate without an identified effect, with its explained share and failed gates; '' without a candidate."""
         best = self.d.best_candidate
         if self.named or best is None:
             return ""
@@ -293,38 +372,77 @@ class View:
 
     @property
     def plane_title(self) -> str:
-        """What the dots over the motion are."""
+        """Title of the dots over the motion."""
         agrees = self.d.verdict in ("no_discrepancy", "parameters_only")
         return f"What is {'left over' if agrees else 'missing'}, against the motion"
 
     @property
     def refit_text(self) -> str:
-        """Of which model the parameters are, where something is missing that the refitted model does not have; else empty."""
+        """Model of the parameters, if a force is missing that the refitted model lacks; otherwise ''."""
         if self.d.tabulated is not None:
             return "They are those of the old model refitted, which lacks the force and makes up for a part of it with its parameters."
         return ""
 
     def interval(self, q: Any) -> str:
+        """Return the interval of a quantity.
+
+        Args:
+            q: The quantity.
+
+        Returns:
+            Text.
+        """
         return f"{_digits(q.low, q.low, q.high)} to {_digits(q.high, q.low, q.high)}"
 
     def equation(self, e: Effect) -> str:
+        """Return the equation of an effect.
+
+        Args:
+            e: The effect.
+
+        Returns:
+            Text with typographic symbols.
+        """
         cls = el.TYPES.get(e.effect)
-        # as a reader writes it: the equations of the code are ASCII
+        # the equations in the code are ASCII
         text = cls.equation if cls is not None else ""
         for plain, mark in (("F in ", "F ∈ "), ("^2", "²"), ("^3", "³"), (" - ", " − ")):
             text = text.replace(plain, mark)
         return text
 
     def source(self, e: Effect) -> str:
+        """Return the source of an effect's law.
+
+        Args:
+            e: The effect.
+
+        Returns:
+            Text.
+        """
         cls = el.TYPES.get(e.effect)
         return cls.source if cls is not None else ""
 
     def signature(self, e: Effect) -> str:
+        """Return the characteristic that distinguishes an effect.
+
+        Args:
+            e: The effect.
+
+        Returns:
+            Text.
+        """
         cls = el.TYPES.get(e.effect)
         return cls.signature if cls is not None else ""
 
     def test(self, e: Effect) -> str:
-        """What would have to be seen on a rig if the claim is true, with its figures."""
+        """Return a test that would confirm an effect, with the expected values.
+
+        Args:
+            e: The effect.
+
+        Returns:
+            A sentence; '' if a value is unknown.
+        """
         words = {k: self.quantity(q) for k, q in e.parameters.items()}
         try:
             return el.TYPES[e.effect].test.format_map(words)
@@ -333,7 +451,7 @@ class View:
 
     @property
     def sums(self) -> str:
-        """The gap in one clause: how much of what could be closed is closed."""
+        """Share of the closable gap that is closed, in one clause."""
         if self.d.closed is None:
             return ""
         if self.d.closed < 0:
@@ -342,16 +460,21 @@ class View:
 
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
-        """Base parameters: path, quantity, stated relative one-sigma."""
+        """Base parameters: path, quantity, and relative standard deviation in the model file."""
         return [(path, q, self.d.base.uncertainty.get(path)) for path, q in self.d.parameters.items()]
 
     def odd(self, q: Any, sigma: float | None) -> bool:
-        """Whether a fitted parameter lies beyond twice its stated uncertainty."""
+        """Return whether a fitted parameter is outside of twice its stated uncertainty.
+
+        Args:
+            q: The fitted parameter.
+            sigma: Relative standard deviation in the model file.
+        """
         return bool(sigma and q.prior and abs(q.value / q.prior - 1.0) > 2.0 * sigma)
 
 
 def _digits(value: float, low: float, high: float) -> str:
-    """`value` to two digits of its interval's half width, six in all at most."""
+    """Return a value to two digits of its interval's half width, at most six digits."""
     half = 0.5 * abs(high - low)
     size = max(abs(low), abs(high))
     if not (np.isfinite(half) and half > 0 and size > half * 1e-12):
@@ -360,7 +483,7 @@ def _digits(value: float, low: float, high: float) -> str:
         return number(value, int(np.clip(np.floor(np.log10(size / half)) + 2, 2, 5)))
     places = 1 - math.floor(math.log10(half))
     places = min(places, 5 - math.floor(math.log10(size)))
-    if low < value < high and value != 0.0:  # a value within a wide interval does not vanish: 14.66 is no 0
+    if low < value < high and value != 0.0:  # a value within a wide interval must not vanish: 14.66 is not 0
         places = max(places, 1 - math.floor(math.log10(abs(value))))
     return f"{round(value, places) + 0.0:.{max(0, places)}f}".replace("-", "−")
 
@@ -370,9 +493,16 @@ def _digits(value: float, low: float, high: float) -> str:
 
 @dataclass(frozen=True)
 class Cloud:
-    """The force [N] that measurements ask for between two nodes, sample by sample, over the motion there.
+    """Force between two nodes that the measurements require, sample by sample, over the motion of the nodes.
 
-    `before` on top of the refitted model, `after` on top of the model with what was found; `travel` [m], `rate` [m/s].
+    Attributes:
+        pair: The two nodes.
+        laws: Identified laws between the nodes.
+        effects: Names of the effects.
+        travel: Elongation (n,) [m].
+        rate: Rate of elongation (n,) [m/s].
+        before: Force in addition to the refitted model (n,) [N].
+        after: Force in addition to the model with the result (n,) [N]; None without a result.
     """
 
     pair: tuple[str, str]
@@ -385,7 +515,14 @@ class Cloud:
 
 
 def clouds(view: View) -> list[Cloud]:
-    """A cloud for every pair of nodes between which an effect was found, or for the foremost candidates' one."""
+    """Return a cloud for every pair of nodes with an effect, or for the best candidate.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        Clouds.
+    """
     d, trace = view.d, view.trace
     assert trace is not None
     laws = {law.element: law for law in d.laws}
@@ -431,9 +568,9 @@ def _cloud(
     if new:
         after, _ = response.force({n: trace.measured[n] - trace.after[n] for n in names}, noise)
     travel, rate = motion(d.model if new else d.refitted, trace, pair)
-    if not new:  # the old model's motion, and what the missing force adds to it
+    if not new:  # motion of the old model, plus the motion due to the missing force
         travel, rate = travel + moved[:, 0], rate + moved[:, 1]
-    edge = max(1, len(trace.time) // 20)  # the taper's ends
+    edge = max(1, len(trace.time) // 20)  # ends of the taper
     keep = slice(edge, -edge)
     return Cloud(
         pair,
@@ -448,16 +585,23 @@ def _cloud(
 
 # ------------------------------------------------------------------------------------------------- the figures
 
-#: how the two models are told apart everywhere
+#: styles of the two models in all figures
 MEASURED = Look(INK, "-", "", 1.6)
 BEFORE = Look(VERMILLION, (0, (4, 1.5)), "D", 1.1)
 AFTER = Look(BLUE, "-", "o", 1.0)
 NOISE = Look(INK, (0, (1, 1.5)), "", 0.8)
-MOST_SAMPLES = 360_000  # of records in a page: some 1 MB
+MOST_SAMPLES = 360_000  # largest number of samples of records in a page (about 1 MB)
 
 
 def draw_gap(view: View) -> Chart:
-    """Held-out error of every channel at every stage."""
+    """Return the chart of the held-out error of every channel at every stage.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart.
+    """
     d = view.d
     looks = {
         "before": (Look(MUTED, "-", "s"), True, 6.5),
@@ -493,7 +637,7 @@ def draw_gap(view: View) -> Chart:
 
 
 def _window(view: View, trace: Trace, seconds: float) -> slice:
-    """The stretch of a record where the refitted model errs most."""
+    """Return the stretch of a record with the largest error of the refitted model."""
     c = view.order[0]
     step = float(trace.time[1] - trace.time[0])
     width = min(len(trace.time), max(10, round(seconds / step)))
@@ -503,7 +647,7 @@ def _window(view: View, trace: Trace, seconds: float) -> slice:
 
 
 def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
-    """An axis that a peak of a few samples does not rule, as at the start of a stretch from a state that is not the rig's."""
+    """Return an axis that clips a peak of a few samples, as after a wrong initial state."""
     usual = max(noise, *(float(np.quantile(np.abs(r), 0.99)) for r in left))
     if max(float(np.abs(r).max()) for r in left) <= 3 * usual:
         return axis
@@ -511,13 +655,20 @@ def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
 
 
 def draw_time(view: View) -> Chart | None:
-    """Every record to walk through, signals and what is left over; the picture is the stretch that errs most."""
+    """Return the chart of all records with signals and residuals; the picture shows the stretch with the largest error.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without records.
+    """
     trace = view.trace
     if trace is None:
         return None
     few = view.order[:5]
     traces = [trace, *(t for t in view.d.traces if t is not trace)][:8]
-    each = 5 if view.changed else 3  # series a channel
+    each = 5 if view.changed else 3  # number of series per channel
     share = MOST_SAMPLES / (each * len(view.order) * len(traces))
 
     def panels(t: Trace, names: Sequence[str], shown: tuple[float, float]) -> list[Panel]:
@@ -531,7 +682,7 @@ def draw_time(view: View) -> Chart | None:
             if view.changed:
                 says["with what was found"] = t.after[c]
             looks = dict(zip(says, (MEASURED, BEFORE, AFTER), strict=False))
-            # measured first: it is broader, and shows on both sides of a line that lies on it
+            # the measured signal first: its broader line remains visible under the others
             lines = [Line(n, time, k * y[::every], looks[n]) for n, y in says.items()]
             low, high = (f(float(f(k * y[inside])) for y in says.values()) for f in (min, max))
             room = 0.05 * (high - low) or 1.0
@@ -600,7 +751,14 @@ def draw_time(view: View) -> Chart | None:
 
 
 def draw_spectra(view: View) -> Chart | None:
-    """Spectra of signal and residuals, averaged over the held-out records (over all where none is)."""
+    """Return the chart of the spectra of signal and residuals, averaged over the held-out records (or all records).
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without records.
+    """
     if view.trace is None:
         return None
     step = float(view.trace.time[1] - view.trace.time[0])
@@ -675,7 +833,14 @@ def _force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
 
 
 def draw_plane(view: View) -> Chart | None:
-    """The missing force over motion, before and after; without one, the residual over the motion of its channel."""
+    """Return the chart of the missing force over motion, before and after, or of a channel's residual over its motion.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without records.
+    """
     if not view.clouds:
         return _draw_channel_plane(view)
     panels = []
@@ -729,7 +894,7 @@ def draw_plane(view: View) -> Chart | None:
 
 
 def _sum_of_laws(cloud: Cloud) -> tuple[Array, Array, Array, Array] | None:
-    """Laws over one axis add up; those over the other cannot be drawn here."""
+    """Return the sum of the laws over one axis; laws over another axis cannot be added."""
     if not cloud.laws:
         return None
     same = [law for law in cloud.laws if law.kind == cloud.laws[0].kind]
@@ -740,7 +905,7 @@ def _sum_of_laws(cloud: Cloud) -> tuple[Array, Array, Array, Array] | None:
 
 
 def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
-    """Median of y in bins of x that hold enough samples: middles and medians, which few wild dots do not move."""
+    """Return means of x and medians of y in bins of x with enough samples; the medians are robust to outliers."""
     edges = np.linspace(float(np.quantile(x, 0.002)), float(np.quantile(x, 0.998)), bins + 1)
     index = np.digitize(x, edges) - 1
     pick = [k for k in range(bins) if np.sum(index == k) >= 10]
@@ -748,7 +913,7 @@ def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
 
 
 def _draw_channel_plane(view: View) -> Chart | None:
-    """Residual of one channel over motion, current or its own value: where the gap lives when no force was found."""
+    """Return the chart of a channel's residual over motion, current or signal, for a diagnosis without a force."""
     trace = view.trace
     if trace is None or view.d.verdict == "no_discrepancy":
         return None
@@ -785,7 +950,7 @@ def _draw_channel_plane(view: View) -> Chart | None:
 
 
 def _dots(axis: Axis, x: Array, y: Array, colour: str) -> tuple[list[Item], Axis]:
-    """A cloud, its median along x, and an axis that leaves out the last two thousandths of x."""
+    """Return a cloud, its median along x, and an axis without the outer two thousandths of x."""
     thin = max(1, len(x) // 2500)
     middle, mean = _trend(x, y)
     low, high = (float(q) for q in np.quantile(x, [0.001, 0.999]))
@@ -799,7 +964,7 @@ def _dots(axis: Axis, x: Array, y: Array, colour: str) -> tuple[list[Item], Axis
 
 
 def _abscissa(view: View, trace: Trace, channel: str) -> tuple[Array, Axis]:
-    """What the residual of a found motor or sensor effect hangs on."""
+    """Return the signal on which the residual of a motor or sensor effect depends."""
     step = float(trace.time[1] - trace.time[0])
     unit = view.scales[channel]
     late = any(e.effect in ("sensor_delay", "actuator_delay", "actuator_lag") for e in view.d.effects)
@@ -816,7 +981,7 @@ def _abscissa(view: View, trace: Trace, channel: str) -> tuple[Array, Axis]:
 
 
 def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, Axis], tuple[Array, Axis]]:
-    """Travel and rate to look at a residual over: of a measured displacement, else of a moved node, else its own."""
+    """Return travel and rate as abscissae of a residual: of a measured displacement, a moved node, or the channel itself."""
     step = float(trace.time[1] - trace.time[0])
     quantity = {c.name: c.quantity for c in view.d.base.outputs}
     moved = next((c.name for c in view.d.base.inputs if c.quantity == "displacement"), None)
@@ -834,10 +999,17 @@ def _motion_axes(view: View, trace: Trace, channel: str) -> tuple[tuple[Array, A
 
 
 def draw_law(view: View) -> Chart | None:
-    """Every found law with its interval, and how often the measurements were where."""
+    """Return the chart of every identified law with its interval, and the distribution of the measured motion.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without a law.
+    """
     d = view.d
     effects = list(d.effects)
-    if d.tabulated is not None:  # a law without a name is drawn like one that has one
+    if d.tabulated is not None:  # an unnamed law is drawn like a named law
         t = d.tabulated
         effects.append(Effect("tabulated_force", t.between, None, 0.0, {}, t.element))
     laws = [(law, e) for law in view.laws for e in effects if e.element == law.element]
@@ -893,14 +1065,26 @@ def draw_law(view: View) -> Chart | None:
 
 
 def learned(q: Quantity, sigma: float | None) -> bool:
-    """Whether the measurements say something of a parameter: its interval is narrower than what its owner stated."""
+    """Return whether the measurements determine a parameter: the interval is narrower than the stated uncertainty.
+
+    Args:
+        q: The fitted parameter.
+        sigma: Relative standard deviation in the model file.
+    """
     if not sigma or not q.prior:
         return True
     return (q.high - q.low) < 0.8 * 4 * sigma * abs(q.prior)
 
 
 def draw_parameters(view: View) -> Chart | None:
-    """Prior and found values of the base parameters, as deviations from the prior."""
+    """Return the chart of prior and fitted base parameters, as deviations from the prior.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without parameters.
+    """
     rows = [
         (path, q, sigma)
         for path, q, sigma in view.parameters

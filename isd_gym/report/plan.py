@@ -1,4 +1,4 @@
-"""The page of a plan: smallest nameable sizes, distances between effects, additional sensors."""
+"""Page of a plan: smallest identifiable sizes, distances between effects, additional sensors."""
 
 from __future__ import annotations
 
@@ -21,9 +21,17 @@ SHADES = 3.0  # decades of distance between black and white
 
 
 def write_plan(plan: Plan, path: str | Path) -> Path:
-    """Write the page of a plan as one file that stands alone. Returns its path.
+    """Write the page of a plan as one self-contained file.
 
-    path: the file. Raises `InputError` where it cannot be written.
+    Args:
+        plan: The plan.
+        path: File to write.
+
+    Returns:
+        Path of the page.
+
+    Raises:
+        InputError: The file cannot be written.
     """
     from ..discrepancy.planning import STATUS
 
@@ -48,16 +56,28 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
 
 
 def save_matrix(plan: Plan, path: str | Path) -> None:
-    """Write the picture alone (PNG).
+    """Write the matrix of distances as a PNG file.
 
-    path: the file.
+    Args:
+        plan: The plan.
+        path: File to write.
+
+    Raises:
+        InputError: The file cannot be written.
     """
     with style(), whole(path) as place:
         save(matrix_figure(plan), place)
 
 
 def matrix_figure(plan: Plan) -> Figure:
-    """The matrix of distances as an image, a row and a column for each effect."""
+    """Return the matrix of distances as an image, with a row and a column for each effect.
+
+    Args:
+        plan: The plan.
+
+    Returns:
+        The figure.
+    """
     names = [channel_text(e.label) for e in plan.effects]
     n = len(names)
     side = min(max(0.17 * n, 1.6), 14.0)
@@ -66,7 +86,7 @@ def matrix_figure(plan: Plan) -> Figure:
     with np.errstate(divide="ignore", invalid="ignore"):
         shade = np.clip(np.log10(np.maximum(plan.matrix, 1e-9)), 0.0, SHADES)
     image = ax.imshow(shade, cmap="bone", vmin=0.0, vmax=SHADES, interpolation="nearest")
-    ax.set_facecolor("#f3d9c9")  # nothing known
+    ax.set_facecolor("#f3d9c9")  # unknown distance
     small = 6.5 if n > 30 else 8
     ax.set_xticks(range(n), names, rotation=90, fontsize=small)
     ax.set_yticks(range(n), names, fontsize=small)
@@ -80,7 +100,15 @@ def matrix_figure(plan: Plan) -> Figure:
 
 
 def size_of(e: EffectForecast, amounts: dict[str, Any]) -> str:
-    """``level 12.3 N (shape 2 m)``: what scales, and the shape of which it is told."""
+    """Return the size of an effect with its shape parameters, such as ``level 12.3 N (shape 2 m)``.
+
+    Args:
+        e: The effect.
+        amounts: Quantity by parameter.
+
+    Returns:
+        Text.
+    """
     from ..discrepancy.verdict.wording import plain_number
 
     def one(key: str) -> str:

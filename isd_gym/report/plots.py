@@ -1,7 +1,7 @@
-"""Figures in one style, numbers as one prints them, and pages that stand alone.
+"""Figures in one style, printed numbers, and self-contained pages.
 
-Colours are those of Okabe and Ito (Color Universal Design, 2008); every line also has a dash pattern or a marker of
-its own, so that a page printed in black tells the same story. No figure touches matplotlib's global state.
+The colours are those of Okabe and Ito (Color Universal Design, 2008). Every line also has a dash pattern or a
+marker, so that a black-and-white print remains readable. No figure changes matplotlib's global state.
 """
 
 from __future__ import annotations
@@ -66,7 +66,14 @@ STYLE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Look:
-    """How one of several things is drawn: no two share a colour, a line or a marker."""
+    """Style of a series; no two series share all of colour, line and marker.
+
+    Attributes:
+        colour: Colour.
+        line: Dash pattern of matplotlib.
+        marker: Marker of matplotlib.
+        width: Line width [pt].
+    """
 
     colour: str
     line: Any
@@ -85,7 +92,7 @@ LINES = (
     (0, (1.6, 1.6)),
 )
 MARKERS = ("o", "D", "^", "v", "P", "X", "<", ">", "h", "d", "*")
-#: the thing that others are compared with comes first
+#: the first style belongs to the reference of a comparison
 LOOKS = (
     Look(BLACK, (0, (1.2, 1.2)), "s", 1.2),
     *(Look(c, LINES[i % len(LINES)], MARKERS[i], 1.4) for i, c in enumerate(COLOURS)),
@@ -93,7 +100,14 @@ LOOKS = (
 
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
-    """A look for each name, in order; no two of the first 57 share colour and line, or colour and marker."""
+    """Return a style for each name; no two of the first 57 share colour and line, or colour and marker.
+
+    Args:
+        names: Names; the first is the reference.
+
+    Returns:
+        Style by name.
+    """
     others = (
         Look(COLOURS[i % len(COLOURS)], LINES[i % len(LINES)], MARKERS[i % len(MARKERS)], 1.4)
         for i in range(len(names))
@@ -103,7 +117,11 @@ def looks(names: Sequence[str]) -> dict[str, Look]:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Figures made and saved inside are in the project's style."""
+    """Apply the project's style to figures that are made and saved within the block.
+
+    Yields:
+        Nothing.
+    """
     from matplotlib import rc_context
 
     with rc_context(STYLE):  # type: ignore[arg-type]
@@ -111,7 +129,15 @@ def style() -> Iterator[None]:
 
 
 def figure(width: float = 7.2, height: float = 4.0) -> Figure:
-    """An empty figure [inch] that no global list of figures holds on to."""
+    """Return an empty figure outside of matplotlib's global list.
+
+    Args:
+        width: Width [inch].
+        height: Height [inch].
+
+    Returns:
+        The figure.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -121,7 +147,15 @@ def figure(width: float = 7.2, height: float = 4.0) -> Figure:
 
 
 def save(fig: Figure, path: Path) -> Path:
-    """Write `fig` as PNG of 256 colours, a third of the size; the same bytes for the same figure."""
+    """Write a figure as PNG with 256 colours, a third of the usual size; equal figures give equal bytes.
+
+    Args:
+        fig: The figure.
+        path: File to write.
+
+    Returns:
+        The path.
+    """
     import io
 
     from PIL import Image
@@ -134,34 +168,67 @@ def save(fig: Figure, path: Path) -> Path:
 
 
 def pixels(fig: Figure) -> int:
-    """Width of a figure on a page [CSS pixel]."""
+    """Return the width of a figure on a page.
+
+    Args:
+        fig: The figure.
+
+    Returns:
+        Width [CSS pixel].
+    """
     return round(122 * fig.get_size_inches()[0])
 
 
 def embedded(path: Path) -> str:
-    """A PNG as a data URI, for a page that stands alone."""
+    """Return a PNG file as a data URI, for a self-contained page.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Data URI.
+    """
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure on a page: file `name` in the folder, `alt` for who cannot see it, `caption` (HTML allowed)."""
+    """A figure on a page.
+
+    Attributes:
+        name: File in the folder of the page.
+        title: Title.
+        alt: Text for readers who cannot see the figure.
+        caption: Caption (HTML).
+        data: Data URI of the picture.
+        width: Width at which the text has the size of the page's small print [CSS pixel].
+        live: Live form for the page's script; None without a live form.
+    """
 
     name: str
     title: str
     alt: str
     caption: str
     data: str
-    width: int  # [CSS pixel] at which its text is as large as the page's small print
-    live: dict[str, Any] | None = None  # what the page's script makes of it
+    width: int
+    live: dict[str, Any] | None = None
 
     @property
     def stem(self) -> str:
+        """Stem of the file name."""
         return Path(self.name).stem
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """`value` to so many significant digits, with a true minus sign, without an exponent where one can do without."""
+    """Return a number with a true minus sign, if possible without an exponent.
+
+    Args:
+        value: The number; None for a dash.
+        digits: Number of significant digits.
+
+    Returns:
+        Text.
+    """
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -180,7 +247,16 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def percent(share: float | None, digits: int = 1, *, sign: bool = True) -> str:
-    """A fraction as percent: ``−12.3 %``."""
+    """Return a fraction as percent, such as ``−12.3 %``.
+
+    Args:
+        share: The fraction; None for a dash.
+        digits: Number of decimals.
+        sign: Whether a plus sign is written.
+
+    Returns:
+        Text.
+    """
     if share is None or not math.isfinite(share):
         return "–"
     value = round(100 * share, digits) + 0.0
@@ -188,7 +264,14 @@ def percent(share: float | None, digits: int = 1, *, sign: bool = True) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """A unit as one prints it: ``m/s^2`` -> m/s², ``-`` -> nothing."""
+    """Return a unit in print: ``m/s^2`` -> m/s², ``-`` -> nothing.
+
+    Args:
+        unit: The unit.
+
+    Returns:
+        Text.
+    """
     if unit in ("", "-"):
         return ""
     return (
@@ -202,30 +285,57 @@ def unit_text(unit: str) -> str:
 
 
 def channel_text(name: str) -> str:
-    """The name of a channel as one reads it."""
+    """Return the name of a channel in print.
+
+    Args:
+        name: The name.
+
+    Returns:
+        Text.
+    """
     return name.replace("_", " ")
 
 
 def sentence(text: str) -> str:
-    """The text with a capital first letter; the rest as it is (Hz stays Hz)."""
+    """Return a text with a capital first letter; all other letters are unchanged (Hz stays Hz).
+
+    Args:
+        text: The text.
+
+    Returns:
+        Text.
+    """
     return text[:1].upper() + text[1:]
 
 
 @dataclass(frozen=True)
 class Script:
-    """A script in a page, and the digest by which the page's policy lets it, and nothing else, run."""
+    """A script in a page; the page's policy allows only scripts with a listed digest.
+
+    Attributes:
+        text: The script.
+    """
 
     text: str
 
     @property
     def digest(self) -> str:
+        """SHA-256 digest of the script in base64."""
         return base64.b64encode(hashlib.sha256(self.text.encode("utf-8")).digest()).decode("ascii")
 
 
 def page(template: str, *, pictures: Iterable[Picture] = (), **context: Any) -> str:
-    """The HTML of one of the package's templates; all values are escaped.
+    """Return the HTML of one of the package's templates; all values are escaped.
 
-    Where one of `pictures` has a live form, the plotting scripts and its data go into the page, which fetches nothing.
+    If a picture has a live form, the page includes the plotting scripts and their data, and fetches nothing.
+
+    Args:
+        template: File name of the template.
+        pictures: Figures of the page.
+        context: Values of the template.
+
+    Returns:
+        HTML.
     """
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
@@ -261,7 +371,11 @@ def page(template: str, *, pictures: Iterable[Picture] = (), **context: Any) -> 
 
 
 def versions() -> list[tuple[str, str]]:
-    """What a result hangs on: this package, Python and the numerical libraries."""
+    """Return the versions that a result depends on: this package, Python and the numerical libraries.
+
+    Returns:
+        Name and version of each.
+    """
     out = [("Python", platform.python_version())]
     for name in ("isd-gym", "numpy", "scipy", "numba"):
         try:
@@ -275,29 +389,47 @@ def versions() -> list[tuple[str, str]]:
 
 
 def halo() -> list[Any]:
-    """A white rim, so that text on a line stays legible."""
+    """Return a white rim that keeps text on a line legible.
+
+    Returns:
+        Path effects of matplotlib.
+    """
     from matplotlib.patheffects import withStroke
 
     return [withStroke(linewidth=2.5, foreground="white")]
 
 
 def legend(fig: Figure, ax: Axes, columns: int = 6) -> None:
-    """One legend above all axes."""
+    """Draw one legend above all axes.
+
+    Args:
+        fig: The figure.
+        ax: Axes with the series.
+        columns: Largest number of columns.
+    """
     handles, labels = ax.get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside upper left", ncols=min(columns, max(1, len(labels))))
 
 
 def density(signal: np.ndarray, step: float, window: float = 8.0) -> tuple[np.ndarray, np.ndarray]:
-    """Power spectral density of the columns of `signal`, averaged: frequency [Hz], density [unit²/Hz].
+    """Return the averaged power spectral density of the columns of a signal.
 
-    Hann windows of `window` [s], half overlapping; lines gathered to twelve an octave.
+    Hann windows with half overlap; lines are averaged to twelve per octave.
+
+    Args:
+        signal: Samples (n,) or (n, columns).
+        step: Sampling step [s].
+        window: Length of a window [s].
+
+    Returns:
+        Frequencies [Hz] and densities [unit²/Hz].
     """
     from scipy.signal import welch
 
     length = min(len(signal), round(window / step))
     f, p = welch(signal, 1.0 / step, nperseg=length, axis=0, detrend="constant")
     f, p = f[1:], (p.mean(axis=1) if p.ndim > 1 else p)[1:]
-    # twelve points an octave are enough: the more lines fall into one, the less it scatters
+    # with twelve points per octave, each point averages more lines and scatters less
     index = np.floor(12 * np.log2(f / f[0]) + 1e-6).astype(int)
     count = np.bincount(index)
     some = count > 0
@@ -310,11 +442,18 @@ def label_points(
     points: Sequence[tuple[float, float, str, str]],
     spans: Sequence[tuple[float, float, float, float]] = (),
 ) -> None:
-    """Write (x, y, text, colour) beside each point where it covers no other text, point or span (x0, y0, x1, y1)."""
+    """Write labels beside points without covering other labels, points or spans.
+
+    Args:
+        fig: The figure.
+        ax: The axes.
+        points: x, y, text and colour of each point.
+        spans: Regions (x0, y0, x1, y1) to keep free.
+    """
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 
-    fig.canvas.draw()  # lays the axes out
+    fig.canvas.draw()  # computes the layout of the axes
     renderer = fig.canvas.get_renderer()  # type: ignore[attr-defined]
     to_screen = ax.transData.transform
     marks = np.array([to_screen((x, y)) for x, y, _, _ in points])
@@ -334,14 +473,14 @@ def label_points(
                     arrowprops=dict(arrowstyle="-", color=colour, lw=0.6, shrinkB=3) if reach > 9 else None,
                 )  # fmt: skip
                 label.update_positions(renderer)
-                box = Text.get_window_extent(label).padded(1.5 * unit)  # without its leader
+                box = Text.get_window_extent(label).padded(1.5 * unit)  # without its leader line
                 clash = sum(box.overlaps(b) for b in (*taken, *bars))
                 clash += sum(box.contains(*m) for m in marks)
                 start, end = np.array(to_screen((x, y))), 0.5 * (box.p0 + box.p1)
                 path = [start + w * (end - start) for w in np.linspace(0.0, 1.0, 15)]
                 clash += sum(
                     any(b.contains(*q) for q in path) for b in taken
-                )  # its leader across another text
+                )  # a leader line across another label
                 outside = box.x0 < area.x0 or box.x1 > area.x1 or box.y0 < area.y0 or box.y1 > area.y1
                 value = 10 * clash + 20 * outside + 0.02 * reach
                 if best is None or value < best[0]:

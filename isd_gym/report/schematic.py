@@ -1,8 +1,8 @@
-"""A network drawn as one would on a whiteboard: nodes as bars, masses as boxes, elements between them with their values.
+"""Schematic of a network: nodes as bars, masses as boxes, elements between nodes with their values.
 
-Series and parallel groups are found by reduction of the graph, so that what is in series stands below one another and what
-is in parallel side by side; what is neither (a bridge) stands beside the rest with wires that may cross. A drawing is a list of
-strokes and words, written as SVG (in a page it follows the reader's colours), or as PNG or PDF.
+Reduction of the graph finds series and parallel groups: series groups are drawn one below another, parallel
+groups side by side. Other structures (a bridge) are drawn at the side, with wires that may cross. A drawing
+is a list of strokes and words, written as SVG (in the colours of the reader's page), PNG or PDF.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 GROUND = "ground"
 SYMBOL = 46.0  # height of an element's symbol [px]
-TALL = 84.0  # of an element with its wires
-BOX = 34.0  # of a mass
-LETTER = 6.1  # mean width of a letter of the small print
+TALL = 84.0  # height of an element with its wires [px]
+BOX = 34.0  # height of a mass [px]
+LETTER = 6.1  # mean width of a letter of the small print [px]
 SMALL = 11.0
 SUFFIXES = (".svg", ".png", ".pdf")
-#: colours where no page decides: ink, muted, found, signal
+#: colours outside of a page: ink, muted, found, signal
 PLAIN = {"ink": "#262b30", "muted": "#606870", "found": "#D55E00", "signal": "#0072B2"}
 
 
@@ -38,7 +38,17 @@ PLAIN = {"ink": "#262b30", "muted": "#606870", "found": "#D55E00", "signal": "#0
 
 @dataclass
 class Stroke:
-    """A polyline; closed and filled where it says so."""
+    """A polyline.
+
+    Attributes:
+        points: Corners (x, y) [px].
+        part: Part of the network to which the stroke belongs.
+        colour: Name of the colour.
+        width: Line width [px].
+        closed: Whether the polyline is closed.
+        filled: Whether the area is filled.
+        dashed: Whether the line is dashed.
+    """
 
     points: list[tuple[float, float]]
     part: str = ""
@@ -51,6 +61,19 @@ class Stroke:
 
 @dataclass
 class Word:
+    """A text.
+
+    Attributes:
+        x: Horizontal position [px].
+        y: Vertical position [px].
+        text: The text.
+        part: Part of the network to which the text belongs.
+        colour: Name of the colour.
+        anchor: 'start', 'middle' or 'end'.
+        bold: Whether the text is bold.
+        size: Font size [px].
+    """
+
     x: float
     y: float
     text: str
@@ -63,7 +86,15 @@ class Word:
 
 @dataclass
 class Drawing:
-    """Strokes and words on a sheet of `width` by `height` [px]; `part` of each says what it belongs to."""
+    """Strokes and words on a sheet.
+
+    Attributes:
+        width: Width of the sheet [px].
+        height: Height of the sheet [px].
+        strokes: Polylines.
+        words: Texts.
+        title: Title.
+    """
 
     width: float = 0.0
     height: float = 0.0
@@ -72,7 +103,15 @@ class Drawing:
     title: str = ""
 
     def svg(self, *, inline: bool = False) -> str:
-        """As SVG; `inline` in the colours of the page it stands in (CSS variables), else in its own on white."""
+        """Return the drawing as SVG.
+
+        Args:
+            inline: Whether the colours are those of the surrounding page (CSS variables), instead of fixed
+                colours on white.
+
+        Returns:
+            SVG text.
+        """
 
         def colour(name: str) -> str:
             return (
@@ -103,7 +142,17 @@ class Drawing:
         return f"{head}<title>{escape(self.title)}</title>{back}{body}</svg>"
 
     def save(self, path: str | Path) -> Path:
-        """Write it; the suffix says how. Raises `InputError` for another suffix or a place that cannot be written."""
+        """Write the drawing in the format of the suffix.
+
+        Args:
+            path: File to write (.svg, .png or .pdf).
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: The suffix is unknown, or the file cannot be written.
+        """
         from ..files import whole, write_text
 
         path = Path(path)
@@ -145,7 +194,14 @@ class Drawing:
 
 
 def check_suffix(path: Path) -> None:
-    """Raise `InputError` for a file that no drawing can be."""
+    """Check that a file name has the suffix of a drawing.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: The suffix is unknown.
+    """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"cannot draw to '{path}': end the name in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
@@ -157,7 +213,15 @@ def check_suffix(path: Path) -> None:
 
 @dataclass(frozen=True)
 class Piece:
-    """An element, or pieces in series from the top down (`inner` the nodes between them), or in parallel."""
+    """An element, a series group from the top down, or a parallel group.
+
+    Attributes:
+        top: Upper node.
+        bottom: Lower node.
+        element: The element; None for a group.
+        parts: Pieces of a group.
+        inner: Nodes between the pieces of a series group.
+    """
 
     top: str
     bottom: str
@@ -167,20 +231,42 @@ class Piece:
 
     @property
     def series(self) -> bool:
+        """Whether the piece is a series group."""
         return bool(self.inner)
 
     def flipped(self) -> Piece:
+        """Return the piece upside down.
+
+        Returns:
+            The piece.
+        """
         parts = tuple(p.flipped() for p in self.parts)
         if self.series:
             parts = parts[::-1]
         return Piece(self.bottom, self.top, self.element, parts, self.inner[::-1])
 
     def reads(self, top: str) -> Piece:
+        """Return the piece with a given upper node.
+
+        Args:
+            top: Upper node.
+
+        Returns:
+            The piece.
+        """
         return self if self.top == top else self.flipped()
 
 
 def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
-    """Pieces merged in parallel and in series, through every node but those to `keep`, until nothing changes."""
+    """Merge pieces in parallel and in series as far as possible.
+
+    Args:
+        pieces: Elements between nodes.
+        keep: Nodes that stay.
+
+    Returns:
+        Merged pieces.
+    """
     pieces, keep = list(pieces), set(keep)
     while True:
         by_pair: dict[frozenset[str], list[Piece]] = {}
@@ -218,7 +304,15 @@ def reduced(pieces: Sequence[Piece], keep: Iterable[str]) -> list[Piece]:
 
 
 def values_text(e: el.Element | Lever, network: Network) -> list[str]:
-    """The numbers of an element or lever with their units, a line each."""
+    """Return the parameters of an element or lever with their units.
+
+    Args:
+        e: The element or lever.
+        network: The model.
+
+    Returns:
+        Lines.
+    """
     if not isinstance(e, el.Element):
         return [
             f"ratio {number(e.ratio, _digits(e.ratio))} {e.unit}".removesuffix(" m/m").removesuffix(
@@ -232,21 +326,22 @@ def values_text(e: el.Element | Lever, network: Network) -> list[str]:
         value = getattr(e, f.name)
         if not isinstance(value, int | float):
             continue
-        unit = unit_text(network.unit_of(f"{e.name}.{f.name}"))  # what turns has others than the class says
+        # rotational elements have other units than the class states
+        unit = unit_text(network.unit_of(f"{e.name}.{f.name}"))
         scaled, prefix = _prefixed(float(value), unit)
         out.append(f"{scaled} {prefix}{unit}" if unit else f"{channel_text(f.name)} {scaled}")
     return out[:3]
 
 
 def _briefly(e: el.Element, network: Network) -> str:
-    """``sensor gain 1.13``: what an element without terminals is, and its numbers."""
+    """Return an element without terminals and its parameters in words, such as ``sensor gain 1.13``."""
     name = channel_text(e.type)
     values = (v.removeprefix(f"{name.split()[-1]} ") for v in values_text(e, network))
     return " ".join([name, *values])
 
 
 def _prefixed(value: float, unit: str) -> tuple[str, str]:
-    """``709 k`` of 709000: as one writes it, where the unit takes a prefix."""
+    """Return a number and a prefix of the unit, such as ``709 k`` for 709000, if the unit takes a prefix."""
     if unit[:1] in ("N", "m") and not unit.startswith(("m³", "m²")):
         if abs(value) >= 1e6:
             return number(value / 1e6, _digits(value)), "M"
@@ -258,7 +353,7 @@ def _prefixed(value: float, unit: str) -> tuple[str, str]:
 
 
 def _digits(value: float) -> int:
-    """As many significant digits as the value was given with, two to four."""
+    """Return the number of significant digits of a value, from two to four."""
     for n in (1, 2, 3):
         if value == 0 or math.isclose(float(f"{value:.{n - 1}e}"), value, rel_tol=1e-9):
             return max(n, 1)
@@ -282,16 +377,17 @@ class _Sheet:
             title=f"{network.name}: {network.description}" if network.description else network.name
         )
         self.y: dict[str, tuple[float, float]] = {}  # node -> upper and lower edge
-        self.x: dict[str, list[float]] = {}  # node -> where something is attached
-        self.beside: dict[str, list[str]] = {}  # element -> what else is written there
+        self.x: dict[str, list[float]] = {}  # node -> positions of attached elements
+        self.beside: dict[str, list[str]] = {}  # element -> further texts at the element
         self.carried = {**network.masses, **{b.name: b.mass for b in network.bodies}}
         #: points and angles are drawn at the box of their body
         self.home = {n: b.name for b in network.bodies for n in b.nodes[1:]}
         self.points = {p.name: (p.x, p.y) for b in network.bodies for p in b.points}
-        self.attached: dict[str, list[float]] = {}  # point -> where something is attached
-        self.columns: dict[str, float] = {}  # distance that is measured -> where its arrow stands
-        self.right = 0.0  # where the elements end
-        self.signal: dict[str, list[tuple[str, str]]] = {}  # element -> channels there, and their ink
+        self.attached: dict[str, list[float]] = {}  # point -> positions of attached elements
+        self.columns: dict[str, float] = {}  # measured distance -> position of its arrow
+        self.right = 0.0  # right end of the elements
+        # element -> channels of the element, and their colours
+        self.signal: dict[str, list[tuple[str, str]]] = {}
         for e in network.elements:
             if e.place == "element":
                 self.beside.setdefault(e.where[0], []).append(_briefly(e, network))
@@ -304,7 +400,7 @@ class _Sheet:
                 self.signal.setdefault(name, []).append((f"→ {text}", ink))
 
     def output(self, c: Channel) -> tuple[str, str]:
-        """An output with what its sensor does to it, and its ink."""
+        """Return an output with the effects at its sensor, and its colour."""
         sensors = [e for e in self.net.elements if e.place == "channel" and e.where[0] == c.name]
         found = any(e.name in self.found for e in sensors)
         text = ", ".join([_channel(c), *(_briefly(e, self.net) for e in sensors)])
@@ -335,7 +431,7 @@ class _Sheet:
         return sum(self.width(q) for q in p.parts)
 
     def margin(self, p: Piece) -> float:
-        """Room at the left for the names of nodes without mass."""
+        """Return the width at the left for the names of nodes without mass."""
         return max([LETTER * len(n) + 8.0 for n in p.inner if n not in self.carried], default=0.0)
 
     def tall(self, n: str) -> float:
@@ -362,7 +458,7 @@ class _Sheet:
     # placing
 
     def place(self, p: Piece, x: float, top: float, bottom: float, wide: float) -> None:
-        """Draw a piece in the strip that begins at x and is `wide`, between two heights."""
+        """Draw a piece in the strip of width `wide` from x, between two heights."""
         if p.element is not None:
             self.draw_element(p, x, top, bottom, wide)
         elif p.series:
@@ -385,7 +481,7 @@ class _Sheet:
                 x += own
 
     def ends(self, p: Piece) -> tuple[str, str]:
-        """Upper and lower node of an element's piece as the network has them, points of bodies by their own names."""
+        """Return the upper and lower node of an element's piece in the network; points of bodies keep their names."""
         assert p.element is not None
         where = p.element.between
         first, second = where
@@ -462,7 +558,7 @@ class _Sheet:
                             Stroke([(left + 9 * k + 9, at), (left + 9 * k, at + 9)], part, "muted", 1.0)
                         )
                 else:
-                    # a name inside the drawing where it covers nothing: left of its bar
+                    # a name inside the drawing, left of its bar, if the space is free
                     self.out.words.append(Word(left - 5, at + 4, channel_text(n), part, "muted", "end"))
             self.edge[n] = (left, right, 0.5 * (top + bottom))
         for body in net.bodies:
@@ -470,7 +566,8 @@ class _Sheet:
                 self.draw_points(body)
 
     def draw_points(self, body: Body) -> None:
-        """Draw the points of a body along its lower edge where elements hang, along its upper edge where none does; and its angles."""
+        """Draw the points of a body along its lower edge if elements are attached, otherwise along its upper
+        edge; and its angles."""
         left, right, _ = self.edge[body.name]
         top, bottom = self.y[body.name]
         free = [p.name for p in body.points if p.name not in self.attached]
@@ -502,11 +599,11 @@ class _Sheet:
             self.edge[node] = self.edge[body.name]
 
     def height_of(self, n: str) -> float:
-        """Height at which the motion of a node is drawn: of a point where elements hang, the lower edge of its body."""
+        """Return the height of the arrow for a node's motion; for a point with elements, the lower edge of its body."""
         return self.y[n][1] if n in self.attached else self.edge[n][2]
 
     def keep_column(self, p: Piece, x: float) -> float:
-        """Reserve room at the right of a corner for the distances that are measured there; return where the room ends."""
+        """Reserve space at the right of a corner for measured distances, and return the end of the space."""
         nodes: set[str] = set()
         todo = [p]
         while todo:
@@ -612,7 +709,7 @@ LETTERED = {
 
 
 def _pieces(sheet: _Sheet) -> list[Piece]:
-    """The elements and levers as pieces between drawn nodes: a point of a body is drawn at the body."""
+    """Return elements and levers as pieces between drawn nodes; a point of a body is drawn at the body."""
     out = []
     between: list[el.Element | Lever] = [e for e in sheet.net.elements if e.place == "between"]
     for e in (*between, *sheet.net.levers):
@@ -623,9 +720,9 @@ def _pieces(sheet: _Sheet) -> list[Piece]:
 
 
 def _poles(sheet: _Sheet, pieces: Sequence[Piece]) -> tuple[str, list[str]]:
-    """What stands above everything, and what below: the ground or the moved node, of a car with bodies all of these.
+    """Return the top node, and the bottom nodes: the ground or the moved node; for a car with bodies, all moved nodes.
 
-    As they are without the elements that were found, so that the model stands as it stood before.
+    Found elements are ignored, so that the arrangement of the model stays the same.
     """
     network = sheet.net
     known = [p for p in pieces if p.element is not None and p.element.name not in sheet.found] or pieces
@@ -642,7 +739,7 @@ def _poles(sheet: _Sheet, pieces: Sequence[Piece]) -> tuple[str, list[str]]:
         ring = sorted({m for n in ring for m in near[n]} - set(far))
         for n in ring:
             far[n] = 1 + min(far[m] for m in near[n] if m in far)
-    # among the farthest: a mass, as a car's body is, and one that is held by the most
+    # among the most distant nodes: a mass, such as a car's body, with the most elements
     mass = sheet.carried
     top = max(far, key=lambda n: (far[n] > 0, n in mass, n in moved, far[n], mass.get(n, 0.0)))
     if bottom == GROUND and moved and not mass:
@@ -653,7 +750,18 @@ def _poles(sheet: _Sheet, pieces: Sequence[Piece]) -> tuple[str, list[str]]:
 
 
 def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
-    """The network as a `Drawing`; the elements named in `found` stand out. Raises `InputError` where it has no element."""
+    """Return the drawing of a network.
+
+    Args:
+        network: The model.
+        found: Names of elements to highlight.
+
+    Returns:
+        The drawing.
+
+    Raises:
+        InputError: The network has no elements between nodes.
+    """
     if not any(e.place == "between" for e in network.elements):
         raise InputError("a network without elements between nodes cannot be drawn")
     sheet = _Sheet(network, found)
@@ -685,12 +793,12 @@ def draw(network: Network, *, found: Iterable[str] = ()) -> Drawing:
 
 
 def _depths(pieces: Sequence[Piece], top: str, bottoms: Collection[str]) -> dict[str, int]:
-    """Rows of the nodes of what is no series or parallel group, from the top down."""
+    """Return the rows of the nodes outside of series and parallel groups, from the top down."""
     near: dict[str, set[str]] = {}
     for p in pieces:
         near.setdefault(p.top, set()).add(p.bottom)
         near.setdefault(p.bottom, set()).add(p.top)
-    # the voltages of a chain of resistors: every inner node between its neighbours
+    # voltages of a chain of resistors: every inner node lies between its neighbours
     level = {n: 0.0 if n == top else 1.0 if n in bottoms else 0.5 for n in near}
     for _ in range(200):
         for n in near:
@@ -716,7 +824,7 @@ def _place_others(
     begin: float,
     tallest: float,
 ) -> float:
-    """What is neither in series nor in parallel: each node on a row of its own, each piece in a column."""
+    """Place pieces outside of series and parallel groups: each node in a row, each piece in a column."""
     depth = _depths(pieces, top, bottoms)
     pitch = tallest / (len(depth) + 1)
     for n, k in depth.items():
@@ -731,7 +839,7 @@ def _place_others(
 
 
 def _arrow(sheet: _Sheet, x: float, y0: float, y1: float, part: str, both: bool = False) -> None:
-    """A vertical arrow from y0 to y1."""
+    """Draw a vertical arrow from y0 to y1."""
     s = math.copysign(5.0, y1 - y0)
     sheet.out.strokes.append(Stroke([(x, y0), (x, y1)], part, "signal", 1.2))
     sheet.out.strokes.append(Stroke([(x - 3.5, y1 - s), (x, y1), (x + 3.5, y1 - s)], part, "signal", 1.2))
@@ -740,11 +848,11 @@ def _arrow(sheet: _Sheet, x: float, y0: float, y1: float, part: str, both: bool 
 
 
 def _signals(sheet: _Sheet, x: float) -> None:
-    """Inputs and outputs at nodes and between them, then the size of the sheet."""
+    """Draw inputs and outputs at and between nodes, then set the size of the sheet."""
     net, out = sheet.net, sheet.out
     right = max([x, *(e[1] for e in sheet.edge.values())]) + 10.0
     used: dict[str, int] = {}
-    taken: dict[str, float] = {}  # node -> where its words end
+    taken: dict[str, float] = {}  # node -> end of its texts
     widest = right
     sides = [(c, f"{_channel(c)} in", "signal", c.quantity != "force") for c in net.inputs]
     sides += [(c, *sheet.output(c), False) for c in net.outputs]
@@ -757,7 +865,7 @@ def _signals(sheet: _Sheet, x: float) -> None:
         k = used[stack] = used.get(stack, -1) + 1
         part = f"ch:{c.name}"
         ax, ay = end + 14.0, at + 17.0 * k
-        # what is positive points up; what is moved goes both ways
+        # positive values point up; moved nodes have arrows in both directions
         _arrow(sheet, ax, ay + 7, ay - 8, part, both=both)
         out.words.append(Word(ax + 9, ay + 4, words, part, ink))
         taken[node] = max(taken.get(node, 0.0), ax + 12 + LETTER * 1.03 * len(words))
@@ -771,13 +879,13 @@ def _signals(sheet: _Sheet, x: float) -> None:
         column = beside if own is None else own
         ys = [sheet.height_of(n) for n in c.between]
         for n, y in zip(c.between, ys, strict=True):
-            if n in sheet.attached:  # the arrow reaches the body itself
+            if n in sheet.attached:  # the arrow reaches the body
                 continue
             start = max(sheet.edge[n][1], taken.get(n, 0.0)) + 4
             out.strokes.append(Stroke([(start, y), (column + 6, y)], part, "muted", 0.6, dashed=True))
         _arrow(sheet, column, max(ys), min(ys), part, both=True)
         text, ink = sheet.output(c)
-        # beside the arrow, not at the height of a node
+        # beside the arrow, away from the height of a node
         place = min(ys) + 0.5 * (max(ys) - min(ys))
         out.words.append(Word(column + 7, place, text, part, ink))
         if own is None:
@@ -799,7 +907,15 @@ def _signals(sheet: _Sheet, x: float) -> None:
 
 
 def place_parts(network: Network, where: Sequence[str]) -> list[str]:
-    """What lights up in a drawing for a place: two nodes and what stands between them, a motor, or a channel."""
+    """Return the highlighted parts of a drawing for a place.
+
+    Args:
+        network: The model.
+        where: Two nodes, a motor, or a channel.
+
+    Returns:
+        Names of parts.
+    """
     if len(where) == 2:
         between = [e.name for e in network.elements if e.place == "between" and set(e.where) == set(where)]
         return [*(f"node:{n}" for n in where), *(f"el:{n}" for n in between)]

@@ -1,4 +1,4 @@
-"""The page of a score: what a vehicle engineer asks to see, to be explored on screen and printed."""
+"""Page of a score, to explore on screen and to print."""
 
 from __future__ import annotations
 
@@ -35,15 +35,24 @@ SIGNALS = {
     "tyre_load": ("dynamic tyre load", "kN", 1e-3),
     "current": ("motor current", "A", 1.0),
 }
-WELCH = 8.0  # [s], window of the spectra
-MOST_SAMPLES = 400_000  # of time histories in a page: some 1 MB
+WELCH = 8.0  # window of the spectra [s]
+MOST_SAMPLES = 400_000  # largest number of samples of time histories in a page (about 1 MB)
 
 
 def score_report(score: Score, folder: str | Path) -> Path:
-    """Write ``index.html`` (one file that opens anywhere), its figures as PNG, and ``score.json`` into `folder`.
+    """Write the page of a score: ``index.html`` (self-contained), its figures as PNG, and ``score.json``.
 
-    The folder appears whole or not at all; an earlier report is replaced. Returns the path of the page. Raises
-    `InputError` where `folder` holds anything else.
+    The folder is written atomically; an earlier report is replaced.
+
+    Args:
+        score: The score.
+        folder: A new or empty folder, or an earlier report.
+
+    Returns:
+        Path of the page.
+
+    Raises:
+        InputError: The folder holds other files, or cannot be written.
     """
     folder = Path(folder)
     shown = Shown(score)
@@ -56,19 +65,27 @@ def score_report(score: Score, folder: str | Path) -> Path:
 
 
 def check_report(folder: str | Path) -> None:
-    """Raise `InputError` where `score_report` would not write: before long work, not after it.
+    """Check before long work that `score_report` can write to a folder.
 
-    folder: where it would write.
+    Args:
+        folder: The folder.
+
+    Raises:
+        InputError: The folder holds other files, or cannot be written.
     """
     check_folder(folder, SCORE_KIND, "score.json", SCORE_PARTS)
 
 
 class Shown:
-    """A score made ready for drawing: who is shown how, and whom others are compared with."""
+    """A score prepared for drawing: the style of each policy, and the reference.
+
+    Args:
+        score: The score.
+    """
 
     def __init__(self, score: Score) -> None:
         self.score = score
-        self.reference = next(iter(score.runs))  # everybody's comparison is driven first
+        self.reference = next(iter(score.runs))  # the reference is driven first
         for row in score.policies:
             if row["cost"].get("change") == 0.0 and row["cost"].get("low") == row["cost"].get("high") == 0.0:
                 self.reference = row["policy"]
@@ -137,11 +154,18 @@ class Shown:
 
     @property
     def left_out(self) -> str:
-        """Which bounds and published figures are not shown, and why; nothing where all are."""
+        """Omitted bounds and published figures with the reasons; '' if nothing is omitted."""
         return self.score.references.get("left_out") or self.score.comparable.left_out or ""
 
     def few(self, count: int) -> tuple[list[str], str]:
-        """The reference and the `count` best, and a sentence on who is left out: nobody can follow many curves."""
+        """Return the reference and the best policies, since many curves are unreadable.
+
+        Args:
+            count: Number of policies besides the reference.
+
+        Returns:
+            Names, and a sentence on the omitted policies.
+        """
         others = sorted((n for n in self.names if n != self.reference), key=lambda n: self.costs[n].mean())
         kept = [n for n in self.names if n == self.reference or n in others[:count]]
         gone = [n for n in self.names if n not in kept]
@@ -149,7 +173,7 @@ class Shown:
 
     @property
     def level(self) -> list[str]:
-        """Who cannot be told from the best: the 95 % paired interval of the difference in cost holds zero."""
+        """Policies that are indistinguishable from the best: the 95 % paired interval of the difference in cost includes zero."""
         if self.score.episodes < 2:
             return []
         draws = np.random.default_rng(0).integers(self.score.episodes, size=(2000, self.score.episodes))
@@ -162,13 +186,21 @@ class Shown:
         return out
 
     def interval(self, q: dict[str, Any]) -> str:
-        """``[−24.3, −21.9] %``, the 95 % interval of a change; nothing where there is none."""
+        """Return the 95 % interval of a change, such as ``[−24.3, −21.9] %``.
+
+        Args:
+            q: Quantity of a score.
+
+        Returns:
+            Text; '' without an interval.
+        """
         if self.score.episodes < 2 or q.get("low") is None or q["low"] == q["high"] == 0.0:
             return ""
         return f"[{percent(q['low'])[:-2]}, {percent(q['high'])[:-2]}]"
 
     @property
     def headline(self) -> str:
+        """Main result of the score, in a sentence."""
         row = self.rows.get(self.best)
         if row is None or self.best == self.reference or "change" not in row["cost"]:
             return f"No policy shown here costs less than {self.reference}."
@@ -201,7 +233,15 @@ class Shown:
         )
 
     def change(self, name: str, key: str) -> np.ndarray:
-        """Change of each episode against the reference's same episode (episodes,), as a fraction."""
+        """Return the change of each episode against the same episode of the reference.
+
+        Args:
+            name: Policy.
+            key: Quantity.
+
+        Returns:
+            Changes (episodes,), as fractions.
+        """
         own, base = (self._by_episode(n, key) for n in (name, self.reference))
         with np.errstate(divide="ignore", invalid="ignore"):
             return own / base - 1.0
@@ -214,7 +254,14 @@ class Shown:
 
 
 def histories(shown: Shown) -> Chart:
-    """Episodes to walk through; the picture is four seconds of a middling one, around the reference's hardest moment."""
+    """Return the chart of all episodes; the picture shows four seconds of a median episode around the reference's worst moment.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart.
+    """
     base = shown.runs[shown.reference]
     order = np.argsort(shown.costs[shown.reference])
     middle, hardest = int(order[len(order) // 2]), int(order[-1])
@@ -288,7 +335,14 @@ def histories(shown: Shown) -> Chart:
 
 
 def spectra(shown: Shown) -> Chart | None:
-    """PSDs above, their ratio to the reference below."""
+    """Return the chart of the power spectral densities, and of their ratios to the reference.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart; None for short or constant signals.
+    """
     from ..scoring import frequency_weighting
 
     units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
@@ -296,7 +350,7 @@ def spectra(shown: Shown) -> Chart | None:
         units[f"{axis}_acceleration"] = "(rad/s²)²/Hz"
     scales = dict.fromkeys(units, 1.0) | {"suspension_travel": 1e3}
     if not all(np.any(shown.runs[shown.reference].of(key)) for key in units):
-        return None  # nothing moves
+        return None  # no motion
     few, left_out = shown.few(3)
     marks = tuple((t, f"{t:g}") for t in (0.5, 1, 2, 5, 10, 20, 50))
     x = Axis("frequency", "Hz", log=True, low=0.4, high=50.0, ticks=marks)
@@ -321,7 +375,7 @@ def spectra(shown: Shown) -> Chart | None:
         low, high = max(0.5 * least, 1e-6 * most), 2 * most
         title = SIGNALS[key][0]
         extra: tuple[Item, ...] = ()
-        if key == "body_acceleration":  # drawn between the axis and a decade above it
+        if key == "body_acceleration":  # drawn from the axis to a decade above
             w = low * 10 ** (0.25 * np.log10(high / low) * frequency_weighting(f[keep]))
             extra = (Line("W_k, how strongly one feels it", f[keep], w, LOOKS[0], fill=True),)
         y = Axis("density", unit, log=True, low=low, high=high, ticks=decades(low, high))
@@ -344,7 +398,14 @@ def spectra(shown: Shown) -> Chart | None:
 
 
 def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
-    """Tyre load change and the causal bound's (travel change, acceleration change), where its conditions hold."""
+    """Return the causal bound in the plane of travel and acceleration for several tyre loads, if its conditions hold.
+
+    Args:
+        score: The score.
+
+    Returns:
+        Change of the tyre load, and curve (k, 2) of travel change and acceleration change.
+    """
     from ..errors import InputError
     from ..plugins import REFERENCES, plugins
 
@@ -367,14 +428,21 @@ def fronts(score: Score) -> list[tuple[float, np.ndarray]]:
                         ),
                     )
                 )
-            except InputError:  # a road or a car for which there is no such bound
+            except InputError:  # a road or a car without such a bound
                 return []
         return [(tyre, curve) for tyre, curve in out if len(curve) > 2]
     return []
 
 
 def trade_off(shown: Shown) -> Chart:
-    """Acceleration over travel, both as change against the reference; the tyre load is written beside."""
+    """Return the chart of acceleration over travel, as changes against the reference, with labels of the tyre load.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart.
+    """
     from ..scoring import PAPER
 
     items: list[Item] = [Rule("x", 0.0), Rule("y", 0.0)]
@@ -487,12 +555,19 @@ def trade_off(shown: Shown) -> Chart:
 
 
 def distribution(shown: Shown) -> Chart | None:
-    """Change of every episode against the reference's own on the same road."""
+    """Return the chart of the changes of all episodes against the reference on the same road.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart; None for a single episode.
+    """
     names = [n for n in shown.names if n != shown.reference and n in shown.rows]
     if not names or shown.score.episodes < 2:
         return None
     order = np.arange(shown.score.episodes)
-    # spread by golden angle: same figure every time, neighbours apart
+    # spread by the golden angle: reproducible, with distant neighbours
     lift = 0.22 * (2 * np.mod(order * 0.61803398875, 1.0) - 1)
     panels = []
     for key, (title, _, _, _) in COLUMNS.items():
@@ -528,7 +603,14 @@ def distribution(shown: Shown) -> Chart | None:
 
 
 def limits(shown: Shown) -> Chart:
-    """Share of time that a signal spends above a value, up to and beyond the limit."""
+    """Return the chart of the share of time that a signal spends above a value, up to and beyond the limit.
+
+    Args:
+        shown: The prepared score.
+
+    Returns:
+        The chart.
+    """
     from ..scoring import LIMITS
 
     few, left_out = shown.few(3)

@@ -1,9 +1,9 @@
-"""JSON Schemas of the file formats: `isd-model/1`, `isd-score/1`, `isd-diagnosis/1` and the rest of `NAMES` (draft 2020-12).
+"""JSON Schemas (draft 2020-12) of the file formats: `isd-model/1`, `isd-score/1`, `isd-diagnosis/1` and the others in `NAMES`.
 
-The files ``isd-*.json`` in this folder are shipped for editors and other programs. The model's schema is made from the
-element classes by `model_schema`, so that a new element appears in it; ``python -m isd_gym.schemas`` writes it anew.
-A schema says what a file looks like. What belongs together (a node that exists, a motor of that name) is said by
-`isd_gym.network.Network.load`, in one line.
+The files ``isd-*.json`` in this folder are shipped for editors and other programs. `model_schema` generates
+the schema of models from the element classes, including new elements; ``python -m isd_gym.schemas`` writes
+the file. A schema describes the structure of a file. References within a file (a node that exists, a motor of
+a given name) are checked by `isd_gym.network.Network.load`, with one-line errors.
 """
 
 from __future__ import annotations
@@ -25,7 +25,17 @@ MOTION = ("displacement", "velocity", "acceleration", *ANGULAR)
 
 
 def load(name: str) -> dict[str, Any]:
-    """A shipped schema by its name ('isd-model/1' or 'isd-model-1'). Raises `InputError` for another name."""
+    """Return a shipped schema.
+
+    Args:
+        name: Name of the format, such as 'isd-model/1' or 'isd-model-1'.
+
+    Returns:
+        The schema.
+
+    Raises:
+        InputError: No such schema exists.
+    """
     stem = name.replace("/", "-")
     if stem not in NAMES:
         known = ", ".join(n[:-2] + "/1" for n in NAMES)
@@ -34,7 +44,11 @@ def load(name: str) -> dict[str, Any]:
 
 
 def model_schema() -> dict[str, Any]:
-    """Schema of `isd-model/1` with every element type that is registered."""
+    """Return the schema of `isd-model/1` with every registered element type.
+
+    Returns:
+        The schema.
+    """
     from ..elements import TYPES
     from ..network import SCHEMA
     from ..network.bodies import MASSES
@@ -82,7 +96,7 @@ def model_schema() -> dict[str, Any]:
                     "type": "object",
                     "required": ["name", "type"],
                     "properties": {"type": {"enum": types}},
-                    # one branch is looked at, so that an error names the key that is wrong
+                    # validation follows one branch, so that an error names the wrong key
                     "allOf": [
                         {
                             "if": {"properties": {"type": {"const": kind}}, "required": ["type"]},
@@ -181,7 +195,7 @@ def _about(quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
 
 
 def _element(cls: type) -> dict[str, Any]:
-    """An element: its place, and each parameter with unit, limits and plausible range."""
+    """Return the schema of an element: its place, and each parameter with unit, limits and plausible range."""
     place = {"$ref": "#/$defs/pair"} if cls.place == "between" else {"$ref": "#/$defs/name"}  # type: ignore[attr-defined]
     properties: dict[str, Any] = {
         "name": {"$ref": "#/$defs/name"},
@@ -227,7 +241,7 @@ def _element(cls: type) -> dict[str, Any]:
 
 
 def _units(quantity: str) -> list[str]:
-    """Every spelling of the units that `quantity` is accepted in."""
+    """Return every spelling of the units of a quantity."""
     from ..units import _SPELLINGS, QUANTITIES, TABLE
 
     si = QUANTITIES[quantity][1]
@@ -236,7 +250,7 @@ def _units(quantity: str) -> list[str]:
 
 
 def _channel(place: dict[str, Any], quantities: tuple[str, ...], more: dict[str, Any]) -> dict[str, Any]:
-    """A channel of one of `quantities` at `place`, in a unit that measures it."""
+    """Return the schema of a channel of one of `quantities` at `place`."""
     return {
         "type": "object",
         "required": ["name", "quantity", "unit", *place],
@@ -300,5 +314,12 @@ def _output() -> dict[str, Any]:
 
 
 def dumps(schema: dict[str, Any]) -> str:
-    """A schema as the text of its file."""
+    """Return a schema as the text of its file.
+
+    Args:
+        schema: The schema.
+
+    Returns:
+        JSON text.
+    """
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"

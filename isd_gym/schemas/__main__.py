@@ -1,4 +1,4 @@
-"""Write the model's schema anew, after an element was added or changed."""
+"""Write the schema of models, after an element was added or changed."""
 
 from pathlib import Path
 
