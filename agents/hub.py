@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym import cards
+from isd_gym.benchmark import cards
 from isd_gym.errors import InputError, plain
 from isd_gym.files import check_folder, whole_folder
 from isd_gym.network import Network

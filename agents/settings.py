@@ -63,7 +63,7 @@ def robust() -> tuple[dict[str, Any], Sensors]:
     Returns:
         Ranges for the environment, and sensors.
     """
-    from isd_gym.grid import Grid
+    from isd_gym.benchmark.grid import Grid
 
     given = dict(Grid.load("robust").random)
     ranges = {name: tuple(span) for name, span in given["factors"].items()}

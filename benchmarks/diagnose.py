@@ -50,7 +50,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import grading
 from grading import Row
 
-from isd_gym import engine
+from isd_gym.benchmark import engine
 from isd_gym.errors import InputError
 
 if TYPE_CHECKING:

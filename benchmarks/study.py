@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from agents.policy import SHIPPED, Policy
-from isd_gym import engine
+from isd_gym.benchmark import engine
+from isd_gym.benchmark.grid import Condition, Grid
 from isd_gym.errors import InputError
 from isd_gym.files import write_text
-from isd_gym.grid import Condition, Grid
 from isd_gym.network import Network
 
 SCHEMA = "isd-study/2"

@@ -26,7 +26,7 @@ import grading
 import study
 
 from baselines.ceiling import known
-from isd_gym import cards
+from isd_gym.benchmark import cards
 from isd_gym.discrepancy.selection import criteria
 
 if TYPE_CHECKING:

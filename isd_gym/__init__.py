@@ -4,8 +4,9 @@ Importing the package makes its environments known to Gymnasium and loads nothin
 (`isd_gym.env`, `isd_gym.road`, ...), come with their first use.
 
 What a suspension is: `elements`, `network`, `networks` (the built-in models). How it moves: `kernel`, `road`, `simulate`,
-`vehicle`, `batch`. Records: `data`, `schemas`. Functional mock-up units: `fmi`. The environment: `task`, `env`, `cost`; on it `driving`, `policies`, `scoring`,
-`sb3`, `record`, `sweep`. The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`. The program: `commands`.
+`vehicle`, `batch`. Records: `data`, `schemas`. Functional mock-up units: `fmi`. The environment: `task`, `env`, `cost`, `sb3`;
+on it `benchmark` (policies, scores, cards, sweeps). The diagnosis: `discrepancy`. Views: `report`, `rendering`, `show`. The
+program: `commands`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
     from typing import Any
 
+    from .benchmark.scoring import Score as Score
+    from .benchmark.scoring import score as score
     from .cost import StageCost as StageCost
     from .data import Table as Table
     from .data import read_table as read_table
@@ -26,8 +29,6 @@ if TYPE_CHECKING:
     from .errors import InputError as InputError
     from .network import Network as Network
     from .network import linearise as linearise
-    from .scoring import Score as Score
-    from .scoring import score as score
     from .simulate import simulate as simulate
 
 __version__ = "0.1.0"
@@ -39,13 +40,13 @@ _HOME = {
     "ISDSuspensionVectorEnv": "env",
     "InputError": "errors",
     "Network": "network",
-    "Score": "scoring",
+    "Score": "benchmark.scoring",
     "StageCost": "cost",
     "Table": "data",
     "diagnose": "discrepancy",
     "linearise": "network",
     "read_table": "data",
-    "score": "scoring",
+    "score": "benchmark.scoring",
 }
 __all__ = [*_HOME, "simulate"]
 

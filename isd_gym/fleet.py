@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .engine import Outcome, Task, stored
-from .engine import run as run_tasks
+from .benchmark.engine import Outcome, Task, stored
+from .benchmark.engine import run as run_tasks
 from .errors import InputError, ReportError, plain, shown
 from .files import claim_folder, write_text
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .driving import Entry
+    from .benchmark.driving import Entry
     from .rendering import CarSnapshot, Snapshot
     from .road import Road
 

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from isd_gym import cards
+from isd_gym.benchmark import cards
 from isd_gym.cli import main
 from isd_gym.errors import InputError
 from isd_gym.scoring import score
@@ -95,7 +95,7 @@ def test_the_command_makes_cards_and_scores_against_them(tmp_path, monkeypatch, 
         raise AssertionError("driven before it was refused")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isd_gym.scoring.drive", driven)
+        patch.setattr("isd_gym.benchmark.scoring.drive", driven)
         for other in (["--duration", "0.6"], ["--seed", "1"], ["--road", "C"], ["--sensors", "noise=1"]):
             patch.setattr(
                 sys,

@@ -153,7 +153,7 @@ def test_a_card_fits_a_narrow_terminal():
     import contextlib
     import io
 
-    from isd_gym import cards
+    from isd_gym.benchmark import cards
     from isd_gym.commands._card_table import print_track
 
     text = io.StringIO()
@@ -277,7 +277,7 @@ LISTEN = "signal.signal(signal.SIGINT, signal.default_int_handler)"
 def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
     """Stopped in the middle of the drives, whose start the first line of a policy shows."""
     code = (
-        "import signal, sys, isd_gym.scoring as s; drive = s.drive\n"
+        "import signal, sys, isd_gym.benchmark.scoring as s; drive = s.drive\n"
         f"{LISTEN}\n"
         "def stopping(*args, **kwargs):\n"
         "    import os, signal; os.kill(os.getpid(), signal.SIGINT); return drive(*args, **kwargs)\n"
@@ -297,7 +297,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
 def test_ctrl_c_in_a_callback_that_swallows_it(then):
     """As in a callback of the compiler: it goes on, or fails with an error of its own."""
     code = (
-        "import sys, time, os, signal, ctypes, isd_gym.scoring as s\n"
+        "import sys, time, os, signal, ctypes, isd_gym.benchmark.scoring as s\n"
         f"{LISTEN}\n"
         "@ctypes.CFUNCTYPE(None)\n"
         "def callback():\n"

@@ -7,7 +7,7 @@ import pytest
 
 from agents import hub
 from agents.policy import Policy
-from isd_gym import cards
+from isd_gym.benchmark import cards
 from isd_gym.errors import InputError
 
 pytest.importorskip("pygame", reason="films need isd-gym[render]")

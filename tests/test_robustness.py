@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from isd_gym.grid import Grid
+from isd_gym.benchmark.grid import Grid
 from isd_gym.sweep import sweep
 
 ROOT = Path(__file__).parent.parent

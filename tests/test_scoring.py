@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from isd_gym import scoring
+from isd_gym.benchmark import scoring
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isd_gym import engine
+from isd_gym.benchmark import engine
+from isd_gym.benchmark.engine import Task
+from isd_gym.benchmark.grid import Condition, Grid
+from isd_gym.benchmark.sweep import _watched, drive_item, overall, sweep
 from isd_gym.driving import Entry
-from isd_gym.engine import Task
 from isd_gym.errors import InputError
-from isd_gym.grid import Condition, Grid
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
 from isd_gym.scoring import score
-from isd_gym.sweep import _watched, drive_item, overall, sweep
 
 GRID = """
 policies = ["isd-passive", "skyhook"]
@@ -123,7 +123,7 @@ def test_what_cannot_be_done_is_a_line_and_the_rest_goes_on(tmp_path, importable
 
 def test_killed_as_a_whole_it_goes_on_where_it_was(tmp_path, importable):
     code = (
-        "from pathlib import Path\nfrom isd_gym import engine\nimport test_sweep\n"
+        "from pathlib import Path\nfrom isd_gym.benchmark import engine\nimport test_sweep\n"
         f"folder = Path({str(tmp_path)!r})\n"
         "if __name__ == '__main__':\n"
         "    engine.run(test_sweep._tasks('slow', folder, 12), folder / 'out', jobs=2)\n"

@@ -15,7 +15,7 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
     from rich.table import Table
     from rich.text import Text
 
-    from ..cards import ranking
+    from ..benchmark.cards import ranking
 
     rows = ranking(card, name, scores)
     console = printer()

@@ -22,7 +22,7 @@ def complete(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
 
 def policy_names() -> Iterable[str]:
     """Return the names of the policies that can be found."""
-    from ..policies import available
+    from ..benchmark.policies import available
 
     return available()
 

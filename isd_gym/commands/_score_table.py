@@ -15,7 +15,7 @@ def print_score(result: Any) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from ..scoring import PAPER, corner_measures
+    from ..benchmark.scoring import PAPER, corner_measures
 
     console = printer()
     narrow = console.width < 106

@@ -33,7 +33,7 @@ def command(
 
     Example: isd-gym card score.json
     """
-    from .. import cards
+    from ..benchmark import cards
 
     found = [_read(path) for path in scores or ()]
     if write is not None:

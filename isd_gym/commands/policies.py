@@ -13,7 +13,7 @@ def command(json_file: JsonOption = None) -> None:
 
     Example: isd-gym policies
     """
-    from ..policies import available
+    from ..benchmark.policies import available
 
     known = available()
     write_json(json_file, {"policies": known})

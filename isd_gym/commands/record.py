@@ -35,9 +35,9 @@ def command(
 
     Example: isd-gym record mpc --out isd/mpc-v0
     """
+    from ..benchmark.policies import find
+    from ..benchmark.record import ID, write_dataset
     from ..network import Network
-    from ..policies import find
-    from ..record import ID, write_dataset
 
     plant = Network.load(network)
     entry = find(policy, plant, speed=speed, trust_zip=trust_zip)

@@ -82,13 +82,13 @@ def command(
 
     Example: isd-gym score passive isd-passive mpc
     """
+    from ..benchmark.policies import find, passive
+    from ..benchmark.scoring import score as run
+    from ..benchmark.scoring import unscored
     from ..loggers import ChannelMap
     from ..loggers.records import road_of
     from ..network import Network
-    from ..policies import find, passive
     from ..road import road as find_road
-    from ..scoring import score as run
-    from ..scoring import unscored
     from ..sensors import Sensors
 
     check_file(json_file, network, model, road)
@@ -114,7 +114,7 @@ def command(
     }
     card = track = None
     if against is not None:
-        from .. import cards
+        from ..benchmark import cards
 
         card = cards.load(against)
         track = cards.match(unscored(entries, plant, **drives).to_dict(), card)["track"]

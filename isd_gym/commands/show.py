@@ -37,8 +37,8 @@ def command(
 
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
+    from ..benchmark.policies import find
     from ..network import Network
-    from ..policies import find
     from ..road import road as find_road
     from ..show import check_window, film, live
 

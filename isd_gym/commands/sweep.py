@@ -47,8 +47,8 @@ def command(
 
     Example: isd-gym sweep grid.toml --out runs/sweep --jobs 2
     """
-    from ..grid import Grid
-    from ..sweep import check_policies, items_are, sweep
+    from ..benchmark.grid import Grid
+    from ..benchmark.sweep import check_policies, items_are, sweep
 
     made = Grid.load(grid)
     check_policies(made)
@@ -78,7 +78,7 @@ def _print(merged: Mapping[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from ..sweep import change_cell, items_are, rows
+    from ..benchmark.sweep import change_cell, items_are, rows
 
     names, lines = rows(merged)
     console = printer()

@@ -16,10 +16,10 @@ def command() -> None:
 
     import numpy as np
 
-    from ..grid import Condition
+    from ..benchmark.grid import Condition
+    from ..benchmark.policies import find
+    from ..benchmark.scoring import drive
     from ..network import Network
-    from ..policies import find
-    from ..scoring import drive
     from ..simulate import simulate
 
     def ready(what: str, begin: float) -> None:

@@ -15,7 +15,7 @@ from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..scoring import Score
+    from ..benchmark.scoring import Score
 
 SCORE_KIND = "score report"
 SCORE_PARTS = ("index.html", "score.json", "*.png")
@@ -115,7 +115,7 @@ class Shown:
     @property
     def corner_tables(self) -> list[dict[str, tuple[str, str, int, float]]]:
         """Tables of axes and corners: heading, unit, decimals and scale by measure; none of a quarter car."""
-        from ..scoring import corner_measures
+        from ..benchmark.scoring import corner_measures
 
         return [
             {
@@ -343,7 +343,7 @@ def spectra(shown: Shown) -> Chart | None:
     Returns:
         The chart; None for short or constant signals.
     """
-    from ..scoring import frequency_weighting
+    from ..benchmark.scoring import frequency_weighting
 
     units = {"body_acceleration": "(m/s²)²/Hz", "suspension_travel": "mm²/Hz", "tyre_load": "N²/Hz"}
     for axis in shown.car.axes:
@@ -443,7 +443,7 @@ def trade_off(shown: Shown) -> Chart:
     Returns:
         The chart.
     """
-    from ..scoring import PAPER
+    from ..benchmark.scoring import PAPER
 
     items: list[Item] = [Rule("x", 0.0), Rule("y", 0.0)]
     xs, ys = [0.0], [0.0]
@@ -611,7 +611,7 @@ def limits(shown: Shown) -> Chart:
     Returns:
         The chart.
     """
-    from ..scoring import LIMITS
+    from ..benchmark.scoring import LIMITS
 
     few, left_out = shown.few(3)
     least = max(0.5 / shown.runs[shown.reference].current.size, 1e-6)

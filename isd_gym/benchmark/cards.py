@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import InputError, shown
-from .inputs import read_json
+from ..errors import InputError, shown
+from ..inputs import read_json
 from .scoring import compare
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 SCHEMA = "isd-card/1"
-BUILT_IN = Path(__file__).parent / "references"
+BUILT_IN = Path(__file__).parents[1] / "references"
 #: keys that must agree for two scores on the same roads, and tolerance of the roads' fingerprints
 SAME = ("network", "road", "speed", "episodes", "duration", "seed")
 CLOSE = 1e-6
@@ -119,7 +119,7 @@ def make(environment: str, tracks: Sequence[Mapping[str, Any]], date: str) -> di
     Raises:
         InputError: The tracks cannot be combined.
     """
-    from . import __version__
+    from .. import __version__
 
     card = {
         "schema": SCHEMA,

@@ -41,17 +41,17 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from ..errors import InputError, hint, shown
+from ..inputs import is_number, parse_json, read_bytes
+from ..network import Network
+from ..sensors import Sensors
 from .engine import Task
-from .errors import InputError, hint, shown
-from .inputs import is_number, parse_json, read_bytes
-from .network import Network
-from .sensors import Sensors
 
 SCHEMA = "isd-sweep/1"
 #: largest numbers of conditions and items, largest number in a grid, and largest size of a file of a grid
 #: [bytes]
 CONDITIONS, ITEMS, LARGEST, BELONGING = 10_000, 1_000_000, 1e100, 2**30
-BUILT_IN = Path(__file__).parent / "grids"
+BUILT_IN = Path(__file__).parents[1] / "grids"
 SENSES = tuple(f.name for f in fields(Sensors))
 #: keys of [random]: ranges of numbers, and choices
 RANGES, CHOICES = ("speed", "preview", "noise", "road_error", "road_lag", "road_range"), ("road", "network")
@@ -169,7 +169,7 @@ def _network(source: str, changed: float) -> Network:
 
 @lru_cache(maxsize=256)
 def _check_road(source: str, changed: float) -> None:
-    from .road import road
+    from ..road import road
 
     road(source)
 

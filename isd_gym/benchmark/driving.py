@@ -1,0 +1,234 @@
+"""Policies that drive: the interface of controllers, and the loop in which a policy drives many cars."""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from ..batch import CURRENT_LIMIT
+from ..errors import InputError
+from ..vehicle import kind, vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import DTypeLike
+
+    from ..env import ISDSuspensionVectorEnv
+    from ..network import Network
+
+
+class Controller(Protocol):
+    """Interface of a controller.
+
+    A quarter car has one current per observation (6,). A car with several motors has currents (currents,) per
+    observation (signals,).
+
+    Optional attributes: `reset_batch(n)` and `act_batch(observations (n, signals)) -> (n,) or (n, currents)`
+    for many cars, `fallbacks` (a count), `observation` ("measured", "full" or "preview": the wanted
+    observation), and `preview` [s] (the wanted length of the road ahead).
+    """
+
+    name: str
+
+    def reset(self) -> None:
+        """Clear the memory: a new road starts at rest."""
+
+    def act(self, observation: np.ndarray) -> float | np.ndarray:
+        """Return the commanded current.
+
+        Args:
+            observation: Observation (signals,).
+
+        Returns:
+            Current [A], or currents (currents,) [A].
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A policy in a score.
+
+    Attributes:
+        name: Name in the score.
+        make: Returns a new controller at every call.
+        network: Plant of the policy; None for the common plant.
+    """
+
+    name: str
+    make: Callable[[], Controller]
+    network: Network | None = None
+
+
+class Idle:
+    """A controller with zero current.
+
+    Args:
+        name: Name in the score.
+        model: The car, which gives the number of currents; None for a quarter car.
+    """
+
+    observation = "measured"
+    fallbacks = 0
+
+    def __init__(self, name: str, model: Network | None = None) -> None:
+        self.name, self.model = name, model
+        self.currents = 1 if model is None else len(vehicle(model).driven)
+
+    def reset(self) -> None:
+        """Do nothing: there is no memory."""
+
+    def act(self, observation: np.ndarray) -> float | np.ndarray:
+        """Return zero current for each motor.
+
+        Args:
+            observation: Without effect.
+
+        Returns:
+            Current [A], or currents (currents,) [A].
+        """
+        return 0.0 if self.currents == 1 else np.zeros(self.currents)
+
+    def reset_batch(self, count: int) -> None:
+        """Do nothing: there is no memory.
+
+        Args:
+            count: Number of cars.
+        """
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Return zero current for each motor of each car.
+
+        Args:
+            observations: Observations (n, signals).
+
+        Returns:
+            Currents (n,) or (n, currents) [A].
+        """
+        count = len(observations)
+        return np.zeros(count) if self.currents == 1 else np.zeros((count, self.currents))
+
+
+class Crew:
+    """A policy that drives several cars, with one controller for all cars or one per car.
+
+    `observation` is the wanted observation, `preview` [s] the wanted length of the road ahead, and `times`
+    [s] the processor times of single decisions with one controller per car.
+
+    Args:
+        entry: The policy.
+        cars: Number of cars.
+    """
+
+    def __init__(self, entry: Entry, cars: int) -> None:
+        first: Any = entry.make()
+        self.name, self.cars = entry.name, cars
+        self.observation: str = getattr(first, "observation", "measured")
+        self.preview = float(getattr(first, "preview", 0.25)) if self.observation == "preview" else 0.0
+        self.batched = hasattr(first, "act_batch")
+        self.controllers = [first] if self.batched else [first, *(entry.make() for _ in range(cars - 1))]
+        self.times: list[float] = []
+
+    def reset(self) -> None:
+        """Clear the memory: new roads begin."""
+        if self.batched:
+            self.controllers[0].reset_batch(self.cars)
+        else:
+            for c in self.controllers:
+                c.reset()
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Return the commanded currents.
+
+        Args:
+            observations: Observations (cars, n).
+
+        Returns:
+            Currents (cars,) or (cars, currents) [A].
+        """
+        if self.batched:
+            return np.asarray(self.controllers[0].act_batch(observations))
+        out = []
+        for c, observation in zip(self.controllers, observations, strict=True):
+            begin = clock.process_time()
+            out.append(c.act(observation))
+            self.times.append(clock.process_time() - begin)
+        return np.asarray(out)
+
+    @property
+    def fallbacks(self) -> int:
+        """Number of safe substitute decisions of all controllers."""
+        return sum(int(getattr(c, "fallbacks", 0)) for c in self.controllers)
+
+
+class Leg(NamedTuple):
+    """One control step of all cars.
+
+    Attributes:
+        step: Index of the step.
+        seen: Observations before the step (cars, n).
+        actions: Commanded currents (cars, currents) [A].
+        rewards: Rewards of the step (cars,).
+        ahead: Observations after the step (cars, n).
+    """
+
+    step: int
+    seen: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    ahead: np.ndarray
+
+
+def travel(
+    crew: Crew,
+    env: ISDSuspensionVectorEnv,
+    steps: int,
+    *,
+    seed: int = 0,
+    dtype: DTypeLike = float,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Leg]:
+    """Drive all cars from their start; episode i has the road of seed ``seed + i``.
+
+    Args:
+        crew: The policy.
+        env: Environment with one car per car of the crew.
+        steps: Number of control steps.
+        seed: Seed of the first episode.
+        dtype: Type of the commands, which are limited to the action space.
+        progress: Called now and then with the finished share.
+
+    Yields:
+        Each control step.
+
+    Raises:
+        InputError: A car breaks, or the policy commands another number of currents.
+    """
+    crew.reset()
+    obs, _ = env.reset(seed=seed)
+    for k in range(steps):
+        seen = obs
+        actions = _commands(crew, seen, env, dtype)
+        obs, rewards, terminated, _, _ = env.step(actions)
+        if terminated.any():
+            raise InputError(f"'{crew.name}' broke the car in episode {int(np.argmax(terminated))}")
+        yield Leg(k, seen, actions, rewards, obs)
+        if progress is not None and (k % 100 == 99 or k == steps - 1):
+            progress((k + 1) / steps)
+
+
+def _commands(crew: Crew, seen: np.ndarray, env: ISDSuspensionVectorEnv, dtype: DTypeLike) -> np.ndarray:
+    """Return the commands of a crew within the action space (cars, currents) [A]."""
+    count = len(env.task.vehicle.driven)
+    found = np.asarray(crew.act(seen), dtype)
+    if found.size != crew.cars * count:
+        own = found.size // crew.cars
+        raise InputError(
+            f"'{crew.name}' commands {own} current{'s' * (own != 1)}, but network '{env.network.name}' is a "
+            f"{kind(env.network)} with {count}: choose a policy of that car"
+        )
+    return found.reshape(crew.cars, count).clip(-CURRENT_LIMIT, CURRENT_LIMIT)

@@ -1,0 +1,172 @@
+"""Policies by name: the built-in policies and those of other packages, found by the entry points `isd_gym.policies`.
+
+Each entry point is a function ``open(name, model, cost, control_step, options) -> Entry | None``; None means
+an unknown name.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import Any
+
+from ..cost import StageCost
+from ..errors import InputError, shown
+from ..network import Network
+from ..network.bodies import Point
+from ..plugins import POLICIES, plugins
+from ..vehicle import kind, vehicle
+from .driving import Entry, Idle
+
+__all__ = ["Entry", "Idle", "conventional", "find", "passive"]
+
+
+#: built-in conventional passive cars by number of corners
+CONVENTIONAL = {1: "quarter-car-passive", 2: "half-car-passive", 4: "full-car-passive"}
+
+
+def conventional(network: Network) -> Network:
+    """Return the conventional passive car of a network: spring and damper in parallel at each corner.
+
+    The car keeps masses, inertias and points of the network, and coefficients of the same names. Body and
+    wheel of a quarter car are its first two masses; those of other cars are the body and the wheel of each
+    corner.
+
+    Args:
+        network: Network of a car.
+
+    Returns:
+        Network of the passive car.
+
+    Raises:
+        InputError: The network is no car, or has another number of corners than 1, 2 or 4.
+    """
+    own, count = vehicle(network), len(vehicle(network).corners)
+    if count not in CONVENTIONAL:
+        raise InputError(
+            f"network '{network.name}' has {count} corners: conventional passive cars have 1, 2 or 4 of them"
+        )
+    car = Network.load(CONVENTIONAL[count])
+    parameters = network.parameters
+    shared = {k: parameters[k] for k in car.parameters if k in parameters}
+    if count == 1:
+        masses = {f"{k}.mass": network.masses[o] for k, o in zip(car.masses, network.masses, strict=False)}
+        return car.with_parameters(shared | masses)
+    corners = list(zip(vehicle(car).corners, own.corners, strict=True))
+    masses = {f"{one.wheel}.mass": network.masses[other.wheel] for one, other in corners}
+    given = network.bodies[0]
+    held = {one.body: Point(one.body, other.x, other.y) for one, other in corners}
+    free = [p for p in given.points if p.name not in held and p.name not in {c.body for c in own.corners}]
+    body = replace(given, name=car.bodies[0].name, points=(*held.values(), *free))
+    known = set(car.parameters)
+    return replace(
+        car.with_parameters({k: v for k, v in (shared | masses).items() if k in known}),
+        bodies=(body,),
+        outputs=(),
+        uncertainty={},
+    )
+
+
+def passive(network: Network) -> Entry:
+    """Return the reference of every score: the conventional passive car.
+
+    Args:
+        network: Network of a car.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The network is no car, or has another number of corners than 1, 2 or 4.
+    """
+    car = conventional(network)
+    return Entry("passive", lambda: Idle("passive", car), car)
+
+
+def find(
+    name: str,
+    network: Network,
+    *,
+    model: Network | None = None,
+    cost: StageCost | None = None,
+    control_step: float = 5e-3,
+    speed: float | None = None,
+    trust_zip: bool = False,
+    **options: Any,
+) -> Entry:
+    """Return a policy by its name: passive, isd-passive, a baseline, or a trained policy.
+
+    A .zip file holds pickles and is opened only with `trust_zip`.
+
+    Args:
+        name: A name in `available`, or the path of a policy folder or .zip file.
+        network: The plant.
+        model: Model of a controller; None for the plant.
+        cost: Stage cost that a controller minimises; None for the usual one.
+        control_step: Control step [s].
+        speed: Speed of the car [m/s], the option `speed` of controllers of a car with two axles; None if
+            unknown.
+        trust_zip: Whether a .zip file may be opened.
+        options: Settings of a controller.
+
+    Returns:
+        The policy.
+
+    Raises:
+        InputError: The name is unknown, or the policy does not fit the plant.
+    """
+    if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
+        raise InputError(
+            f"{shown(name, 200)} is an archive with pickles in it: convert it once with `isd-gym convert`, "
+            "or say --trust-zip if it is your own"
+        )
+    car = vehicle(network)
+    if name == "passive":
+        return passive(network)
+    if name == "isd-passive":
+        return Entry(name, lambda: Idle(name, network))
+    cost, belief = StageCost.of(cost, car.axes, len(car.corners)), model or network
+    if kind(belief) != kind(network):
+        raise InputError(
+            f"the controllers' model '{belief.name}' is a {kind(belief)}, but the plant '{network.name}' is a {kind(network)}"
+        )
+    if speed is not None and len(car.corners) > 1:
+        options["speed"] = speed
+    known = ["passive", "isd-passive"]
+    for point in plugins(POLICIES):
+        opener = point.load()
+        entry = opener(name, belief, cost, control_step, options)
+        if entry is not None:
+            return entry
+        known += getattr(opener, "names", list)()
+    known = list(dict.fromkeys(known))
+    near = get_close_matches(name[:80], known, 1)
+    asked = f" (did you mean '{near[0]}'?)" if near else ""
+    raise InputError(
+        f"no policy {shown(name, 200)}{asked}: neither a policy folder nor one of {', '.join(known)}"
+    )
+
+
+def available() -> dict[str, str]:
+    """Return the names that need no path: built-in policies, baselines, shipped policies and those of other packages.
+
+    The function of an entry point may have an attribute `about`, a function that returns {name: description},
+    or `names`, a function that returns names.
+
+    Returns:
+        One-line description by name.
+    """
+    known = {
+        "passive": "the conventional passive car: spring and damper in parallel; what all are compared with",
+        "isd-passive": "the plant without current",
+    }
+    for point in plugins(POLICIES):
+        opener = point.load()
+        own = (
+            opener.about()
+            if hasattr(opener, "about")
+            else dict.fromkeys(getattr(opener, "names", list)(), point.value)
+        )
+        known |= {name: text for name, text in own.items() if name not in known}
+    return known

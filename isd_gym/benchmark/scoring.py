@@ -1,0 +1,727 @@
+"""Scores of policies: the same environment, the same roads, paired differences (`isd-score/1`)."""
+
+from __future__ import annotations
+
+import time as clock
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import elements as el
+from ..comparability import Comparable, comparable
+from ..cost import StageCost, square
+from ..errors import InputError, shown
+from ..network import Network
+from ..road import road as find_road
+from ..sensors import Sensors
+from ..vehicle import Corner, Vehicle, vehicle
+from .driving import Controller, Crew, Entry, Idle, travel
+from .policies import find, passive
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from ..road import Road
+
+__all__ = [
+    "LIMITS",
+    "PAPER",
+    "SCHEMA",
+    "Controller",
+    "Entry",
+    "Idle",
+    "Run",
+    "Score",
+    "comfort_point",
+    "drive",
+    "frequency_weighting",
+    "score",
+    "weighted_rms",
+]
+
+SCHEMA = "isd-score/1"
+RESISTANCE = 3.8  # Ohm, Table 1
+LIMITS = {
+    "body_acceleration": 5.0,
+    "suspension_travel": 0.08,
+    "current": 5.0,
+    "current_change": 0.5,
+}  # Table 5
+RESAMPLES = 4000
+TIMED = 1500  # number of decisions of a batched policy that are repeated one at a time to measure the time
+#: Tables 7 and 8: passive, active RMS of acceleration [m/s^2], travel [m], tyre load [N]
+PAPER = {
+    "Table 7 (simulation)": ((0.8306, 7.6e-3, 518.0), (0.6565, 6.3e-3, 515.0)),
+    "Table 8 (bench)": ((1.0030, 7.9580e-3, 915.9), (0.8416, 7.2479e-3, 941.0)),
+}
+
+
+@dataclass
+class Run:
+    """Signals of one policy over all episodes.
+
+    Attributes:
+        car: The driven car.
+        signals: Signals (steps, episodes) by name, in SI units. A quarter car has body_acceleration,
+            suspension_travel, device_travel_rate, tyre_load and current. A car with several corners has the
+            signals of each corner, with the name of the corner appended, and pitch_acceleration and
+            roll_acceleration.
+        control_step: Control step [s].
+        times: Processor times of single decisions [s].
+        fallbacks: Number of safe substitute decisions.
+        preview: Length of the previewed road [s].
+    """
+
+    car: Vehicle
+    signals: dict[str, np.ndarray]
+    control_step: float
+    times: np.ndarray
+    fallbacks: int
+    preview: float = 0.0
+
+    def of(self, kind: str) -> list[np.ndarray]:
+        """Return the signals of a kind: of every corner, or of the body.
+
+        Args:
+            kind: Name of the signal without the name of the corner.
+
+        Returns:
+            Signals (steps, episodes).
+        """
+        names = dict.fromkeys([kind, *(c.named(kind) for c in self.car.corners)])
+        return [self.signals[name] for name in names if name in self.signals]
+
+    @property
+    def body_acceleration(self) -> np.ndarray:
+        """Vertical acceleration of the body at its centre of gravity [m/s^2] (steps, episodes)."""
+        return self.signals["body_acceleration"]
+
+    @property
+    def suspension_travel(self) -> np.ndarray:
+        """Suspension travel [m] (steps, episodes), of several corners (steps, episodes, corners)."""
+        return self._joined("suspension_travel")
+
+    @property
+    def tyre_load(self) -> np.ndarray:
+        """Dynamic tyre load [N] (steps, episodes), of several corners (steps, episodes, corners)."""
+        return self._joined("tyre_load")
+
+    @property
+    def device_travel_rate(self) -> np.ndarray:
+        """Rate of the device [m/s] (steps, episodes), of several corners (steps, episodes, corners)."""
+        return self._joined("device_travel_rate")
+
+    @property
+    def current(self) -> np.ndarray:
+        """Motor current [A] (steps, episodes), of several corners (steps, episodes, currents)."""
+        return self._joined("current")
+
+    def _joined(self, kind: str) -> np.ndarray:
+        found = self.of(kind)
+        return found[0] if len(found) == 1 else np.stack(found, axis=-1)
+
+    def acceleration_at(self, point: str) -> np.ndarray:
+        """Return the vertical acceleration of a point of the body.
+
+        Args:
+            point: Name of the point.
+
+        Returns:
+            Acceleration (steps, episodes) [m/s^2].
+
+        Raises:
+            InputError: The body has no such point.
+        """
+        where = self.car.points.get(point)
+        if where is None:
+            raise InputError(
+                f"no point {shown(point)} on the body of network '{self.car.network.name}': there are "
+                f"{', '.join(self.car.points)}"
+            )
+        motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
+        total = np.zeros_like(self.body_acceleration)
+        for arm, motion in zip(self.car.arms(*where), motions, strict=True):
+            total += arm * motion
+        return total
+
+    def cost(self, cost: StageCost) -> np.ndarray:
+        """Return the mean stage cost of each episode.
+
+        Args:
+            cost: Stage cost of the driven car.
+
+        Returns:
+            Mean cost (episodes,) [-].
+        """
+        motions = [self.body_acceleration, *(self.signals[f"{axis}_acceleration"] for axis in self.car.axes)]
+        currents = self.of("current")
+        all_signals = [*motions, *self.of("suspension_travel"), *self.of("tyre_load"), *currents]
+        factors = cost.factors(self.car.axes, len(self.car.corners), len(currents))
+        total = square(factors[0], all_signals[0])
+        for factor, signal in zip(factors[1:], all_signals[1:], strict=True):
+            total = total + square(factor, signal)
+        return total.mean(axis=0)
+
+
+def comfort_point(car: Vehicle) -> str:
+    """Return the default point of the evaluation by ISO 2631-1: the driver, or the centre of gravity.
+
+    Args:
+        car: The car.
+
+    Returns:
+        Name of the point.
+    """
+    return "driver" if "driver" in car.points else car.body
+
+
+def frequency_weighting(frequency: np.ndarray) -> np.ndarray:
+    """Return the magnitude of the frequency weighting W_k for vertical vibration of a seated person.
+
+    Args:
+        frequency: Frequencies (n,) [Hz].
+
+    Returns:
+        Magnitude (n,) [-].
+
+    References:
+        ISO 2631-1:1997, Mechanical vibration and shock, Evaluation of human exposure to whole-body vibration,
+            annex A.
+    """
+    s = 2j * np.pi * np.asarray(frequency, float)
+
+    def second_order(f: float, q: float) -> np.ndarray:
+        w = 2 * np.pi * f
+        return s**2 + s * w / q + w**2
+
+    w2, w3 = 2 * np.pi * 100.0, 2 * np.pi * 12.5
+    high = s**2 / second_order(0.4, np.sqrt(0.5))
+    low = w2**2 / second_order(100.0, np.sqrt(0.5))
+    transition = (1 + s / w3) * w3**2 / second_order(12.5, 0.63)
+    step = second_order(2.37, 0.91) / second_order(3.35, 0.91)
+    return np.abs(high * low * transition * step)
+
+
+def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
+    """Return the W_k-weighted RMS of accelerations along the first axis.
+
+    Args:
+        acceleration: Accelerations (n, ...) [m/s^2].
+        step: Sampling step [s].
+
+    Returns:
+        RMS (...) [m/s^2].
+    """
+    n = len(acceleration)
+    spectrum = np.fft.rfft(acceleration, axis=0)
+    gain = frequency_weighting(np.fft.rfftfreq(n, step)).reshape(-1, *[1] * (acceleration.ndim - 1))
+    return np.sqrt(np.mean(np.fft.irfft(spectrum * gain, n, axis=0) ** 2, axis=0))
+
+
+def drive(
+    entry: Entry,
+    network: Network,
+    *,
+    road: Any = "paper",
+    speed: float = 20.0,
+    episodes: int = 32,
+    seed: int = 0,
+    duration: float = 20.0,
+    cost: StageCost | None = None,
+    randomize: dict[str, Any] | None = None,
+    sensors: Sensors | None = None,
+    timed: int = TIMED,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Drive one policy over all episodes; episode i has the road of the environment with seed ``seed + i``.
+
+    Args:
+        entry: The policy, on its own plant, if any.
+        network: Plant of a policy without a plant of its own.
+        road: The road.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        duration: Length of an episode [s].
+        cost: Stage cost of the reward; None for the usual one.
+        randomize: Ranges of the environment.
+        sensors: Imperfections of the sensors.
+        timed: Number of decisions of a batched policy that are repeated one at a time to measure the time.
+        progress: Called now and then with the finished share.
+
+    Returns:
+        The signals.
+
+    Raises:
+        InputError: A car breaks, or an argument is invalid.
+    """
+    from ..env import CONTROL_STEP, ISDSuspensionVectorEnv
+
+    plant = entry.network or network
+    crew = Crew(entry, episodes)
+    env = ISDSuspensionVectorEnv(
+        episodes,
+        network=plant,
+        road=road,
+        speed=speed,
+        observation=crew.observation,
+        preview=crew.preview or CONTROL_STEP,
+        cost=cost,
+        randomize=randomize,
+        duration=duration,
+        sensors=sensors,
+        autoreset_mode="disabled",
+    )
+    steps = round(duration / CONTROL_STEP)
+    car, batch = env.task.vehicle, env.task.batch
+    names = [*(c.name for c in car.channels), *(c.named("current") for c in car.driven)]
+    width = len(car.channels)
+    signals = np.empty((len(names), steps, episodes))
+    seen = []
+    for leg in travel(crew, env, steps, seed=seed, progress=progress):
+        k = leg.step
+        signals[:width, k], signals[width:, k] = batch.out[:width], batch.currents
+        if crew.batched and k < timed:
+            seen.append(leg.seen[0].copy())
+    times = crew.times
+    if seen:  # one decision at a time, as in a real car
+        alone = entry.make()
+        alone.reset()
+        for row in seen:
+            begin = clock.process_time()
+            alone.act(row)
+            times.append(clock.process_time() - begin)
+    return Run(
+        car,
+        dict(zip(names, signals, strict=True)),
+        control_step=CONTROL_STEP,
+        times=np.array(times),
+        fallbacks=crew.fallbacks,
+        preview=crew.preview,
+    )
+
+
+#: names and units of the results of `measures`
+MEASURES = {
+    "cost": "-",
+    "body_acceleration_rms": "m/s^2",
+    "suspension_travel_rms": "m",
+    "tyre_load_rms": "N",
+    "weighted_acceleration_rms": "m/s^2",
+    "current_rms": "A",
+    "energy": "J",
+    "peak_body_acceleration": "m/s^2",
+    "peak_suspension_travel": "m",
+}
+
+
+def units(car: Vehicle) -> dict[str, str]:
+    """Return the units of the measures of a car: `MEASURES`, and the measures of axes and corners.
+
+    Args:
+        car: The car.
+
+    Returns:
+        Unit by name.
+    """
+    own = {f"{axis}_acceleration_rms": "rad/s^2" for axis in car.axes}
+    if len(car.corners) > 1:
+        for kind, unit in (("suspension_travel", "m"), ("tyre_load", "N"), ("current", "A")):
+            corners = car.driven if kind == "current" else car.corners
+            own |= {f"{c.named(kind)}_rms": unit for c in corners}
+    return MEASURES | own
+
+
+def measures(run: Run, cost: StageCost, point: str | None = None) -> dict[str, tuple[np.ndarray, str]]:
+    """Return mean squares (means for cost and energy, maxima for peaks) by episode.
+
+    Travel, tyre load and current without the name of a corner combine all corners: the mean of the mean
+    squares, and the largest peak. Energy is the sum over all motors.
+
+    Args:
+        run: Signals.
+        cost: Stage cost of the car.
+        point: Point of the body whose acceleration is weighted by ISO 2631-1; None for `comfort_point`.
+
+    Returns:
+        Values (episodes,) and unit by name, the names of `units`.
+    """
+    dt, car = run.control_step, run.car
+
+    def mean_square(signals: list[np.ndarray]) -> np.ndarray:
+        return sum(np.mean(signal**2, axis=0) for signal in signals) / len(signals)
+
+    def peak(signals: list[np.ndarray]) -> np.ndarray:
+        return np.max([np.abs(signal).max(axis=0) for signal in signals], axis=0)
+
+    energy = np.zeros(run.body_acceleration.shape[1])
+    for corner in car.driven:
+        current, rate = run.signals[corner.named("current")], run.signals[corner.named("device_travel_rate")]
+        power = RESISTANCE * current**2 - _thrust(car, corner) * current * rate
+        energy = energy + np.sum(power, axis=0) * dt
+    found = {
+        "cost": run.cost(cost),
+        "weighted_acceleration_rms": weighted_rms(run.acceleration_at(point or comfort_point(car)), dt) ** 2,
+        "energy": energy,
+        "peak_body_acceleration": peak([run.body_acceleration]),
+        "peak_suspension_travel": peak(run.of("suspension_travel")),
+    }
+    out = {}
+    for name, unit in units(car).items():
+        if name not in found:
+            kind = name.removesuffix("_rms")
+            found[name] = mean_square([run.signals[kind]] if kind in run.signals else run.of(kind))
+        out[name] = (found[name], unit)
+    return out
+
+
+#: kinds of signals in a table, with heading, unit as it is printed, scale and decimals
+PRINTED: tuple[dict[str, tuple[str, str, float, int]], ...] = (
+    {
+        "pitch_acceleration": ("pitch acc.", "rad/s²", 1.0, 3),
+        "roll_acceleration": ("roll acc.", "rad/s²", 1.0, 3),
+    },
+    {"suspension_travel": ("travel", "mm", 1e3, 2)},
+    {"tyre_load": ("tyre load", "N", 1.0, 0)},
+)
+
+
+def corner_measures(row: dict[str, Any]) -> list[dict[str, tuple[str, int, float]]]:
+    """Return the printed form of the measures of axes and corners, one group per table; no groups for a quarter car.
+
+    Args:
+        row: A policy of a score.
+
+    Returns:
+        Heading, decimals and scale by name of the measure.
+    """
+    out = []
+    for kinds in PRINTED:
+        group = {}
+        for name in row:
+            kind = next((k for k in kinds if name.startswith(k) and name not in MEASURES), None)
+            if kind is not None:
+                head, unit, scale, digits = kinds[kind]
+                corner = name.removeprefix(kind).removesuffix("_rms").replace("_", " ").strip()
+                group[name] = (f"{head}\n{f'{corner}, ' if corner else ''}{unit}", digits, scale)
+        out += [group] if group else []
+    return out
+
+
+def _thrust(car: Vehicle, corner: Corner) -> float:
+    """Return the thrust of a corner's motor at its terminals per current [N/A]; 0 without a motor."""
+    motor = next((e for e in car.network.elements if e.name == corner.motor), None)
+    return motor.thrust_constant * motor.ratio if isinstance(motor, el.Motor) else 0.0
+
+
+def _pool(name: str, values: np.ndarray) -> np.ndarray:
+    """Return the value over episodes (last axis): root of the mean square, mean, or maximum."""
+    if name.endswith("_rms"):
+        return np.sqrt(values.mean(axis=-1))
+    return values.max(axis=-1) if name.startswith("peak") else values.mean(axis=-1)
+
+
+def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dict[str, Any]:
+    """Return a quantity of a score: the value, and the paired change against a reference with its 95 % interval.
+
+    The interval is that of the ratio of the pooled values over `RESAMPLES` draws of the episodes, with common
+    draws for all quantities and policies.
+
+    Args:
+        name: Name of the measure.
+        values: Values of the policy (episodes,), as returned by `measures`.
+        ground: Values of the reference (episodes,).
+        unit: Unit of the quantity.
+
+    Returns:
+        Plain data with value, unit, change, low and high.
+    """
+    quantity: dict[str, Any] = {"value": float(_pool(name, values)), "unit": unit}
+    if np.all(ground > 0):
+        episodes = len(values)
+        draws = np.random.default_rng(0).integers(episodes, size=(RESAMPLES, episodes))
+        ratio = _pool(name, values[draws]) / _pool(name, ground[draws]) - 1.0
+        low, high = np.quantile(ratio, [0.025, 0.975])
+        change = float(_pool(name, values) / _pool(name, ground) - 1.0)
+        quantity |= {"change": change, "low": float(low), "high": float(high)}
+    return quantity
+
+
+def fingerprints(road: Any, speed: float, duration: float, seed: int, episodes: int) -> list[list[float]]:
+    """Return a fingerprint of each episode's road: its heights at every tenth of the episode.
+
+    Args:
+        road: The road.
+        speed: Speed [m/s].
+        duration: Length of an episode [s].
+        seed: Seed of the first episode.
+        episodes: Number of episodes.
+
+    Returns:
+        Heights [m] of each road.
+    """
+    from gymnasium.utils import seeding
+
+    ground = find_road(road)
+    out = []
+    for i in range(seed, seed + episodes):
+        heights = ground.heights(duration, speed=speed, rng=seeding.np_random(i)[0])
+        rows = heights[np.linspace(0, len(heights) - 1, 11).astype(int)[1:]]
+        out.append([float(f"{h:.9g}") for h in rows])
+    return out
+
+
+@dataclass
+class Score:
+    """Result of `score`.
+
+    Attributes:
+        road: Name of the road.
+        speed: Speed [m/s].
+        network: Name of the plant.
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+        seed: Seed of the first episode.
+        policies: One row per policy (`isd-score/1`).
+        sensors: Imperfections of the sensors.
+        raw: Values of `measures` by policy and name, one per episode.
+        roads: Fingerprint of each road, see `fingerprints`.
+        runs: Signals by policy, for reports.
+        references: Bounds and published figures, as sentences.
+        plant: The network.
+        ground: The road.
+        comparable: Allowed bounds and published figures.
+        cost: Stage cost of the car.
+        point: Point of the body of the evaluation by ISO 2631-1.
+    """
+
+    road: str
+    speed: float
+    network: str
+    episodes: int
+    duration: float
+    seed: int
+    policies: list[dict[str, Any]]
+    sensors: Sensors = field(default_factory=Sensors)
+    raw: dict[str, dict[str, list[float]]] = field(repr=False, default_factory=dict)
+    roads: list[list[float]] = field(repr=False, default_factory=list)
+    runs: dict[str, Run] = field(repr=False, default_factory=dict)
+    references: dict[str, Any] = field(default_factory=dict)
+    plant: Network | None = field(repr=False, default=None)
+    ground: Road | None = field(repr=False, default=None)
+    comparable: Comparable = field(default_factory=Comparable)
+    cost: StageCost = field(default_factory=StageCost)
+    point: str = ""
+
+    @property
+    def comfort(self) -> str:
+        """Point of the body of the evaluation by ISO 2631-1, for a car with several points; otherwise ''."""
+        return self.point if self.plant is not None and self.plant.bodies else ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the score as plain data.
+
+        Returns:
+            Content of a score file (`isd-score/1`).
+        """
+        return {
+            "schema": SCHEMA,
+            "road": self.road,
+            "speed": {"value": self.speed, "unit": "m/s"},
+            "network": self.network,
+            "episodes": self.episodes,
+            "duration": {"value": self.duration, "unit": "s"},
+            "seed": self.seed,
+            **({} if self.sensors.perfect else {"sensors": self.sensors.to_dict()}),
+            **({"comfort_point": self.comfort} if self.comfort else {}),
+            "policies": self.policies,
+            "references": self.references,
+            "roads": self.roads,
+            "raw": self.raw,
+        }
+
+
+def unscored(
+    entries: Sequence[Entry],
+    network: Network,
+    *,
+    road: Any,
+    speed: float,
+    episodes: int,
+    duration: float,
+    seed: int,
+    sensors: Sensors | None = None,
+) -> Score:
+    """Return the conditions of a score before driving, without quantities and episodes.
+
+    Args:
+        entries: The policies, for their names and previews.
+        network: The plant.
+        road: The road.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+        seed: Seed of the first episode.
+        sensors: Imperfections of the sensors, if any.
+
+    Returns:
+        A score without policies.
+    """
+    rows = [{"policy": e.name, "preview": {"value": Crew(e, 1).preview, "unit": "s"}} for e in entries]
+    return Score(
+        road=getattr(road, "name", str(road)),
+        speed=speed,
+        network=network.name,
+        episodes=episodes,
+        duration=duration,
+        seed=seed,
+        policies=rows,
+        sensors=sensors or Sensors(),
+        roads=fingerprints(road, speed, duration, seed, episodes),
+    )
+
+
+def score(
+    policies: str | Entry | Sequence[str | Entry],
+    network: Network | str = "quarter-car-isd",
+    *,
+    reference: Entry | None = None,
+    road: Any = "paper",
+    speed: float = 20.0,
+    episodes: int = 32,
+    seed: int = 0,
+    duration: float = 20.0,
+    cost: StageCost | None = None,
+    randomize: dict[str, Any] | None = None,
+    sensors: Sensors | None = None,
+    point: str | None = None,
+    clairvoyant: np.ndarray | None = None,
+    ceiling: Callable[[float], dict[str, Any] | None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Score:
+    """Score policies against a reference on the same roads.
+
+    Changes are paired: the 95 % interval is that of the ratio of the pooled values over a bootstrap of the
+    episodes, with common draws for policy and reference.
+
+    Args:
+        policies: Names or entries.
+        network: The plant.
+        reference: Reference of the changes; None for the conventional passive car.
+        road: The road.
+        speed: Speed [m/s].
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        duration: Length of an episode [s].
+        cost: Stage cost; None for the usual one of the car.
+        randomize: Ranges of the environment.
+        sensors: Imperfections of the sensors.
+        point: Point of the body of the evaluation by ISO 2631-1; None for `comfort_point`.
+        clairvoyant: Least known cost of each episode (episodes,), for the share of the reachable gain.
+        ceiling: Returns the bound of controllers with a given preview [s] (its `change`), for the share of
+            the causal gain, which is omitted for small samples (`comparability`).
+        progress: Called now and then with the name of a policy and its finished share.
+
+    Returns:
+        The score.
+
+    Raises:
+        InputError: An argument is invalid, a policy is unknown or named twice, or a car breaks.
+    """
+    if episodes < 1:
+        raise InputError(f"episodes must be at least 1, not {episodes}")
+    if not duration > 0:
+        raise InputError(f"duration must be positive, not {duration}")
+    network = Network.load(network)
+    car = vehicle(network)
+    cost = StageCost.of(cost, car.axes, len(car.corners))
+    point = point or comfort_point(car)
+    if point not in car.points:
+        raise InputError(
+            f"no point {shown(point)} on the body of network '{network.name}': there are {', '.join(car.points)}"
+        )
+    named = [policies] if isinstance(policies, str | Entry) else policies
+    entries = [find(p, network, cost=cost, speed=speed) if isinstance(p, str) else p for p in named]
+    reference = reference or passive(network)
+    ground = find_road(road)
+    allowed = comparable(
+        network,
+        ground,
+        speed,
+        episodes,
+        duration,
+        randomize=randomize,
+        sensors=sensors,
+        reference=reference.name,
+    )
+    if allowed.ceiling:
+        ceiling = None
+    names = [e.name for e in entries]
+    if len(set(names)) != len(names):
+        raise InputError("a policy is named twice")
+    todo = list(entries) if reference.name in names else [reference, *entries]
+    runs: dict[str, Run] = {}
+    for entry in todo:
+        runs[entry.name] = drive(
+            entry,
+            network,
+            road=road,
+            speed=speed,
+            episodes=episodes,
+            seed=seed,
+            duration=duration,
+            cost=cost,
+            randomize=randomize,
+            sensors=sensors,
+            progress=None if progress is None else (lambda share, n=entry.name: progress(n, share)),  # type: ignore[misc]
+        )
+    base = measures(runs[reference.name], cost, point)
+    rows = []
+    raw: dict[str, dict[str, list[float]]] = {}
+    for entry in todo:
+        run = runs[entry.name]
+        row: dict[str, Any] = {"policy": entry.name}
+        found = measures(run, cost, point)
+        raw[entry.name] = {name: [float(f"{v:.9g}") for v in values] for name, (values, _) in found.items()}
+        for name, (values, unit) in found.items():
+            row[name] = compare(name, values, base[name][0], unit)
+        slew = np.abs(np.diff(run.current, axis=0, prepend=0.0))
+        row["limit_violations"] = {
+            "body_acceleration": int(np.sum(np.abs(run.body_acceleration) > LIMITS["body_acceleration"])),
+            "suspension_travel": int(np.sum(np.abs(run.suspension_travel) > LIMITS["suspension_travel"])),
+            "current": int(np.sum(np.abs(run.current) > LIMITS["current"] + 1e-9)),
+            "current_change": int(np.sum(slew > LIMITS["current_change"] + 1e-9)),
+        }
+        row["fallbacks"] = run.fallbacks
+        row["control_time"] = {
+            "median": float(np.median(run.times)),
+            "p99_9": float(np.quantile(run.times, 0.999)),
+        }
+        row["share_of_reachable_gain"] = None
+        if clairvoyant is not None:
+            before, own = runs[reference.name].cost(cost).mean(), run.cost(cost).mean()
+            row["share_of_reachable_gain"] = float((before - own) / (before - np.mean(clairvoyant)))
+        row["preview"] = {"value": run.preview, "unit": "s"}
+        bound = ceiling(run.preview) if ceiling is not None else None
+        row["share_of_causal_gain"] = row["cost"]["change"] / bound["change"] + 0.0 if bound else None
+        rows.append(row)
+    kept = [r for r in rows if r["policy"] in names] if reference.name in names else rows
+    return Score(
+        road=getattr(road, "name", str(road)),
+        speed=speed,
+        network=network.name,
+        episodes=episodes,
+        duration=duration,
+        seed=seed,
+        policies=kept,
+        sensors=sensors or Sensors(),
+        raw=raw,
+        roads=[] if randomize else fingerprints(road, speed, duration, seed, episodes),
+        runs=runs,
+        plant=network,
+        ground=ground,
+        comparable=allowed,
+        cost=cost,
+        point=point,
+    )
