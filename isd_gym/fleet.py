@@ -170,7 +170,7 @@ def diagnose_case(
     """
     from .discrepancy import SearchSettings, diagnose
     from .loggers import ChannelMap
-    from .loggers.records import records_of
+    from .loggers.record_reading import records_of
     from .network import Network
 
     del name, files  # part of the task's key only

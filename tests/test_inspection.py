@@ -13,7 +13,7 @@ from isd_gym.errors import InputError
 from isd_gym.inspection import inspect, lines, page
 from isd_gym.loggers import ChannelMap, Column, Logger, mended, rasters, runs
 from isd_gym.loggers.facts import sparkline
-from isd_gym.loggers.records import records_of, road_of
+from isd_gym.loggers.record_reading import records_of, road_of
 from isd_gym.network import Network
 from isd_gym.schemas import load
 from isd_gym.simulate import simulate

@@ -27,7 +27,7 @@ def identify_without_road(
     """Refit a model by its likelihood, without the measured road; write and print the result."""
     from ..discrepancy.unknown_input import FOLDER, identify
     from ..files import check_folder
-    from ..loggers.records import outputs_of, records_of
+    from ..loggers.record_reading import outputs_of, records_of
 
     check_folder(out, *FOLDER)
     logged = set.intersection(

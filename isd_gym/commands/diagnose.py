@@ -131,7 +131,7 @@ def command(
     from .. import elements as el
     from ..discrepancy import SearchSettings
     from ..discrepancy import diagnose as run
-    from ..loggers.records import records_of
+    from ..loggers.record_reading import records_of
     from ..network import Network
     from ..network import cut as cut_at
     from ..report import check_target

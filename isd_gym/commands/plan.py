@@ -159,8 +159,8 @@ def _check_undecided(after: Path) -> None:
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
     """Return the records of DATA with the inputs of the model, and the outputs if complete."""
     from ..data import Table
-    from ..loggers.grid import inputs_of
-    from ..loggers.records import outputs_of, records_of
+    from ..loggers.record_reading import outputs_of, records_of
+    from ..loggers.resampling import inputs_of
     from ..units import convert
 
     out = []

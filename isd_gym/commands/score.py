@@ -86,7 +86,7 @@ def command(
     from ..benchmark.scoring import score as run
     from ..benchmark.scoring import unscored
     from ..loggers import ChannelMap
-    from ..loggers.records import road_of
+    from ..loggers.record_reading import road_of
     from ..network import Network
     from ..road import road as find_road
     from ..sensors import Sensors

@@ -45,8 +45,8 @@ def command(
 
     from ..data import Table, write_table
     from ..loggers import files_of
-    from ..loggers.grid import inputs_of
-    from ..loggers.records import outputs_of, records_of
+    from ..loggers.record_reading import outputs_of, records_of
+    from ..loggers.resampling import inputs_of
     from ..loggers.start import motions_at, motions_of, state_of
     from ..network import Network
     from ..simulate import simulate as run

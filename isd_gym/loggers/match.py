@@ -18,7 +18,7 @@ from ..simulate import simulate
 from ..units import TABLE, convert
 from .facts import Facts, factor_hint, si_unit
 from .mapping import ChannelMap, Column, Logger
-from .words import alike
+from .name_matching import alike
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -19,8 +19,8 @@ from scipy.sparse import csr_matrix
 from ...data import Table, check
 from ...data.quality import Scale, admit
 from ...errors import InputError
-from ...loggers.grid import sampled
 from ...loggers.recording import Recording, Signal
+from ...loggers.resampling import sampled
 from ...units import HELD, convert
 from ..simulation.interpolation import through
 from ..simulation.problem import Array, Problem, Record, pace
