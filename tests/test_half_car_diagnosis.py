@@ -97,7 +97,9 @@ def test_a_damper_on_a_bushing_is_a_spring_in_series() -> None:
     series["elements"].append(SERIES)
     time, road, own = ran(rig, soft, 5e-4)
     given = {k: s.value for k, s in road.items()}
-    assert worst(own, simulate(series, time, given)) < 1e-4 < 1e-2 < worst(simulate(rig.model, time, given), own)
+    assert (
+        worst(own, simulate(series, time, given)) < 1e-4 < 1e-2 < worst(simulate(rig.model, time, given), own)
+    )
 
 
 def test_the_rear_axle_meets_the_road_of_the_front_axle_later() -> None:
@@ -137,7 +139,11 @@ def test_the_scale_of_force_is_the_inertia_of_what_the_sensor_sits_on() -> None:
     net = half()
     time = np.arange(400) * 5e-3
     roads = {"road_front": waves(time).value, "road_rear": waves(time, 0.13).value}
-    for name, inertia in (("body_acceleration_front", 690.0), ("body_acceleration", 690.0), ("pitch_acceleration", 0.0)):
+    for name, inertia in (
+        ("body_acceleration_front", 690.0),
+        ("body_acceleration", 690.0),
+        ("pitch_acceleration", 0.0),
+    ):
         seen = replace(net, outputs=tuple(c for c in net.outputs if c.name == name))
         y = np.sin(20.0 * time)[:, None]
         problem = Problem(seen, [Record("r", 5e-3, roads, y)], ["fit"])

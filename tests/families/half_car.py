@@ -1,6 +1,6 @@
 """The half car: a body that heaves and pitches on two axles, over a road that the front axle meets first.
 
-The owner has accelerometers on the body and on the wheels, and the travel of both suspensions. What is hidden sits at one
+The owner has accelerometers on the body and on the wheels, and the travel of both suspensions; the wheels were weighed. What is hidden sits at one
 axle, or in the sensor of one: the answer is the effect at the right corner.
 """
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 INTERVAL = 0.005
 """Sampling interval [s] of the records."""
+SIZE = 2000
+"""Samples of a record: ten seconds."""
 ENDS = ("front", "rear")
 FRONT, REAR = (("body_" + end, "wheel_" + end) for end in ENDS)
 TYRE_FRONT, TYRE_REAR = (("wheel_" + end, "road_" + end) for end in ENDS)
@@ -63,11 +65,12 @@ def half_car(r: Generator) -> Rig:
         sensors(r),
         {"body": {"mass": body, "inertia": {"pitch": inertia}, "points": points}},
     )
-    t = Tempo(omega / (2 * np.pi), INTERVAL, int(r.uniform(10.0, 12.0) / INTERVAL))
+    t = Tempo(omega / (2 * np.pi), INTERVAL, SIZE)
     size = r.uniform(0.006, 0.012)
     drives = tuple(drive(r, t, base, size * k) for k in (1.0, log(r, 0.7, 1.3)))
     pairs = (FRONT, REAR, TYRE_FRONT, TYRE_REAR)
-    return Rig(net, drives, t.size, t.interval, 1 / omega, 0.1, (), pairs, (28.0, 50.0), 60.0)
+    weighed = tuple(f"{wheel}.mass" for wheel in masses)
+    return Rig(net, drives, t.size, t.interval, 1 / omega, 0.1, weighed, pairs, (28.0, 50.0), 60.0)
 
 
 def sensors(r: Generator) -> list[Element]:

@@ -136,7 +136,7 @@ def _moved(c, s, T, x, v, a):
 
 
 @numba.njit(cache=True)
-def _ride(points, arms, n, ground, q):
+def _ride(points, arms, ground, q):
     """Displacement, speed or acceleration of the bodies' points, which come after the ground: that of the centre, and arm times angle."""
     for k in range(len(arms)):
         q[ground + 1 + k] = q[points[k, 0]] + arms[k] * q[points[k, 1]]
@@ -154,14 +154,15 @@ def _apply(points, arms, n, ground, node, force, pull):
 
 
 @numba.njit(cache=True)
-def _rates(y, n, points, arms, ends, codes, P, inverse, Mfm, c, push, s, T, t, x, v, a, f, out):
-    """Rates of (positions, speeds, link states); `f` gets the links' forces."""
+def _rates(y, n, plant, inverse, Mfm, c, push, s, T, t, x, v, a, f, out):
+    """Rates of (positions, speeds, link states); `f` gets the links' forces. plant: the bodies' points, their arms, and the links."""
+    points, arms, ends, codes, P = plant
     x[:n] = y[:n]
     v[:n] = y[n : 2 * n]
     m = c.shape[0]
     _moved(c, s, T, x[n : n + m], v[n : n + m], a[n : n + m])
-    _ride(points, arms, n, n + m, x)
-    _ride(points, arms, n, n + m, v)
+    _ride(points, arms, n + m, x)
+    _ride(points, arms, n + m, v)
     pull = np.zeros(n)
     for i in range(n):
         q = push[i]
@@ -180,14 +181,14 @@ def _rates(y, n, points, arms, ends, codes, P, inverse, Mfm, c, push, s, T, t, x
             total += inverse[i, j] * pull[j]
         out[n + i] = total
         a[i] = total
-    _ride(points, arms, n, n + m, a)
+    _ride(points, arms, n + m, a)
 
 
 @numba.njit(cache=True)
-def _march(y, n, points, arms, ends, codes, P, inverse, Mfm, motion, push, T, substeps):
+def _march(y, n, plant, inverse, Mfm, motion, push, T, substeps):
     """Classic Runge-Kutta from sample to sample; positions, speeds, accelerations of all nodes, forces of all links."""
-    size, m, links = motion.shape[0], motion.shape[1], len(codes)
-    nodes = n + m + 1 + len(arms)  # after the moved ones the ground, at rest, and the bodies' points
+    size, m, links = motion.shape[0], motion.shape[1], len(plant[3])
+    nodes = n + m + 1 + len(plant[1])  # after the moved ones the ground, at rest, and the bodies' points
     X, V, A = np.zeros((size, nodes)), np.zeros((size, nodes)), np.zeros((size, nodes))
     F = np.zeros((size, links))
     x, v, a, f = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(links)
@@ -197,13 +198,13 @@ def _march(y, n, points, arms, ends, codes, P, inverse, Mfm, motion, push, T, su
         c, q = motion[i], push[i]
         for j in range(substeps):
             s, t = j * w, (i + j * w) * T
-            _rates(y, n, points, arms, ends, codes, P, inverse, Mfm, c, q, s, T, t, x, v, a, f, k1)
+            _rates(y, n, plant, inverse, Mfm, c, q, s, T, t, x, v, a, f, k1)
             if j == 0:
                 X[i], V[i], A[i], F[i] = x, v, a, f
             u = s + 0.5 * w
-            _rates(y + 0.5 * h * k1, n, points, arms, ends, codes, P, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k2)
-            _rates(y + 0.5 * h * k2, n, points, arms, ends, codes, P, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k3)
-            _rates(y + h * k3, n, points, arms, ends, codes, P, inverse, Mfm, c, q, s + w, T, t + h, x, v, a, f, k4)
+            _rates(y + 0.5 * h * k1, n, plant, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k2)
+            _rates(y + 0.5 * h * k2, n, plant, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k3)
+            _rates(y + h * k3, n, plant, inverse, Mfm, c, q, s + w, T, t + h, x, v, a, f, k4)
             y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return X, V, A, F
 
@@ -258,7 +259,9 @@ def integrate(
             points.append((nodes.index(name), nodes.index(f"{name}.pitch")))
             arms.append(-place["x"])  # nose down is positive
             nodes.append(point)
-    weights = np.eye(n + m + 1 + len(points), n + m + 1)  # of what moves by itself in the motion of every node
+    weights = np.eye(
+        n + m + 1 + len(points), n + m + 1
+    )  # of what moves by itself in the motion of every node
     for k, ((centre, angle), arm) in enumerate(zip(points, arms, strict=True)):
         weights[n + m + 1 + k, [centre, angle]] = 1.0, arm
     mass = np.diag([carried.get(node, 0.0) for node in nodes[: n + m + 1]])
@@ -298,14 +301,17 @@ def integrate(
     for node, (position, velocity) in (initial or {}).items():
         y[nodes.index(node)], y[n + nodes.index(node)] = position, velocity
     steps = math.ceil(max(2.0, interval * _fastest(weights[:, :n], inverse, ends, codes, P) / 1.2))
-    X, V, A, F = _march(
-        y,
-        n,
+    plant = (
         np.array(points, dtype=np.int64).reshape(-1, 2),
         np.array(arms, dtype=float),
         np.array(ends, dtype=np.int64).reshape(-1, 2),
         np.array(codes, dtype=np.int64),
         np.array(P, dtype=float).reshape(-1, 6),
+    )
+    X, V, A, F = _march(
+        y,
+        n,
+        plant,
         inverse,
         mass[:n, n : n + m].copy(),
         motion,
