@@ -6,7 +6,7 @@ python benchmarks/diagnose.py FOLDER [NAME ...]            a folder of rigs: FOL
 python benchmarks/diagnose.py --suite [WHAT ...] --seeds 1 2   rigs of the hidden suite
 python benchmarks/diagnose.py --again DIR ...              the figures of finished runs; nothing is run
 
-WHAT: home (cars, device rigs), families, a family ("shaken"), a kind ("shaken.friction_ground"); home and families without.
+WHAT: home (cars, device rigs), families, a family ("shaken", "half_car"), a kind ("shaken.friction_ground"); home and families without.
 unseen: families that are kept aside, nothing is developed on them; only where asked for. A folder without a truth is one
 of measured rigs: benchmarks/real.json says what may be named there.
 
@@ -168,9 +168,12 @@ def base_values(case: Any) -> dict[str, float]:
     """The true values of what the owner knows only roughly."""
     true, out = case.truth["model"], {}
     for path in case.model["uncertainty"]:
-        name, key = path.rsplit(".", 1)
-        element = next((e for e in true["elements"] if e.get("name") == name), {})
-        value = true["masses"].get(name) if key == "mass" else element.get(key)
+        name, *where, key = path.split(".")
+        owner = next((e for e in true["elements"] if e.get("name") == name), {})
+        owner = true.get("bodies", {}).get(name, owner)
+        for part in where:
+            owner = owner[part]
+        value = true["masses"].get(name, owner.get(key)) if key == "mass" else owner.get(key)
         if value is not None:
             out[path] = float(value)
     return out

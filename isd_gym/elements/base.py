@@ -600,7 +600,7 @@ def held_by_parameter(network: Network, where: tuple[str, ...]) -> bool:
     node = next((n for n in where if n != GROUND), GROUND)
     return (
         GROUND in where
-        and node in network.masses
+        and node in network.carried
         and network.uncertainty.get(network.mass_path(node), 0.0) > 0.0
     )
 
@@ -614,10 +614,13 @@ def held_still(network: Network, where: tuple[str, ...]) -> bool:
         where: Two nodes.
     """
     held = {GROUND, *network.moved_nodes}
+    bodies = [(set(b.nodes), {p.name for p in b.points}, 1 + len(b.angles)) for b in network.bodies]
     springs = [set(e.where) for e in network.elements if e.place == "between" and e.linear()[0] > 0]
     grown = True
     while grown:
         more = {n for s in springs if s & held for n in s} - held
+        # a body rests where as many of its points are held as it has ways to move
+        more |= {n for nodes, points, ways in bodies if len(points & held) >= ways for n in nodes} - held
         held |= more
         grown = bool(more)
     return set(where) <= held

@@ -569,6 +569,21 @@ class Network:
             out |= body.carried
         return out
 
+    @cached_property
+    def inertial(self) -> frozenset[str]:
+        """Nodes that carry inertia: those with a mass of their own, and every node of a body."""
+        return frozenset(self.masses) | {n for body in self.bodies for n in body.nodes}
+
+    def largest_inertia(self, *nodes: str) -> float:
+        """Return the largest mass [kg], or the largest moment of inertia [kg m^2] where one of `nodes` turns; 0 without any."""
+        turns = any(n in self.rotating for n in nodes)
+        return max((m for n, m in self.carried.items() if (n in self.rotating) == turns), default=0.0)
+
+    def inertia_at(self, node: str) -> float:
+        """Return the mass [kg] or moment of inertia [kg m^2] that a node carries, at a point that of its body; 0 without any."""
+        bodies = {p.name: b.mass for b in self.bodies for p in b.points}
+        return self.carried.get(node, bodies.get(node, 0.0))
+
     @property
     def total_mass(self) -> float:
         """Total mass [kg] of translational nodes and bodies."""

@@ -5,7 +5,7 @@ the library does not have, and returns the records, the model as its owner belie
 
 - `draw`: scales (a gram to five tonnes, 50 Hz to 5 kHz, 300 to 20,000 samples) and signals;
 - `effects`: what is hidden, in proportion to the motion where it sits;
-- `rigs`: the families, and which kinds each has; `unseen`: those that are kept aside, and are run once;
+- `rigs`, `half_car`: the families, and which kinds each has; `unseen`: those that are kept aside, and are run once;
 - `plant`: an integrator of their own, Runge-Kutta in small steps, that shares nothing with the project's kernel;
 - `bench`: a rig, one simulation of it, and the best fit without what is hidden;
 - `case`: the size of the effect, nuisances, noise, the owner's errors.

@@ -53,6 +53,9 @@ def changed(model: Model, change: Change, label: str) -> Model:
     for spring, gap in change.play:
         e = next(e for e in out["elements"] if e["name"] == spring)
         e.update(type="x_spring_with_play", gap=gap)
+    for damper, mount in change.bushings:
+        e = next(e for e in out["elements"] if e["name"] == damper)
+        e.update(type="x_damper_on_bushing", stiffness=mount["stiffness"], gap=mount.get("gap", 0.0))
     out["masses"].update(dict(change.masses))
     return out
 
@@ -107,8 +110,10 @@ def outputs(rig: Rig, model: Model, ran: Run) -> dict[str, Array]:
                 "displacement": ran.position,
                 "velocity": ran.velocity,
                 "acceleration": ran.acceleration,
+                "angular_acceleration": ran.acceleration,
             }
-            first, second = o.get("between") or (o["at"], "ground")
+            node = o["at"] if "at" in o else f"{o['body']}.{o['axis']}" if "body" in o else None
+            first, second = o.get("between") or (node, "ground")
             y = signal[o["quantity"]][first] - signal[o["quantity"]][second]
         t = np.arange(rig.size) * rig.interval
         for e in model["elements"]:
@@ -225,9 +230,14 @@ class Fit:
 
 def set_relative(model: Model, path: str, relative: float) -> None:
     """Multiply a parameter by the exponential of `relative`."""
-    name, parameter = path.split(".")
-    if parameter == "mass":
-        model["masses"][name] *= float(np.exp(relative))
-        return
-    e = next(e for e in model["elements"] if e["name"] == name)
-    e[parameter] *= float(np.exp(relative))
+    name, *where, parameter = path.split(".")
+    owner: Any = model["masses"]
+    if name in model.get("bodies", {}):
+        owner = model["bodies"][name]
+        for key in where:
+            owner = owner[key]
+    elif parameter == "mass":
+        parameter = name
+    else:
+        owner = next(e for e in model["elements"] if e["name"] == name)
+    owner[parameter] *= float(np.exp(relative))

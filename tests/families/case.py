@@ -81,6 +81,8 @@ class Case:
 def spreads(rig: Rig, spread: float) -> dict[str, float]:
     """How well the owner knows each parameter (relative, one sigma): a damping three times as badly as the rest."""
     out = {f"{node}.mass": spread for node in rig.model["masses"]}
+    for name in rig.model.get("bodies", {}):
+        out |= {f"{name}.mass": spread, f"{name}.inertia.pitch": spread}
     for e in rig.model["elements"]:
         if e["type"] in MAIN:
             out[f"{e['name']}.{MAIN[e['type']]}"] = spread * (3.0 if e["type"] == "linear_damping" else 1.0)
@@ -199,7 +201,7 @@ def _attempt(family: Family, hidden: Hidden, kind: str, seed: int, r: Generator)
     played = [{"type": "backlash", "gap": gap, "in": spring} for spring, gap in change.play]
     truth = {
         "model": true,
-        "hidden": [dict(e) for e in change.elements] + played,
+        "hidden": [dict(e) for e in change.elements] + played + [dict(e) for _, e in change.bushings],
         "nuisances": [dict(e) for e in small.elements],
     }
     second = records[1] if len(records) > 1 else None

@@ -7,7 +7,7 @@ log-uniform; stiffness, damping, forces and what is hidden follow from those.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -153,7 +153,14 @@ def spring_damper(
     ]
 
 
-UNIT = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", "current": "A"}
+UNIT = {
+    "displacement": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s^2",
+    "angular_acceleration": "rad/s^2",
+    "force": "N",
+    "current": "A",
+}
 
 
 def model(
@@ -162,12 +169,14 @@ def model(
     elements: list[Element],
     inputs: list[Element],
     outputs: list[Element],
+    bodies: dict[str, Any] | None = None,
 ) -> Model:
     channels = [[{**c, "unit": UNIT[c["quantity"]]} for c in side] for side in (inputs, outputs)]
     return {
         "schema": "isd-model/1",
         "name": name,
         "masses": masses,
+        **({"bodies": bodies} if bodies else {}),
         "elements": elements,
         "inputs": channels[0],
         "outputs": channels[1],

@@ -46,10 +46,16 @@ class Change:
         Element, ...
     ] = ()  # side by side with what stands there; or `channel`, or `element` (a motor)
     play: tuple[tuple[str, float], ...] = ()  # (spring, gap [m]): the spring is had with play
+    bushings: tuple[tuple[str, Element], ...] = ()  # (damper, what it stands on: its effect and parameters)
     masses: tuple[tuple[str, float], ...] = ()  # bodies that the owner does not know of
 
     def __add__(self, other: Change) -> Change:
-        return Change(self.elements + other.elements, self.play + other.play, self.masses + other.masses)
+        return Change(
+            self.elements + other.elements,
+            self.play + other.play,
+            self.bushings + other.bushings,
+            self.masses + other.masses,
+        )
 
 
 Sized = Callable[[float], Change]
@@ -186,6 +192,29 @@ def play(spring: str) -> Hidden:
         ((lambda r, s, place: lambda x: Change(play=((spring, 1.5 * x * s.travel),)), spring),),
         [["backlash", None]],
     )
+
+
+def bushing(damper: str) -> Shape:
+    """The damper's mounting gives way: the softer, the larger the effect."""
+
+    def shape(r: Generator, s: Scale, place: Pair) -> Sized:
+        return lambda x: Change(
+            bushings=((damper, {"type": "series_compliance", "stiffness": s.force / (x * s.travel)}),)
+        )
+
+    return shape
+
+
+def loose_mount(damper: str) -> Shape:
+    """The damper's mounting has play, and is stiff beyond it."""
+
+    def shape(r: Generator, s: Scale, place: Pair) -> Sized:
+        stiffness = 100.0 * s.stiffness
+        return lambda x: Change(
+            bushings=((damper, {"type": "backlash", "stiffness": stiffness, "gap": x * s.travel}),)
+        )
+
+    return shape
 
 
 # --------------------------------------------------------------------------------------------- at a motor, a channel

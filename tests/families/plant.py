@@ -1,8 +1,8 @@
 """The integrator behind the families: masses, moved nodes and links between them, by Runge-Kutta in small steps.
 
 It knows `isd-model/1` and nothing of `isd_gym`, and shares no idea with its kernel or with `reference`: nothing is
-assembled, eliminated or projected. Every free node has a mass; a link's force is a function of its elongation, its rate
-and one state of its own; dry friction is its level times `clip(v / creep, -1, 1)`, with a creep of 2e-4 of the speeds
+assembled, eliminated or projected. Every free node has a mass; a rigid body heaves and pitches by the equations of Newton
+and Euler, and its points ride on it; a link's force is a function of its elongation, its rate and one state of its own; dry friction is its level times `clip(v / creep, -1, 1)`, with a creep of 2e-4 of the speeds
 that occur, and the step is so short that this stays stable. Motion of a moved node and force are quintic and cubic
 between the samples, a motor's current is held.
 """
@@ -55,6 +55,8 @@ LAWS: dict[str, tuple[int, dict[str, float | None]]] = {
     "x_bistable_friction": (20, {"level": None, "width": None}),
     "x_shear_thinning": (21, {"damping": None, "velocity": None}),
     "x_impulse": (22, {"force": None, "period": None, "width": None}),
+    # the damper that stands there, on an elastic bushing: what a compliance in series makes of it, and a backlash where it has play
+    "x_damper_on_bushing": (23, {"damping": None, "stiffness": None, "gap": 0.0}),
 }
 SIDES = {"both": 0.0, "extension": 1.0, "compression": -1.0}
 DRY = ("coulomb_friction", "stribeck_friction", "x_timed_friction", "x_wedge_friction", "x_bistable_friction")
@@ -114,6 +116,10 @@ def _force(code, p, d, v, z, t):
         return p[0] * math.exp(-((d / p[1]) ** 4)) * min(max(v / p[5], -1.0), 1.0), 0.0
     if code == 21:
         return p[0] * v / math.sqrt(1.0 + (v / p[1]) ** 2), 0.0
+    if code == 23:  # z is the bushing's elongation
+        half = 0.5 * p[2]
+        f = p[1] * (z - min(max(z, -half), half))
+        return f, v - f / p[0]
     # a knock every period that nobody measured
     s = (t / p[1]) % 1.0 * p[1] / p[2]
     return (p[0] * math.sin(math.pi * s) if s < 1.0 else 0.0), 0.0
@@ -130,12 +136,33 @@ def _moved(c, s, T, x, v, a):
 
 
 @numba.njit(cache=True)
-def _rates(y, n, ends, codes, P, inverse, Mfm, c, push, s, T, t, x, v, a, f, out):
-    """Rates of (positions, speeds, link states); `f` gets the links' forces."""
+def _ride(points, arms, ground, q):
+    """Displacement, speed or acceleration of the bodies' points, which come after the ground: that of the centre, and arm times angle."""
+    for k in range(len(arms)):
+        q[ground + 1 + k] = q[points[k, 0]] + arms[k] * q[points[k, 1]]
+
+
+@numba.njit(cache=True)
+def _apply(points, arms, n, ground, node, force, pull):
+    """A force on a node: on its mass, or on the body that it rides on, where it has a moment about the centre."""
+    if node < n:
+        pull[node] += force
+    elif node > ground:
+        k = node - ground - 1
+        pull[points[k, 0]] += force
+        pull[points[k, 1]] += arms[k] * force
+
+
+@numba.njit(cache=True)
+def _rates(y, n, plant, inverse, Mfm, c, push, s, T, t, x, v, a, f, out):
+    """Rates of (positions, speeds, link states); `f` gets the links' forces. plant: the bodies' points, their arms, and the links."""
+    points, arms, ends, codes, P = plant
     x[:n] = y[:n]
     v[:n] = y[n : 2 * n]
     m = c.shape[0]
     _moved(c, s, T, x[n : n + m], v[n : n + m], a[n : n + m])
+    _ride(points, arms, n + m, x)
+    _ride(points, arms, n + m, v)
     pull = np.zeros(n)
     for i in range(n):
         q = push[i]
@@ -145,10 +172,8 @@ def _rates(y, n, ends, codes, P, inverse, Mfm, c, push, s, T, t, x, v, a, f, out
     for k in range(len(codes)):
         i, j = ends[k, 0], ends[k, 1]
         f[k], out[2 * n + k] = _force(codes[k], P[k], x[i] - x[j], v[i] - v[j], y[2 * n + k], t)
-        if i < n:
-            pull[i] -= f[k]
-        if j < n:
-            pull[j] += f[k]
+        _apply(points, arms, n, n + m, i, -f[k], pull)
+        _apply(points, arms, n, n + m, j, f[k], pull)
     for i in range(n):
         out[i] = y[n + i]
         total = 0.0
@@ -156,13 +181,14 @@ def _rates(y, n, ends, codes, P, inverse, Mfm, c, push, s, T, t, x, v, a, f, out
             total += inverse[i, j] * pull[j]
         out[n + i] = total
         a[i] = total
+    _ride(points, arms, n + m, a)
 
 
 @numba.njit(cache=True)
-def _march(y, n, ends, codes, P, inverse, Mfm, motion, push, T, substeps):
+def _march(y, n, plant, inverse, Mfm, motion, push, T, substeps):
     """Classic Runge-Kutta from sample to sample; positions, speeds, accelerations of all nodes, forces of all links."""
-    size, m, links = motion.shape[0], motion.shape[1], len(codes)
-    nodes = n + m + 1  # the last is ground, at rest
+    size, m, links = motion.shape[0], motion.shape[1], len(plant[3])
+    nodes = n + m + 1 + len(plant[1])  # after the moved ones the ground, at rest, and the bodies' points
     X, V, A = np.zeros((size, nodes)), np.zeros((size, nodes)), np.zeros((size, nodes))
     F = np.zeros((size, links))
     x, v, a, f = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(links)
@@ -172,13 +198,13 @@ def _march(y, n, ends, codes, P, inverse, Mfm, motion, push, T, substeps):
         c, q = motion[i], push[i]
         for j in range(substeps):
             s, t = j * w, (i + j * w) * T
-            _rates(y, n, ends, codes, P, inverse, Mfm, c, q, s, T, t, x, v, a, f, k1)
+            _rates(y, n, plant, inverse, Mfm, c, q, s, T, t, x, v, a, f, k1)
             if j == 0:
                 X[i], V[i], A[i], F[i] = x, v, a, f
             u = s + 0.5 * w
-            _rates(y + 0.5 * h * k1, n, ends, codes, P, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k2)
-            _rates(y + 0.5 * h * k2, n, ends, codes, P, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k3)
-            _rates(y + h * k3, n, ends, codes, P, inverse, Mfm, c, q, s + w, T, t + h, x, v, a, f, k4)
+            _rates(y + 0.5 * h * k1, n, plant, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k2)
+            _rates(y + 0.5 * h * k2, n, plant, inverse, Mfm, c, q, u, T, t + 0.5 * h, x, v, a, f, k3)
+            _rates(y + h * k3, n, plant, inverse, Mfm, c, q, s + w, T, t + h, x, v, a, f, k4)
             y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return X, V, A, F
 
@@ -224,19 +250,28 @@ def integrate(
     as much is ten times as quick.
     """
     by_node = {i["at"]: i for i in model["inputs"] if i["quantity"] == "displacement"}
-    moved = list(by_node)
-    nodes = [n for n in model["masses"] if n not in moved] + moved + [GROUND]
+    moved, carried = list(by_node), inertias(model)
+    nodes = [n for n in carried if n not in moved] + moved + [GROUND]
     n, m = len(nodes) - len(moved) - 1, len(moved)
-    mass = np.zeros((n + m + 1, n + m + 1))
-    for node, value in model["masses"].items():
-        mass[nodes.index(node), nodes.index(node)] += value
+    points, arms = [], []
+    for name, body in model.get("bodies", {}).items():
+        for point, place in body["points"].items():
+            points.append((nodes.index(name), nodes.index(f"{name}.pitch")))
+            arms.append(-place["x"])  # nose down is positive
+            nodes.append(point)
+    weights = np.eye(
+        n + m + 1 + len(points), n + m + 1
+    )  # of what moves by itself in the motion of every node
+    for k, ((centre, angle), arm) in enumerate(zip(points, arms, strict=True)):
+        weights[n + m + 1 + k, [centre, angle]] = 1.0, arm
+    mass = np.diag([carried.get(node, 0.0) for node in nodes[: n + m + 1]])
     ends, codes, P, names = [], [], [], []
     for e in model["elements"]:
         if "between" not in e or e["type"] == "motor":
             continue
         i, j = (nodes.index(k) for k in e["between"])
         if e["type"] == "inertance":
-            mass[np.ix_([i, j], [i, j])] += e["inertance"] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+            mass += e["inertance"] * np.outer(weights[i] - weights[j], weights[i] - weights[j])
             names.append((e["name"], -1, (i, j, e["inertance"])))
             continue
         code, defaults = LAWS[e["type"]]
@@ -265,13 +300,18 @@ def integrate(
     y = np.zeros(2 * n + len(codes))
     for node, (position, velocity) in (initial or {}).items():
         y[nodes.index(node)], y[n + nodes.index(node)] = position, velocity
-    steps = math.ceil(max(2.0, interval * _fastest(n, inverse, ends, codes, P) / 1.2))
-    X, V, A, F = _march(
-        y,
-        n,
+    steps = math.ceil(max(2.0, interval * _fastest(weights[:, :n], inverse, ends, codes, P) / 1.2))
+    plant = (
+        np.array(points, dtype=np.int64).reshape(-1, 2),
+        np.array(arms, dtype=float),
         np.array(ends, dtype=np.int64).reshape(-1, 2),
         np.array(codes, dtype=np.int64),
         np.array(P, dtype=float).reshape(-1, 6),
+    )
+    X, V, A, F = _march(
+        y,
+        n,
+        plant,
         inverse,
         mass[:n, n : n + m].copy(),
         motion,
@@ -287,26 +327,36 @@ def integrate(
     load = {}
     for node in moved:
         j = nodes.index(node)
-        load[node] = A @ mass[j]
+        load[node] = A[:, : n + m + 1] @ mass[j]
         for k, (first, second) in enumerate(ends):
             load[node] = load[node] + F[:, k] * ((first == j) - (second == j))
     columns = [dict(zip(nodes, c.T, strict=True)) for c in (X, V, A)]
     return Run(*columns, link, load)
 
 
-def _fastest(n: int, inverse: Array, ends: Any, codes: list[int], P: list[list[float]]) -> float:
+def inertias(model: Model) -> dict[str, float]:
+    """Mass [kg] of every node that has one, and moment of inertia [kg m^2] of every body's angle."""
+    out = dict(model["masses"])
+    for name, body in model.get("bodies", {}).items():
+        out |= {name: body["mass"], f"{name}.pitch": body["inertia"]["pitch"]}
+    return out
+
+
+def _fastest(weights: Array, inverse: Array, ends: Any, codes: list[int], P: list[list[float]]) -> float:
     """Fastest rate [1/s] at which the plant can answer: the links' steepest slopes over the mass that they move."""
     by_code = {code: name for name, (code, _) in LAWS.items()}
-    mobility = np.zeros((n + 1, n + 1))  # what is moved or ground does not give way
-    mobility[:n, :n] = inverse
     slow, fast = 0.0, 0.0
     for (i, j), code, p in zip(ends, codes, P, strict=True):
-        name, i, j = by_code[code], min(i, n), min(j, n)
-        gives = mobility[i, i] + mobility[j, j] - 2.0 * mobility[i, j]
+        name = by_code[code]
+        across = weights[i] - weights[j]  # what is moved or ground does not give way
+        gives = float(across @ inverse @ across)
         if name in ("linear_stiffness", "x_spring_with_play", "x_switched_stiffness", "x_maxwell"):
             slow += 4.0 * abs(p[0]) * gives
         elif name in ("bump_stop", "hysteresis"):
             slow += 4.0 * p[1] * gives
+        elif name == "x_damper_on_bushing":
+            slow += 4.0 * p[1] * gives
+            fast += p[1] / p[0]
         elif name in ("linear_damping", "x_position_damping", "x_fading_damping", "x_shear_thinning"):
             fast += abs(p[0]) * gives
         elif name == "asymmetric_damping":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import effects as fx
+from . import half_car
 from .bench import Drive, Rig, at_rest
 from .case import Family
 from .draw import (
@@ -384,4 +385,5 @@ FAMILIES: dict[str, Family] = {
             "unknown_timed_friction": unknown(fx.timed_friction, ROD),
         },
     ),
+    "half_car": half_car.FAMILY,
 }

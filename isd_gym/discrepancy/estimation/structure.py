@@ -144,14 +144,14 @@ def usual(network: Network, path: str) -> float:
     """
     parts = [e.linear() for e in network.elements if e.place == "between"]
     k, c, b = (max((p[i] for p in parts), default=0.0) for i in range(3))
-    m = max([*network.masses.values(), b])
+    owner, _, name = path.rpartition(".")
+    m = max(network.largest_inertia(*network.element(owner).where), b)
     sizes = {
         "N/m": [k],
         "N s/m": [2.0 * math.sqrt(k * m), c],
         "kg": [m],
         "N": [max((getattr(e, "level", 0.0) for e in network.elements), default=0.0)],
     }
-    owner, _, name = path.rpartition(".")
     field_of = {f.name: f for f in el.parameter_fields(type(network.element(owner)))}
     size = next((s for s in sizes.get(field_of[name].metadata["unit"], []) if s > 0), 0.0)
     if not size:
@@ -318,7 +318,7 @@ def owner_pair(network: Network, h: Hypothesis) -> tuple[str, str] | None:
 def in_line(network: Network, first: tuple[str, ...], second: tuple[str, ...]) -> bool:
     """Return whether two pairs carry the same force: links of a chain without masses between."""
     links = {frozenset(e.where) for e in network.elements if e.place == "between"}
-    ends = {GROUND, *network.masses, *network.moved_nodes}
+    ends = {GROUND, *network.inertial, *network.moved_nodes}
     chain, grown = {frozenset(first)}, True
     while grown:
         grown = False

@@ -82,13 +82,13 @@ def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> Plac
     if measured := _measured_force(problem):
         return PlaceForces({}, prescribed, measured)
     elements = [e for e in net.elements if e.place == "between" and e.name != without]
-    masses = [m for m in net.masses if m not in driven]
+    masses = {m: inertia for m, inertia in net.carried.items() if m not in driven}
     probes = [net.probe(f"_{e.name}", "force", element=e.name) for e in elements]
     probes += [net.probe(f"_{m}_a", "acceleration", at=m) for m in masses]
-    by_node: dict[str, float] = dict.fromkeys((*net.masses, *driven), 0.0)
+    by_node: dict[str, float] = dict.fromkeys((*net.carried, *driven), 0.0)
     scale = _lost_motion(problem, fit)
     for (nodes, factor), values in zip(
-        [*((e.where, 1.0) for e in elements), *(((m,), net.masses[m]) for m in masses)],
+        [*((e.where, 1.0) for e in elements), *(((m,), inertia) for m, inertia in masses.items())],
         _simulated(problem, fit, with_outputs(net, tuple(probes))),
         strict=True,
     ):
@@ -123,16 +123,22 @@ def element_forces(problem: Problem, fit: Fit, where: Sequence[str]) -> dict[str
 
 
 def _measured_force(problem: Problem) -> float:
-    """Return the largest deviation of a measured force [N]; 0 where no force is measured."""
+    """Return the largest deviation of a measured force [N]; 0 where no force is measured.
+
+    An acceleration tells the inertia force of the mass or body that it is measured at, and that of the largest mass elsewhere.
+    Torques count only where nothing moves along a line.
+    """
     net, spread = problem.network, problem.deviation() / problem.factors
-    mass = max(net.masses.values(), default=0.0)
-    found = 0.0
+    found, slides = 0.0, net.total_mass > 0
     for j, c in enumerate(net.outputs):
         deviation = float(spread[j])
         if c.quantity == "force":
             found = max(found, deviation if c.at is not None else 0.5 * deviation)
         elif c.quantity == "acceleration":
-            found = max(found, deviation * mass)
+            nodes = (c.at,) if c.at is not None else c.between or ()
+            if not (slides and any(n in net.rotating for n in nodes)):
+                inertia = net.inertia_at(c.at) if c.at is not None else 0.0
+                found = max(found, deviation * (inertia or net.largest_inertia(*nodes)))
     for c in net.inputs:
         if c.quantity in ("force", "current"):
             pushed = np.concatenate([problem.records[i].inputs[c.name] for i in problem.estimation])
@@ -176,4 +182,4 @@ def _inertia_of_data(problem: Problem) -> dict[str, float]:
         if c.quantity in rate:
             deviation = float(problem.deviation()[j]) / problem.factors[j]
             acceleration = max(acceleration, deviation * rate[c.quantity])
-    return {m: mass * acceleration for m, mass in problem.network.masses.items()}
+    return {m: mass * acceleration for m, mass in problem.network.carried.items()}

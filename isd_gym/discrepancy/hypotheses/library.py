@@ -20,6 +20,7 @@ __all__ = ["Hypothesis", "hypotheses", "pairs"]
 def pairs(network: Network) -> list[tuple[str, str]]:
     """Return the pairs of nodes that can carry a force: joined pairs, pairs of masses, and each mass with the ground.
 
+    A rigid body meets the other masses at the points where elements join them; its centre and its angles pair with the ground.
     A pair of which the inputs tell neither distance nor rate (`frames.order_told`) is none of them.
     """
     riding = frames(network)
@@ -35,7 +36,7 @@ def pairs(network: Network) -> list[tuple[str, str]]:
     for pair in combinations(seen, 2):
         if seen[pair[0]] == seen[pair[1]] and (pair[0] in network.rotating) == (pair[1] in network.rotating):
             out.setdefault(frozenset(pair), pair)
-    for m in network.masses:
+    for m in network.carried:
         if order_told(network, (m, GROUND)) < 2 and (m not in network.moved_nodes or not riding):
             out.setdefault(frozenset((m, GROUND)), (m, GROUND))
     return list(out.values())

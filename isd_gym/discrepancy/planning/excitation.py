@@ -271,7 +271,7 @@ def _measured_limits(c: Channel, records: Sequence[Record]) -> Limits | None:
 
 def _typical_limits(c: Channel, network: Network, notes: list[str]) -> Limits:
     """Return the limits of a typical rig at an input. Raise `InputError` for an unusual unit."""
-    weight = WEIGHT * sum(network.masses.values()) if c.si == "N" else 0.0
+    weight = WEIGHT * network.total_mass if c.si == "N" else 0.0
     reach = REACH.get(c.si) or weight
     if not reach:
         raise InputError(

@@ -26,7 +26,9 @@ def list_additional_sensors(network: Network) -> list[Channel]:
     Returns:
         The channels.
     """
-    probes = [network.probe(f"{m}_acceleration", "acceleration", at=m) for m in network.masses]
+    probes = [
+        network.probe(f"{m.replace('.', '_')}_acceleration", "acceleration", at=m) for m in network.carried
+    ]
     joined: dict[frozenset[str], list[tuple[str, tuple[str, str]]]] = {}
     for e in network.elements:
         if e.place == "between" and not e.series:

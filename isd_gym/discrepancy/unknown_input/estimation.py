@@ -103,7 +103,9 @@ def build_model(
     network = structure.network
     frictions = tuple(e.name for e in network.elements for e in e.parts() if e.bound is not None)
     stiffness = max((e.linear()[0] for e in network.elements), default=0.0)
-    critical = 2.0 * math.sqrt(max(stiffness, 1e-12) * max([*network.masses.values(), 1e-12]))
+    critical = 2.0 * math.sqrt(
+        max(stiffness, 1e-12) * max(network.largest_inertia(*network.moved_nodes), 1e-12)
+    )
     priors = [
         *(Prior(f.path, f.mean, f.sigma) for f in structure.free),
         Prior("level", 0.0, LEVEL_SIGMA),
@@ -218,7 +220,7 @@ def fit_effect(base: ModelFit, hypothesis: Hypothesis, clock: TimeLimit) -> Mode
     network = model.network(base.x)
     coefficient = LINEAR[hypothesis.effect]
     size = max((e.linear()[coefficient] for e in network.elements), default=0.0)
-    size = size or (max(network.masses.values()) if hypothesis.effect == "inertance" else 0.0)
+    size = size or (network.largest_inertia(*hypothesis.where) if hypothesis.effect == "inertance" else 0.0)
     if not size:
         return None
     (name,) = [f.name for f in el.parameter_fields(hypothesis.kind)]

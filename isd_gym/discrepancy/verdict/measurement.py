@@ -191,7 +191,7 @@ def find_contradiction(problem: Problem, fit: Fit, element: el.Element, c: Crite
     if element.plane != "time":
         axis = motion.v if element.plane == "rate" else motion.d
         force = element.curve(axis[:: max(1, len(axis) // 500)])
-        inertia = max(problem.network.masses.values(), default=0.0) * el.rms(motion.a)
+        inertia = problem.network.largest_inertia(*element.where) * el.rms(motion.a)
         typical = place_forces(problem, fit, without=element.name).at(element.where)
         if el.rms(force) > c.largest * max(typical, inertia):
             return "its force is many times the forces of the records"

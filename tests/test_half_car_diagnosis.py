@@ -1,0 +1,213 @@
+"""The half car of the hidden suite: its own equations against the kernel's, and effects found at the right corner."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import families
+import numpy as np
+import pytest
+from families.bench import Drive, outputs, run, set_relative
+from families.half_car import FRONT, REAR, half_car
+from families.plant import Signal, integrate
+from reference import simulate as by_reference
+
+from isd_gym import simulate
+from isd_gym.data import Table
+from isd_gym.discrepancy import Diagnosis, SearchSettings, diagnose
+from isd_gym.discrepancy.estimation.structure import in_line
+from isd_gym.discrepancy.hypotheses.forces import _measured_force
+from isd_gym.discrepancy.hypotheses.library import pairs
+from isd_gym.discrepancy.simulation.problem import Problem, Record
+from isd_gym.elements.base import held_still
+from isd_gym.network import Network
+
+FREE = ("stiffness", "damping")
+
+
+def waves(time: np.ndarray, late: float = 0.0) -> Signal:
+    """A road of three sines [m] with its exact derivatives; `late` [s] for the rear axle."""
+    w = np.array([5.0, 11.0, 23.0])
+    angle = np.outer(time - late, w)
+    return Signal(*(0.004 * np.sum(w**p * np.sin(angle + p * np.pi / 2), axis=1) for p in (0, 1, 2)))
+
+
+def car(seed: int = 1) -> families.bench.Rig:
+    return half_car(np.random.default_rng(seed))
+
+
+def ran(rig, model, interval: float, span: float = 2.0):
+    """Time, roads, and the channels that the suite's own integrator gives."""
+    time = np.arange(round(span / interval) + 1) * interval
+    road = {"road_front": waves(time), "road_rear": waves(time, 0.13)}
+    free = integrate(model, road, len(time), interval, speed=0.1)
+    return time, road, outputs(replace(rig, size=len(time), interval=interval), model, free)
+
+
+def worst(a, b) -> float:
+    return max(float(np.abs(a[k] - b[k]).max() / np.abs(b[k]).max()) for k in b)
+
+
+def test_the_half_car_of_the_suite_is_that_of_the_kernel() -> None:
+    """The kernel's road is linear between samples: what is left falls with the square of the interval."""
+    rig = car()
+    left = []
+    for interval in (1e-3, 5e-4, 2.5e-4):
+        time, road, own = ran(rig, rig.model, interval)
+        left.append(worst(own, simulate(rig.model, time, {k: s.value for k, s in road.items()})))
+    assert left[2] < 1.5e-5
+    np.testing.assert_allclose(np.divide(left[:-1], left[1:]), 4.0, rtol=0.05)
+
+
+SERIES = {"name": "mount", "type": "series_compliance", "between": ["body_front", "top"], "stiffness": 4e4}
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        [],
+        [{"type": "cubic_stiffness", "between": ["wheel_rear", "road_rear"], "stiffness": 3e8}],
+        [{"type": "quadratic_damping", "between": ["body_rear", "wheel_rear"], "damping": 4e3}],
+        [{"type": "inertance", "between": ["body_front", "wheel_front"], "inertance": 20.0}],
+    ],
+)
+def test_laws_at_a_corner_move_the_car_as_the_other_integrator_says(extra) -> None:
+    rig = car(2)
+    model = copy.deepcopy(rig.model)
+    model["elements"] += [{"name": f"extra_{i}", **e} for i, e in enumerate(extra)]
+    nodes = ("body_front", "body_rear", "wheel_rear")
+    model["outputs"] = [{"name": n, "quantity": "displacement", "at": n} for n in nodes]
+    time, road, mine = ran(rig, model, 2e-3)
+    theirs = by_reference(
+        model,
+        time,
+        {k: s.value for k, s in road.items()},
+        step=2e-5,
+        derivatives={k: (s.rate, s.second) for k, s in road.items()},
+    )
+    assert worst(mine, theirs) < 1e-5
+
+
+def test_a_damper_on_a_bushing_is_a_spring_in_series() -> None:
+    rig = car(3)
+    soft, series = copy.deepcopy(rig.model), copy.deepcopy(rig.model)
+    next(e for e in soft["elements"] if e["name"] == "damper_front").update(
+        type="x_damper_on_bushing", stiffness=4e4, gap=0.0
+    )
+    next(e for e in series["elements"] if e["name"] == "damper_front")["between"] = ["top", "wheel_front"]
+    series["elements"].append(SERIES)
+    time, road, own = ran(rig, soft, 5e-4)
+    given = {k: s.value for k, s in road.items()}
+    assert (
+        worst(own, simulate(series, time, given)) < 1e-4 < 1e-2 < worst(simulate(rig.model, time, given), own)
+    )
+
+
+def test_the_rear_axle_meets_the_road_of_the_front_axle_later() -> None:
+    rig = car(4)
+    front, rear = (rig.drives[0].inputs[f"road_{end}"].value for end in ("front", "rear"))
+    late = next(k for k in range(1, 100) if np.array_equal(rear[k:], front[:-k]))
+    points = rig.model["bodies"]["body"]["points"]
+    base = points["body_front"]["x"] - points["body_rear"]["x"]
+    assert 12.0 * 0.9 < base / (late * rig.interval) < 30.0 * 1.1
+
+
+# --------------------------------------------------------------------------------------- places of a rigid body
+def half() -> Network:
+    return Network.load("half-car-passive")
+
+
+def test_forces_are_looked_for_at_the_corners_and_between_body_and_ground() -> None:
+    found = {frozenset(p) for p in pairs(half())}
+    assert {frozenset(p) for p in (FRONT, REAR)} <= found
+    assert {frozenset(("body", "ground")), frozenset(("body.pitch", "ground"))} <= found
+    assert not {frozenset(("body", "wheel_front")), frozenset(("body", "body.pitch"))} & found
+
+
+def test_a_point_of_a_body_ends_a_chain_of_links_without_mass() -> None:
+    net = Network.load("half-car-isd")
+    assert in_line(net, ("body_front", "piston_front"), ("joint_front", "wheel_front"))
+    assert not in_line(net, ("body_front", "piston_front"), ("body_front", "wheel_front"))
+
+
+def test_springs_under_both_ends_hold_a_body_still_and_under_one_do_not() -> None:
+    net = half()
+    assert held_still(net, ("body", "ground"))
+    assert not held_still(net.without_element("main_spring_rear"), ("body", "ground"))
+
+
+def test_the_scale_of_force_is_the_inertia_of_what_the_sensor_sits_on() -> None:
+    net = half()
+    time = np.arange(400) * 5e-3
+    roads = {"road_front": waves(time).value, "road_rear": waves(time, 0.13).value}
+    for name, inertia in (
+        ("body_acceleration_front", 690.0),
+        ("body_acceleration", 690.0),
+        ("pitch_acceleration", 0.0),
+    ):
+        seen = replace(net, outputs=tuple(c for c in net.outputs if c.name == name))
+        y = np.sin(20.0 * time)[:, None]
+        problem = Problem(seen, [Record("r", 5e-3, roads, y)], ["fit"])
+        assert _measured_force(problem) == pytest.approx(inertia * np.std(y), rel=1e-6)
+    wheel = replace(net, outputs=(net.probe("hop", "acceleration", at="wheel_rear"),))
+    problem = Problem(wheel, [Record("r", 5e-3, roads, y)], ["fit"])
+    assert _measured_force(problem) == pytest.approx(45.0 * np.std(y), rel=1e-6)
+
+
+# ------------------------------------------------------------------------------------------------- to the end
+def table(columns, name: str) -> Table:
+    columns = dict(columns)
+    return Table(columns.pop("time"), columns, name)
+
+
+def named(d: Diagnosis) -> set[tuple[str, frozenset[str]]]:
+    return {(e.effect, frozenset([e.channel] if e.channel else e.between or ())) for e in d.effects}
+
+
+def test_there_are_sixteen_effects_at_either_axle_and_three_clean_cars() -> None:
+    kinds = families.FAMILIES["half_car"].kinds
+    hidden = [h.answer for h in kinds.values() if h.answer]
+    assert len(hidden) == 16 and len(kinds) == 19
+    corners = ["front" if "front" in str(place) else "rear" for ((_, place),) in hidden]
+    assert corners.count("front") == corners.count("rear") == 8
+
+
+@pytest.mark.parametrize("end", ["front", pytest.param("rear", marks=pytest.mark.slow)])
+def test_a_damper_that_differs_by_direction_is_named_at_its_corner(end) -> None:
+    """The model's parameters are off by 2 %, the sensors' noise is 1 %; two candidates reach the whole records of 6 s."""
+    rig, r = replace(car(6), size=1200), np.random.default_rng(6)
+    true, owner = copy.deepcopy(rig.model), copy.deepcopy(rig.model)
+    damper = next(e for e in true["elements"] if e["name"] == f"damper_{end}")
+    place = {"type": "asymmetric_damping", "between": [f"body_{end}", f"wheel_{end}"]}
+    true["elements"].append({"name": "hidden", **place, "extension": damper["damping"], "compression": 0.0})
+    owner["uncertainty"] = {f"{e['name']}.{k}": 0.02 for e in owner["elements"] for k in e if k in FREE}
+    for path, sigma in owner["uncertainty"].items():
+        set_relative(owner, path, sigma * r.uniform(-1.0, 1.0))
+    records = []
+    for way in rig.drives:
+        way = Drive(
+            {k: Signal(s.value[:1200], s.rate[:1200], s.second[:1200]) for k, s in way.inputs.items()}, {}
+        )
+        y = outputs(rig, true, run(rig, true, way))
+        noisy = {k: x + 0.01 * np.std(x) * r.standard_normal(len(x)) for k, x in y.items()}
+        roads = {k: s.value for k, s in way.inputs.items()}
+        records.append({"time": np.arange(rig.size) * rig.interval, **roads, **noisy})
+    d = diagnose(
+        [table(records[0], "estimation")],
+        owner,
+        validate=[table(records[1], "validation")],
+        settings=SearchSettings(depth=1, first_round=3, finals=2, turns=0),
+    )
+    assert named(d) == {("asymmetric_damping", frozenset((f"body_{end}", f"wheel_{end}")))}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["friction_front", "bushing_front", "cubic_tyre_rear", "delay_rear"])
+def test_what_is_hidden_at_one_axle_is_named_there(kind) -> None:
+    with np.errstate(over="ignore"):  # a size that is tried on the way to the right one
+        case = families.make_case(f"half_car.{kind}", 1)
+    held = [table(case.validation, "validation")]
+    d = diagnose([table(case.estimation, "estimation")], case.model, validate=held)
+    answer = {(e, frozenset([place] if isinstance(place, str) else place)) for e, place in case.answer}
+    assert named(d) == answer
