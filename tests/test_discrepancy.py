@@ -333,7 +333,7 @@ def test_a_small_effect_with_a_large_response_is_left_alone() -> None:
     d, _ = run("none_passive", 31)
     assert d.gap["refit"]["device_travel"] > 0.15
     assert d.verdict in ("no_discrepancy", "parameters_only")
-    assert "Nothing worth a name" in d.summary
+    assert "No missing effect can be named" in d.summary
 
 
 def test_the_later_part_of_a_record_begins_where_the_fit_to_its_beginning_ends() -> None:

@@ -382,7 +382,7 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     page = reopened(d, path)
     assert "Force between piston and joint, as a table over rate" in page.text
     assert "coulomb friction (98\u00a0% of it)" in page.text
-    assert "The best candidate was hysteresis between piston and joint: it removes 42\u00a0%" in page.text
+    assert "The best candidate is hysteresis between piston and joint. The candidate removes 42\u00a0%" in page.text
     assert (
         page.text.count("with the force") == 3
     )  # heads of the gap and parameter tables, the words on the stages
@@ -461,7 +461,7 @@ def test_a_sensor_is_told_from_physics(diagnosis, tmp_path):
         "sensor_gain", None, "body_acceleration", 0.99, {"gain": Quantity(1.127, 1.125, 1.129, "-")}, "g"
     )
     page = check_page(report.write_report(replace(diagnosis, effects=(effect,), laws=()), tmp_path / "x"))
-    assert "A sensor is off" in page.text and "Sensor gain in body acceleration" in page.text
+    assert "A sensor has a fault" in page.text and "Sensor gain in body acceleration" in page.text
     assert "it must read 1.1270 times the truth" in page.text
 
 
@@ -963,7 +963,7 @@ def test_a_parameter_that_the_data_do_not_tell_is_drawn_as_such(diagnosis):
     }
     chart = report.draw_parameters(report.View(replace(diagnosis, parameters=told)))
     marks = {i.name.split(":")[0]: list(i.y) for i in chart.panels[0].items if isinstance(i, charts.Marks)}
-    assert marks["found"] == [0] and marks["not seen by these data"] == [1]
+    assert marks["estimate with 95 % interval"] == [0] and marks["not determined by these data"] == [1]
 
 
 def test_no_two_policies_look_the_same():
