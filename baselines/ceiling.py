@@ -232,17 +232,17 @@ class Ceiling:
         if self.preview:
             what, who = (
                 f"ceiling with {self.preview:g} s of road ahead",
-                f"that sees {self.preview:g} s of road",
+                f"that sees {self.preview:g} s of road ahead",
             )
         proven = 100 * (self.proven.mean() / self.passive - 1.0)
-        bound = "there is no proven bound"
+        bound = "There is no proven bound"
         if math.isfinite(proven):
             error = 100 * _standard_error(self.proven) / self.passive
-            bound = f"the proven bound, of a car without end stops, is {proven:+.1f} +- {error:.1f} %"
+            bound = f"The proven bound, for a car without end stops, is {proven:+.1f} +- {error:.1f} %"
         return (
-            f"The {what} is searched, not proven: J {100 * self.change:+.1f} +- "
-            f"{100 * self.standard_error / self.passive:.1f} % against passive, which no controller {who} is known to pass; "
-            f"{bound}."
+            f"The {what} is an estimate, not a proven bound: J {100 * self.change:+.1f} +- "
+            f"{100 * self.standard_error / self.passive:.1f} % against passive. "
+            f"No controller {who} is known to be better. {bound}."
         )
 
     @property

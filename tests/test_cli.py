@@ -68,7 +68,7 @@ def test_score_ends_with_what_puts_it_in_place(tmp_path):
         "travel [mm] 7.60 -> 6.30",
         "Clairvoyant optimum",
         "Causal LQ bound",
-        "The causal ceiling is searched, not proven",
+        "The causal ceiling is an estimate, not a proven bound",
     ):
         assert words in text
     assert "Left out" not in text

@@ -368,7 +368,7 @@ def test_report_stands_alone_and_says_it_all(diagnosis, tmp_path):
     for words in (
         diagnosis.summary, "A physical effect is missing", "145.2 to 154.9", "hysteresis between piston and joint",
         "explains less <of it>", "significant", "jump by twice 150.0\u00a0N", "held out: two", "rig & co.json",
-        "velocity of piston-joint changes sign", "351.2\u00a0kg", "99.0\u00a0% of the gap",
+        "velocity of piston-joint changes sign", "351.2\u00a0kg", "99.0\u00a0% of the squared error beyond noise",
     ):  # fmt: skip
         assert words in page.text, words
     assert json.loads((path.parent / "diagnosis.json").read_text())["verdict"] == "missing_effect"

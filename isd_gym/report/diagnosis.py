@@ -338,7 +338,7 @@ class View:
             return ""
         if self.d.closed < 0:
             return "the error on the test records is larger with this addition"
-        return f"{percent(self.d.closed, 1, sign=False)} of the gap between refitted model and noise is closed (of the squared error)"
+        return f"{percent(self.d.closed, 1, sign=False)} of the squared error beyond noise is removed"
 
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
