@@ -227,7 +227,7 @@ class Ceiling:
 
     @property
     def sentence(self) -> str:
-        """What the ceiling is worth, in one sentence; the documentation says the same."""
+        """Value of the ceiling and proven bound in words, as in the documentation."""
         what, who = "causal ceiling", "that does not see the road"
         if self.preview:
             what, who = (
@@ -473,16 +473,16 @@ def command(
     episodes: Annotated[int, typer.Option(help="Number of roads; each takes some 15 s.", min=2)] = ROADS,
     duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1)] = 20.0,
     store: Annotated[
-        Path | None, typer.Option("--store", help="Keep what is computed in this file.", metavar="FILE")
+        Path | None, typer.Option("--store", help="Store computed roads in this file.", metavar="FILE")
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Search a bound for all controllers that know so much of the road ahead: the causal ceiling, and with preview.
+    """Estimate the lowest cost of controllers that see a given length of road ahead, or none (causal ceiling).
 
-    The ceiling is searched, not proven; a proven and looser bound is printed beside it. Computed roads are kept and not
-    computed again. `isd-gym score` quotes the ceilings it finds.
+    The ceiling is the result of a search, not a proven bound. The command also prints a proven, looser bound. Computed roads
+    are stored and not computed again. `isd-gym score` quotes the stored ceilings.
 
     Example: isd-gym ceiling --preview 0 --preview 0.1
     """

@@ -382,7 +382,10 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     page = reopened(d, path)
     assert "Force between piston and joint, as a table over rate" in page.text
     assert "coulomb friction (98\u00a0% of it)" in page.text
-    assert "The best candidate is hysteresis between piston and joint. The candidate removes 42\u00a0%" in page.text
+    assert (
+        "The best candidate is hysteresis between piston and joint. The candidate removes 42\u00a0%"
+        in page.text
+    )
     assert (
         page.text.count("with the force") == 3
     )  # heads of the gap and parameter tables, the words on the stages

@@ -21,7 +21,7 @@ def command(
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Reproduce every table and figure of the paper beside what is printed, and say which claims hold.
+    """Compare every table and figure of the paper with computed values, and list the claims that hold.
 
     Writes DIR/index.html (one page that opens anywhere), the figures as PNG and DIR/reproduction.json.
 

@@ -189,7 +189,7 @@ class ResultBuilder:
         return out
 
     def _rejected(self, decision: Decision, rows: Mapping[str, Array]) -> BestCandidate | None:
-        """Return the foremost candidate where it is not named."""
+        """Return the foremost candidate if it is not named."""
         best = self.scores.foremost
         if decision.verdict == "missing_effect" or not best.hypotheses:
             return None

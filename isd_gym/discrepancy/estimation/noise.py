@@ -102,7 +102,7 @@ def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool =
     """Estimate coloured noise in residuals (samples,): white plus AR(1), fitted to the spectrum above the motion.
 
     `time` [s]: in which the motion changes. Up to some three of its frequencies signal and model error cover the
-    noise, so its level there is that of the law found above. It is never more than the series itself. `white`: what a
+    noise, so its level there is that of the law found above. The noise is at most the series. `white`: what a
     low-pass left of the spectrum tells a level, but no colour.
     """
     length = min(1024, min(len(x) for x in series))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 REACH = 3.0
 #: one sigma, and the limits, of the logarithm of a new parameter about the size that the data suggest
 WIDE, FAR = 5.0, math.log(1e4)
-#: one sigma of the logarithm of a parameter that keeps its start value
+#: standard deviation of the logarithm of a parameter that stays near its start value
 SURE = 1e-4
 
 
@@ -140,7 +140,7 @@ def _signed(network: Network, path: str) -> bool:
 def usual(network: Network, path: str) -> float:
     """Return the scale of a parameter that starts at zero: critical damping, or the largest value of the same kind.
 
-    network: the owner's model; path: of the parameter. Raises `InputError` where nothing in the network tells.
+    network: the owner's model; path: of the parameter. Raises `InputError` if the network gives no scale.
     """
     parts = [e.linear() for e in network.elements if e.place == "between"]
     k, c, b = (max((p[i] for p in parts), default=0.0) for i in range(3))
@@ -228,7 +228,7 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
 
 
 def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, float]]]) -> Structure:
-    """Return the nominal model with effects inserted in order; a node that a split removed stands for its origin."""
+    """Return the nominal model with effects inserted in order; a node that a split removed is replaced by its origin."""
     structure = base_structure(network)
     for h, values in effects:
         known = {
@@ -271,7 +271,7 @@ def split(
     """Everything between the pair, or the element `behind` alone, moved behind a new node next to its first terminal; the gap is
     what is returned.
 
-    A moved terminal goes first, so that the rig still moves it. Raises `InputError` where `behind` does not stand there.
+    A moved terminal goes first, so that the rig still moves it. Raises `InputError` if `behind` is not at this place.
     """
     if behind and behind not in {e.name for e in el.beside(network, pair)}:
         raise InputError(f"'{behind}' does not stand between {' and '.join(pair)}")

@@ -47,7 +47,7 @@ def places(network: Network, kind: type[el.Element]) -> list[tuple[str, ...]]:
         return [(e.name,) for e in network.elements if isinstance(e, el.Motor)]
     if kind.place == "channel":
         return [(c.name,) for c in network.outputs]
-    # a law of travel needs the distance; what is put in series with others has a travel of its own
+    # a law of travel needs the distance; an element in series has an elongation of its own
     travel = kind.plane == "elongation" and not kind.series
     return [p for p in pairs(network) if not (travel and order_told(network, p))]
 

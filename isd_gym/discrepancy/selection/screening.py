@@ -400,7 +400,7 @@ def amplified(screening: Screening, s: ScoredStart, factors: Sequence[float]) ->
 
 
 def _misfit(screening: Screening, tries: Sequence[Structure]) -> Array | None:
-    """Return the sum over channels of the logarithm of the residual's variance (tries,): one drifting channel does not hide the others."""
+    """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other channels."""
     problem, current = screening.windowed, screening.current
     if not tries:
         return None
@@ -449,7 +449,7 @@ def _screen_growing(
     while gap(part, fit) >= settings.lost_phase and share * longest > settings.shortest:
         share /= 2
         part = beginning(problem, share, settings.shortest)
-        # from the measured state: the state that fits a wrong frequency best means nothing
+        # from the measured state: a state that is fitted at a wrong frequency is no estimate
         fit = Fitter(part, white_filters(least_noise)).fit(current.structure, current.x, iterations=0)
     many = replace(settings, first_round=100, finals=8)
     ranked = list(Screening(part, fit, least_noise, many, has_lost_phase=True).run().ranked)

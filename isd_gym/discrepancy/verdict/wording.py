@@ -43,7 +43,7 @@ def summary_of(document: Mapping[str, Any]) -> str:
     """Return the summary of a diagnosis.
 
     Args:
-        document: the diagnosis as its JSON has it (`isd-diagnosis/1`); its own `summary` is not read.
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
 
     Returns:
         Sentences: the finding with its figures, the reason, the limits of the data, and what to do next.
@@ -71,7 +71,7 @@ def unit_summary_of(document: Mapping[str, Any]) -> str:
     """Return the summary of a diagnosis whose model is an FMU.
 
     Args:
-        document: the diagnosis as its JSON has it (`isd-diagnosis/1`); its own `summary` is not read.
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
     """
     gap, verdict = document["gap"]["held_out"], document["verdict"]
     if verdict == "no_discrepancy":
