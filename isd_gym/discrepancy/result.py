@@ -49,6 +49,7 @@ class Quantity:
     low: float
     #: upper end of the interval [unit]
     high: float
+    #: unit of the parameter
     unit: str
     #: value in the nominal model [unit]; None for parameters of a new effect
     prior: float | None = None

@@ -224,9 +224,9 @@ def resolution(series: Sequence[Array]) -> float:
 
 
 def floors_of(problem: Problem) -> list[Floor]:
-    """Estimate every channel's noise: that of the sensor, and that of a motion from which a force is computed.
+    """Estimate the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion.
 
-    The sensor's noise is the owner's statement, or follows from the signal of the training and validation records.
+    The sensor noise is stated in the model file, or follows from the training and validation records.
 
     Args:
         problem: Records and channels.

@@ -45,14 +45,15 @@ class Free:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """An effect of the library at a place: two nodes, a motor or a channel. `options` are its non-numeric choices.
+    """An effect of the library at a place."""
 
-    behind: of what is put in series, the one element of several side by side that it carries; all that stand there without.
-    """
-
+    #: type of the element
     effect: str
+    #: two nodes, a motor or a channel
     where: tuple[str, ...]
+    #: options that are not numbers: name, value
     options: tuple[tuple[str, str], ...] = ()
+    #: for an effect in series: the element that the effect carries; empty for all elements at the place
     behind: str = ""
 
     @property
@@ -91,7 +92,7 @@ class Structure:
     hypotheses: tuple[Hypothesis, ...] = ()
     names: tuple[str, ...] = ()  # of the elements that the hypotheses brought
     ties: tuple[tuple[str, str], ...] = ()  # (path, path it follows)
-    #: offset of each output's sensor that all records share [unit of the channel]; None before an estimate
+    #: sensor offset of each output, equal for all records [unit of the channel]; None before an estimate
     offsets: tuple[float, ...] | None = None
 
     def at(self, x: np.ndarray) -> Network:

@@ -20,7 +20,7 @@ __all__ = ["Hypothesis", "hypotheses", "pairs"]
 def pairs(network: Network) -> list[tuple[str, str]]:
     """Return the pairs of nodes that can carry a force: joined pairs, pairs of masses, and each mass with the ground.
 
-    A pair of which the inputs tell neither distance nor rate (`frames.order_told`) is none of them.
+    Pairs are left out if the inputs determine neither their distance nor their rate (`frames.order_told`).
     """
     riding = frames(network)
     out: dict[frozenset[str], tuple[str, str]] = {}

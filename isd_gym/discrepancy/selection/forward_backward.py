@@ -91,7 +91,7 @@ class Search:
             is_promising: Whether effects are added to a candidate.
 
         Returns:
-            The path and its stages with what was added.
+            The path and its stages after the additions.
         """
         c, e = self.criteria, self.evaluator
         path, stages = list(path), list(stages)

@@ -293,7 +293,7 @@ class Screening:
         return r
 
     def try_other_shape(self, r: Candidate, factor: float, noise: Array) -> Candidate:
-        """Fit a candidate again from another shape of its law; return the candidate itself where that fails."""
+        """Refit a candidate from another shape of its law. Return the unchanged candidate if the refit fails."""
         return refit_with_other_shape(self.problem, r, shape_index(r), factor, self.least_noise, noise) or r
 
     def first_round(self) -> list[Candidate]:
@@ -333,7 +333,10 @@ class Screening:
             return None
 
     def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
-        """Order candidates by deviance; a candidate that closes half of the gap goes before a likelier one that does not."""
+        """Order candidates by deviance.
+
+        If the first candidate leaves more than half of the gap, a candidate that closes half of the gap is moved to the front.
+        """
         ranked = sorted(ranked, key=lambda r: r.deviance)
         widths = [gap(self.problem, r.fit) for r in ranked]
         if ranked and min(widths) < 0.5 * gap(self.problem, self.current) < widths[0]:

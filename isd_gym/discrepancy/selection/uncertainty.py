@@ -118,7 +118,7 @@ def differing_part(
         matrix: Covariance of the free parameters.
 
     Returns:
-        The difference with its interval; None where the law has no such pair.
+        The difference with its interval; None for a law without two such parameters.
     """
     here = [e for e in el.beside(network, element.where) if e.name != element.name]
     pair = element.differing(here)

@@ -291,7 +291,7 @@ def _force_difference(problem: Problem, one: Candidate, other: Candidate, named:
 
 
 def _laws_over_one_plane(search: Search, best: Candidate) -> list[str]:
-    """Return the effects, with the model's own laws there at their limits, if all effects are at one place and over one plane.
+    """Return the effects and the laws of the model at their limits, if all effects are at one place over one plane.
 
     Elements in series along a chain without masses are at one place.
     """
