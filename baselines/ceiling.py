@@ -278,22 +278,22 @@ class Ceiling:
 
     @property
     def sentence(self) -> str:
-        """Meaning of the ceiling in one sentence, as in the documentation."""
+        """Value of the ceiling and proven bound in words, as in the documentation."""
         what, who = "causal ceiling", "that does not see the road"
         if self.preview:
             what, who = (
                 f"ceiling with {self.preview:g} s of road ahead",
-                f"that sees {self.preview:g} s of road",
+                f"that sees {self.preview:g} s of road ahead",
             )
         proven = 100 * (self.proven.mean() / self.passive - 1.0)
-        bound = "there is no proven bound"
+        bound = "There is no proven bound"
         if math.isfinite(proven):
             error = 100 * _standard_error(self.proven) / self.passive
-            bound = f"the proven bound, of a car without end stops, is {proven:+.1f} +- {error:.1f} %"
+            bound = f"The proven bound, for a car without end stops, is {proven:+.1f} +- {error:.1f} %"
         return (
-            f"The {what} is searched, not proven: J {100 * self.change:+.1f} +- "
-            f"{100 * self.standard_error / self.passive:.1f} % against passive, which no controller {who} is known to pass; "
-            f"{bound}."
+            f"The {what} is an estimate, not a proven bound: J {100 * self.change:+.1f} +- "
+            f"{100 * self.standard_error / self.passive:.1f} % against passive. "
+            f"No controller {who} is known to be better. {bound}."
         )
 
     @property
@@ -580,16 +580,16 @@ def command(
     episodes: Annotated[int, typer.Option(help="Number of roads; each takes some 15 s.", min=2)] = ROADS,
     duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1)] = 20.0,
     store: Annotated[
-        Path | None, typer.Option("--store", help="Keep what is computed in this file.", metavar="FILE")
+        Path | None, typer.Option("--store", help="Store computed roads in this file.", metavar="FILE")
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Search a bound for all controllers with a given preview of the road: the causal ceiling, and ceilings with preview.
+    """Estimate the lowest cost of controllers that see a given length of road ahead, or none (causal ceiling).
 
-    The ceiling is searched, not proven; a proven but looser bound is printed as well. Computed roads are
-    stored. `isd-gym score` quotes the known ceilings.
+    The ceiling is the result of a search, not a proven bound. The command also prints a proven, looser bound. Computed roads
+    are stored and not computed again. `isd-gym score` quotes the stored ceilings.
 
     Example: isd-gym ceiling --preview 0 --preview 0.1
     """

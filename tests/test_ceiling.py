@@ -162,10 +162,12 @@ def test_the_ceiling_is_told_in_one_sentence(page):
 
 def test_the_sentence_names_the_sight():
     ahead = known("quarter-car-isd", preview=0.1)["sentence"]
-    assert ahead.startswith("The ceiling with 0.1 s of road ahead is searched, not proven: J -39.4 +- 0.2 %")
-    assert "which no controller that sees 0.1 s of road is known to pass" in ahead
+    assert ahead.startswith(
+        "The ceiling with 0.1 s of road ahead is an estimate, not a proven bound: J -39.4 +- 0.2 %"
+    )
+    assert "No controller that sees 0.1 s of road ahead is known to be better" in ahead
     few = Ceiling(0.0, np.full(4, 0.6), np.full(4, np.nan), 0.85).sentence
-    assert "there is no proven bound." in few and "nan" not in few
+    assert "There is no proven bound." in few and "nan" not in few
 
 
 def test_a_score_quotes_no_ceiling_of_few_roads(tmp_path, monkeypatch):

@@ -241,7 +241,7 @@ def run(
 def test_no_discrepancy(files: Path, library: None, tmp_path: Path) -> None:
     o = run(files, tmp_path, "clean")
     assert o.document["verdict"] == "no_discrepancy" and o.document["effects"] == []
-    assert o.document["summary"].startswith("The model agrees with the measurements (")
+    assert o.document["summary"].startswith("The model agrees with the measurements; no effect is missing (")
     assert o.document["reason"] == "immaterial"
 
 
@@ -335,7 +335,9 @@ def test_a_unit_for_co_simulation(files: Path, tmp_path: Path) -> None:
     records = [files / "stiffer1.csv", "--validate", files / "stiffer2.csv"]
     o = diagnosed(tmp_path / "out", *records, "--model", unit, "--trust-fmu", *free)
     assert o.document["verdict"] == "parameters_only"
-    assert o.document["summary"].startswith("Refitted parameters explain the difference (")
+    assert o.document["summary"].startswith(
+        "Refitted parameters explain the difference; no effect is missing ("
+    )
     q = o.document["parameters"]["spring.stiffness"]
     assert q["value"] == pytest.approx(2250.0, rel=0.02)
     values = ElementTree.parse(o.folder / "parameters.ssv")

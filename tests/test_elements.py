@@ -501,7 +501,7 @@ def test_a_logged_channel_in_a_model_file():
         ),
         (
             logged(inputs=({"name": "oil", "quantity": "temperature", "unit": "bar"},)),
-            "unit 'bar' cannot be turned",
+            "unit 'bar' cannot be converted",
         ),
         (
             {**logged(), "outputs": [{"name": "t", "quantity": "temperature", "unit": "degC", "at": "cart"}]},

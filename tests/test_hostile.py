@@ -625,7 +625,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path):
     (tmp_path / "a" / "plot.png").symlink_to(secret)
     refused(lambda: write_thing(tmp_path / "a"), "'plot.png', a link")
     (tmp_path / "b").symlink_to(tmp_path / "a")
-    refused(lambda: write_thing(tmp_path / "b"), "no folder")
+    refused(lambda: write_thing(tmp_path / "b"), "not a folder")
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / "thing.json\n").write_text("")
     refused(lambda: write_thing(tmp_path / "c"), r"'thing.json\\n'")

@@ -368,7 +368,7 @@ def test_report_stands_alone_and_says_it_all(diagnosis, tmp_path):
     for words in (
         diagnosis.summary, "A physical effect is missing", "145.2 to 154.9", "hysteresis between piston and joint",
         "explains less <of it>", "significant", "jump by twice 150.0\u00a0N", "held out: two", "rig & co.json",
-        "velocity of piston-joint changes sign", "351.2\u00a0kg", "99.0\u00a0% of the gap",
+        "velocity of piston-joint changes sign", "351.2\u00a0kg", "99.0\u00a0% of the squared error beyond noise",
     ):  # fmt: skip
         assert words in page.text, words
     assert json.loads((path.parent / "diagnosis.json").read_text())["verdict"] == "missing_effect"
@@ -382,7 +382,10 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     page = reopened(d, path)
     assert "Force between piston and joint, as a table over rate" in page.text
     assert "coulomb friction (98\u00a0% of it)" in page.text
-    assert "The best candidate was hysteresis between piston and joint: it removes 42\u00a0%" in page.text
+    assert (
+        "The best candidate is hysteresis between piston and joint. The candidate removes 42\u00a0%"
+        in page.text
+    )
     assert (
         page.text.count("with the force") == 3
     )  # heads of the gap and parameter tables, the words on the stages
@@ -461,7 +464,7 @@ def test_a_sensor_is_told_from_physics(diagnosis, tmp_path):
         "sensor_gain", None, "body_acceleration", 0.99, {"gain": Quantity(1.127, 1.125, 1.129, "-")}, "g"
     )
     page = check_page(report.write_report(replace(diagnosis, effects=(effect,), laws=()), tmp_path / "x"))
-    assert "A sensor is off" in page.text and "Sensor gain in body acceleration" in page.text
+    assert "A sensor has a fault" in page.text and "Sensor gain in body acceleration" in page.text
     assert "it must read 1.1270 times the truth" in page.text
 
 
@@ -565,7 +568,7 @@ def test_a_folder_with_something_else_in_it_is_refused(tmp_path, there):
 
 def test_what_is_no_folder_is_refused(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="no folder"):
+    with pytest.raises(InputError, match="not a folder"):
         report.check_target(tmp_path / "file")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="a folder of its own"):
@@ -963,7 +966,7 @@ def test_a_parameter_that_the_data_do_not_tell_is_drawn_as_such(diagnosis):
     }
     chart = report.draw_parameters(report.View(replace(diagnosis, parameters=told)))
     marks = {i.name.split(":")[0]: list(i.y) for i in chart.panels[0].items if isinstance(i, charts.Marks)}
-    assert marks["found"] == [0] and marks["not seen by these data"] == [1]
+    assert marks["estimate with 95 % interval"] == [0] and marks["not determined by these data"] == [1]
 
 
 def test_no_two_policies_look_the_same():

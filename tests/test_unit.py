@@ -106,7 +106,7 @@ def test_the_same_by_way_of_the_command(unit_file, tmp_path):
     values = (out / "parameters.ssv").read_text()
     assert 'name="mass.mass"' in values and not (out / "model.json").exists()
     page = (out / "report.html").read_text()
-    assert "unit for co-simulation" in page and "parameters.ssv" in page and "model.json" not in page
+    assert "Diagnosis of the FMU" in page and "parameters.ssv" in page and "model.json" not in page
 
 
 def test_what_agrees_is_left_alone_and_what_the_unit_hides_is_not_named(unit):
@@ -116,7 +116,7 @@ def test_what_agrees_is_left_alone_and_what_the_unit_hides_is_not_named(unit):
     other = diagnose_unit([record(RIG.with_element(hard), 3, "b")], unit, uncertainty=FREE)
     assert same.verdict == "no_discrepancy"
     assert other.verdict == "unknown_effect" and other.effects == () and other.closed is None
-    assert "shows no inside" in other.summary and other.where[0].share > 0.3
+    assert "inside an FMU are hidden" in other.summary and other.where[0].share > 0.3
     assert other.gap["refit"]["travel"] > 3 * other.gap["noise_floor"]["travel"]
 
 

@@ -92,10 +92,10 @@ VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground",
 
 def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() -> None:
     said = summary_of(document(VAGUE))
-    assert "The best candidate, coulomb friction between mass and ground, takes the error in travel" in said
+    assert "The best candidate, coulomb friction between mass and ground, reduces the error in travel" in said
     assert "from 30.0 % to 7.0 % and fails 1 of 10 gates: determined (0.95, needed below 0.9)." in said
     nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, richest=())))
-    assert "No known effect gains anything" in nothing
+    assert "No known effect reduces the error" in nothing
 
 
 def tried(explained: float, moved: float = 0.2, errors: float = 5.0) -> dict[str, Any]:
@@ -105,11 +105,11 @@ def tried(explained: float, moved: float = 0.2, errors: float = 5.0) -> dict[str
 
 def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> None:
     said = summary_of(document(VAGUE, best_table=tried(0.93, errors=1.2)))
-    assert "removes 93 % of the held-out excess error" in said
+    assert "removes 93 % of the squared held-out error beyond noise" in said
     assert "predicts better (1.2, needed above 2)" in said
     assert "depend on time" not in said and "half" not in said
     said = summary_of(document(VAGUE, best_table=tried(0.3)))
-    assert "removes 30 % of the held-out excess error (needed 50 %)." in said
+    assert "removes 30 % of the squared held-out error beyond noise (needed 50 %)." in said
     assert "depend on time, on its own past" in said
 
 
@@ -124,8 +124,8 @@ def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
     }
     closed = {"held_out": document(VAGUE)["gap"]["held_out"], "closed": -0.5}
     said = summary_of(document(VAGUE, tabulated=table, best_table=tried(0.6)))
-    assert "removes 60 % of the held-out excess error" in said and "gas spring 88 %" in said
-    assert "distance alone gives 97 % of it, rate alone gives 5 % of it" in said
+    assert "removes 60 % of the squared held-out error beyond noise" in said and "gas spring 88 %" in said
+    assert "distance alone 97 %, rate alone 5 %" in said
     assert NOT_BORNE_OUT not in said
     assert NOT_BORNE_OUT in summary_of(document(VAGUE, tabulated=table, gap=closed))
 
@@ -133,7 +133,7 @@ def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
 def test_the_length_of_stretches_is_the_one_that_was_compared() -> None:
     over = {"count": 4, "shortest": 7.5, "longest": 15.0, "reason": "astray", "error": 0.61, "limit": 0.5}
     said = summary_of(document(stretches=over))
-    assert "Compared over 4 stretches of 7.5 to 15 s" in said and "errs by 61.0 %" in said and "50 %" in said
+    assert "over 4 stretches of 7.5 to 15 s" in said and "is 61.0 % (limit 50 %)" in said
 
 
 def test_what_is_left_beside_a_name_is_told() -> None:
@@ -146,8 +146,8 @@ def test_what_is_left_beside_a_name_is_told() -> None:
         "candidate": addition,
     }
     said = summary_of(document(after=0.2, remainder=left))
-    assert "An error of 20.0 % in travel is left (noise 2.0 %): another effect may be missing." in said
-    assert "backlash between a and b, would leave 5.0 %" in said
+    assert "An error of 20.0 % in travel remains (noise 2.0 %). Another effect may be missing." in said
+    assert "backlash between a and b, would reduce the error to 5.0 %" in said
 
 
 def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
@@ -157,8 +157,8 @@ def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
     ]
     abreast = replace(SEEN, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0)
     said = summary_of(document(abreast, alternatives=rivals, next_experiment={"do": "a sine"}))
-    assert "which of 2 explanations is right: coulomb friction between mass and ground (leaves 1.0 %" in said
-    assert said.endswith("Next: play the test in next_experiment.csv.")
+    assert "between 2 explanations: coulomb friction between mass and ground (leaves 1.0 %" in said
+    assert said.endswith("Next: run the test in next_experiment.csv.")
     alone = summary_of(document(abreast, alternatives=rivals[:1]))
     assert "fails distinguishable (1, needed at most 0)" in alone
 
@@ -166,9 +166,9 @@ def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
 @pytest.mark.parametrize(
     ("change", "reason", "words"),
     [
-        ({"refit": (0.021,)}, "immaterial", "no channel errs by more than 0.6 % of its"),
+        ({"refit": (0.021,)}, "immaterial", "the error beyond noise is at most 0.6 % of the"),
         ({"refit": (0.05,), "envelope": (0.06,)}, "small_effects", "leave up to 6.0 %"),
-        ({"refit": (0.06,), "noise": (0.05,), "envelope": (0.01,)}, "noise", "travel errs by 3.3 % beyond the noise of 5.0 %"),
+        ({"refit": (0.06,), "noise": (0.05,), "envelope": (0.01,)}, "noise", "the error in travel beyond noise is 3.3 % (noise 5.0 %)"),
     ],
 )  # fmt: skip
 def test_why_nothing_is_missing_is_told_with_its_figures(change: dict, reason: str, words: str) -> None:
@@ -191,13 +191,16 @@ def test_a_small_effect_is_told_with_its_share_or_the_gate_it_fails() -> None:
 
 def test_a_bound_of_the_noise_is_told() -> None:
     bounded = replace(VAGUE, noise_known=(False,))
-    assert "only bound the noise of travel (at most 2.0 %)" in summary_of(document(bounded))
+    assert "only an upper bound on the noise of travel (at most 2.0 %)" in summary_of(document(bounded))
 
 
 def test_a_unit_whose_sensor_has_another_zero() -> None:
     d = document(replace(SEEN, effects=(), after=SEEN.refit, richest=()), constant={"travel": 0.9})
     said = unit_summary_of(d)
-    assert "A constant is 90 % of the squared error in travel" in said and "shows no inside" in said
+    assert (
+        "A constant offset is 90 % of the squared error in travel" in said
+        and "inside an FMU are hidden" in said
+    )
 
 
 def test_a_figure_that_is_not_finite_does_not_lose_the_result() -> None:

@@ -21,7 +21,7 @@ def command(
         Path | None, typer.Option("--json", help="Write the figures to this file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Reproduce every table and figure of the paper beside the printed values, and judge its claims.
+    """Compare every table and figure of the paper with computed values, and list the claims that hold.
 
     Writes DIR/index.html (one self-contained page), the figures as PNG and DIR/reproduction.json.
 

@@ -49,6 +49,6 @@ def print_diagnosis(result: Any, json_file: Path | None, page: Path | ReportErro
         made.add_row(Text(plain(channel, 40)), *(f"{100 * result.gap[s][channel]:.1f} %" for s in stages))
     console.print(made)
     if result.closed is not None and result.closed >= 0:
-        console.print(f"{100 * result.closed:.1f} % of the gap that can be closed is closed.")
+        console.print(f"{100 * result.closed:.1f} % of the squared error beyond noise is removed.")
     write_json(json_file, result.to_dict())
     print_page(page, "report")

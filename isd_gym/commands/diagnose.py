@@ -42,15 +42,16 @@ def command(
     model: Annotated[
         str | None,
         typer.Option(
-            help="Nominal model: a file, a built-in network, or a unit for co-simulation (.fmu). Required, except for a folder of "
-            "cases with their own model.json.",
+            help="Nominal model: a file, a built-in network, or an FMU (.fmu). Required, except for a folder of cases with "
+            "their own model.json.",
             autocompletion=complete(network_names),
         ),
     ] = None,
     validate: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Validation records. Without this option some of DATA are held out.",
+            help="Held-out records. One part chooses the effect, the rest gives the reported errors. Without this option some of "
+            "DATA are held out.",
             metavar="DATA...",
         ),
     ] = None,
@@ -79,8 +80,8 @@ def command(
     cut: Annotated[
         str | None,
         typer.Option(
-            help="Without a measured road: node with an accelerometer. Its motion drives the part above; the part below (tyre, "
-            "road) is left out.",
+            help="Without a measured road: node with an accelerometer. The motion of the node drives the part of the model above "
+            "the node. The part below (tyre, road) is left out.",
             metavar="NODE",
         ),
     ] = None,
@@ -108,15 +109,15 @@ def command(
         ),
     ] = None,
     engine: EngineOption = "local",
-    seed: Annotated[int, typer.Option(help="Seed of the resampling for the confidence.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the bootstrap that gives the probabilities.", min=0)] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Find where a model and measurements disagree, and which physical effect is missing.
 
     Writes DIR/diagnosis.json, DIR/model.json (the model with the effects found) and DIR/report.html. Without --validate
-    whole records of DATA are held out for validation, or the last third of a single record.
+    whole records of DATA are held out, or the last third of a single record.
 
-    For an .fmu the parameters are refitted (DIR/parameters.ssv). The inside of an .fmu is hidden, so no effect is named.
+    For an .fmu the parameters are refitted (DIR/parameters.ssv). The equations inside an .fmu are hidden, so no effect is named.
 
     A folder with records, validation*.csv and model.json is one case. A folder of such folders (VEHICLE_2024-05-01) is a
     fleet: every case is diagnosed, and the table is DIR/fleet.html. The same command continues an interrupted fleet.

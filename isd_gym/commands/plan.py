@@ -87,7 +87,7 @@ def command(
     ] = None,
     elements: ElementsOption = None,
 ) -> None:
-    """Predict the result of a test: which missing effects a diagnosis could name, and from which size on.
+    """Predict which missing effects a test can show, and the smallest size at which each is named.
 
     Every effect of the library is simulated at every place under the test. The model and the closest other effects are
     refitted to the simulated records, and the criteria of isd-gym diagnose are applied, noise included. The table shows

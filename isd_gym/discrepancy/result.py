@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .verdict.gates import Gate, Reason
 
 SCHEMA = "isd-diagnosis/1"
-#: what a force without a name is a function of
+#: argument of a force without a known law
 Over = Literal["rate", "elongation", "both"]
 #: kind, mark and parts of the folder of a diagnosis, with its report
 FOLDER = (
@@ -41,15 +41,17 @@ FOLDER = (
 
 @dataclass(frozen=True)
 class Quantity:
-    """A fitted number [unit] with its 95 % interval; `prior` is what the owner's model says, where it does.
+    """A fitted number with its 95 % interval."""
 
-    value, low, high: in `unit`.
-    """
-
+    #: estimate [unit]
     value: float
+    #: lower end of the interval [unit]
     low: float
+    #: upper end of the interval [unit]
     high: float
+    #: unit of the parameter
     unit: str
+    #: value in the nominal model [unit]; None for parameters of a new effect
     prior: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -60,18 +62,21 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was found: what, where, how sure, how large. `element`: its name in the new model.
+    """An effect that a diagnosis found."""
 
-    between: its terminals, or channel: of a sensor. confidence: in [0, 1]. parameters: by name. behind: of what is in series there,
-    the one element of several side by side that it carries; empty for all of them.
-    """
-
+    #: type of the element, such as 'coulomb_friction'
     effect: str
+    #: terminals; None for an effect of a sensor or motor
     between: tuple[str, str] | None
+    #: channel of a sensor effect
     channel: str | None
+    #: probability that the name is right, in [0, 1]
     confidence: float
+    #: fitted parameters by name
     parameters: dict[str, Quantity]
+    #: name of the element in the new model
     element: str
+    #: for an element in series: the element that the effect carries; empty for all elements between the terminals
     behind: str = ""
 
     def to_dict(self) -> dict[str, Any]:
@@ -90,18 +95,21 @@ class Effect:
 
 @dataclass(frozen=True)
 class Contender:
-    """A set of effects that was tried: `score` is its excess error on held-out data (1: as the refit, 0: noise).
+    """A set of effects that was tried."""
 
-    where: the place of each. why_not: in words. values: of each effect, by parameter; options: its choices that are not
-    numbers.
-    """
-
+    #: types of the effects
     effects: tuple[str, ...]
+    #: place of each effect
     where: tuple[tuple[str, ...], ...]
+    #: excess error on held-out data (1: as the refitted model, 0: noise)
     score: float
-    likelihood: float  # -2 log L behind the best
+    #: -2 log L minus that of the best candidate
+    likelihood: float
+    #: reason why the set is not named, in words
     why_not: str
+    #: parameters of each effect by name
     values: tuple[dict[str, float], ...] = ()
+    #: options of each effect that are not numbers
     options: tuple[dict[str, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -118,14 +126,14 @@ class Contender:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the gap lives in one channel: its `share`, the bands [Hz] that hold most of it, and `when`.
-
-    bands_hz: (low, high) each.
-    """
+    """Part of the gap in one channel."""
 
     channel: str
+    #: share of the squared error beyond noise over all channels
     share: float
+    #: frequency bands (low, high) with most of the error [Hz]
     bands_hz: tuple[tuple[float, float], ...]
+    #: condition of the motion under which the error is largest
     when: str
 
     def to_dict(self) -> dict[str, Any]:
@@ -140,21 +148,25 @@ class Place:
 
 @dataclass(frozen=True)
 class Trace:
-    """One record: `time` (n,), and per channel what was measured and what each model says (n,).
+    """Measured and simulated signals of one record."""
 
-    name: of the record; held_out: whether no sample of it took part in fitting. inputs and measured; before, refit, after:
-    the owner's model, the same refitted, the new one. held_from: [s] time from which a record took no part in fitting whose
-    earlier samples did; None where it was fitted or held out as a whole.
-    """
-
+    #: name of the record
     name: str
+    #: whether no sample of the record was fitted
     held_out: bool
+    #: time [s] (n,)
     time: Array
+    #: inputs by channel (n,)
     inputs: dict[str, Array]
+    #: measured outputs by channel (n,)
     measured: dict[str, Array]
+    #: outputs of the nominal model by channel (n,)
     before: dict[str, Array]
+    #: outputs of the refitted nominal model by channel (n,)
     refit: dict[str, Array]
+    #: outputs of the new model by channel (n,)
     after: dict[str, Array]
+    #: start of the held-out part of a record that is fitted before that time [s]; None for other records
     held_from: float | None = None
 
     @property
@@ -167,41 +179,51 @@ class Trace:
 
 @dataclass(frozen=True)
 class Law:
-    """The force [N] of a found effect over its elongation [m] or rate [m/s], with its 95 % band; and the operating points.
+    """Force of an effect over elongation or rate, with its 95 % band."""
 
-    element: its name in the new model. axis (n,): elongation or rate; low, high (n,): the band.
-    """
-
+    #: name of the element in the new model
     element: str
-    kind: str  # 'rate' or 'travel'
+    #: 'rate' or 'travel'
+    kind: str
+    #: rate [m/s] or elongation [m] (n,)
     axis: Array
+    #: force [N] (n,)
     force: Array
+    #: lower end of the band [N] (n,)
     low: Array
+    #: upper end of the band [N] (n,)
     high: Array
-    visited: Array  # where the measurements have been
-    residual_before: Array  # force-like residual at `visited`, empty where there is none
+    #: measured operating points, in the unit of `axis`
+    visited: Array
+    #: residual as a force at the operating points [N]; may be empty
+    residual_before: Array
 
 
 @dataclass(frozen=True)
 class Tabulated:
-    """A force without a name: where, over what, its table with the 95 % band, and the known laws that come nearest.
+    """A missing force without a known law, as a table with its 95 % band."""
 
-    between: the terminals; over: 'rate', 'elongation' or 'both'; element: its name in the new model; explained: share of the
-    held-out excess that it removes. elongation, rate: knots [m], [m/s] (rad where it turns); force, low, high: at them [N] (N m).
-    nearest: (effect, share of the force's square that the law gives over the measured motion), best first.
-    shares: of a table over both, (argument, share of the force's square that a function of that argument alone gives).
-    """
-
+    #: terminals
     between: tuple[str, str]
+    #: argument of the force: 'rate', 'elongation' or 'both'
     over: Over
+    #: name of the element in the new model
     element: str
+    #: share of the squared held-out error beyond noise that the table removes
     explained: float
+    #: knots [m], or [rad] between rotating nodes
     elongation: tuple[float, ...]
+    #: knots [m/s], or [rad/s] between rotating nodes
     rate: tuple[float, ...]
+    #: force at the knots [N], or torque [N m]
     force: Array
+    #: lower end of the band at the knots [N]
     low: Array
+    #: upper end of the band at the knots [N]
     high: Array
+    #: nearest known laws, best first: effect, share of the squared force over the measured motion
     nearest: tuple[tuple[str, float], ...] = ()
+    #: for a table over both arguments: argument, share of the squared force that a function of the argument alone gives
     shares: tuple[tuple[str, float], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -223,15 +245,15 @@ class Tabulated:
 
 @dataclass(frozen=True)
 class BestTable:
-    """The table of a force that explains the held-out records best, stated or not.
+    """The table of a force that explains the held-out records best, accepted or not."""
 
-    between: the terminals. over: what the force is a function of. explained: share of the held-out excess error that the table removes.
-    gates: the conditions for a table to be stated.
-    """
-
+    #: terminals
     between: tuple[str, str]
+    #: argument of the force
     over: Over
+    #: share of the squared held-out error beyond noise that the table removes
     explained: float
+    #: conditions for the acceptance of the table
     gates: tuple[Gate, ...]
 
     @property
@@ -251,17 +273,19 @@ class BestTable:
 
 @dataclass(frozen=True)
 class BestCandidate:
-    """The best set of effects where nothing is named.
+    """The best set of effects of a diagnosis that names no effect."""
 
-    effects: names of the effects. where: the place of each. values: of each, by parameter. explained: share of the held-out excess error
-    removed. error: `before`, `refit`, `after` -> channel -> NRMSE on the records to report by. failed_gates: why it is not named.
-    """
-
+    #: types of the effects
     effects: tuple[str, ...]
+    #: place of each effect
     where: tuple[tuple[str, ...], ...]
+    #: parameters of each effect by name
     values: tuple[dict[str, float], ...]
+    #: share of the squared held-out error beyond noise that the set removes
     explained: float
+    #: NRMSE on the test records: `before`, `refit`, `after` -> channel -> error
     error: dict[str, dict[str, float]]
+    #: gates that the set fails
     failed_gates: tuple[Gate, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -278,18 +302,21 @@ class BestCandidate:
 
 @dataclass(frozen=True)
 class Remainder:
-    """The error that a named effect leaves, where it is wide.
+    """A wide error that remains with the named effects."""
 
-    channel: with the widest rest. after, noise_floor: its NRMSE on the records to report by. when: the condition under which the
-    rest is largest. effects, where: the closest addition that was tried and not kept, with its places; error: NRMSE with it.
-    """
-
+    #: channel with the largest remaining error
     channel: str
+    #: NRMSE of the new model on the test records
     after: float
+    #: NRMSE of noise on the test records
     noise_floor: float
+    #: condition of the motion under which the error is largest
     when: str
+    #: effects of the closest further candidate, which was not kept
     effects: tuple[str, ...] = ()
+    #: place of each of these effects
     where: tuple[tuple[str, ...], ...] = ()
+    #: NRMSE of the further candidate
     error: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
@@ -310,69 +337,99 @@ class Remainder:
 
 @dataclass(frozen=True)
 class Stretches:
-    """The brief stretches over which records were compared, each from an initial state of its own.
+    """Stretches over which records were compared, each with its own initial state."""
 
-    count: of stretches. shortest, longest: their lengths [s]. reason: 'diverges' (the simulation of whole records breaks down),
-    'astray' (it errs by more than the limit), 'feedback' (an input follows from outputs) or 'unnamed' (over whole records no name
-    passes every gate). error: of the refitted model
-    over whole records, as a share of the deviation, mean over channels. limit: of that error.
-    """
-
+    #: number of stretches
     count: int
+    #: length of the shortest stretch [s]
     shortest: float
+    #: length of the longest stretch [s]
     longest: float
+    #: reason for the comparison over stretches:
+    #:
+    #: - diverges: the simulation of whole records diverges.
+    #: - astray: the error over whole records exceeds `limit`.
+    #: - feedback: an input follows from outputs.
+    #: - unnamed: over whole records no candidate passes every gate.
     reason: Literal["diverges", "astray", "unnamed", "feedback"]
+    #: NRMSE of the refitted model over whole records, mean over channels
     error: float
+    #: largest `error` at which whole records are compared
     limit: float
 
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis:
-    """The outcome of `diagnose`. `summary` says it in a sentence; `to_dict` is the contract's JSON.
+    """Result of a diagnosis.
 
-    verdict: the contract's word. effects: what was found; contenders: what else was tried. where: the gap lives.
-    parameters: of the owner's model, refitted. closed: share of the gap. gates: what had to hold.
-    next_experiment: what would decide, where something would; test: its inputs, as a rig plays them. base, refitted, model: the owner's network, the
-    same refitted, the new one (of a unit for co-simulation, what its description says). traces and laws: for pictures. notes: in words. seconds: of work. units: of the
-    channels. lags: of loggers' clocks. evidence, criteria, settings: what was weighed, by which limits, and how it was searched. tabulated: the force that
-    is missing where no known law gives it. best_table: the best table that was fitted, stated or not. best_candidate: the best set of
-    effects where nothing is named. reason: the condition that led to the verdict (`criteria.Reason`). remainder: what a named effect leaves.
-    stretches: over which records were compared where these are not whole. constant: by channel, the share of the squared error that is
-    constant (units for co-simulation alone). findings: probabilities of places, kinds and laws. whole: the owner's whole model with what was found, where a part of it was diagnosed.
+    `summary` states the result in words, `to_dict` is the JSON document (`isd-diagnosis/1`), and `save` writes the files.
     """
 
+    #: 'missing_effect', 'no_discrepancy', 'parameters_only', 'ambiguous' or 'unknown_effect'
     verdict: str
+    #: result in words
     summary: str
+    #: named effects
     effects: tuple[Effect, ...]
+    #: other candidates, best first
     contenders: tuple[Contender, ...]
+    #: part of the gap in each channel, largest first
     where: tuple[Place, ...]
+    #: refitted parameters of the nominal model by path
     parameters: dict[str, Quantity]
-    gap: dict[str, dict[str, float]]  # before, refit, after, noise_floor -> channel -> NRMSE
+    #: NRMSE on held-out data: `before`, `refit`, `after`, `noise_floor` -> channel -> error
+    gap: dict[str, dict[str, float]]
+    #: share of the squared gap beyond noise that the new model removes; None without a new model
     closed: float | None
+    #: conditions for a name, for the best candidate
     gates: tuple[Gate, ...]
+    #: test that would decide between the candidates
     next_experiment: dict[str, Any] | None
+    #: nominal model
     base: Network | UnitModel
+    #: nominal model with refitted parameters
     refitted: Network | UnitModel
+    #: new model
     model: Network | UnitModel
+    #: measured and simulated signals of each record
     traces: tuple[Trace, ...]
+    #: forces of the named effects, for figures
     laws: tuple[Law, ...] = ()
+    #: notes in words
     notes: tuple[str, ...] = ()
+    #: wall-clock time of the diagnosis [s]
     seconds: float = 0.0
+    #: unit of each channel
     units: dict[str, str] = field(default_factory=dict)
-    small_effects: tuple[Effect, ...] = ()  # there, but too small to be named
+    #: effects that are present but too small, or not certain enough, to be named
+    small_effects: tuple[Effect, ...] = ()
+    #: evidence for the best candidate
     evidence: Evidence | None = None
+    #: limits of the decision
     criteria: Criteria | None = None
+    #: settings of the search
     settings: SearchSettings | None = None
+    #: missing force as a table, if no known law gives the force
     tabulated: Tabulated | None = None
-    whole: Network | None = None  # where the model was cut: all of it, with what was found
-    lags: tuple[Lag, ...] = ()  # of loggers' clocks
+    #: complete model with the effects, if only a part of the model was diagnosed (`cut`)
+    whole: Network | None = None
+    #: lags between the clocks of loggers
+    lags: tuple[Lag, ...] = ()
+    #: inputs of `next_experiment`
     test: Table | None = None
+    #: best table of a force, accepted or not
     best_table: BestTable | None = None
+    #: best set of effects, if no effect is named
     best_candidate: BestCandidate | None = None
+    #: condition that led to the verdict
     reason: Reason = "gates"
+    #: wide error that remains with the named effects
     remainder: Remainder | None = None
+    #: stretches of the comparison, if records were not compared whole
     stretches: Stretches | None = None
+    #: share of the squared error that is constant, by channel (FMU only)
     constant: dict[str, float] = field(default_factory=dict)
+    #: probabilities of places, kinds and laws
     findings: tuple[Finding, ...] = ()
     #: inputs that follow from outputs
     closed_loop: tuple[Feedback, ...] = ()
@@ -439,10 +496,15 @@ class Diagnosis:
         )
 
     def save(self, folder: str | Path) -> None:
-        """Write diagnosis.json, model.json (of a unit its parameters.ssv) and, where a test would decide, next_experiment.csv
-        into `folder`, each whole or not at all.
+        """Write the result to a folder. Each file is written completely or not at all.
 
-        The folder is new, empty or an earlier diagnosis; raises `InputError` for any other.
+        Files: `diagnosis.json`, `model.json` (for an FMU `parameters.ssv`), and `next_experiment.csv` if a test would decide.
+
+        Args:
+            folder: New, empty or an earlier diagnosis.
+
+        Raises:
+            InputError: The folder holds other files, or cannot be written.
         """
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
@@ -465,7 +527,7 @@ def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return JSON types; a number that is not finite becomes null."""
+    """Return JSON types. Infinite numbers and NaN become null."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

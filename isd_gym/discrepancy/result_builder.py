@@ -145,7 +145,10 @@ class ResultBuilder:
             measured.quantities,
             next(w.statements for w in weighted if w.candidate is scores.foremost),
             is_named=decision.verdict == "missing_effect",
-            is_doubted=bool(self.feedback) or not failed.isdisjoint({"predicts better", "lack of fit"}),
+            # a single law competes with the free force by its weight
+            is_doubted=bool(self.feedback)
+            or "predicts better" in failed
+            or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
         )
         if self.feedback:  # a controller imitates an element: no kind is certain
             return decision, findings
@@ -189,7 +192,7 @@ class ResultBuilder:
         return out
 
     def _rejected(self, decision: Decision, rows: Mapping[str, Array]) -> BestCandidate | None:
-        """Return the foremost candidate where it is not named."""
+        """Return the foremost candidate if it is not named."""
         best = self.scores.foremost
         if decision.verdict == "missing_effect" or not best.hypotheses:
             return None

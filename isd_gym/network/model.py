@@ -575,12 +575,26 @@ class Network:
         return frozenset(self.masses) | {n for body in self.bodies for n in body.nodes}
 
     def largest_inertia(self, *nodes: str) -> float:
-        """Return the largest mass [kg], or the largest moment of inertia [kg m^2] where one of `nodes` turns; 0 without any."""
+        """Return the largest mass of the network, or the largest moment of inertia where a node turns.
+
+        Args:
+            *nodes: Nodes that decide between masses and moments of inertia.
+
+        Returns:
+            Mass [kg] or moment of inertia [kg m^2]; 0 without any.
+        """
         turns = any(n in self.rotating for n in nodes)
         return max((m for n, m in self.carried.items() if (n in self.rotating) == turns), default=0.0)
 
     def inertia_at(self, node: str) -> float:
-        """Return the mass [kg] or moment of inertia [kg m^2] that a node carries, at a point that of its body; 0 without any."""
+        """Return the inertia that a node carries; at a point of a body that of the body.
+
+        Args:
+            node: The node.
+
+        Returns:
+            Mass [kg] or moment of inertia [kg m^2]; 0 without any.
+        """
         bodies = {p.name: b.mass for b in self.bodies for p in b.points}
         return self.carried.get(node, bodies.get(node, 0.0))
 

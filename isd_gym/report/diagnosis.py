@@ -47,14 +47,14 @@ TITLES = {
     "missing_effect": "A physical effect is missing",
     "no_discrepancy": "The model agrees with the measurements",
     "parameters_only": "Parameters were off; no effect is missing",
-    "unknown_effect": "Something is missing that the library does not know",
-    "ambiguous": "Several effects explain the gap equally well",
+    "unknown_effect": "An effect is missing that no law of the library explains",
+    "ambiguous": "Several effects explain the error equally well",
 }
 STAGES = {
-    "before": ("as given", "the model as its owner wrote it"),
-    "refit": ("refitted", "its parameters refitted within their stated uncertainty"),
-    "after": ("with the effect", "with what was found built in, and refitted"),
-    "noise_floor": ("noise", "what no model can pass: the measurement noise"),
+    "before": ("as given", "the nominal model"),
+    "refit": ("refitted", "the nominal model with its parameters refitted within their stated uncertainty"),
+    "after": ("with the effect", "the refitted model with the addition"),
+    "noise_floor": ("noise", "the measurement noise, which limits every model"),
 }
 RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
 #: axes of an unnamed force
@@ -153,9 +153,9 @@ class View:
         self.changed = self.named or d.tabulated is not None or d.reason == "kind_certain"
         self.title = TITLES.get(d.verdict, d.verdict)
         if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
-            self.title = "Something is missing that no parameter of the unit explains"
+            self.title = "An effect is missing that no parameter of the FMU explains"
         if self.named and all(e.channel for e in d.effects):
-            self.title = "A sensor is off; the physics agrees"
+            self.title = "A sensor has a fault; no physical effect is missing"
         elif len(d.effects) > 1:
             count = ("Two", "Three", "Four")[min(len(d.effects), 4) - 2]
             self.title = f"{count} physical effects are missing"
@@ -365,8 +365,8 @@ class View:
             return ""
         failed = "”, “".join(g.name for g in best.failed_gates)
         return (
-            f"The best candidate was {self.contender_text(best)}: it removes {percent(best.explained, 0, sign=False)} of the held-out "
-            "excess error"
+            f"The best candidate is {self.contender_text(best)}. The candidate removes {percent(best.explained, 0, sign=False)} of the "
+            "squared held-out error beyond noise"
             + (f" and fails the gate{'s' * (len(best.failed_gates) > 1)} “{failed}”." if failed else ".")
         )
 
@@ -374,13 +374,13 @@ class View:
     def plane_title(self) -> str:
         """Title of the dots over the motion."""
         agrees = self.d.verdict in ("no_discrepancy", "parameters_only")
-        return f"What is {'left over' if agrees else 'missing'}, against the motion"
+        return "Residual over the motion" if agrees else "Missing force over the motion"
 
     @property
     def refit_text(self) -> str:
         """Model of the parameters, if a force is missing that the refitted model lacks; otherwise ''."""
         if self.d.tabulated is not None:
-            return "They are those of the old model refitted, which lacks the force and makes up for a part of it with its parameters."
+            return "These are the parameters of the refitted model without the missing force. They compensate a part of that force."
         return ""
 
     def interval(self, q: Any) -> str:
@@ -455,8 +455,8 @@ class View:
         if self.d.closed is None:
             return ""
         if self.d.closed < 0:
-            return "the records set aside to report by err more with it"
-        return f"{percent(self.d.closed, 1, sign=False)} of the gap that can be closed is closed"
+            return "the error on the test records is larger with this addition"
+        return f"{percent(self.d.closed, 1, sign=False)} of the squared error beyond noise is removed"
 
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
@@ -630,7 +630,7 @@ def draw_gap(view: View) -> Chart:
         "gap",
         "The gap",
         "Held-out error of every channel before, refitted, after, and the noise",
-        "Error of the simulation on data that took no part in fitting or choosing. The scale is logarithmic.",
+        "Simulation error on held-out data. The scale is logarithmic.",
         {"all": [Panel(x, Axis(rows=tuple(map(channel_text, view.order))), tuple(items))]},
         size=(7.2, 0.95 + 0.42 * len(view.channels)),
     )
@@ -722,8 +722,8 @@ def draw_time(view: View) -> Chart | None:
     def caption(t: Trace, shown: tuple[float, float]) -> str:
         thinned = max(1, math.ceil(len(t.time) / share))
         return (
-            f"Record “{t.name}” ({t.use}). Left, the {shown[1] - shown[0]:.3g} s where the refitted model errs most (shaded on the "
-            f"right). Right, what is left over{lines}; dotted, twice the noise; a peak of a few samples may pass the edge."
+            f"Record “{t.name}” ({t.use}). Left: the {shown[1] - shown[0]:.3g} s with the largest error of the refitted model (shaded on "
+            f"the right). Right: the residual{lines}. Dotted: twice the noise. Peaks of a few samples may exceed the axis."
             f"{more if t is trace else ''}"
             + (f" Drawn from every {thinned}th sample." if thinned > 1 else "")
         )
@@ -873,20 +873,22 @@ def draw_plane(view: View) -> Chart | None:
             y = _force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
     drawn = any(cloud.laws for cloud in view.clouds)
-    where = "the law, drawn over it, took no part in that" if drawn else "no law was assumed"
+    where = (
+        "the reconstruction does not use the law that is drawn over the dots"
+        if drawn
+        else "no law is assumed"
+    )
     short = ""
     if drawn:
-        short = (
-            " Where the dots fall short of the law, the refit has made up for a part with the old parameters."
-        )
+        short = " Where the dots lie below the law, refitted parameters of the nominal model compensate a part of the force."
     assert view.trace is not None
     return Chart(
         "plane",
         view.plane_title,
         "The missing force, or residual, over travel or rate, before and after",
-        "Each dot is the force that the measurements ask for at one moment, on top of what the model says: reconstructed "
-        f"from the residuals of all channels of the record “{view.trace.name}” ({view.trace.use}) through the linear model; {where}. What the sensors do not "
-        f"resolve is smoothed, so corners look rounder than they are; a dot in fifty may lie outside.{short}",
+        "Each dot is the force that the model lacks at one sample. The force is reconstructed from the residuals of all channels of "
+        f"the record “{view.trace.name}” ({view.trace.use}) through the linear model; {where}. The limited resolution of the sensors "
+        f"smooths corners. Up to 2 % of the dots lie outside the axis.{short}",
         {"all": panels},
         columns=2,
         size=(7.4, 2.9 * len(view.clouds) + 0.4),
@@ -942,7 +944,7 @@ def _draw_channel_plane(view: View) -> Chart | None:
         "plane",
         view.plane_title,
         "The missing force, or residual, over travel or rate, before and after",
-        f"What is left over in {channel_text(channel)} on the record “{trace.name}”, sample by sample.",
+        f"Residual (measured minus simulated) of {channel_text(channel)} on the record “{trace.name}”, sample by sample.",
         {"all": panels},
         columns=2,
         size=(7.4, 3.2),
@@ -1051,11 +1053,11 @@ def draw_law(view: View) -> Chart | None:
         "law",
         "The law that was found",
         "Force over travel or rate with its interval",
-        "Force of what was found, positive in tension, with its 95 % interval. Beyond the data nothing is claimed."
+        "Force with its 95 % interval, positive in tension. The law is valid only within the measured range."
         + (
             ""
             if d.tabulated is None or d.tabulated.over != "both"
-            else " It also depends on rate; drawn is the force at rest."
+            else " The force also depends on the rate; the curve is the force at zero rate."
         ),
         {"all": panels},
         columns=columns,
@@ -1099,7 +1101,7 @@ def draw_parameters(view: View) -> Chart | None:
         spans = ([-s for _, s in stated], [s for _, s in stated])
         items.append(
             Marks(
-                "stated by the owner: two sigma either way",
+                "stated: two standard deviations either way",
                 [0.0] * len(at),
                 at,
                 Look(PALE, "-", ""),
@@ -1108,8 +1110,8 @@ def draw_parameters(view: View) -> Chart | None:
             )
         )
     groups: tuple[tuple[str, Look, bool, bool], ...] = (
-        ("found: 95 % interval", Look(BLUE, "-", "o"), True, False),
-        ("not seen by these data: only what was stated", Look(MUTED, "-", "o"), False, True),
+        ("estimate with 95 % interval", Look(BLUE, "-", "o"), True, False),
+        ("not determined by these data", Look(MUTED, "-", "o"), False, True),
     )
     for label, look, seen, hollow in groups:
         own = [(k, path, q) for k, (path, q, sigma) in enumerate(rows) if learned(q, sigma) == seen]
@@ -1137,8 +1139,8 @@ def draw_parameters(view: View) -> Chart | None:
         "parameters",
         "Parameters",
         "Base parameters found, relative to their prior",
-        f"Pale: what the model's owner stated (95 %). Blue: what the measurements say{together}. Grey and open: the measurements "
-        "do not tell this parameter, and its interval is the owner's.",
+        f"Pale: stated uncertainty of the nominal model (95 %). Blue: estimate from the measurements{together}. Grey and open: the "
+        "measurements do not determine this parameter, so its interval is the stated one.",
         {
             "all": [
                 Panel(

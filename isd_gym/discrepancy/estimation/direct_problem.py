@@ -1,8 +1,8 @@
 """The direct problem: force in, motion out, in place of motion in, force out.
 
 A model that computes a force from a measured motion amplifies the noise of the motion. A model that integrates the measured force does
-not. The direct problem is preferred where it is identifiable: where the refitted model follows the motion far better than a straight
-line does, and where no controller sets the force (Van den Hof 1998).
+not. The direct problem is used if the refitted model predicts the motion far better than a straight line does, and if no controller sets
+the force (Van den Hof 1998).
 
 References:
     Van den Hof, Closed-loop issues in system identification, Annual Reviews in Control 22 (1998) 173.

@@ -1,8 +1,9 @@
 """Simulation-error fit: Gauss-Newton with the stated uncertainty of the base parameters as prior (MAP).
 
-Initial states of every record and offsets of the sensors are fitted along, and eliminated from the normal equations. A
-sensor's offset is one number for all records, unless the model gives each record its own: it is estimated on the records
-to fit by and is known on others (`Structure.offsets`). A slope that was had is used again while it still leads down: it costs many simulations, and a step of it one.
+Initial states of each record and offsets of the sensors are fitted with the parameters and eliminated from the normal equations.
+The offset of a sensor is one number for all records, unless the model has an offset per record. The training records determine the
+offset, and validation and test records use it (`Structure.offsets`). A computed slope is used again while its steps reduce the cost:
+a slope costs many simulations, a step costs one.
 """
 
 from __future__ import annotations
@@ -92,9 +93,9 @@ class Fitter(Objective):
         records: Sequence[int] | None = None,
         initial: Mapping[int, Array] | None = None,
     ) -> Structure:
-        """Estimate the offsets of the sensors that all records share, the parameters as they are.
+        """Estimate the sensor offsets that all records share, at fixed parameters.
 
-        Each record gives an estimate with its initial state; the mean weighs each by its information.
+        The estimate is the mean over records, weighted by information; initial states are eliminated per record.
 
         Args:
             structure: The structure.
@@ -161,7 +162,7 @@ class Fitter(Objective):
                 if then is None:
                     break
                 gain, at = 1.0 - then.total / at.total, then
-                # after a long way the slope is another one
+                # the slope is outdated after a large decrease of the cost
                 there = gain < 0.1 * tolerance and at.total > 0.8 * before
                 if gain < tolerance:
                     break
@@ -250,7 +251,7 @@ class Fitter(Objective):
                     at.outputs[i], at.costs[i] = then.outputs[i], then.costs[i]
                     there[i] = gains[i] < 0.1 * tolerance
                 onward = [i for i in better if gains[i] > tolerance]
-                if not onward:  # those that the whole step led uphill take a part of it
+                if not onward:  # records whose cost a full step increases take a part of the step
                     onward = [i for i in going if i not in better and at.costs[i] == before[i]]
                     share *= 0.3
                 going = onward
@@ -296,9 +297,9 @@ class Fitter(Objective):
     ) -> Fit:
         """Fit initial states and offsets of records; the parameters stay.
 
-        Offsets that all records share are those of the structure, or are estimated on the records to fit by.
-        `initial`: where to begin, else a guess; or the cheapest of that and of those `about`. Without `initial`, a record that goes on
-        where the one before it ended may also begin where the simulation of that one ended.
+        Shared offsets are those of the structure, or are estimated on the training records. The fit starts from the initial state
+        with the lowest cost among `initial` (or a guess) and `about`. Without `initial`, the final state of the preceding record is a
+        further start for a record that continues it.
         """
         problem, net = self.problem, structure.at(x)
         n0 = assemble(bare(net)).size[0]
@@ -410,10 +411,10 @@ class Fitter(Objective):
 def _weighted_mean(
     problem: Problem, channels: NDArray[np.intp], offset: Mapping[int, Array], slopes: Mapping[int, Slope]
 ) -> Array:
-    """Compute the mean over records of offsets that each record has for itself, weighed by their information.
+    """Compute the mean over records of the offsets per record, weighted by information.
 
     Args:
-        problem: Records with an offset of their own each.
+        problem: Records with an offset per record.
         channels: Indices of the channels (offsets,).
         offset: Nuisances by record, at their estimate.
         slopes: Derivatives at the estimate by record.
@@ -447,7 +448,7 @@ def residuals(problem: Problem, fit: Fit) -> list[Array]:
 def gap(problem: Problem, fit: Fit) -> float:
     """Return the geometric mean over channels of the residual's power over the signal's power.
 
-    One channel that drifts does not drown the others.
+    The geometric mean limits the influence of a single drifting channel.
     """
     r = np.concatenate(residuals(problem, fit))
     share = np.mean(r**2, axis=0) / problem.deviation(list(fit.outputs)) ** 2

@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FittedInitialState:
-    """A fitted initial state, and the simulation that it belongs to.
+    """A fitted initial state with the inputs of its simulation."""
 
-    state (states,): in the assembly's coordinates, as `isd_gym.simulate` takes it. time (n,) [s], inputs (n,) by channel in the
-    channels' units: what to simulate over; of loggers with rates of their own, the grid on which they are compared.
-    lags: of clocks that are late. notes: what the data gate found.
-    """
-
+    #: state in the coordinates of the assembly (states,), for `isd_gym.simulate`
     state: Array
+    #: time [s] (n,); the common grid for loggers with different rates
     time: Array
+    #: inputs by channel (n,), in the units of the channels
     inputs: Mapping[str, Array]
+    #: lags of loggers' clocks
     lags: tuple[Lag, ...] = ()
+    #: notes of the data checks
     notes: tuple[str, ...] = ()
 
 
@@ -48,12 +48,20 @@ def initial_state(
     *,
     outputs: Sequence[str] | None = None,
 ) -> FittedInitialState:
-    """The state in which a model, its parameters as they are, comes closest to the outputs that were measured.
+    """Return the initial state with the smallest error of the measured outputs, at fixed parameters of the model.
 
-    data: a table or a file with the model's inputs and some of its outputs, or a recording. model: a network, a built-in one's name, a
-    file or its content. outputs: those to fit by; by default all that `data` (a table or a recording) has. As in a diagnosis, free offsets
-    and the lags of other loggers' clocks are fitted along, and the motion is known beforehand to about its own size.
-    Raises `InputError` where nothing is measured, or where the model breaks down over the record.
+    As in a diagnosis, free offsets and lags of loggers' clocks are fitted too, and the size of the motion is the prior of the state.
+
+    Args:
+        data: Table or file with the inputs and some outputs of the model, or a recording.
+        model: Network, name of a built-in network, model file or its content.
+        outputs: Outputs of the fit; by default all outputs in `data`.
+
+    Returns:
+        The initial state, with time and inputs of the record.
+
+    Raises:
+        InputError: No output is measured, or the simulation of the record diverges.
     """
     network = Network.load(model)
     if outputs is None and not isinstance(data, str | Path):

@@ -102,7 +102,7 @@ def noise_of(series: Sequence[Array], step: float, *, time: float, white: bool =
     """Estimate coloured noise in residuals (samples,): white plus AR(1), fitted to the spectrum above the motion.
 
     `time` [s]: in which the motion changes. Up to some three of its frequencies signal and model error cover the
-    noise, so its level there is that of the law found above. It is never more than the series itself. `white`: what a
+    noise, so its level there is that of the law found above. The noise is at most the series. `white`: what a
     low-pass left of the spectrum tells a level, but no colour.
     """
     length = min(1024, min(len(x) for x in series))
@@ -224,9 +224,9 @@ def resolution(series: Sequence[Array]) -> float:
 
 
 def floors_of(problem: Problem) -> list[Floor]:
-    """Estimate every channel's noise: that of the sensor, and that of a motion from which a force is computed.
+    """Estimate the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion.
 
-    The sensor's noise is the owner's statement, or follows from the signal of the training and validation records.
+    The sensor noise is stated in the model file, or follows from the training and validation records.
 
     Args:
         problem: Records and channels.

@@ -30,8 +30,14 @@ def tangents(
 ) -> dict[int, Tangent]:
     """Return the simulation of each record from its initial state, with derivatives by free parameters and states.
 
-    `moves`: by the parameters, too. What was asked for last is not simulated again: fits go on where others ended,
-    with other weights.
+    The latest results are cached, since a fit often continues from the end of another fit with other weights.
+
+    Args:
+        problem: Model and records.
+        structure: The structure.
+        x: Free parameters, transformed (parameters,).
+        initial: Initial state by record.
+        moves: Whether derivatives by the parameters are needed.
     """
     p = len(x) if moves else 0
 
@@ -63,7 +69,7 @@ def tangents(
     every = [*nets, *[nets[0]] * n0]
     for i, y in problem.simulate_all(every, todo, begun, like=nets[0]).items():
         point = y[:, :, 0]
-        with np.errstate(over="ignore", invalid="ignore"):  # one that breaks down is seen by who asked
+        with np.errstate(over="ignore", invalid="ignore"):  # the caller detects a diverged simulation
             dp = (y[:, :, 1 : 1 + p] - point[:, :, None]) / steps
             ds = (y[:, :, 1 + p :] - point[:, :, None]) / state_steps[i]
         kept = point.copy(), dp, ds

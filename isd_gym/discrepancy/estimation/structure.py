@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 REACH = 3.0
 #: one sigma, and the limits, of the logarithm of a new parameter about the size that the data suggest
 WIDE, FAR = 5.0, math.log(1e4)
-#: one sigma of the logarithm of a parameter that keeps its start value
+#: standard deviation of the logarithm of a parameter that stays near its start value
 SURE = 1e-4
 
 
@@ -45,14 +45,15 @@ class Free:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """An effect of the library at a place: two nodes, a motor or a channel. `options` are its non-numeric choices.
+    """An effect of the library at a place."""
 
-    behind: of what is put in series, the one element of several side by side that it carries; all that stand there without.
-    """
-
+    #: type of the element
     effect: str
+    #: two nodes, a motor or a channel
     where: tuple[str, ...]
+    #: options that are not numbers: name, value
     options: tuple[tuple[str, str], ...] = ()
+    #: for an effect in series: the element that the effect carries; empty for all elements at the place
     behind: str = ""
 
     @property
@@ -91,7 +92,7 @@ class Structure:
     hypotheses: tuple[Hypothesis, ...] = ()
     names: tuple[str, ...] = ()  # of the elements that the hypotheses brought
     ties: tuple[tuple[str, str], ...] = ()  # (path, path it follows)
-    #: offset of each output's sensor that all records share [unit of the channel]; None before an estimate
+    #: sensor offset of each output, equal for all records [unit of the channel]; None before an estimate
     offsets: tuple[float, ...] | None = None
 
     def at(self, x: np.ndarray) -> Network:
@@ -140,7 +141,7 @@ def _signed(network: Network, path: str) -> bool:
 def usual(network: Network, path: str) -> float:
     """Return the scale of a parameter that starts at zero: critical damping, or the largest value of the same kind.
 
-    network: the owner's model; path: of the parameter. Raises `InputError` where nothing in the network tells.
+    network: the owner's model; path: of the parameter. Raises `InputError` if the network gives no scale.
     """
     parts = [e.linear() for e in network.elements if e.place == "between"]
     k, c, b = (max((p[i] for p in parts), default=0.0) for i in range(3))
@@ -228,7 +229,7 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
 
 
 def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, float]]]) -> Structure:
-    """Return the nominal model with effects inserted in order; a node that a split removed stands for its origin."""
+    """Return the nominal model with effects inserted in order; a node that a split removed is replaced by its origin."""
     structure = base_structure(network)
     for h, values in effects:
         known = {
@@ -271,7 +272,7 @@ def split(
     """Everything between the pair, or the element `behind` alone, moved behind a new node next to its first terminal; the gap is
     what is returned.
 
-    A moved terminal goes first, so that the rig still moves it. Raises `InputError` where `behind` does not stand there.
+    A moved terminal goes first, so that the rig still moves it. Raises `InputError` if `behind` is not at this place.
     """
     if behind and behind not in {e.name for e in el.beside(network, pair)}:
         raise InputError(f"'{behind}' does not stand between {' and '.join(pair)}")

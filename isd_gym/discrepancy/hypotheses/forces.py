@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 class PlaceForces:
     """Typical forces of a rig, in N, or N m where nodes turn.
 
-    A force that the records hold is the scale of the whole rig. Without one, the forces that the model computes at a node are
-    the scale there: those of its elements and the inertia force of its mass.
+    A measured force is the scale of the whole rig. Without a measured force, the scale at a node is the largest of the computed forces of
+    its elements and the inertia force of its mass.
     """
 
     #: Largest root mean square of a force at each node, as the model computes it.
     by_node: Mapping[str, float]
     #: Ground and nodes whose motion is an input.
     prescribed: frozenset[str]
-    #: Force that the records hold: a load cell, a known input, an acceleration times the largest mass; 0 where they hold none.
+    #: Measured force: a load cell, a known input, or an acceleration times the largest mass; 0 without a measured force.
     measured: float = 0.0
 
     def at(self, where: Sequence[str]) -> float:
@@ -47,7 +47,7 @@ class PlaceForces:
             where: the two nodes of the place, or the name of a motor or of a channel.
 
         Returns:
-            Force [N], or torque [N m] where the nodes turn; the largest of all nodes where the place has none.
+            Force [N], or torque [N m] between rotating nodes; the largest of all nodes for a place without a force.
         """
         if self.measured > 0:
             return self.measured

@@ -21,7 +21,7 @@ def pairs(network: Network) -> list[tuple[str, str]]:
     """Return the pairs of nodes that can carry a force: joined pairs, pairs of masses, and each mass with the ground.
 
     A rigid body meets the other masses at the points where elements join them; its centre and its angles pair with the ground.
-    A pair of which the inputs tell neither distance nor rate (`frames.order_told`) is none of them.
+    Pairs are left out if the inputs determine neither their distance nor their rate (`frames.order_told`).
     """
     riding = frames(network)
     out: dict[frozenset[str], tuple[str, str]] = {}
@@ -48,7 +48,7 @@ def places(network: Network, kind: type[el.Element]) -> list[tuple[str, ...]]:
         return [(e.name,) for e in network.elements if isinstance(e, el.Motor)]
     if kind.place == "channel":
         return [(c.name,) for c in network.outputs]
-    # a law of travel needs the distance; what is put in series with others has a travel of its own
+    # a law of travel needs the distance; an element in series has an elongation of its own
     travel = kind.plane == "elongation" and not kind.series
     return [p for p in pairs(network) if not (travel and order_told(network, p))]
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..estimation.gauss_newton import Fit
     from ..estimation.structure import Hypothesis
 
-LANES = 48  # variants that run in one call of the kernel
+LANES = 48  # number of variants per call of the kernel
 
 
 def motions(
@@ -114,7 +114,7 @@ def simulate_variants(
         try:
             seen = problem.simulate_all(nets, problem.estimation, begun, like=fit.network)
         except (InputError, np.linalg.LinAlgError):
-            half = len(chunk) // 2  # one that breaks down does not take the others along
+            half = len(chunk) // 2  # isolate a variant that diverges
             chunks = [part for part in (chunk[:half], chunk[half:]) if 0 < len(part) < len(chunk)] + chunks
             continue
         for i, y in seen.items():

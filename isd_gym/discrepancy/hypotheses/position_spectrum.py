@@ -88,7 +88,7 @@ def spectral_pitches(
 
 
 def _missing_force(problem: Problem, fit: Fit, index: int, pair: tuple[str, str]) -> Array | None:
-    """Return the force [N] (n,) that the residual of a record shows; None where the model has no linear response."""
+    """Return the force [N] (n,) that the residual of a record shows; None for a model without a linear response."""
     record, names = problem.records[index], problem.channels
     residual = record.measured - fit.outputs[index]
     signals = _Signals(record.time, {n: record.measured[:, j] for j, n in enumerate(names)})

@@ -151,7 +151,7 @@ def _responses(
 
 
 def _scored(h: Hypothesis, start: Start, s: Array, residual: Residual, lost: bool) -> ScoredStart | None:
-    if not (np.abs(s) < 1e100).all():  # it breaks down, or its squares would overflow
+    if not (np.abs(s) < 1e100).all():  # the variant diverges, or its squares would overflow
         return None
     size = np.linalg.norm(s, axis=0)
     if not np.all(size > 0):

@@ -55,6 +55,6 @@ def simulate_unmodelled_effects(problem: Problem, fit: Fit, share: float) -> dic
         with np.errstate(over="ignore", invalid="ignore"):
             change = (y - point[i]) * (share / PROBE)
             most = np.abs(change).max(axis=(0, 1))
-        # one that breaks down says nothing, however large its numbers become on the way
+        # a diverged variant is no evidence
         out[i][:, :, chunk] = np.where(most < 1e6 * np.abs(point[i]).max(), change, 0.0)
     return out

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from ...network import Network
     from ..simulation.problem import Record
 
-#: Inputs that a controller commands. A moved node's motion is measured where it acts: its own controller is no part of the
-#: relation between motion and outputs.
+#: Inputs that a controller commands. The motion of a moved node is measured at the node, so the controller of this motion does not
+#: affect the relation between motion and outputs.
 COMMANDED = ("force", "current")
 OWN, OUTPUT = 30, 10  # past samples of the input and of each output in a prediction
 LEVELS = 12  # most values of an input that switches
@@ -155,8 +155,8 @@ def _edges(u: Array) -> list[int]:
 def _crossing(u: Array, y: Array) -> Array:
     """Return whether an output has reached the level of earlier switches (samples - OWN, columns).
 
-    A relay switches where the output, or the output some time ahead along its slope (a derivative action), crosses a level. One
-    column for each value of the input and each `AHEAD`. No columns for an input that does not switch.
+    A relay switches where the output, or the output some time ahead along its slope (a derivative action), crosses a level. There is one
+    column per value of the input and per value of `AHEAD`. No columns for an input that does not switch.
     """
     edges, n = _edges(u), len(u)
     if not edges:

@@ -225,13 +225,13 @@ def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hyp
 
 
 def is_special_case(general: Hypothesis, special: Hypothesis) -> bool:
-    """Return whether the law of the first hypothesis contains that of the second as a special case, at the same place."""
+    """Return whether the law of `special` is a special case of the law of `general`, at the same place."""
     there = set(general.where) == set(special.where) and general.behind == special.behind
     return special.effect in general.kind.contains and there
 
 
 def same_effects(some: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> bool:
-    """Return whether two sets of effects are the same in any order; special cases of one another count as the same."""
+    """Return whether two sets of effects are the same in any order; a law and its special case count as the same effect."""
     rest = list(others)
     for h in some:
         match = next((q for q in rest if q == h or is_special_case(q, h) or is_special_case(h, q)), None)
@@ -247,7 +247,7 @@ def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[
     Args:
         ranked: Candidates, smallest deviance first.
         chance: Deviance (2 log L) that a law with more parameters gains by chance.
-        sure: The same for a law whose values contradict its name.
+        sure: Chance gain of a law with values that contradict its name.
     """
     if not ranked:
         return ranked
@@ -261,5 +261,5 @@ def simplest_first(ranked: list[Candidate], chance: float, sure: float) -> list[
 
 
 def with_fit(candidate: Candidate, fit: Fit, value: float) -> Candidate:
-    """Return a candidate with another fit and its deviance."""
+    """Return a copy of a candidate with a new fit and deviance."""
     return replace(candidate, fit=fit, deviance=value)

@@ -31,7 +31,7 @@ class CandidateComparison:
     stages: list[list[Candidate]]
     #: candidate whose effects all passed; the refitted nominal model where none did
     chosen: Candidate = field(init=False)
-    #: best candidate with an effect, passed or not; the refitted nominal model where nothing was fitted
+    #: best candidate with an effect, passed or not; the refitted nominal model if no effect was fitted
     foremost: Candidate = field(init=False)
     notes: list[str] = field(default_factory=list)
 

@@ -14,7 +14,7 @@ def limit(value: float, unit: str, why: str, source: str) -> Any:
 
 @dataclass(frozen=True)
 class Criteria:
-    """The limits that decide. Every one is documented by its metadata (unit, why, how it was calibrated)."""
+    """The limits that decide. The metadata of each field has the unit, the reason and the source of the calibration."""
 
     deviance_gain: float = limit(
         60.0,

@@ -207,7 +207,7 @@ def _match_laws(
     Args:
         problem: Model and records.
         laws: Laws to be matched.
-        found: Elements at one place and over one plane.
+        found: Elements at the same place over the same plane.
         motion: Motion of the elements' terminals.
         force_at: Function from a place to the typical force [N] at the place.
         absorbing: Laws beside the elements, whose coefficients may take up a part of the difference.

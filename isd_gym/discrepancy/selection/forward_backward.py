@@ -91,7 +91,7 @@ class Search:
             is_promising: Whether effects are added to a candidate.
 
         Returns:
-            The path and its stages with what was added.
+            The path and its stages after the additions.
         """
         c, e = self.criteria, self.evaluator
         path, stages = list(path), list(stages)
@@ -154,7 +154,7 @@ class Search:
         return error_reduction(score, then) >= self.criteria.material
 
     def _add_best(self, now: Candidate, stages: list[list[Candidate]]) -> Candidate | None:
-        """Return the best candidate with one more effect, or None where nothing is gained; append the candidates to the stages."""
+        """Return the best candidate with one more effect, or None without gain; append the candidates to the stages."""
         p, c = self.problem, self.criteria
         result = screen_effects(p, now.fit, self.least_noise, self.settings)
         if not result.ranked:
@@ -190,7 +190,7 @@ class Search:
         return scores
 
     def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
-        """Remove each effect, and replace each law by its special cases, as long as nothing is lost."""
+        """Remove effects, and replace laws by their special cases, as long as the prediction is not worse."""
         known = [r for stage in scores.stages for r in stage]
         while True:
             for gone, structure in simpler_structures(self.problem, chosen):
@@ -287,7 +287,7 @@ class Search:
         return scores
 
     def _search_from(self, scores: CandidateComparison, runner: Candidate) -> CandidateComparison | None:
-        """Search from a runner-up; None where the path leads to what is known already."""
+        """Search from a runner-up. Return None if the path leads to a known candidate."""
 
         def leads(candidate: Candidate) -> bool:
             """Return whether a candidate is new, and no worse than the first path's candidate with as many effects."""

@@ -53,7 +53,7 @@ INSIDE = 0.995
 PLANES: tuple[Over, ...] = ("rate", "elongation")
 #: explained fraction of a table over one argument above which no table over both is fitted
 ENOUGH = 0.9
-#: places at which a table over both arguments is fitted
+#: number of places with a fitted table over both arguments
 BOTH = 2
 #: factor by which a table over both arguments, or with a shorter length, must err less (mean whitened square)
 RICHER = 1.15

@@ -205,10 +205,10 @@ class HeldOutEvaluator:
         return np.array(squares), np.array(lpd)
 
     def score_path(self, path: Sequence[Candidate]) -> tuple[HeldOutScore, ...]:
-        """Score the candidates of a path, each with its own filters and the initial states of the candidates before it.
+        """Score the candidates of a path, each with its own filters and the initial states of the preceding candidates.
 
         Args:
-            path: Candidates, each with one more effect than the candidate before it.
+            path: Candidates in order of addition; each has one effect more than the preceding candidate.
         """
         out: tuple[HeldOutScore, ...] = ()
         for k, candidate in enumerate(path):

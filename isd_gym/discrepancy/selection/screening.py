@@ -293,7 +293,7 @@ class Screening:
         return r
 
     def try_other_shape(self, r: Candidate, factor: float, noise: Array) -> Candidate:
-        """Fit a candidate again from another shape of its law; return the candidate itself where that fails."""
+        """Refit a candidate from another shape of its law. Return the unchanged candidate if the refit fails."""
         return refit_with_other_shape(self.problem, r, shape_index(r), factor, self.least_noise, noise) or r
 
     def first_round(self) -> list[Candidate]:
@@ -333,7 +333,10 @@ class Screening:
             return None
 
     def rank(self, ranked: Sequence[Candidate]) -> list[Candidate]:
-        """Order candidates by deviance; a candidate that closes half of the gap goes before a likelier one that does not."""
+        """Order candidates by deviance.
+
+        If the first candidate leaves more than half of the gap, a candidate that closes half of the gap is moved to the front.
+        """
         ranked = sorted(ranked, key=lambda r: r.deviance)
         widths = [gap(self.problem, r.fit) for r in ranked]
         if ranked and min(widths) < 0.5 * gap(self.problem, self.current) < widths[0]:
@@ -400,7 +403,7 @@ def amplified(screening: Screening, s: ScoredStart, factors: Sequence[float]) ->
 
 
 def _misfit(screening: Screening, tries: Sequence[Structure]) -> Array | None:
-    """Return the sum over channels of the logarithm of the residual's variance (tries,): one drifting channel does not hide the others."""
+    """Return the sum over channels of the logarithm of the residual's variance (tries,): a drifting channel does not hide other channels."""
     problem, current = screening.windowed, screening.current
     if not tries:
         return None
@@ -449,7 +452,7 @@ def _screen_growing(
     while gap(part, fit) >= settings.lost_phase and share * longest > settings.shortest:
         share /= 2
         part = beginning(problem, share, settings.shortest)
-        # from the measured state: the state that fits a wrong frequency best means nothing
+        # from the measured state: a state that is fitted at a wrong frequency is no estimate
         fit = Fitter(part, white_filters(least_noise)).fit(current.structure, current.x, iterations=0)
     many = replace(settings, first_round=100, finals=8)
     ranked = list(Screening(part, fit, least_noise, many, has_lost_phase=True).run().ranked)

@@ -21,7 +21,7 @@ class SearchSettings:
     nearest: int = 4
     #: largest number of effects
     depth: int = 3
-    #: runners-up of the first stage from which the search starts again where one start decides nothing
+    #: runners-up of the first stage from which the search starts again if the first start gives no name
     turns: int = 2
     #: share of a record that the window of the first round covers
     window: float = 0.4
@@ -29,7 +29,7 @@ class SearchSettings:
     least_window: int = 2000
     #: deviance (2 log L) that a law with more parameters gains by chance
     chance: float = 30.0
-    #: deviance (2 log L) that a law whose values contradict its name gains by chance
+    #: chance decrease of the deviance (2 log L) by a law with values that contradict its name
     sure: float = 60.0
     #: gap above which the simulation of a free decay has lost the phase
     lost_phase: float = 0.5

@@ -47,7 +47,7 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
     out = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))
     try:
         shift, left = Fitter(problem, filters).refit(f, evaluator.unmodelled_responses(candidate))
-        # no effect is larger than the residual allows: where nothing holds a mass, a small force moves it far, and would be seen
+        # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
         visible = np.sqrt(sum(np.sum(part**2, axis=(0, 1)) for part in left.values()))
         shift = shift * np.minimum(1.0, math.sqrt(f.cost) / np.maximum(visible, 1e-300))
         shift = np.clip(shift, -LARGEST_SHIFT, LARGEST_SHIFT)
@@ -118,7 +118,7 @@ def differing_part(
         matrix: Covariance of the free parameters.
 
     Returns:
-        The difference with its interval; None where the law has no such pair.
+        The difference with its interval; None for a law without two such parameters.
     """
     here = [e for e in el.beside(network, element.where) if e.name != element.name]
     pair = element.differing(here)

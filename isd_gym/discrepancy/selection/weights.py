@@ -55,7 +55,7 @@ def pseudo_bma_weights(lpd: Array, seed: int = 0, draws: int = DRAWS) -> Array:
 
 @dataclass(frozen=True)
 class Statement:
-    """What a candidate says about one effect: where, of which kind, and by which law."""
+    """Place, kind and law of one effect of a candidate."""
 
     #: terminals in alphabetical order, or the channel
     place: tuple[str, ...]
@@ -65,7 +65,7 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class WeightedCandidate:
-    """A candidate with its weight and the statements that it makes."""
+    """A candidate with its weight and its statements."""
 
     candidate: Candidate
     weight: float
@@ -83,12 +83,12 @@ def place_of(search: Search, h: Hypothesis) -> tuple[str, ...]:
 
 
 def statements_of(search: Search, candidate: Candidate, best: Candidate) -> frozenset[Statement]:
-    """Return what a candidate states.
+    """Return the statements of a candidate.
 
     Args:
         search: The search.
         candidate: The candidate; a table states a free force at its place.
-        best: The foremost candidate. A candidate that states the same as the foremost one, in other words, gets its statements.
+        best: The foremost candidate. A candidate with equivalent effects gets the statements of the foremost candidate.
 
     Returns:
         One statement per effect.
@@ -115,8 +115,8 @@ def weigh_candidates(
     """Weigh the candidates of a search on the blocks of validation and training records.
 
     A candidate takes part if its values agree with its names. A candidate with more parameters than the foremost one takes part only
-    if it predicts better by more than unmodelled effects make. Further effects that close a gap within the envelope of unmodelled
-    effects are unmodelled effects themselves: such a candidate makes no statement of its own.
+    if it predicts better by more than the envelope of unmodelled effects. A candidate whose further effects close a gap within this
+    envelope makes no statement.
 
     Args:
         search: The search.

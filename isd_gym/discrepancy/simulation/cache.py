@@ -26,7 +26,7 @@ class SimulationCache:
             return found[1] if found else None
 
     def put(self, key: tuple[object, ...], of: object, values: tuple[Array, ...]) -> None:
-        """`of`: what the key names by its identity, which must live as long."""
+        """Store values. `of` is the object whose identity is part of the key; the cache keeps `of` alive."""
         with self._lock:
             if key not in self._kept:
                 self._kept[key] = of, values

@@ -26,12 +26,12 @@ def through(values: Array, every: int, *, by: int = 0) -> Array:
 
 
 def interpolated(values: Array, every: int, *, held: bool, sparse: bool) -> Array:
-    """A record (n,) at `every` times its rate: held, or along lines; through a spline where samples are `sparse`."""
+    """Return a record (n,) at `every` times its rate: held, linear, or through a spline if the samples are `sparse`."""
     return through(values, every) if sparse and not held else upsample(values, every, hold=held)
 
 
 def differences(values: Array, step: float) -> tuple[Array, Array]:
-    """Both derivatives by time at the samples of a record, from neighbours: noise as quick as they come hardly shows. step [s]: between them."""
+    """Return first and second derivative by time at the samples, from central differences with the sampling step [s]."""
     v = np.gradient(values, step, edge_order=2)
     return v, np.gradient(v, step, edge_order=2)
 
@@ -39,11 +39,17 @@ def differences(values: Array, step: float) -> tuple[Array, Array]:
 def splined_input(
     values: Array, slopes: tuple[Array, Array] | None, step: float, every: int, *, sparse: bool
 ) -> tuple[Array, ...]:
-    """An input at `every` times its rate, and its two derivatives by time, where something acts through them.
+    """Return an input at `every` times its sampling rate, with its first and second derivative by time.
 
-    Along lines every sample would be a knock: derivatives are those of the spline through the samples; where noise would rule
-    those, differences at the samples, which hardly see what is as quick as they are. slopes: the derivatives at the
-    samples, where they are known; step [s]: of those.
+    Derivatives of a linear interpolation would jump at each sample, so the derivatives are those of a cubic spline. If noise dominates
+    the derivatives of the spline, the derivatives are differences between samples, which attenuate high frequencies.
+
+    Args:
+        values: Samples (n,).
+        slopes: First and second derivative at the samples, if known.
+        step: Sampling step [s].
+        every: Ratio of the rates.
+        sparse: As for `interpolated`.
     """
     if slopes is None:
         slopes = differences(values, step)

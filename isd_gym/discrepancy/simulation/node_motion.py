@@ -1,4 +1,4 @@
-"""What an initial state means: the motion of the nodes, by which states of one network are told in those of another."""
+"""Motion of the nodes at an initial state, and the transfer of initial states between networks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = None) -> Array:
-    """Displacement, and velocity times `time` [s], of nodes as rows over the states: what an initial state means physically."""
+    """Return displacement, and velocity times `time` [s], of nodes as rows over the states."""
     x = asm.columns("x")
     every = [n for n in asm.network.nodes if n not in asm.network.moved_nodes]
     pick = [every.index(n) for n in (every if nodes is None else nodes)]
@@ -22,7 +22,7 @@ def motion_rows_of(asm: Assembly, time: float, nodes: Sequence[str] | None = Non
 
 
 def transfer_matrix(source: Assembly, target: Assembly, time: float) -> Array:
-    """Matrix from initial states of one network to those of another: the nodes that both have move alike."""
+    """Return the matrix from initial states of `source` to those of `target`, with equal motion of common nodes."""
     moved = source.network.moved_nodes
     both = [n for n in source.network.nodes if n in target.network.nodes and n not in moved]
     if not both or not target.size[0]:

@@ -107,7 +107,7 @@ class Record:
         return values[self.before * self.thin :: self.thin][: len(self)]
 
     def follows(self, other: Record) -> bool:
-        """Return whether this record starts where another record ends."""
+        """Return whether this record starts at the end of `other`."""
         begin, end = self.start + self.lead * self.rate, other.start + (other.lead + len(other)) * other.rate
         return self.name == other.name and abs(begin - end) < 0.5 * self.rate
 
@@ -221,8 +221,12 @@ LARGEST = 2_000_000
 class Problem:
     """A nominal model and measured records.
 
-    network: the owner's model. records: with the `roles` that they have, those to fit by first. step: the largest of the
-    physics, in the time in which the motion changes. time [s]: the rig's own, where it is known from other records.
+    Args:
+        network: The nominal model.
+        records: Measured records, training records first.
+        roles: Role of each record.
+        step: Largest physics step relative to the time scale of the motion.
+        time: Time scale of the motion [s], if known from other records.
     """
 
     def __init__(
@@ -265,7 +269,7 @@ class Problem:
 
     @property
     def reporting(self) -> list[int]:
-        """Test records; the validation records where there are not enough records for both."""
+        """Test records; the validation records if there are too few records for both roles."""
         return self._of("report") or self.choosing
 
     @cached_property
@@ -311,7 +315,7 @@ class Problem:
 
     @cached_property
     def rough(self) -> Problem:
-        """The problem with as few samples as the motion needs; the problem itself where no sample can be spared."""
+        """The problem with the fewest samples that resolve the motion; the problem itself if no sample can be left out."""
         by = [self._spare(r) for r in self.records]
         if max(by, default=1) < 2:
             return self
@@ -348,8 +352,8 @@ class Problem:
     def deviation(self, records: Sequence[int] | None = None) -> Array:
         """Compute the root of the mean variance within measured records.
 
-        The distance between the means of two measured records is no motion and does not count. Segments of one measured
-        record, which bear its name, count as one.
+        The distance between the means of two measured records is no motion and does not count. Segments with the name of one measured
+        record count as one record.
 
         Args:
             records: Indices of the records. Default: those to fit by.
@@ -459,7 +463,7 @@ class Problem:
         sparse = self._sparse(record)
         first = networks[0]
         motored = any(e.place == "element" for e in first.elements)
-        pure = {id(n): bare(n) for n in networks}  # lanes that differ in their initial state share a network
+        pure = {id(n): bare(n) for n in networks}  # lanes with different initial states share a network
         h = record.step / every
         plant = Plant([pure[id(n)] for n in networks] * len(records), h)
 
@@ -496,7 +500,7 @@ class Problem:
                 for e in networks[lane % wide].elements:
                     if e.place == "channel":
                         j = self.channels.index(e.where[0])
-                        with np.errstate(all="ignore"):  # what breaks down is seen by who asked
+                        with np.errstate(all="ignore"):  # the caller detects a diverged simulation
                             out[:, j, lane] = e.apply(out[:, j, lane], record.step)
         found = {i: out[:, :, k * wide : (k + 1) * wide] for k, i in enumerate(members)}
         return {

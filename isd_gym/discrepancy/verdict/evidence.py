@@ -148,7 +148,7 @@ class Evidence:
     def driven_to_limits(self) -> tuple[str, ...]:
         """Parameters beside an effect that are at their limit with the candidate only.
 
-        The true effect brings such parameters back; another law needs them for the rest of its curve.
+        The true effect returns such parameters to plausible values. A wrong law needs extreme values to complete its curve.
         """
         return tuple(x for x in self.limits if x in self.beside and x not in self.refit_limits)
 

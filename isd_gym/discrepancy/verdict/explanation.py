@@ -98,9 +98,9 @@ def conditions(
         for q in (0.8, 0.95):
             level = float(np.quantile(np.abs(d), q))
             if not order_told(problem.network, (a, b)):
-                yield np.abs(d) > level, f"|travel of {a}-{b}| beyond {scale * level:.3g} {length}"
+                yield np.abs(d) > level, f"|travel of {a}-{b}| is beyond {scale * level:.3g} {length}"
             level = float(np.quantile(np.abs(v), q))
-            yield np.abs(v) > level, f"|velocity of {a}-{b}| above {level:.3g} {speed}"
+            yield np.abs(v) > level, f"|velocity of {a}-{b}| is above {level:.3g} {speed}"
             low, high = np.quantile(v, 1 - q), np.quantile(v, q)
             yield v > high, f"{a}-{b} extends faster than {high:.3g} {speed}"
             yield v < low, f"{a}-{b} compresses faster than {-low:.3g} {speed}"
@@ -108,7 +108,7 @@ def conditions(
         if c.quantity == "current":
             current = np.abs(record.seen(record.inputs[c.name]))
             level = float(np.quantile(current, 0.8))
-            yield current > level, f"{c.name} above {level:.3g} A"
+            yield current > level, f"{c.name} is above {level:.3g} A"
 
 
 def locate_errors(problem: Problem, fit: Fit, floor: Array) -> tuple[Place, ...]:

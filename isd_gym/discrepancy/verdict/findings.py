@@ -1,4 +1,4 @@
-"""Findings: what is certain about a missing effect, by level: the place, the kind, the law."""
+"""Findings: probabilities of place, kind and law of a missing effect."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LawProbability:
 
 @dataclass(frozen=True)
 class Finding:
-    """A place, the kind of effect there, and the laws of that kind, each with its probability."""
+    """A place, a kind of effect and the laws of that kind, with probabilities."""
 
     #: terminals, or the channel
     place: tuple[str, ...]

@@ -43,7 +43,7 @@ Reason = Literal[
 NAMELESS = ("other",)
 
 
-#: how a gate's value is compared with its limit
+#: comparison of the value of a gate with its limit
 Relation = Literal["<", "<=", ">", ">="]
 
 COMPARE: dict[Relation, Callable[[float, float], bool]] = {
@@ -87,24 +87,24 @@ class Gate:
 
 
 def gate(name: str, value: float, relation: Relation, limit: float, text: str) -> Gate:
-    """Return a gate that passes where ``value relation limit`` holds; infinite values are stated as `MOST`."""
+    """Return a gate that passes if ``value relation limit`` is true. Infinite values become `MOST`."""
     value = min(max(float(value), -MOST), MOST)
     return Gate(name, COMPARE[relation](value, limit), value, float(limit), text, relation)
 
 
 def all_of(*conditions: Gate) -> Gate:
-    """Return the first condition that fails, or the first of all where none does."""
+    """Return the first condition that fails, or the first condition if all pass."""
     return next((g for g in conditions if not g.passed), conditions[0])
 
 
 def any_of(*conditions: Gate) -> Gate:
-    """Return the first condition that passes, or the first of all where none does."""
+    """Return the first condition that passes, or the first condition if all fail."""
     return next((g for g in conditions if g.passed), conditions[0])
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The verdict with the gates from which it follows."""
+    """A verdict and its gates."""
 
     verdict: Verdict
     gates: tuple[Gate, ...]
@@ -115,7 +115,7 @@ class Decision:
 
 
 def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
-    """Return the gates. Where a gate has several conditions, its figures are those of the condition that decided."""
+    """Return the gates. A gate with several conditions has the value and limit of the decisive condition."""
     return (
         _predicts_better(e, c),
         _material(e, c),
@@ -126,8 +126,8 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
             len(e.driven_to_limits),
             "<=",
             0,
-            "parameters of the model's own laws over the same plane at the same place that the name drives to the limit of "
-            "their stated uncertainty" + (f": {', '.join(e.driven_to_limits)}" if e.driven_to_limits else ""),
+            "parameters of the model at the same place that the effect drives to the limit of their stated "
+            "uncertainty" + (f": {', '.join(e.driven_to_limits)}" if e.driven_to_limits else ""),
         ),
         gate(
             "distinguishable",
@@ -176,10 +176,8 @@ def _predicts_better(e: Evidence, c: Criteria) -> Gate:
 
 
 def _confirmed(e: Evidence, c: Criteria) -> Gate:
-    removed = (
-        "share of the excess error removed on the test records, which took no part in fitting or choosing"
-    )
-    rest = f"what is left there is {e.test_excess_ratio:.3g} times the power of unmodelled effects"
+    removed = "share of the squared error beyond noise removed on the test records"
+    rest = f"the rest is {e.test_excess_ratio:.3g} times the power of unmodelled effects"
     main = gate("confirmed", e.test_explained, ">=", c.adequate, f"{removed}; {rest}")
     part = gate(
         "confirmed", e.test_explained, ">=", c.half, f"{removed}; enough, since {rest} (limit {c.several:g})"
@@ -196,14 +194,14 @@ def _confirmed(e: Evidence, c: Criteria) -> Gate:
 
 def _material(e: Evidence, c: Criteria) -> Gate:
     size = min(x.share for x in e.effects)
-    moves = f"it moves a channel by {e.moved:.1%} of the standard deviation (needed {c.material:.0%})"
+    moves = f"it moves a channel by {100 * e.moved:.1f} % of the standard deviation (needed {100 * c.material:.0f} %)"
     conditions = [_large_or_closing(x, c, moves) for x in e.effects]
     moved = gate(
         "material",
         e.moved,
         ">=",
         c.material,
-        f"largest share of a channel's standard deviation by which the error falls; its force is {size:.1%} of that at its place",
+        f"largest share of a channel's standard deviation by which the error falls; its force is {100 * size:.1f} % of the force at its place",
     )
     return all_of(*conditions, moved)
 
@@ -217,13 +215,13 @@ def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
         c.share,
         f"share of the force, current or signal at the place of {x.label}; {moves}",
     )
-    instead = f"the force of {x.label} is only {x.share:.1%} of that at its place (otherwise needed {c.share:.0%}); {moves}"
+    instead = f"the force of {x.label} is only {100 * x.share:.1f} % of the force at its place (otherwise needed {100 * c.share:.0f} %); {moves}"
     closes = gate(
         "material",
         x.removed,
         ">=",
         c.alone,
-        f"share of the held-out excess error removed from a wide gap; {instead}",
+        f"share of the squared held-out error beyond noise removed from a wide gap; {instead}",
     )
     wide = gate("material", x.width, ">", c.wide, f"mean excess error without {x.label} over channels")
     beyond = gate("material", x.share, ">", c.small, "share of the force at its place")
@@ -231,7 +229,7 @@ def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
 
 
 def _adequate(e: Evidence, c: Criteria) -> Gate:
-    removed = "share of the held-out excess error removed, in all and in the channel with the widest gap"
+    removed = "share of the squared held-out error beyond noise removed, in all and in the channel with the widest gap"
     rest = f"the rest is {e.excess_ratio:.3g} times the power that small effects leave"
     main = gate("adequate", e.explained, ">=", c.adequate, f"{removed}; {rest}")
     excused = f"enough, since {rest} (limit {c.several:g})"
@@ -251,7 +249,7 @@ def _adequate(e: Evidence, c: Criteria) -> Gate:
         e.training_explained,
         ">=",
         c.alone,
-        f"share of the excess error removed on the fitted records; {excused}; held out: {e.explained:.0%}",
+        f"share of the squared error beyond noise removed on the training records; {excused}; held out: {100 * e.explained:.0f} %",
     )
     few = gate(
         "adequate", e.excess_ratio, "<", c.several, "remaining power over that which small effects leave"
@@ -283,7 +281,7 @@ def _determined(e: Evidence, c: Criteria) -> Gate:
             len(odd),
             "<=",
             0,
-            "effects whose values contradict their names"
+            "effects with values that contradict their names"
             + (f": {odd[0].label}: {odd[0].contradiction}" if odd else ""),
         ),
     )
@@ -292,7 +290,7 @@ def _determined(e: Evidence, c: Criteria) -> Gate:
 def _forces_first(e: Evidence, c: Criteria) -> Gate:
     sensors = [x for x in e.effects if x.sensor]
     if not sensors:
-        return gate("sensor", 0, "<=", 0, "sensors that are blamed")
+        return gate("sensor", 0, "<=", 0, "sensor faults in the candidate")
     largest = max(x.fault for x in sensors)
     doubtful = not all(x.fault < c.doubtful for x in sensors)
     return gate(
@@ -300,7 +298,7 @@ def _forces_first(e: Evidence, c: Criteria) -> Gate:
         e.force_loss,
         ">=",
         c.forces_far if doubtful else c.forces_first,
-        f"excess error of the best explanation by a force over that by the sensor's fault of {largest:.2g} (of the gain, or of "
+        f"excess error of the best candidate with a force over that of the sensor fault of {largest:.2g} (of the gain, or of "
         f"the motion's time; from {c.doubtful:g} on the limit is {c.forces_far:g})",
     )
 
@@ -315,7 +313,7 @@ def table_gates(explained: float, moved: float, errors: float, c: Criteria = CRI
         c: Limits of the decision.
     """
     return (
-        gate("explains", explained, ">=", c.half, "share of the held-out excess error removed"),
+        gate("explains", explained, ">=", c.half, "share of the squared held-out error beyond noise removed"),
         gate(
             "material",
             moved,
@@ -375,7 +373,7 @@ def decide(e: Evidence, c: Criteria = CRITERIA) -> Decision:
 def with_findings(
     decision: Decision, findings: Sequence[Finding], e: Evidence, c: Criteria = CRITERIA
 ) -> Decision:
-    """Return 'ambiguous' in place of 'unknown_effect' where the kind of the foremost candidate's effect is certain.
+    """Return 'ambiguous' in place of 'unknown_effect' if the kind of the foremost candidate's effect is certain.
 
     Args:
         decision: Decision by the gates.

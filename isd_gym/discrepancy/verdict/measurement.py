@@ -215,9 +215,11 @@ def find_support(problem: Problem, fit: Fit, element: el.Element) -> float:
 def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     """Return the share of the remaining excess error that a free curve in the place of the foremost effect removes.
 
-    A single effect is tested where its error is larger than unmodelled effects make; otherwise the share is 0. Fitted laws whose values
-    contradict their names, such as a part of one period of a periodic law, are free curves as well. Several effects at one place are 1 if they are as many as the bends of a curve. Effects over one plane count with the model's own laws there at their limits. So are as
-    many effects anywhere, if one free curve explains the gap: one force without a name stands for all of them.
+    A single effect is tested if its error exceeds the envelope of unmodelled effects; otherwise the share is 0. Fitted laws whose values
+    contradict their names, such as a part of one period of a periodic law, are free curves as well. The share is 1 if the number of
+    effects at one place reaches the number of bends of a curve (`Criteria.bends`). Laws of the model at their limits over the same
+    plane count as effects. The share is also 1 if one free curve
+    explains the gap (`Criteria.adequate`) in place of the same number of effects at several places.
     """
     c, best = search.criteria, scores.foremost
     if len(best.hypotheses) > 1:
@@ -289,7 +291,7 @@ def _force_difference(problem: Problem, one: Candidate, other: Candidate, named:
 
 
 def _laws_over_one_plane(search: Search, best: Candidate) -> list[str]:
-    """Return the effects, with the model's own laws there at their limits, if all effects are at one place and over one plane.
+    """Return the effects and the laws of the model at their limits, if all effects are at one place over one plane.
 
     Elements in series along a chain without masses are at one place.
     """

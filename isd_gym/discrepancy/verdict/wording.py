@@ -11,8 +11,12 @@ from ...elements import TYPES
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-#: a result that makes the error on the reported records larger
-NOT_BORNE_OUT = "The error on the reported records is larger with it: confirm it with a new record."
+#: an addition that makes the error on the test records larger
+NOT_BORNE_OUT = (
+    "On the test records the error is larger with this addition: confirm the addition with a new record."
+)
+#: error of which a candidate removes a share (`Evidence.explained`)
+EXCESS = "the squared held-out error beyond noise"
 RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 OVER = {"rate": "their rate", "elongation": "their distance", "both": "their distance and rate"}
 #: parameters whose change is stated; laws of a kind that are stated
@@ -39,7 +43,7 @@ def summary_of(document: Mapping[str, Any]) -> str:
     """Return the summary of a diagnosis.
 
     Args:
-        document: the diagnosis as its JSON has it (`isd-diagnosis/1`); its own `summary` is not read.
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
 
     Returns:
         Sentences: the finding with its figures, the reason, the limits of the data, and what to do next.
@@ -64,30 +68,26 @@ def summary_of(document: Mapping[str, Any]) -> str:
 
 
 def unit_summary_of(document: Mapping[str, Any]) -> str:
-    """Return the summary of a diagnosis whose model is a unit for co-simulation.
+    """Return the summary of a diagnosis whose model is an FMU.
 
     Args:
-        document: the diagnosis as its JSON has it (`isd-diagnosis/1`); its own `summary` is not read.
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
     """
     gap, verdict = document["gap"]["held_out"], document["verdict"]
     if verdict == "no_discrepancy":
         worst = _widest(gap)
-        text = f"The unit agrees with the measurements ({worst}: {_errors(gap, worst, 'refit')}); nothing is missing."
+        text = f"The FMU agrees with the measurements; no effect is missing ({_errors(gap, worst, 'refit')})."
     elif verdict == "parameters_only":
         most = _most_gained(gap, "before", "refit")
-        text = (
-            f"Refitted parameters explain the difference ({most}: {_errors(gap, most, 'before', 'refit')}); nothing is "
-            "missing."
-        )
+        text = f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
     else:
         worst = _widest(gap)
         parts = [
-            f"Something is missing that no value of the unit's parameters explains ({worst}: "
-            f"{_errors(gap, worst, 'before', 'refit')}).",
+            f"An effect is missing that no parameter values of the FMU explain ({_errors(gap, worst, 'before', 'refit')}).",
             _where(document),
-            "A unit shows no inside: which effect is missing, and where, needs a network of the rig (isd-model/1).",
+            "The equations inside an FMU are hidden. To find the effect and its place, diagnose a network model of the rig (isd-model/1).",
             *(
-                f"A constant is {_percent(share, 0)} of the squared error in {name}: check the zero of the sensor."
+                f"A constant offset is {_percent(share, 0)} of the squared error in {name}: check the zero of the sensor."
                 for name, share in document["constant"].items()
                 if share is not None and share > 0.5
             ),
@@ -135,14 +135,20 @@ def _between(nodes: Iterable[str]) -> str:
     return f"between {' and '.join(nodes)}"
 
 
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
 def _percent(value: float | None, digits: int = 1) -> str:
     return "an unknown share" if value is None else f"{round(100 * value, digits) + 0.0:.{digits}f} %"
 
 
 def _errors(gap: Mapping[str, Mapping[str, float]], channel: str, *stages: str) -> str:
-    words = {"before": "before", "refit": "refitted"}
-    said = [f"{_percent(gap[s][channel])} {words[s] if len(stages) > 1 else 'error'}" for s in stages]
-    return ", ".join([*said, f"noise {_percent(gap['noise_floor'][channel])}"])
+    """Return the errors of a channel, such as ``error in travel: 40.0 % before, 30.0 % refitted, noise 2.0 %``."""
+    words = {"before": " before", "refit": " refitted"}
+    stated = [f"{_percent(gap[s][channel])}{words[s] if len(stages) > 1 else ''}" for s in stages]
+    noise = _percent(gap["noise_floor"][channel])
+    return f"error in {channel}: {', '.join(stated)}, noise {noise}"
 
 
 def _square(value: float | None) -> float:
@@ -150,7 +156,7 @@ def _square(value: float | None) -> float:
 
 
 def _widest(gap: Mapping[str, Mapping[str, float]]) -> str:
-    """The channel with the largest error of the refitted model."""
+    """Return the channel with the largest error of the refitted model."""
     return max(gap["refit"], key=lambda c: _square(gap["refit"][c]))
 
 
@@ -176,8 +182,9 @@ def _missing(d: Mapping[str, Any]) -> str:
     found = " and ".join(described(e) for e in d["effects"])
     down = _square(gap["after"][c]) <= _square(gap["refit"][c])
     text = (
-        f"The model lacks {found}; with it the error in {c} on held-out data {'falls' if down else 'rises'} from "
-        f"{_percent(gap['refit'][c])} to {_percent(gap['after'][c])} (noise {_percent(gap['noise_floor'][c])})."
+        f"The model lacks {found}. With {'these effects' if len(d['effects']) > 1 else 'this effect'} the error in {c} on held-out "
+        f"data {'falls' if down else 'rises'} from {_percent(gap['refit'][c])} to {_percent(gap['after'][c])} "
+        f"(noise {_percent(gap['noise_floor'][c])})."
     )
     return text if down else f"{text} {NOT_BORNE_OUT}"
 
@@ -186,45 +193,48 @@ def _remaining(d: Mapping[str, Any]) -> str:
     left = d["remainder"]
     if not left:
         return ""
-    most = f", most of all when: {left['when']}" if left["when"] != "everywhere" else ""
+    most = f", largest when {left['when']}" if left["when"] != "everywhere" else ""
     text = (
-        f"An error of {_percent(left['after'])} in {left['channel']} is left (noise {_percent(left['noise_floor'])}){most}: "
-        "another effect may be missing."
+        f"An error of {_percent(left['after'])} in {left['channel']} remains (noise {_percent(left['noise_floor'])}){most}. "
+        "Another effect may be missing."
     )
     if left["candidate"]:
         text += (
-            f" The closest addition that was tried, {candidate_text(left['candidate'])}, would leave "
-            f"{_percent(left['candidate']['error'])}; it was not kept."
+            f" The closest further effect, {candidate_text(left['candidate'])}, would reduce the error to "
+            f"{_percent(left['candidate']['error'])} and was not kept."
         )
     return text
 
 
 def _certain(d: Mapping[str, Any]) -> str:
-    """Return the deepest statements that are certain: kinds, or places alone, each with its probability."""
+    """Return the most specific statements that are certain, with probabilities: kinds, or else places."""
     least, findings = d["criteria"]["certain"], d["findings"]
     kinds = [f for f in findings if f["kind"] != "other" and f["kind_probability"] >= least]
     sentences = []
     for f in kinds:
         laws = " or ".join(
-            f"{law['effect'].replace('_', ' ')} ({law['probability']:.2f}{_law_values(law)})"
+            f"{law['effect'].replace('_', ' ')} (probability {law['probability']:.2f}{_law_values(law)})"
             for law in f["laws"][:LAWS]
         )
-        sentences.append(f"{KINDS[f['kind']]} {_spot(f['place'])} ({f['kind_probability']:.2f}): {laws}.")
+        sentences.append(
+            f"{KINDS[f['kind']]} {_spot(f['place'])} explains the error (probability {f['kind_probability']:.2f}). "
+            f"Likeliest: {laws}."
+        )
     if not kinds:
         places = {
             tuple(f["place"]): f["place_probability"] for f in findings if f["place_probability"] >= least
         }
         sentences = [
-            f"Something is missing {_spot(place)} ({chance:.2f}); its kind is open."
+            f"An effect is missing {_spot(place)} (probability {chance:.2f}); the data do not determine its kind."
             for place, chance in places.items()
         ]
     beside = [
-        f"{KINDS[f['kind']].lower()} {_spot(f['place'])} ({f['kind_probability']:.2f})"
+        f"{KINDS[f['kind']].lower()} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
         for f in findings
         if f not in kinds and f["kind"] != "other" and f["kind_probability"] >= POSSIBLE
     ]
     if kinds and beside:
-        sentences.append(f"Besides, perhaps {' or '.join(beside)}.")
+        sentences.append(f"Also possible: {' or '.join(beside)}.")
     return " ".join(sentences)
 
 
@@ -240,53 +250,52 @@ def _ambiguous(d: Mapping[str, Any]) -> str:
     if d["reason"] == "kind_certain":
         best = d["best_candidate"]
         return (
-            f"The law is not certain: {candidate_text(best)} removes {_percent(best['explained'], 0)} of the held-out excess error, "
+            f"The law is not certain: {candidate_text(best)} removes {_percent(best['explained'], 0)} of {EXCESS}, "
             f"but fails {failures(best['failed_gates'])}."
         )
     if len(rivals) > 1:
         names = " or ".join(f"{candidate_text(r)} (leaves {_left(r)})" for r in rivals)
-        text = f"Something is missing, and these data cannot tell which of {len(rivals)} explanations is right: {names}."
+        text = (
+            f"An effect is missing, and these data do not decide between {len(rivals)} explanations: {names}."
+        )
     else:
         text = (
-            f"Something is missing: {candidate_text(d['best_candidate'])} explains it, but fails "
+            f"An effect is missing. {_capital(candidate_text(d['best_candidate']))} explains the error, but fails "
             f"{failures(d['best_candidate']['failed_gates'])}."
         )
     test = d["next_experiment"]
-    return f"{text} Next: play the test in next_experiment.csv." if test else text
+    return f"{text} Next: run the test in next_experiment.csv." if test else text
 
 
 def _left(rival: Mapping[str, Any]) -> str:
     excess = rival["excess"]
-    return "an unknown share" if excess is None else f"{_percent(max(excess, 0.0))} of the excess error"
+    return "an unknown share" if excess is None else f"{_percent(max(excess, 0.0))} of the error beyond noise"
 
 
 def _unknown(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _widest(gap)
-    return (
-        f"Something is missing that no known effect explains well enough to be named ({c}: {_errors(gap, c, 'before', 'refit')}). "
-        f"{_where(d)}"
-    ).rstrip()
+    return f"An effect is missing, and no known effect passes every gate ({_errors(gap, c, 'before', 'refit')}). {_where(d)}".rstrip()
 
 
 def _where(d: Mapping[str, Any]) -> str:
     if not d["where"] or not d["where"][0]["share"]:
         return ""
     first = d["where"][0]
-    most = f", most of all when: {first['when']}" if first["when"] != "everywhere" else ""
-    return f"{first['channel']} has {_percent(first['share'], 0)} of the gap{most}."
+    most = f"; the gap is largest when {first['when']}" if first["when"] != "everywhere" else ""
+    return f"{_percent(first['share'], 0)} of the gap is in {first['channel']}{most}."
 
 
 def _best_candidate(d: Mapping[str, Any]) -> str:
     best = d["best_candidate"]
     if best is None:
-        return "No known effect gains anything on these records."
+        return "No known effect reduces the error on these records."
     error = best["error"]
     c = _most_gained(error, "refit", "after")
     down = _square(error["after"][c]) <= _square(error["refit"][c])
     failed = [g for g in best["failed_gates"] if not g["passed"]]
     return (
-        f"The best candidate, {candidate_text(best)}, {'takes' if down else 'raises'} the error in {c} from "
+        f"The best candidate, {candidate_text(best)}, {'reduces' if down else 'raises'} the error in {c} from "
         f"{_percent(error['refit'][c])} to {_percent(error['after'][c])} and fails {len(failed)} of {len(d['gates'])} gates: "
         f"{failures(failed)}."
     )
@@ -297,14 +306,14 @@ def _table(d: Mapping[str, Any]) -> str:
     if t:
         near = ", ".join(f"{x['effect'].replace('_', ' ')} {_percent(x['share'], 0)}" for x in t["nearest"])
         alone = ", ".join(
-            f"{OVER[k].removeprefix('their ')} alone gives {_percent(v, 0)} of it"
-            for k, v in t["shares"].items()
+            f"{OVER[k].removeprefix('their ')} alone {_percent(v, 0)}" for k, v in t["shares"].items()
         )
         text = (
-            f"A force {_between(t['between'])} that depends on {OVER[t['over']]}{f' ({alone})' if alone else ''} removes "
-            f"{_percent(t['explained'], 0)} of the held-out excess error; in model.json it is the element '{t['element']}'."
+            f"A force {_between(t['between'])} that depends on {OVER[t['over']]} removes {_percent(t['explained'], 0)} of {EXCESS}. "
+            f"In model.json the force is the table '{t['element']}'."
         )
-        text += f" The nearest known laws give this share of its square: {near}." if near else ""
+        text += f" Share of its power by argument: {alone}." if alone else ""
+        text += f" Share of its power that the nearest known laws give: {near}." if near else ""
         closed = d["gap"]["closed"]
         return f"{text} {NOT_BORNE_OUT}" if closed is not None and closed < 0 else text
     if tried is None:
@@ -312,14 +321,18 @@ def _table(d: Mapping[str, Any]) -> str:
     explains = next(g for g in tried["gates"] if g["gate"] == "explains")
     text = (
         f"The best table of a force, {_between(tried['between'])} over {OVER[tried['over']]}, removes "
-        f"{_percent(tried['explained'], 0)} of the held-out excess error"
+        f"{_percent(tried['explained'], 0)} of {EXCESS}"
     )
     if not explains["passed"]:
         return (
             f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, or on a motion "
-            "that was not measured."
+            "that no sensor measures."
         )
-    return f"{text} and is not stated: {failures(tried['gates']) or 'its interval cannot be computed'}."
+    return (
+        f"{text}, but fails {failures(tried['gates'])}."
+        if failures(tried["gates"])
+        else f"{text}, but its interval cannot be computed."
+    )
 
 
 def _agreement(d: Mapping[str, Any]) -> str:
@@ -327,11 +340,13 @@ def _agreement(d: Mapping[str, Any]) -> str:
     refit, noise = gap["refit"], gap["noise_floor"]
     worst = max(refit, key=lambda c: _square(refit[c]) - _square(noise[c]))
     if _square(refit[worst]) - _square(noise[worst]) > least:
-        return f"Nothing worth a name is missing ({worst}: {_errors(gap, worst, 'before', 'refit')})."
+        return f"No missing effect can be named ({_errors(gap, worst, 'before', 'refit')})."
     if d["verdict"] == "no_discrepancy":
-        return f"The model agrees with the measurements ({worst}: {_errors(gap, worst, 'refit')}); nothing is missing."
+        return (
+            f"The model agrees with the measurements; no effect is missing ({_errors(gap, worst, 'refit')})."
+        )
     most = _most_gained(gap, "before", "refit")
-    return f"Refitted parameters explain the difference ({most}: {_errors(gap, most, 'before', 'refit')}); nothing is missing."
+    return f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
 
 
 def _reason(d: Mapping[str, Any]) -> str:
@@ -350,30 +365,30 @@ def _reason(d: Mapping[str, Any]) -> str:
         worst = max(excess, key=lambda n: excess[n][0] / max(excess[n][2], 1e-12))
         over, _, small = excess[worst]
         return (
-            f"On the held-out data that decide, {worst} errs by {_percent(over)} beyond the noise; effects of {_percent(c['small'], 0)} of the typical force, as every rig has "
-            f"them, leave up to {_percent(small)}."
+            f"On validation data the error in {worst} beyond noise is {_percent(over)}. Unmodelled effects of {_percent(c['small'], 0)} of "
+            f"the typical force, which every rig has, leave up to {_percent(small)}."
         )
     if d["reason"] == "closed_by_small":
         return (
-            f"Effects of at most {_percent(e['closest_share'])} of the force at their places close the gap (an effect is named from "
-            f"{_percent(c['share'], 0)} on)."
+            f"Effects of at most {_percent(e['closest_share'])} of the force at their places close the gap. A name needs at least "
+            f"{_percent(c['share'], 0)}."
         )
     if d["reason"] == "noise":
         worst = max(excess, key=lambda n: excess[n][0] / max(excess[n][1], 1e-12))
         over, floor, _ = excess[worst]
-        return f"On the held-out data that decide, {worst} errs by {_percent(over)} beyond the noise of {_percent(floor)}, and no known effect reduces it."
+        return f"On validation data the error in {worst} beyond noise is {_percent(over)} (noise {_percent(floor)}), and no known effect reduces the error."
     if d["reason"] == "doubtful_sensor":
-        return f"A sensor may be to blame for the rest, but is not named: {failures(d['gates'])}."
+        return f"A sensor fault may explain the rest, but fails {failures(d['gates'])}."
     if d["reason"] == "immaterial":
         return (
-            f"On the held-out data that decide, no channel errs by more than {_percent(over)} of its standard deviation beyond the noise "
+            f"On validation data the error beyond noise is at most {_percent(over)} of the standard deviation in every channel "
             f"(limit {_percent(c['material'], 0)})."
         )
     return ""
 
 
 def _changes(d: Mapping[str, Any]) -> str:
-    """Parameters whose 95 % interval leaves out the value of the model, largest change first."""
+    """Return the parameters whose 95 % interval excludes the value of the nominal model, largest change first."""
     if d["verdict"] != "parameters_only":
         return ""
     moved = [
@@ -382,12 +397,12 @@ def _changes(d: Mapping[str, Any]) -> str:
         if q.get("prior") and None not in (q["value"], q["low"], q["high"])
         and not q["low"] <= q["prior"] <= q["high"]
     ]  # fmt: skip
-    told = [
+    stated = [
         f"{path} from {plain_number(q['prior'])} to {plain_number(q['value'])} {q['unit']} ({q['value'] / q['prior'] - 1.0:+.1%})"
         for _, path, q in sorted(moved, key=lambda t: -t[0])[:CHANGES]
     ]
     more = f" and {len(moved) - CHANGES} more" if len(moved) > CHANGES else ""
-    return f"Largest changes: {', '.join(told)}{more}." if told else ""
+    return f"Largest changes: {', '.join(stated)}{more}." if stated else ""
 
 
 # --------------------------------------------------------------------------------------------------- for all of them
@@ -402,7 +417,7 @@ def _small(d: Mapping[str, Any]) -> str:
     shares = " and ".join(f"{_percent(x['share'])}" for x in seen)
     if all((x["share"] or 0.0) < least for x in seen):
         return f"Too small to be named: {names}, {shares} of the force, current or signal at its place (needed {_percent(least, 0)})."
-    return f"Seen, but not named: {names}, {shares} of the force, current or signal at its place; it fails {failures(d['gates'])}."
+    return f"Detected but not named: {names}, {shares} of the force, current or signal at its place; the effect fails {failures(d['gates'])}."
 
 
 def _noise(d: Mapping[str, Any]) -> str:
@@ -413,7 +428,7 @@ def _noise(d: Mapping[str, Any]) -> str:
     bounded = [f"{name} (at most {_percent(floor)})" for name, floor, known in rows if not known]
     if not bounded:
         return ""
-    return f"These data only bound the noise of {', '.join(bounded)}: state 'noise' of the output in the model file where you know it."
+    return f"These data give only an upper bound on the noise of {', '.join(bounded)}. If you know the noise, state 'noise' of the output in the model file."
 
 
 def _limits(d: Mapping[str, Any]) -> str:
@@ -421,7 +436,7 @@ def _limits(d: Mapping[str, Any]) -> str:
     asked = d["evidence"]["limits" if final else "refit_limits"]
     if not asked:
         return ""
-    return f"At the limit that their stated uncertainty allows: {', '.join(asked)}. Check these values."
+    return f"Parameters at the limit of their stated uncertainty: {', '.join(asked)}. Check their values."
 
 
 def _closed_loop(d: Mapping[str, Any]) -> str:
@@ -429,13 +444,13 @@ def _closed_loop(d: Mapping[str, Any]) -> str:
     if not found:
         return ""
     inputs = [
-        f"{f['input']} follows from {' and '.join(f['outputs'])}: past outputs explain {_percent(f['share'], 0)} of what its own "
-        "past leaves unpredicted"
+        f"past {' and '.join(f['outputs'])} explain {_percent(f['share'], 0)} of the part of {f['input']} that the past of "
+        f"{f['input']} does not predict"
         for f in found
     ]
     return (
-        f"The records are of a closed loop ({'; '.join(inputs)}). A controller's law can look like an element, such as a spring to the "
-        "ground. Repeat the test with an input that does not depend on the outputs."
+        f"The records are of a closed loop: {'; '.join(inputs)}. A control law can look like an element, such as a spring to the "
+        "ground. Next: repeat the test with an input that does not depend on the outputs."
     )
 
 
@@ -446,9 +461,9 @@ def _stretches(d: Mapping[str, Any]) -> str:
     low, high = f"{s['shortest']:.2g}", f"{s['longest']:.2g}"
     length = f"{low} s" if low == high else f"{low} to {high} s"
     why = {
-        "diverges": "the simulation of the refitted model breaks down over whole records",
-        "astray": f"over whole records the refitted model errs by {_percent(s['error'])} of the deviation (limit {_percent(s['limit'], 0)})",
-        "unnamed": "over whole records no name passes every gate",
-        "feedback": "under feedback whole records are no valid comparison",
+        "diverges": "the refitted model diverges over whole records",
+        "astray": f"over whole records the mean error of the refitted model is {_percent(s['error'])} (limit {_percent(s['limit'], 0)})",
+        "unnamed": "over whole records no candidate passes every gate",
+        "feedback": "feedback makes a comparison of whole records invalid",
     }[s["reason"]]
-    return f"Compared over {s['count']} stretches of {length}, each from an initial state of its own: {why}."
+    return f"These are errors over {s['count']} stretches of {length}, each with its own initial state, because {why}."
