@@ -1,12 +1,13 @@
 """A folder for a model hub: what a hub reads in the card, the film, and a policy that loads out of it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from agents import hub
-from agents.policy import Policy
+from agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import cards
 from isd_gym.errors import InputError
 
@@ -26,7 +27,9 @@ def test_the_card_says_what_hubs_read(folder):
     text = (folder / "README.md").read_text(encoding="utf-8")
     _, head, body = text.split("---\n", 2)
     meta = yaml.safe_load(head)
-    assert {"ISDSuspension-v0", "reinforcement-learning"} <= set(meta["tags"]) and "license" not in meta
+    # the filter for Stable-Baselines3 reads the library
+    assert meta["library_name"] == "stable-baselines3" and "license" not in meta
+    assert {"ISDSuspension-v0", "reinforcement-learning", "stable-baselines3"} <= set(meta["tags"])
     (model,) = meta["model-index"]
     assert model["name"] == "ppo-ISDSuspension-v0"
     (result,) = model["results"]
@@ -53,7 +56,7 @@ def test_the_return_is_the_environment_s_own(folder):
         observation, reward, _, truncated, _ = env.step(np.array([policy.act(observation)]))
         total += reward
     costs = json.loads((folder / "score.json").read_text())["raw"]["ppo"]["cost"]
-    assert total == pytest.approx(-hub.STEPS * costs[0], rel=1e-6)
+    assert total == pytest.approx(-hub.EPISODE_STEPS * costs[0], rel=1e-6)
 
 
 def test_it_holds_the_policy_the_film_and_nothing_else(folder):
@@ -87,8 +90,45 @@ def test_a_whole_score_stands_among_the_references(folder):
         "raw": {"passive": raw["passive"], "mine": raw["lqg"]},
     }
     rows[0]["policy"] = "mine"
+    rows[0]["share_of_causal_gain"] = 0.8
+    before, own = (np.mean(raw[name]["cost"]) for name in ("passive", "lqg"))
+    ceiling = before - (before - own) / 0.8  # the least cost of causal controllers
     text = hub._card(Policy.load("ppo"), "mine-ISDSuspension-v0", found)
     assert "`mpc-friction`" in text and "`mine`" in text and card["digest"][:16] in text
+    assert f"for causal controllers: {own - ceiling:.4f}." in text
+
+
+@pytest.mark.parametrize("name", [p.parent.name for p in SHIPPED.glob("*/policy.json")])
+def test_every_shipped_policy_has_a_card_for_its_own_environment(name, tmp_path, monkeypatch):
+    """The code of the card drives, and the score is that of the policy's own car and sight."""
+    yaml = pytest.importorskip("yaml", reason="of isd-gym[docs]")
+    import gymnasium
+
+    policy = Policy.load(name)
+    monkeypatch.setattr(hub, "film", lambda entries, network, path, **options: path.write_bytes(b""))
+    folder = hub.write(policy, tmp_path / name, episodes=1)
+    _, head, body = (folder / "README.md").read_text(encoding="utf-8").split("---\n", 2)
+    meta, environment = yaml.safe_load(head), hub.environment_of(policy)
+    assert environment == policy.info["env"]["id"]
+    assert meta["library_name"] == "stable-baselines3" and {environment, "isd-gym"} <= set(meta["tags"])
+    assert meta["model-index"][0]["results"][0]["dataset"]["name"] == environment
+    found = json.loads((folder / "score.json").read_text())
+    assert found["network"] == gymnasium.spec(environment).kwargs["network"]
+    assert found["policies"][-1]["preview"]["value"] == policy.preview
+    assert 0.4 < found["raw"][name]["cost"][0] < 0.95 * found["raw"]["passive"]["cost"][0]
+    code = body.split("```python\n")[1].split("```")[0]
+    names: dict = {}
+    monkeypatch.chdir(folder)
+    exec(code, names)
+    assert np.isfinite(names["reward"]) and names["reward"] < 0.0
+
+
+def test_a_policy_for_a_car_of_its_own_has_no_environment():
+    policy = Policy.load("ppo")
+    assert policy.model is not None
+    policy.model = replace(policy.model, name="my-car")
+    with pytest.raises(InputError, match="'my-car', which no environment has"):
+        hub.environment_of(policy)
 
 
 def test_what_is_somebody_else_s_is_left_alone(tmp_path):
