@@ -313,13 +313,13 @@ def histories(shown: Shown) -> Chart:
     stride = f" Every {every}th sample." if every > 1 else ""
     choices, captions = {}, {}
     for episode, words in (
-        (middle, f"the middle by {shown.reference}'s cost"),
+        (middle, f"the median by the cost of {shown.reference}"),
         (hardest, f"the hardest for {shown.reference}"),
     )[: 1 + (hardest != middle)]:
         name = f"seed {seed + episode}: {words}"
         choices[name] = panels(episode)
         captions[name] = (
-            f"Episode with seed {seed + episode}, {words}; the {width * shown.step:g} s around its greatest tyre load. Travel is "
+            f"Episode with seed {seed + episode}, {words}: the {width * shown.step:g} s around the largest tyre load. Travel is "
             f"positive in extension, tyre load in compression.{stride}{left_out}"
         )
     return Chart(
@@ -389,8 +389,8 @@ def spectra(shown: Shown) -> Chart | None:
         "In frequency",
         "Power spectral densities over frequency",
         f"One-sided power spectral densities, averaged over all {shown.score.episodes} episodes (Welch, Hann windows of {window:g} s "
-        f"half overlapping, lines gathered to twelve an octave), and below them their ratio to {shown.reference}. Grey: how strongly a "
-        f"seated person feels a frequency, W_k of ISO 2631-1, on a scale of its own.{corners}{left_out}",
+        f"half overlapping, averaged to twelve points per octave). Below: their ratio to {shown.reference}. Grey: the weighting W_k of "
+        f"ISO 2631-1 for a seated person, on a separate scale.{corners}{left_out}",
         {"all episodes": [*top, *below]},
         columns=len(units),
         size=(2.8 * len(units), 4.8),
@@ -523,13 +523,13 @@ def trade_off(shown: Shown) -> Chart:
         label = f"causal bound at tyre load {percent(tyre, 0)}"
         items.append(Line(label, 100 * curve[:, 0], 100 * curve[:, 1], Look(INK, line, "", 1.1)))
     bound = (
-        " Lines: the linear-quadratic optimum of any force between body and wheel, unlimited and without friction, at "
-        "the tyre load written there. In the mean over roads no controller that does not see the road ahead is below."
+        " Lines: the causal LQ bound, the optimum of an unlimited force between body and wheel without friction, at the stated tyre "
+        "load. In the mean over roads, no controller that does not see the road ahead is below the line of its tyre load."
         if curves
         else ""
     )
     if known:
-        bound += " The clairvoyant optimum knows these very roads in advance, which no controller does; it is searched, not proven."
+        bound += " The clairvoyant optimum knows these roads in advance, which no controller does. It is the best solution of a search."
     crosses = (
         f"Crosses are 95 % paired intervals over {shown.score.episodes} episodes; the"
         if shown.score.episodes > 1
@@ -540,7 +540,7 @@ def trade_off(shown: Shown) -> Chart:
         "trade_off",
         "The trade-off",
         "Change of acceleration over change of travel, by policy",
-        f"Better is down and to the left. {crosses} change of RMS tyre load is written beside each point ({own} driven here{two}).{bound}",
+        f"Better policies are lower and further left. {crosses} label of each point has the change of RMS tyre load ({own} driven here{two}).{bound}",
         {
             "all": [
                 Panel(
@@ -594,8 +594,8 @@ def distribution(shown: Shown) -> Chart | None:
         "episodes",
         "Episode by episode",
         "Paired changes of every episode, by policy",
-        f"Each dot is one road: this policy against {shown.reference} on the same road. The open marker is the change of "
-        "the value pooled over all episodes, the bar its 95 % interval (episodes drawn again, the same ones for both).",
+        f"Each dot is the change against {shown.reference} on one road. The open marker is the change of the value pooled over all "
+        "episodes. The bar is its 95 % interval (paired bootstrap over episodes).",
         {"all": panels},
         columns=len(panels),
         size=(7.8, 0.9 + 0.42 * len(names)),
@@ -638,8 +638,8 @@ def limits(shown: Shown) -> Chart:
         "limits",
         "Exceedances",
         "Share of time above a value, by policy",
-        "How much of the time each signal spends above a value (exceedance); the vertical line is the limit of the paper's "
-        f"Table 5. A curve that crosses it has exceeded the limit for that share of the time.{left_out}",
+        "Share of time that each signal is above a value (exceedance). The vertical line is the limit of the paper's Table 5. A "
+        f"curve crosses the line at the share of time above the limit.{left_out}",
         {"all": panels},
         columns=3,
         size=(7.8, 2.9),
