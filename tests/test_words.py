@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 from isd_gym.discrepancy.selection.criteria import CRITERIA
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.verdict.gates import decide, gate, table_gates
+from isd_gym.discrepancy.verdict.gates import Reason, decide, gate, table_gates
 from isd_gym.discrepancy.verdict.wording import (
     NOT_BORNE_OUT,
     failures,
@@ -180,6 +180,16 @@ def test_why_nothing_is_missing_is_told_with_its_figures(change: dict, reason: s
     said = summary_of(d)
     assert words in said
     assert "k.stiffness from 100 to 112 N/m (+12.0%)" in said
+
+
+@pytest.mark.parametrize("reason", get_args(Reason))
+@pytest.mark.parametrize("verdict", ["no_discrepancy", "parameters_only"])
+def test_every_reason_of_a_verdict_has_words(verdict: str, reason: str) -> None:
+    """An evidence that ends in `closed_by_small` broke off, since no test had one."""
+    closing = replace(SEEN, richest_share=0.042)
+    said = summary_of(document(closing, verdict=verdict, reason=reason, effects=[]))
+    assert said.endswith(".")
+    assert ("Effects of at most 4.2 % of the force" in said) == (reason == "closed_by_small")
 
 
 def test_a_small_effect_is_told_with_its_share_or_the_gate_it_fails() -> None:

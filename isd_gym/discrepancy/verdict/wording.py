@@ -370,7 +370,7 @@ def _reason(d: Mapping[str, Any]) -> str:
         )
     if d["reason"] == "closed_by_small":
         return (
-            f"Effects of at most {_percent(e['closest_share'])} of the force at their places close the gap. A name needs at least "
+            f"Effects of at most {_percent(e['richest_share'])} of the force at their places close the gap. A name needs at least "
             f"{_percent(c['share'], 0)}."
         )
     if d["reason"] == "noise":
