@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..result import Quantity
 from ..selection.candidate import parameter_values
-from ..selection.weights import probability
+from ..selection.weights import FREE_FORCE, probability
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -98,7 +98,8 @@ def find(
         of_kind = probability(candidates, place=place, kind=kind)
         if of_kind < c.reported:
             continue
-        doubt = 0.0 if (place, kind) in passed else c.mistaken_extra
+        is_free = FREE_FORCE in laws  # its weight is that of a law that is not in the library
+        doubt = 0.0 if (place, kind) in passed or is_free else c.mistaken_extra
         entries = [
             LawProbability(
                 law,
