@@ -260,13 +260,17 @@ def suites() -> str:
     return markdown(heads, body, "lrrrrrrrl")
 
 
+#: statements of a level and a probability below which their share says little
+FEWEST = 5
+
+
 def calibration() -> str:
     """Stated probability against the share of true statements, by level."""
     body = []
     for name, f in json.loads((BENCHMARKS / "diagnosis.json").read_text(encoding="utf-8")).items():
         for level in grading.LEVELS:
             for b in f["reliability"][level]:
-                if b["stated"] >= 0.5:
+                if b["stated"] >= 0.5 and b["names"] >= FEWEST:
                     body.append(
                         [
                             f"`{name}`",
