@@ -48,7 +48,7 @@ def test_help_is_light_and_knows_the_commands_of_all_packages():
     assert done.stdout.strip().endswith("[]")
     for words in (
         "train      Train a policy",
-        "reproduce  Reproduce every table",
+        "reproduce  Compare every table",
         "record     Save a policy",
     ):
         assert words in done.stdout
