@@ -25,7 +25,7 @@ def test_the_completed_model_drives_the_car_better_than_the_owners() -> None:
     page = Path(__file__).resolve().parents[1] / "docs" / "validation" / "diagnosis.md"
     # where friction holds, the refit of the old model ends in one of several optima, by the rounding of the processor
     told = re.search(
-        r"names the friction at its place, (\S+) to (\S+) N .* from (\S+) to (\S+) % down to (\S+) %",
+        r"names the friction at its place with a level of (\S+) to (\S+) N\. .* between (\S+) and (\S+) % to (\S+) %",
         page.read_text(encoding="utf-8"),
     )
     assert told is not None
