@@ -64,9 +64,12 @@ def grade(verdict: str, found: Sequence[tuple[str, Any]], answer: Any, allowed: 
 
 
 def _measured(found: Sequence[tuple[str, Any]], expected: Mapping[str, Any]) -> str:
-    """Grade a measured rig: names of all that it `needs` (lists: one of them), perhaps of what it `allows`, and of nothing else.
+    """Grade the names of a measured rig.
 
-    `silent`: no name is right as well.
+    Args:
+        found: Named effects with their places.
+        expected: `needs` lists the required effects, an inner list alternatives; `allows` lists permitted further effects; with
+            `silent`, a diagnosis without a name is right as well.
     """
     names = {f[0] for f in found}
     choices = [{n} if isinstance(n, str) else set(n) for n in expected["needs"]]

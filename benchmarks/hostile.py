@@ -641,7 +641,7 @@ def _car() -> Network:
 
 
 def maps(rng: Rng, folder: Path) -> None:
-    """Files that say which column is which channel."""
+    """Test channel maps with random contents."""
     from isd_gym.loggers import ChannelMap
 
     tree = {

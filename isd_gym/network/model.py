@@ -24,7 +24,7 @@ GROUND = "ground"
 MOTIONS = ("displacement", "velocity", "acceleration")
 #: limits of a model; larger models are refused
 NAME_LENGTH, NODES, ELEMENTS, CHANNELS = 200, 250, 1000, 1000
-#: unknown constant of an output's sensor: one for all records, or one per record
+#: unknown constant of an output's sensor: "free" is shared by all records, "record" differs between records
 Offset = Literal["free", "record"]
 
 
