@@ -204,12 +204,12 @@ def convert(
 
 def _controller(name: str, out: Path | None, onnx: Path | None, plain_c: Path | None, network: str) -> bool:
     """Write the baseline of a name as C; return False for other names."""
-    from baselines import CONTROLLERS, make
+    from isd_gym.baselines import CONTROLLERS, make
     from isd_gym.errors import InputError
 
     if name not in CONTROLLERS:
         return False
-    from baselines.plain_c import export_c
+    from isd_gym.baselines.plain_c import export_c
 
     if plain_c is None or out is not None or onnx is not None:
         raise InputError(f"'{name}' is a controller and no network: it can be written with --c DIR alone")

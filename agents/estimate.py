@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from baselines import noisy
-from baselines.lqg import Lqg, LqgSettings
-from baselines.model import N_SENSORS
+from isd_gym.baselines import noisy
+from isd_gym.baselines.lqg import Lqg, LqgSettings
+from isd_gym.baselines.model import N_SENSORS
 from isd_gym.batch import SLEW_LIMIT
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
@@ -25,13 +25,13 @@ SEED = 800_000  # seed of roads without other use
 def lqg_filter(
     network: Network, control_step: float = 5e-3, preview: float = 0.0, noise: float = 0.0
 ) -> Filter:
-    """Return filter and law of `baselines.lqg` for a network, in coordinates of unit spread under the LQG.
+    """Return filter and law of `isd_gym.baselines.lqg` for a network, in coordinates of unit spread under the LQG.
 
     Args:
         network: The car.
         control_step: Control step [s].
         preview: Known road ahead [s].
-        noise: Sensor noise that the filter assumes [-], see `baselines.noisy`.
+        noise: Sensor noise that the filter assumes [-], see `isd_gym.baselines.noisy`.
 
     Returns:
         The filter.

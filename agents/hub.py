@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from baselines.ceiling import known
+from isd_gym.baselines.ceiling import known
 from isd_gym.benchmark import cards
 from isd_gym.errors import InputError, plain, shown
 from isd_gym.files import check_folder, whole_folder
@@ -44,7 +44,7 @@ else as JSON. Loading the folder needs numpy alone and runs no code of it. {libr
 ```python
 import gymnasium
 import numpy as np
-from agents.policy import Policy  # of isd-gym
+from isd_gym.agents.policy import Policy  # of isd-gym
 
 policy = Policy.load(".")  # this folder
 env = gymnasium.make("{environment}"{options})

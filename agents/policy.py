@@ -1,6 +1,6 @@
 """A policy folder: weights as safetensors and `policy.json`; needs only numpy, and executes no code.
 
-from agents.policy import Policy
+from isd_gym.agents.policy import Policy
 
 policy = Policy.load("runs/sac/policy")
 policy.reset()

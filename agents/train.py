@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from baselines.controller import steps_ahead
+from isd_gym.baselines.controller import steps_ahead
 from isd_gym.errors import InputError, how_to_install, shown
 from isd_gym.files import claim_folder, held, write_text
 from isd_gym.inputs import read_json
@@ -139,7 +139,7 @@ def train(
         if corners > 1:
             raise InputError(
                 f"network '{plant.name}' has {corners} corners, and the ranges of the robust track are those of a quarter car: "
-                'give ranges to agents.train.train, such as randomize={"body.mass": (0.8, 1.2)}'
+                'give ranges to isd_gym.agents.train.train, such as randomize={"body.mass": (0.8, 1.2)}'
             )
         spread, seen = robust()
         senses = seen if senses.perfect else senses
@@ -539,7 +539,7 @@ class Run:
         """
         s, usual = self.settings, tuned(self.algorithm, self.car, self.settings.ahead)
         if describe(replace(s, steps=usual.steps)) != describe(usual):
-            return "agents.train.train with the settings below"
+            return "isd_gym.agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
         if s.steps != usual.steps:
             words.append(f"--steps {s.steps}")

@@ -3,10 +3,10 @@
 The model is the whole car: states of the network, heights of the road under the wheels, and the last heights
 under the leading wheels. A steady Kalman filter estimates all states from the measured signals. The smoothed
 rise under a leading wheel, delayed by the distance between the axles over the speed, is the rise under the
-following wheel (`memory.Echo`). The delay line is outside of the model, unlike that of `baselines.car`: it
+following wheel (`memory.Echo`). The delay line is outside of the model, unlike that of `isd_gym.baselines.car`: it
 can be set for another speed without a change of a policy's features. The law is the linear-quadratic
 regulator with preview of the rear road (Tomizuka and Whitney, ASME Journal of Dynamic Systems, Measurement,
-and Control 97, 1975), with a friction compensation as in `baselines.lqg`.
+and Control 97, 1975), with a friction compensation as in `isd_gym.baselines.lqg`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
-from baselines.lqg import LawSettings
-from baselines.model import device_reach, dry, equations, friction_levels, white_covariance
 from isd_gym import elements as el
+from isd_gym.baselines.lqg import LawSettings
+from isd_gym.baselines.model import device_reach, dry, equations, friction_levels, white_covariance
 from isd_gym.batch import SLEW_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionVectorEnv
@@ -197,7 +197,7 @@ def preview_law(model: RoadModel, settings: LawSettings, followers: list[int], p
 
     Args:
         model: The car.
-        settings: Weights and leads, those of `baselines.lqg`.
+        settings: Weights and leads, those of `isd_gym.baselines.lqg`.
         followers: Corners with a known road ahead.
         points: Number of known control steps.
 

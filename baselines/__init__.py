@@ -19,6 +19,9 @@ from isd_gym.vehicle import require_quarter_car, vehicle
 
 from .controller import Controller
 
+if __name__ != "isd_gym.baselines":  # a second copy, found in the source tree, would have classes of its own
+    raise ImportError("the package is imported as isd_gym.baselines, not baselines")
+
 if TYPE_CHECKING:
     from pathlib import Path
 

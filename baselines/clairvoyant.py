@@ -650,7 +650,7 @@ def reachable(
 
 
 def main() -> None:
-    """``python -m baselines.clairvoyant``: compute the missing figures of the shipped file (delete the file to restart)."""
+    """``python -m isd_gym.baselines.clairvoyant``: compute the missing figures of the shipped file (delete the file to restart)."""
 
     def say(share: float) -> None:
         print(f"{100 * share:.0f} %", flush=True)

@@ -230,7 +230,7 @@ def use_policy(policy: Any, rng: Rng) -> None:
 @cache
 def _shipped(name: str) -> tuple[str, bytes]:
     """The shipped policy: its JSON without the parts that are long and only told, and its weights."""
-    from agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME
+    from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME
 
     head = json.loads((SHIPPED / name / JSON_NAME).read_text())
     for part in ("training", "score"):
@@ -239,7 +239,7 @@ def _shipped(name: str) -> tuple[str, bytes]:
 
 
 def policies(rng: Rng, folder: Path) -> None:
-    from agents.policy import JSON_NAME, WEIGHTS_NAME, Policy
+    from isd_gym.agents.policy import JSON_NAME, WEIGHTS_NAME, Policy
 
     told, blob = _shipped(pick(rng, ("ppo", "sac", "ppo-half-car")))
     head = json.loads(told)
@@ -323,7 +323,7 @@ def zipped(parts: dict[str, bytes]) -> bytes:
 
 
 def zips(rng: Rng, folder: Path) -> None:
-    from agents.convert import convert, read_normalize
+    from isd_gym.agents.convert import convert, read_normalize
 
     if rng.random() < 0.2:
         normal = pickle.dumps(

@@ -145,8 +145,8 @@ def diagnosed(folder: Path) -> Any:
 def train() -> None:
     import warnings
 
-    import agents.train as module
-    from agents.settings import PPOSettings
+    import isd_gym.agents.train as module
+    from isd_gym.agents.settings import PPOSettings
 
     warnings.simplefilter("ignore")
     module.BASELINES = ()  # type: ignore[assignment]
@@ -157,7 +157,7 @@ def train() -> None:
 
 
 def trained(folder: Path) -> Any:
-    from agents.policy import Policy
+    from isd_gym.agents.policy import Policy
 
     run = folder / "run"
     read(run / "run.json")

@@ -27,8 +27,8 @@ import gymnasium as gym
 import numpy as np
 from scipy.optimize import nnls
 
-import baselines
-from baselines.qp import SOLVERS, Program, program
+from isd_gym import baselines
+from isd_gym.baselines.qp import SOLVERS, Program, program
 from isd_gym.cost import StageCost
 from isd_gym.files import write_text
 from isd_gym.network import Network

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.policy import SHIPPED, Policy
+from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import engine
 from isd_gym.benchmark.grid import Condition, Grid
 from isd_gym.errors import InputError
@@ -108,7 +108,7 @@ def collect(
 def least(network: Network, seed: int, episodes: int) -> list[float]:
     """Least cost known of the first roads of the training condition, as many as there are one after another."""
     try:
-        from baselines.clairvoyant import reference
+        from isd_gym.baselines.clairvoyant import reference
     except ImportError:
         return []
     out: list[float] = []
@@ -119,7 +119,7 @@ def least(network: Network, seed: int, episodes: int) -> list[float]:
 
 def train_all(out: Path, seeds: int, algorithms: tuple[str, ...] = ("ppo", "sac")) -> None:
     """Train every seed of every algorithm, one after the other; goes on where it stopped."""
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     for seed in range(seeds):
         for algorithm in algorithms:

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-import baselines
-from agents.settings import robust
+from isd_gym import baselines
+from isd_gym.agents.settings import robust
 from isd_gym.cost import StageCost
 from isd_gym.network import Network
 from isd_gym.policies import find, passive

@@ -27,8 +27,8 @@ KEPT = ("cost", "body_acceleration_rms", "pitch_acceleration_rms", "weighted_acc
 
 def entry(name: str, network: Any, speed: float) -> Any:
     """A controller that knows the speed."""
-    import baselines
-    from baselines.model import ROAD_INTENSITY
+    from isd_gym import baselines
+    from isd_gym.baselines.model import ROAD_INTENSITY
     from isd_gym.policies import find
     from isd_gym.scoring import Entry
 
@@ -57,7 +57,7 @@ def drive(network: Any, speed: float, episodes: int, seed: int, duration: float)
 
 def bound(network: Any, speed: float) -> dict[str, Any] | None:
     """Return the change of the cost at the linear-quadratic bound, with and without knowledge of the rear road."""
-    from baselines.bounds import wheelbase_bound
+    from isd_gym.baselines.bounds import wheelbase_bound
     from isd_gym.errors import InputError
 
     try:

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import grading
 import study
 
-from baselines.ceiling import known
+from isd_gym.baselines.ceiling import known
 from isd_gym.benchmark import cards
 from isd_gym.discrepancy.selection import criteria
 

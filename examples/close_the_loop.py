@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-import baselines
+from isd_gym import baselines
 from isd_gym.data import Table
 from isd_gym.discrepancy import Diagnosis, diagnose
 from isd_gym.network import Network

@@ -12,18 +12,21 @@ from importlib.util import find_spec
 
 POLICIES, COMMANDS, REFERENCES = "isd_gym.policies", "isd_gym.commands", "isd_gym.references"
 OWN = {
-    POLICIES: {"baselines": "baselines.entry:open_policy", "agents": "agents.entry:open_policy"},
+    POLICIES: {
+        "baselines": "isd_gym.baselines.entry:open_policy",
+        "agents": "isd_gym.agents.entry:open_policy",
+    },
     COMMANDS: {
-        "train": "agents.cli:train",
-        "convert": "agents.cli:convert",
-        "reproduce": "baselines.reproduce:command",
-        "ceiling": "baselines.ceiling:command",
+        "train": "isd_gym.agents.cli:train",
+        "convert": "isd_gym.agents.cli:convert",
+        "reproduce": "isd_gym.baselines.reproduce:command",
+        "ceiling": "isd_gym.baselines.ceiling:command",
     },
     REFERENCES: {
-        "clairvoyant": "baselines.clairvoyant:reachable",
-        "lq_front": "baselines.bounds:lq_front",
-        "wheelbase_bound": "baselines.bounds:wheelbase_bound",
-        "ceiling": "baselines.ceiling:known",
+        "clairvoyant": "isd_gym.baselines.clairvoyant:reachable",
+        "lq_front": "isd_gym.baselines.bounds:lq_front",
+        "wheelbase_bound": "isd_gym.baselines.bounds:wheelbase_bound",
+        "ceiling": "isd_gym.baselines.ceiling:known",
     },
 }
 
@@ -43,5 +46,5 @@ def plugins(group: str, name: str | None = None) -> list[EntryPoint]:
         distribution("isd-gym")
     except PackageNotFoundError:
         own = (EntryPoint(name, value, group) for name, value in OWN[group].items())
-        found += [p for p in own if find_spec(p.module.partition(".")[0]) is not None]
+        found += [p for p in own if find_spec(".".join(p.module.split(".")[:2])) is not None]
     return sorted((p for p in found if name in (None, p.name)), key=lambda p: p.name)

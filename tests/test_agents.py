@@ -20,11 +20,19 @@ import gymnasium
 import numpy as np
 import pytest
 
-from agents.convert import convert, read_torch
-from agents.entry import open_policy
-from agents.memory import Memory
-from agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy, read_safetensors, write_safetensors
-from agents.settings import MEMORY, SETTINGS
+from isd_gym.agents.convert import convert, read_torch
+from isd_gym.agents.entry import open_policy
+from isd_gym.agents.memory import Memory
+from isd_gym.agents.policy import (
+    JSON_NAME,
+    SHIPPED,
+    WEIGHTS_NAME,
+    Head,
+    Policy,
+    read_safetensors,
+    write_safetensors,
+)
+from isd_gym.agents.settings import MEMORY, SETTINGS
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
@@ -46,7 +54,7 @@ def small_policy(rng: np.random.Generator, head: Head | None = None, memory: Mem
 @cache
 def filtered() -> Memory:
     """The memory with the LQG's estimate of the default car."""
-    from agents.estimate import lqg_filter
+    from isd_gym.agents.estimate import lqg_filter
 
     return replace(MEMORY, filter=lqg_filter(Network.load("quarter-car-isd")))
 
@@ -98,8 +106,8 @@ def test_each_car_has_a_memory_of_its_own(rng):
 
 
 def test_a_residual_of_nothing_is_the_lqg():
-    """The filter in float32 and in its own coordinates commands what `baselines.lqg` does, stick and slip included."""
-    from baselines import make
+    """The filter in float32 and in its own coordinates commands what `isd_gym.baselines.lqg` does, stick and slip included."""
+    from isd_gym.baselines import make
 
     memory = filtered()
     layers = [(np.zeros((1, memory.width(6))), np.zeros(1))]
@@ -257,7 +265,7 @@ def test_policies_load_and_run_without_torch(rng, tmp_path):
     folder = small_policy(rng).save(tmp_path / "p")
     code = (
         "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None\n"
-        "import numpy as np\nfrom agents.policy import Policy\nimport agents.entry\n"
+        "import numpy as np\nfrom isd_gym.agents.policy import Policy\nimport isd_gym.agents.entry\n"
         f"print(Policy.load({str(folder)!r}).act(np.ones(6)))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
@@ -348,7 +356,7 @@ def test_the_adapter_is_the_single_environment(sb3):
 
 @needs_sb3
 def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
-    from agents.vec import Remember
+    from isd_gym.agents.vec import Remember
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
@@ -414,7 +422,7 @@ class Bomb:
 
 def test_a_pickle_s_code_is_not_run(tmp_path):
     (tmp_path / "n.pkl").write_bytes(pickle.dumps(Bomb()))
-    from agents.convert import read_normalize
+    from isd_gym.agents.convert import read_normalize
 
     with pytest.raises(InputError, match="VecNormalize"):
         read_normalize(tmp_path / "n.pkl")
@@ -451,7 +459,7 @@ def test_a_zip_is_not_loaded_as_a_policy(tmp_path):
 def test_onnx_is_the_policy(rng, tmp_path, mode, output):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from agents.onnx import export_onnx
+    from isd_gym.agents.onnx import export_onnx
 
     policy = small_policy(rng, Head(mode), filtered() if mode == "residual" else MEMORY)
     policy.output = output
@@ -471,8 +479,8 @@ def test_onnx_is_the_policy(rng, tmp_path, mode, output):
 @pytest.fixture
 def brief(monkeypatch):
     """Training that takes a second: few steps, short validation."""
-    import agents.train as module
-    from agents.settings import PPOSettings, SACSettings
+    import isd_gym.agents.train as module
+    from isd_gym.agents.settings import PPOSettings, SACSettings
 
     monkeypatch.setattr(module, "VALIDATION_EPISODES", 2)
     monkeypatch.setattr(module, "SCORE_EPISODES", 2)
@@ -501,7 +509,7 @@ class Killed(Exception):
 
 @pytest.mark.parametrize(("algorithm", "least"), [("ppo", 327680), ("sac", 4096)])
 def test_fewer_steps_than_a_rollout_are_refused_at_once(sb3, algorithm, least, tmp_path):
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     with pytest.raises(InputError, match=f"1000 steps are less than one rollout .*: give {least} or more"):
         train(algorithm, tmp_path / "run", steps=1000)
@@ -510,7 +518,7 @@ def test_fewer_steps_than_a_rollout_are_refused_at_once(sb3, algorithm, least, t
 
 
 def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(sb3, tmp_path, monkeypatch):
-    import agents.train as module
+    import isd_gym.agents.train as module
 
     lines = []
     monkeypatch.setattr(module.Run, "go", lambda self: {})
@@ -525,7 +533,7 @@ def test_a_short_run_of_sac_says_that_its_policy_stays_the_imitation(sb3, tmp_pa
 @pytest.mark.filterwarnings("ignore")  # torch and tensorboard warn of themselves
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     settings, out = brief[algorithm], tmp_path / "run"
     lines: list[str] = []
@@ -551,7 +559,8 @@ def test_training_goes_on_where_it_was_killed(sb3, brief, algorithm, tmp_path):
     policy = Policy.load(out / "policy")
     assert policy.info["score"]["episodes"] == 2
     assert policy.info["training"]["seconds"] > kept["seconds"]
-    assert policy.info["training"]["command"].startswith("agents.train")  # these settings cannot be typed
+    # these settings cannot be typed
+    assert policy.info["training"]["command"].startswith("isd_gym.agents.train")
     again: list[str] = []
     train(algorithm, out, settings=settings, say=again.append)
     assert [row["steps"] for row in Policy.load(out / "policy").info["training"]["curve"]] == steps
@@ -573,7 +582,7 @@ def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
 
     import torch
 
-    import agents.train as module
+    import isd_gym.agents.train as module
 
     settings, out = brief[algorithm], tmp_path / "run"
     models = []
@@ -648,7 +657,7 @@ def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
 
 @needs_sb3
 def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
-    from agents.train import FOLDER, train
+    from isd_gym.agents.train import FOLDER, train
     from isd_gym.files import claim_folder, held
 
     taken = held(claim_folder(tmp_path / "run", *FOLDER), "training run")
@@ -659,7 +668,7 @@ def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
 
 @needs_sb3
 def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     (tmp_path / "thesis.tex").write_text("mine")
     with pytest.raises(InputError, match="not empty"):
@@ -673,9 +682,10 @@ def test_a_folder_of_other_things_is_left_alone(sb3, tmp_path):
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(sb3, brief, tmp_path, monkeypatch, algorithm):
     """Progress begins at once, never passes the whole, and what was done counts when the run goes on."""
-    from agents.train import train
+    from isd_gym.agents.train import train
 
-    monkeypatch.setattr("agents.train.SHOW_EVERY", 0.0)  # a brief training is over before the next word
+    # a brief training is over before the next word
+    monkeypatch.setattr("isd_gym.agents.train.SHOW_EVERY", 0.0)
     told: list[tuple[str, float]] = []
     lines: list[str] = []
 
@@ -705,7 +715,7 @@ def test_ctrl_c_saves_where_it_is_and_says_how_to_go_on(sb3, brief, tmp_path, mo
 @pytest.mark.filterwarnings("ignore")
 def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
     """A few hundred updates are enough to be far better than no current at all."""
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     settings = replace(
         brief["sac"],
@@ -725,8 +735,8 @@ def test_a_warm_start_drives_like_its_teacher(sb3, brief, tmp_path):
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")
 def test_a_spread_of_cars_and_another_road_can_be_trained_on(sb3, brief, tmp_path):
-    from agents.settings import robust
-    from agents.train import train
+    from isd_gym.agents.settings import robust
+    from isd_gym.agents.train import train
 
     lines: list[str] = []
     settings = replace(brief["ppo"], steps=256, teacher=None)
@@ -746,8 +756,8 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
     import torch
     from gymnasium import spaces
 
-    from agents.ppo import PPOPolicy
-    from agents.sac import SACPolicy
+    from isd_gym.agents.ppo import PPOPolicy
+    from isd_gym.agents.sac import SACPolicy
 
     box = spaces.Box(-1.0, 1.0, (6,), np.float32)
     action = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -763,7 +773,7 @@ def test_the_road_ahead_is_the_critic_s_alone(sb3):
 
 @needs_sb3
 def test_on_a_spread_every_road_counts_the_same(sb3):
-    from agents.vec import Remember
+    from isd_gym.agents.vec import Remember
     from isd_gym.sb3 import make_vec_env
 
     def cost(even, **options):
@@ -789,9 +799,9 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
     import torch
     from gymnasium import spaces
 
-    from agents.ppo import GroupBuffer
-    from agents.sac import GroupReplayBuffer
-    from agents.vec import Remember
+    from isd_gym.agents.ppo import GroupBuffer
+    from isd_gym.agents.sac import GroupReplayBuffer
+    from isd_gym.agents.vec import Remember
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
@@ -890,7 +900,7 @@ def test_a_real_kill_costs_one_interval_at_most(sb3, tmp_path):
     """kill -9 in the middle; the same call ends the run, with the checkpoint's curve kept."""
     code = (
         "import warnings; warnings.simplefilter('ignore')\n"
-        "import agents.train as t\nfrom agents.settings import PPOSettings\n"
+        "import isd_gym.agents.train as t\nfrom isd_gym.agents.settings import PPOSettings\n"
         "t.BASELINES = ()\nt.VALIDATION_EPISODES = t.SCORE_EPISODES = 2\n"
         "s = PPOSettings(steps=65536, cars=64, horizon=32, tail=16, batch=512, teacher=None, evaluations=8,"
         " checkpoint_seconds=0.0)\n"

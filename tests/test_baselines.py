@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import baselines
-from baselines.controller import clean, limit
-from baselines.estimator import Estimator
-from baselines.friction import FrictionMpc, FrictionMpcSettings, _plan
-from baselines.lqg import Lqg, LqgSettings
-from baselines.model import (
+from isd_gym import baselines
+from isd_gym.baselines.controller import clean, limit
+from isd_gym.baselines.estimator import Estimator
+from isd_gym.baselines.friction import FrictionMpc, FrictionMpcSettings, _plan
+from isd_gym.baselines.lqg import Lqg, LqgSettings
+from isd_gym.baselines.model import (
     Sensors,
     Weights,
     closed_loop_spread,
@@ -26,8 +26,8 @@ from baselines.model import (
     regulator,
     statistical_linearisation,
 )
-from baselines.mpc import Mpc, MpcSettings
-from baselines.qp import Outcome, program
+from isd_gym.baselines.mpc import Mpc, MpcSettings
+from isd_gym.baselines.qp import Outcome, program
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionVectorEnv
@@ -378,7 +378,7 @@ def test_osqp_statuses_are_read(monkeypatch):
 
 def test_expected_friction_balances_rate_and_force():
     """The implicit friction: rate and force at the end of the step satisfy v = free + g f and f = level erf(...)."""
-    from baselines.friction import _forces
+    from isd_gym.baselines.friction import _forces
 
     rng = np.random.default_rng(5)
     for _ in range(200):
@@ -414,7 +414,7 @@ def test_one_sweep_solves_a_linear_problem():
 
 def test_plan_is_a_local_minimum():
     """At a plan on the real car, no small allowed change of any move costs less."""
-    from baselines.friction import _roll
+    from isd_gym.baselines.friction import _roll
 
     controller = FrictionMpc(CAR, None, STEP, FrictionMpcSettings(iterations=60, horizon=12))
     m = controller.prediction

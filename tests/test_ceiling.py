@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from baselines.ceiling import Ceiling, CeilingSettings, NewsValue, ceiling, known, passive_cost, stitch
-from baselines.clairvoyant import Episode, Schedule
-from baselines.model import Weights, prediction_model, preview_regulator, regulator
+from isd_gym.baselines.ceiling import (
+    Ceiling,
+    CeilingSettings,
+    NewsValue,
+    ceiling,
+    known,
+    passive_cost,
+    stitch,
+)
+from isd_gym.baselines.clairvoyant import Episode, Schedule
+from isd_gym.baselines.model import Weights, prediction_model, preview_regulator, regulator
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
@@ -173,7 +181,7 @@ def test_the_sentence_names_the_sight():
 def test_a_score_quotes_no_ceiling_of_few_roads(tmp_path, monkeypatch):
     """Two roads have no standard error to speak of."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    import baselines.ceiling as module
+    import isd_gym.baselines.ceiling as module
 
     kept = {600_000 + i: {"reached": 0.6, "proven": 0.5} for i in range(3)}
     monkeypatch.setattr(module, "read", lambda key, file: dict(kept))

@@ -17,6 +17,8 @@ import isd_gym
 from isd_gym import plugins
 
 ROOT = Path(__file__).parents[1]
+#: source folder -> where an installation has it
+HOMES = {"isd_gym": Path("isd_gym"), "baselines": Path("isd_gym/baselines"), "agents": Path("isd_gym/agents")}
 MAKE = "import gymnasium; print(gymnasium.make('isd_gym:ISDSuspension-v0').reset(seed=0)[0].shape)"
 IMPORT = "import isd_gym, gymnasium; print(len(gymnasium.make_vec('ISDSuspension-v0', 3).reset(seed=0)[0]))"
 LATE = "import gymnasium, isd_gym; print(len(gymnasium.make_vec('ISDSuspension-v0', 3).reset(seed=0)[0]))"
@@ -43,19 +45,19 @@ def python(code: str, place: Path) -> str:
 def place(request, tmp_path_factory):
     """The packages outside any installation: as folders, and as a zip."""
     base = tmp_path_factory.mktemp("found")
-    files = [
-        f
-        for name in ("isd_gym", "baselines", "agents")
-        for f in (ROOT / name).rglob("*")
+    files = {
+        home / f.relative_to(ROOT / folder): f
+        for folder, home in HOMES.items()
+        for f in (ROOT / folder).rglob("*")
         if f.is_file() and "__pycache__" not in f.parts
-    ]
+    }
     if request.param == "zip":
         with zipfile.ZipFile(base / "isd.zip", "w") as archive:
-            for f in files:
-                archive.write(f, f.relative_to(ROOT))
+            for path, f in files.items():
+                archive.write(f, path)
         return base / "isd.zip"
-    for f in files:
-        target = base / f.relative_to(ROOT)
+    for path, f in files.items():
+        target = base / path
         target.parent.mkdir(parents=True, exist_ok=True)
         target.symlink_to(f)
     return base
@@ -132,3 +134,45 @@ def test_simulate_is_a_module_and_a_function():
 def test_own_plugins_are_those_of_pyproject():
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
     assert {g: v for g, v in declared.items() if g.startswith("isd_gym.")} == plugins.OWN
+
+
+def test_folders_are_imported_by_their_installed_names():
+    """A second copy under the name of the source folder would have classes of its own."""
+    for folder in ("isd_gym", "agents", "baselines", "tests", "docs", "examples", "benchmarks"):
+        for file in (ROOT / folder).rglob("*.py"):
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+            names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+            names |= {n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and not n.level}
+            assert not {name.partition(".")[0] for name in names} & {"agents", "baselines"}, file
+
+
+@pytest.mark.parametrize("folder", ["agents", "baselines"])
+def test_source_folder_is_no_package_of_its_own(folder):
+    code = f"try: import {folder}\nexcept ImportError as error: print(error)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert f"imported as isd_gym.{folder}" in done.stdout
+
+
+def test_other_packages_named_agents_and_baselines(tmp_path):
+    """Packages of these names come first on the path: nothing of this package imports them, and both stay importable."""
+    for name in ("agents", "baselines"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(f"other = {name!r}\n")
+    code = (
+        "import sys, gymnasium, isd_gym.baselines, isd_gym.agents.train, isd_gym.agents.policy\n"
+        "gymnasium.make('ISDSuspension-v0').reset(seed=0)\n"
+        "from isd_gym.cli import main\n"
+        "sys.argv = ['isd-gym', 'score', 'passive', 'mpc', 'ppo', '--episodes', '1', '--duration', '1']\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        "assert not {'agents', 'baselines'} & set(sys.modules)\n"
+        "import agents, baselines\n"
+        "print(agents.other, baselines.other, isd_gym.agents is agents, isd_gym.baselines is baselines)\n"
+    )
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True, text=True, check=False, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "mpc" in done.stdout and done.stdout.splitlines()[-1] == "agents baselines False False"

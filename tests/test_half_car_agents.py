@@ -14,11 +14,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from agents.entry import open_policy
-from agents.memory import Echo, Memory, _Echo
-from agents.policy import Head, Policy
-from agents.settings import PPOSettings, SACSettings, memory_of, tuned
-from agents.wheelbase import car_filter, road_model
+from isd_gym.agents.entry import open_policy
+from isd_gym.agents.memory import Echo, Memory, _Echo
+from isd_gym.agents.policy import Head, Policy
+from isd_gym.agents.settings import PPOSettings, SACSettings, memory_of, tuned
+from isd_gym.agents.wheelbase import car_filter, road_model
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
@@ -213,7 +213,7 @@ def test_the_delay_follows_the_speed():
 
 def test_a_quarter_car_s_model_is_that_of_the_baselines():
     """The whole-car model of a car with one corner: same matrices up to the choice of the state, by its transfer."""
-    from baselines.model import prediction_model
+    from isd_gym.baselines.model import prediction_model
 
     network = Network.load("quarter-car-isd")
     own, known = road_model(network, STEP), prediction_model(network, STEP)
@@ -315,7 +315,7 @@ compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 @both
 @pytest.mark.parametrize("mode", ["increment", "residual"])
 def test_c_commands_what_python_commands(network, mode, tmp_path):
-    from agents.plain_c import export_c
+    from isd_gym.agents.plain_c import export_c
 
     policy = policy_of(network, Head(mode))
     motors = policy.currents
@@ -345,7 +345,7 @@ def test_c_commands_what_python_commands(network, mode, tmp_path):
 def test_onnx_commands_several_currents(tmp_path):
     runtime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from agents.onnx import export_onnx
+    from isd_gym.agents.onnx import export_onnx
 
     with pytest.raises(InputError, match="--c DIR"):
         export_onnx(policy_of("half-car-isd"), tmp_path / "p.onnx")
@@ -371,8 +371,8 @@ def brief(monkeypatch):
     """Settings of a training of a few thousand steps, and nothing scored that takes long."""
     if find_spec("stable_baselines3") is None:
         pytest.skip("Stable-Baselines3 (and torch) not installed")
-    import agents.train as module
-    import agents.wheelbase as wheelbase
+    import isd_gym.agents.train as module
+    import isd_gym.agents.wheelbase as wheelbase
 
     def known(network: Network, *_: object) -> tuple:  # made once for all runs
         own = memory(network.name)
@@ -413,7 +413,7 @@ class Killed(Exception):
 @both
 def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_path):
     """Killed half-way, a run goes on from its checkpoint, twice to the same result; its policy drives and is scored."""
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     settings, out, twin = brief[algorithm], tmp_path / "run", tmp_path / "twin"
 
@@ -448,7 +448,7 @@ def test_a_training_goes_on_to_the_same_policy(brief, algorithm, network, tmp_pa
 @needs_sb3
 @pytest.mark.filterwarnings("ignore")
 def test_a_warm_start_drives_like_the_law(brief, tmp_path):
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     settings = replace(brief["ppo"], steps=512, warm_steps=900, warm_updates=600)
     report = train("ppo", tmp_path / "run", settings=settings, network="half-car-isd", say=lambda line: None)
@@ -458,7 +458,7 @@ def test_a_warm_start_drives_like_the_law(brief, tmp_path):
 
 @needs_sb3
 def test_the_tuned_settings_of_a_car_can_be_typed(tmp_path):
-    from agents.train import train
+    from isd_gym.agents.train import train
 
     half = tuned("ppo", vehicle(Network.load("half-car-isd")))
     assert half.gamma == 0.995 and half.teacher == "mpc-wheelbase"
@@ -474,7 +474,7 @@ def test_the_tuned_settings_of_a_car_can_be_typed(tmp_path):
 def test_numpy_does_what_sb3_would(brief, tmp_path):
     import stable_baselines3 as sb3
 
-    from agents.convert import convert
+    from isd_gym.agents.convert import convert
     from isd_gym.sb3 import make_vec_env
 
     env = make_vec_env(4, env_id="ISDHalfCar-v0")

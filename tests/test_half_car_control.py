@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import baselines
-from baselines.decentralised import Decentralised
+from isd_gym import baselines
+from isd_gym.baselines.decentralised import Decentralised
 from isd_gym.driving import Crew, Entry, Idle, travel
 from isd_gym.env import ISDSuspensionVectorEnv
 from isd_gym.errors import InputError

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from agents.convert import convert, read_normalize, read_torch
-from agents.pickles import array, read_pickle
-from agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
+from isd_gym.agents.convert import convert, read_normalize, read_torch
+from isd_gym.agents.pickles import array, read_pickle
+from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.data import Table, read_table, write_table
 from isd_gym.errors import InputError, plain, shown
 from isd_gym.files import claim_folder, whole, whole_folder
@@ -463,7 +463,7 @@ def test_a_policy_commands_no_more_than_the_limits_and_always_a_number():
     ],
 )
 def test_a_header_of_weights_may_be_anything(header):
-    from agents.policy import read_safetensors
+    from isd_gym.agents.policy import read_safetensors
 
     text = json.dumps(header).encode()
     refused(lambda: read_safetensors(struct.pack("<Q", len(text)) + text + bytes(8)), "safetensors|digits")

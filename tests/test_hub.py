@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents import hub
-from agents.policy import SHIPPED, Policy
+from isd_gym.agents import hub
+from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import cards
 from isd_gym.errors import InputError
 

@@ -10,8 +10,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import baselines
-from baselines.plain_c import export_c
+from isd_gym import baselines
+from isd_gym.baselines.plain_c import export_c
 from isd_gym.errors import InputError
 
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

@@ -11,9 +11,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.memory import Memory
-from agents.plain_c import export_c
-from agents.policy import SHIPPED, Head, Policy
+from isd_gym.agents.memory import Memory
+from isd_gym.agents.plain_c import export_c
+from isd_gym.agents.policy import SHIPPED, Head, Policy
 from isd_gym.errors import InputError
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def test_heads_activations_and_broken_readings(mode, activation, tmp_path):
 
 def test_onnx_does_not_pretend_to_know_the_road(tmp_path):
     pytest.importorskip("onnx")
-    from agents.onnx import export_onnx
+    from isd_gym.agents.onnx import export_onnx
 
     with pytest.raises(InputError, match="--c DIR"):
         export_onnx(Policy.load("ppo-preview-0.1"), tmp_path / "p.onnx")

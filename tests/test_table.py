@@ -6,8 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-import baselines
-from isd_gym import simulate
+from isd_gym import baselines, simulate
 from isd_gym.errors import InputError
 from isd_gym.network import Network, linearise
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-import baselines
-from baselines.bounds import ideal_car, lq_bound, reference, wheelbase_bound
-from baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
+from isd_gym import baselines
+from isd_gym.baselines.bounds import ideal_car, lq_bound, reference, wheelbase_bound
+from isd_gym.baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
 from isd_gym.cost import StageCost
 from isd_gym.driving import Crew, Entry, travel
 from isd_gym.env import ISDSuspensionVectorEnv
