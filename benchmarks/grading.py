@@ -205,10 +205,13 @@ def statements(row: Row, level: str) -> list[tuple[float, bool]]:
         place = pair(f["place"])
 
         def is_true(what: set[Any], *rest: str, place: Any = place) -> bool:
+            if not place:  # an open place: the kind or the law counts
+                return any(t[1:] == rest for t in what)
             return (place, *rest) in what or (None, *rest) in what
 
         if level == "place":
-            out[place] = f["place_probability"], bool(places & {place, None})
+            if place:
+                out[place] = f["place_probability"], bool(places & {place, None})
         elif level == "kind":
             out[place, f["kind"]] = f["kind_probability"], is_true(kinds, f["kind"])
         else:
@@ -221,6 +224,8 @@ def kind_graded(row: Row) -> str:
     """Return 'right' where a true kind is stated as certain at a true place, 'wrong' where only others are, else 'missed'."""
     if graded(row) == "right":
         return "right"
+    findings = row.get("diagnosis", {}).get("findings", [])
+    row = {**row, "diagnosis": {**row.get("diagnosis", {}), "findings": [f for f in findings if f["place"]]}}
     sure = [ok for p, ok in statements(row, "kind") if p >= CERTAIN]
     return "right" if any(sure) else "wrong" if sure else "missed"
 

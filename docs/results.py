@@ -355,7 +355,7 @@ def answer_of(diagnosis: dict[str, Any]) -> str:
         for e in diagnosis["effects"]
     ]
     kinds = [
-        f"{f['kind'].replace('_', ' ')} ({'–'.join(f['place'])}, {f['kind_probability']:.2f})"
+        f"{f['kind'].replace('_', ' ')} ({'–'.join(f['place']) or 'place open'}, {f['kind_probability']:.2f})"
         for f in diagnosis.get("findings", [])
         if f.get("kind") and not f.get("named")
     ]

@@ -239,7 +239,7 @@ class View:
 
     @staticmethod
     def place_text(place: Sequence[str]) -> str:
-        """Return a place in words: two nodes, or a channel or motor.
+        """Return a place in words: two nodes, a channel or motor, or an open place.
 
         Args:
             place: The place.
@@ -247,6 +247,8 @@ class View:
         Returns:
             A phrase.
         """
+        if not place:
+            return "place open"
         return f"{place[0]} – {place[1]}" if len(place) == 2 else channel_text(place[0])
 
     @staticmethod

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..result import Quantity
 from ..selection.candidate import parameter_values
-from ..selection.weights import FREE_FORCE, probability
+from ..selection.weights import FREE_FORCE, Statement, probability
+from .gates import NAMELESS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from ..selection.forward_backward import Search
-    from ..selection.weights import Statement, WeightedCandidate
+    from ..selection.weights import WeightedCandidate
     from .evidence import Evidence
 
 
@@ -39,8 +40,9 @@ class LawProbability:
 class Finding:
     """A place, a kind of effect and the laws of that kind, with probabilities."""
 
-    #: terminals, or the channel
+    #: terminals, or the channel; empty where a kind is likely and its place is open
     place: tuple[str, ...]
+    #: probability of the place; that of the kind where the place is open
     place_probability: float
     kind: str
     kind_probability: float
@@ -73,6 +75,8 @@ def find(
 ) -> tuple[Finding, ...]:
     """Sum the weights of candidates to probabilities of places, kinds and laws.
 
+    A kind that several places share, and that is certain at none of them, is a further finding with an open place.
+
     Args:
         search: The search.
         candidates: Candidates with weights.
@@ -91,33 +95,42 @@ def find(
     for w in candidates:
         for s in sorted(w.statements, key=lambda s: (s.place, s.kind, s.law)):
             every.setdefault((s.place, s.kind), {})[s.law] = s
-    found = []
-    passed = frozenset[tuple[tuple[str, ...], str]]() if is_doubted else {(s.place, s.kind) for s in own}
-    for (place, kind), laws in every.items():
-        at_place = probability(candidates, place=place)
-        of_kind = probability(candidates, place=place, kind=kind)
-        if of_kind < c.reported:
-            continue
+    passed = frozenset[Statement]() if is_doubted else own
+
+    def finding(place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
+        """Return the finding of a kind at a place, or at any place where `place` is empty."""
+        where: dict[str, object] = {"kind": kind} | ({"place": place} if place else {})
+        is_passed = any(s.kind == kind and place in (s.place, ()) for s in passed)
         is_free = FREE_FORCE in laws  # its weight is that of a law that is not in the library
-        doubt = 0.0 if (place, kind) in passed or is_free else c.mistaken_extra
+        doubt = 0.0 if is_passed or is_free else c.mistaken_extra
+        of_kind = probability(candidates, **where) * (1.0 - max(doubt, share("kind")))
         entries = [
             LawProbability(
                 law,
-                probability(candidates, place=place, law=law) * (1.0 - max(doubt, share("law"))),
-                _values(candidates, statement, quantities),
+                probability(candidates, **where, law=law) * (1.0 - max(doubt, share("law"))),
+                _values(candidates, statement, quantities) if place else {},
             )
             for law, statement in laws.items()
         ]
-        found.append(
-            Finding(
-                place,
-                at_place * (1.0 - share("place")),
-                kind,
-                of_kind * (1.0 - max(doubt, share("kind"))),
-                tuple(sorted(entries, key=lambda e: (-e.probability, e.effect))),
-                is_named and any(s in own for s in laws.values()),
-            )
+        return Finding(
+            place,
+            probability(candidates, place=place) * (1.0 - share("place")) if place else of_kind,
+            kind,
+            of_kind,
+            tuple(sorted(entries, key=lambda e: (-e.probability, e.effect))),
+            is_named and any(s in own for s in laws.values()),
         )
+
+    found = [
+        finding(place, kind, laws)
+        for (place, kind), laws in every.items()
+        if probability(candidates, place=place, kind=kind) >= c.reported
+    ]
+    for kind in sorted({f.kind for f in found} - set(NAMELESS)):
+        at_places = [f for f in found if f.kind == kind]
+        if len(at_places) > 1 and not any(f.named or f.kind_probability >= c.certain for f in at_places):
+            laws = {s.law: s for (_, k), own_laws in every.items() if k == kind for s in own_laws.values()}
+            found.append(replace(finding((), kind, laws), named=False))
     return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))
 
 

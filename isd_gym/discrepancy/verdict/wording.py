@@ -212,9 +212,21 @@ def _certain(d: Mapping[str, Any]) -> str:
     kinds = [f for f in findings if f["kind"] != "other" and f["kind_probability"] >= least]
     sentences = []
     for f in kinds:
+        if not f["place"]:
+            places = " or ".join(
+                f"{_spot(g['place'])} ({g['place_probability']:.2f})"
+                for g in findings
+                if g["place"] and g["kind"] == f["kind"]
+            )
+            sentences.append(
+                f"{KINDS[f['kind']]} explains the error (probability {f['kind_probability']:.2f}), but the data do not determine "
+                f"its place: {places}."
+            )
+            continue
         laws = " or ".join(
             f"{law['effect'].replace('_', ' ')} (probability {law['probability']:.2f}{_law_values(law)})"
             for law in f["laws"][:LAWS]
+            if law is f["laws"][0] or law["probability"] >= d["criteria"]["reported"]
         )
         sentences.append(
             f"{KINDS[f['kind']]} {_spot(f['place'])} explains the error (probability {f['kind_probability']:.2f}). "
@@ -231,7 +243,9 @@ def _certain(d: Mapping[str, Any]) -> str:
     beside = [
         f"{KINDS[f['kind']].lower()} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
         for f in findings
-        if f not in kinds and f["kind"] != "other" and f["kind_probability"] >= POSSIBLE
+        if f not in kinds
+        and f["kind"] not in {"other", *(g["kind"] for g in kinds if not g["place"])}
+        and f["kind_probability"] >= POSSIBLE
     ]
     if kinds and beside:
         sentences.append(f"Also possible: {' or '.join(beside)}.")

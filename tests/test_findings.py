@@ -1,0 +1,62 @@
+"""Probabilities of place, kind and law, from weighted candidates made by hand."""
+
+from types import SimpleNamespace
+
+import pytest
+from test_words import VAGUE, document
+
+from isd_gym.discrepancy.selection.criteria import CRITERIA
+from isd_gym.discrepancy.selection.weights import Statement, WeightedCandidate
+from isd_gym.discrepancy.verdict.findings import find
+from isd_gym.discrepancy.verdict.wording import summary_of
+
+FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
+NO_LAWS = SimpleNamespace(
+    fit=SimpleNamespace(structure=SimpleNamespace(hypotheses=(), names=())), elements=()
+)
+
+
+def friction(place):
+    return Statement(place, "dry_friction", "coulomb_friction")
+
+
+def found(*weighted, own, is_named=False):
+    """Findings of candidates: pairs of a weight and the statements of a candidate; `own` are those of the foremost candidate."""
+    candidates = [WeightedCandidate(NO_LAWS, w, frozenset(s)) for w, s in weighted]
+    evidence = SimpleNamespace(explained=0.99, support=1.0)
+    search = SimpleNamespace(criteria=CRITERIA)
+    return find(search, candidates, evidence, {}, frozenset(own), is_named=is_named, is_doubted=False)
+
+
+def test_a_kind_that_two_places_share_is_certain_and_its_place_is_open():
+    front, rear = [friction(FRONT)], [friction(REAR)]
+    first, *others = found((0.55, front), (0.43, rear), (0.02, []), own=front)
+    assert first.place == () and first.kind == "dry_friction" and not first.named
+    assert first.kind_probability == pytest.approx(0.98 * (1 - CRITERIA.mistaken_kind))
+    assert first.kind_probability >= CRITERIA.certain
+    assert {f.place: f.kind_probability < CRITERIA.certain for f in others} == {FRONT: True, REAR: True}
+    assert [law.effect for law in first.laws] == ["coulomb_friction"]
+
+
+@pytest.mark.parametrize(
+    ("candidates", "is_named"),
+    [
+        (((0.9, [friction(FRONT)]), (0.1, [friction(REAR)])), False),  # the place is certain
+        (((0.9, [friction(FRONT)]), (0.1, [friction(REAR)])), True),
+        (((0.5, [friction(FRONT)]), (0.5, [Statement(FRONT, "dry_friction", "stribeck_friction")])), False),  # one place
+        (((0.6, [friction(FRONT)]), (0.4, [Statement(REAR, "viscous", "linear_damping")])), False),  # two kinds
+    ],
+)  # fmt: skip
+def test_no_open_place_where_a_place_is_certain_or_kinds_differ(candidates, is_named):
+    assert all(f.place for f in found(*candidates, own=[friction(FRONT)], is_named=is_named))
+
+
+def test_the_summary_says_that_the_place_is_open():
+    front, rear = [friction(FRONT)], [friction(REAR)]
+    findings = [f.to_dict() for f in found((0.55, front), (0.43, rear), (0.02, []), own=front)]
+    text = summary_of(document(VAGUE, findings=findings))
+    assert (
+        "Dry friction explains the error (probability 0.93), but the data do not determine its place:" in text
+    )
+    assert "between body_front and wheel_front (0.53) or between body_rear and wheel_rear (0.42)." in text
+    assert "Also possible" not in text
