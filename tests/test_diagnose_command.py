@@ -16,6 +16,8 @@ from typer.testing import CliRunner
 from isd_gym import cli, schemas, simulate
 from isd_gym.data import Table, read_table, write_table
 from isd_gym.discrepancy.estimation.structure import Hypothesis
+from isd_gym.discrepancy.selection import forward_backward
+from isd_gym.discrepancy.selection.settings import TimeLimit
 from isd_gym.discrepancy.verdict.wording import summary_of, unit_summary_of
 from isd_gym.network import Network
 
@@ -267,6 +269,23 @@ def test_missing_effect(files: Path, library: None, tmp_path: Path, validate: bo
     refit, after = (o.document["gap"]["held_out"][k]["travel"] for k in ("refit", "after"))
     assert after < 0.2 * refit
     assert "Record “friction2” (held out)" in o.page.text  # also where nobody set it aside
+
+
+def test_a_time_limit_ends_the_search_and_is_noted(
+    files: Path, library: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first stage runs in any case: the friction is found. No second stage and no second start follow."""
+    monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: 1e9))
+    words = (files / "friction1.csv", "--validate", files / "friction2.csv", "--model", files / "model.json")
+    d = diagnosed(tmp_path / "out", *words, "--max-seconds", 5).document
+    assert d["verdict"] == "missing_effect" and d["effects"][0]["effect"] == "coulomb_friction"
+    assert any(n.startswith("the time limit of 5 s stopped the search") for n in d["notes"])
+    words = (files / "hum1.csv", "--validate", files / "hum2.csv", "--model", files / "model.json")
+    stages = []
+    screen = forward_backward.screen_effects
+    monkeypatch.setattr(forward_backward, "screen_effects", lambda *given: stages.append(1) or screen(*given))
+    assert diagnosed(tmp_path / "hum", *words, "--max-seconds", 5).document["verdict"] == "unknown_effect"
+    assert len(stages) == 1
 
 
 @pytest.mark.slow

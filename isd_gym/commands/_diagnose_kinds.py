@@ -20,7 +20,7 @@ def identify_without_road(
     road: str,
     accept: list[str],
     options: dict[str, Any],
-    max_seconds: float,
+    max_seconds: float | None,
     out: Path,
     json_file: Path | None,
 ) -> None:
@@ -44,7 +44,13 @@ def identify_without_road(
     with lines() as say:
         records = [r for f in data for r in records_of(f, network, wanted, **options)]
         say(f"{len(records)} record(s) without {plain(road, 40)}: refitting the model in the likelihood")
-        found = identify(records, network, road=road, accept=accept, max_seconds=max_seconds)
+        found = identify(
+            records,
+            network,
+            road=road,
+            accept=accept,
+            **({"max_seconds": max_seconds} if max_seconds else {}),
+        )
     found.save(out)
     write_json(json_file, found.to_dict())
     for line in found.lines():

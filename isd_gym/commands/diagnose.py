@@ -94,9 +94,14 @@ def command(
         ),
     ] = None,
     max_seconds: Annotated[
-        float,
-        typer.Option(help="With --unmeasured: largest processor time [s].", min=1.0, metavar="SECONDS"),
-    ] = 120.0,
+        float | None,
+        typer.Option(
+            help="Processor time after which the search starts no further stage [s]. The result then depends on the speed of the "
+            "machine. Default: no limit; with --unmeasured 120.",
+            min=1.0,
+            metavar="SECONDS",
+        ),
+    ] = None,
     max_lag: Annotated[
         float, typer.Option(help="Largest offset between the clocks of two loggers [s].", min=0.0)
     ] = 0.5,
@@ -146,7 +151,7 @@ def command(
             data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
             model = model or case.model
     if len(data) == 1 and data[0].is_dir():
-        if validate or rename or unit or columns or elements or cut or unmeasured or uncertain:
+        if validate or rename or unit or columns or elements or cut or unmeasured or uncertain or max_seconds:
             raise InputError(
                 "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
             )
@@ -168,6 +173,7 @@ def command(
             ("--cut", cut),
             ("--unmeasured", unmeasured),
             ("--map", map_file),
+            ("--max-seconds", max_seconds),
         ):
             if given:
                 raise InputError(f"{option} wants a network (isd-model/1): the inside of an FMU is hidden")
@@ -212,7 +218,7 @@ def command(
             progress=say,
             seed=seed,
             cut=cut,
-            settings=SearchSettings(max_lag=max_lag, jobs=jobs or 2),
+            settings=SearchSettings(max_lag=max_lag, jobs=jobs or 2, max_seconds=max_seconds),
         )
         say("writing the report")
         page = write_result(result, out, about | {"Seed": str(seed)})

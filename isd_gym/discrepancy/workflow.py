@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -37,7 +37,7 @@ from .selection.candidate import Candidate, white_noise
 from .selection.criteria import CRITERIA, Criteria
 from .selection.forward_backward import Search
 from .selection.held_out import HeldOutEvaluator
-from .selection.settings import SearchSettings
+from .selection.settings import SearchSettings, TimeLimit
 from .simulation.problem import BROKEN, Problem, Record, Role, bare, pace
 from .verdict.closed_loop import decide_under_feedback
 from .verdict.gates import decide
@@ -94,6 +94,7 @@ def diagnose(
         raise InputError(f"model '{network.name}' has no outputs to compare with")
     notes: list[str] = []
     steps = settings or SearchSettings()
+    limit = TimeLimit(steps.max_seconds)
     if cut is not None:
         network = network_cut(network, cut)
         left = [e.name for e in whole_network.elements if e.name not in {x.name for x in network.elements}]
@@ -131,6 +132,7 @@ def diagnose(
         criteria,
         held_from(whole, problem),
         feedback,
+        clock=limit,
     )
     # one thread for linear algebra: sums do not depend on the number of cores
     with threadpool_limits(1):
@@ -183,11 +185,16 @@ class Workflow:
     feedback: tuple[Feedback, ...] = ()
     #: whether the records of the problem are segments
     is_segmented: bool = False
+    clock: TimeLimit = field(default_factory=TimeLimit)
 
     def __post_init__(self) -> None:
         self.network = self.problem.network
         self.search = Search(
-            HeldOutEvaluator(self.problem, self.criteria.least_noise), self.settings, self.criteria, self.say
+            HeldOutEvaluator(self.problem, self.criteria.least_noise),
+            self.settings,
+            self.criteria,
+            self.say,
+            self.clock,
         )
         self._measured: tuple[CandidateComparison, Measurements] | None = None
 
@@ -218,7 +225,7 @@ class Workflow:
         measured = self.measure(scores)
         decision = self.decide(scores)
         if decision.verdict == "unknown_effect" and not is_lost:
-            for factor in SEGMENT_FACTORS:
+            for factor in () if self.clock.is_over else SEGMENT_FACTORS:
                 found = self._diagnose_segments(notes, start, error, periodic_only=True, factor=factor)
                 if found is not None:
                     return found
@@ -268,6 +275,11 @@ class Workflow:
         builder = ResultBuilder(
             self.search, scores, measured, self.whole, self.held_from, self.seed, self.say, self.feedback
         )
+        if self.clock.is_over:
+            notes = [
+                *notes,
+                f"the time limit of {self.settings.max_seconds:g} s stopped the search: more effects may be found without it",
+            ]
         result = builder.build(decision, notes, over)
         return replace(result, seconds=clock.perf_counter() - start)
 

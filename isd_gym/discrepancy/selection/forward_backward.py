@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +22,7 @@ from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
 from .screening import screen_effects
+from .settings import TimeLimit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -42,6 +43,7 @@ class Search:
     criteria: Criteria
     #: receives a line of progress
     say: Callable[[str], None]
+    clock: TimeLimit = field(default_factory=TimeLimit)
 
     @property
     def problem(self) -> Problem:
@@ -117,7 +119,7 @@ class Search:
                     path.append(hint)
                     stages.append([hint])
                     break
-            best = self._add_best(now, stages)
+            best = None if self.clock.is_over and stages else self._add_best(now, stages)
             if best is None:
                 break
             try:
@@ -277,6 +279,8 @@ class Search:
             # the first search went through a special case of the runner-up
             if is_special_case(first.hypotheses[-1], runner.hypotheses[-1]) or score > refitted:
                 continue
+            if self.clock.is_over:
+                break
             self.say(f"starting over with {runner.hypotheses[-1].label}")
             try:
                 other = self._search_from(scores, runner)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 
@@ -47,6 +48,9 @@ class SearchSettings:
     segments: int = 30
     #: threads that share the fits; the result does not depend on the number
     jobs: int = 2
+    #: processor time after which no further stage, start or length of segments is tried [s]; None for no limit. With a limit, the result
+    #: depends on the speed of the machine.
+    max_seconds: float | None = None
     #: largest lag between the clocks of loggers [s]
     max_lag: float = 0.5
     #: noise that a measured motion, differentiated twice, makes of the computed force (share of its deviation) above which force and motion
@@ -55,3 +59,24 @@ class SearchSettings:
     #: error of the refitted model with swapped roles, over the error of a straight line through each record, below which the force
     #: determines the motion: half of the power
     swapped_error: float = 0.7
+
+
+class TimeLimit:
+    """Limit of processor time from now on, for the same result on a busy machine.
+
+    Args:
+        limit: Limit [s]; None for no limit.
+    """
+
+    def __init__(self, limit: float | None = None) -> None:
+        self._limit, self._start = limit, time.process_time()
+
+    @property
+    def seconds(self) -> float:
+        """Processor time since the start [s]."""
+        return time.process_time() - self._start
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time is up."""
+        return self._limit is not None and self.seconds > self._limit

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from ...arrays import Array
     from ...network import Network
     from ..estimation.structure import Hypothesis
+    from ..selection.settings import TimeLimit
     from ..verdict.gates import Relation, Verdict
-    from .estimation import Estimates, ModelFit, TimeLimit
+    from .estimation import Estimates, ModelFit
     from .kalman import Prediction
 
 LEAD = 6.0  # lead in 2 log L of a named effect over the next effect

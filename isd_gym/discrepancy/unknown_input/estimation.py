@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from ...arrays import Array
     from ...network import Network
     from ..estimation.structure import Hypothesis, Structure
+    from ..selection.settings import TimeLimit
     from .kalman import Prediction
 
 #: Linear effects and the index of the coefficient in `Element.linear`.
@@ -37,27 +37,6 @@ ITERATIONS = 60  # largest number of iterations of a fit
 SETTLED = 0.1  # gain in 2 log L per iteration below which a fit has converged
 #: Units of parameters proportional to a common scale of masses and forces.
 SCALED = ("kg", "N/m", "N s/m", "N/A", "N", "kg m^2", "N m/rad", "N m s/rad", "N m")
-
-
-class TimeLimit:
-    """Limit of processor time from now on, for the same result on a busy machine.
-
-    Args:
-        limit: Limit [s].
-    """
-
-    def __init__(self, limit: float) -> None:
-        self._limit, self._start = limit, time.process_time()
-
-    @property
-    def seconds(self) -> float:
-        """Processor time since the start [s]."""
-        return time.process_time() - self._start
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the time is up."""
-        return self.seconds > self._limit
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ from ..estimation.noise import floors_of
 from ..estimation.structure import base_structure
 from ..hypotheses.library import hypotheses
 from ..records import read_record
+from ..selection.settings import TimeLimit
 from ..simulation.problem import Problem
 from .decision import decide
-from .estimation import LINEAR, TimeLimit, build_model, fit_effect, fit_model
+from .estimation import LINEAR, build_model, fit_effect, fit_model
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
