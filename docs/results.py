@@ -232,9 +232,7 @@ def learned_half_car() -> str:
     for name, own in by.items():
         steps = [t["settings"]["steps"] for k, t in found["training"].items() if k.partition("/")[0] == name]
         trained = f"{len(steps)}, {'/'.join(f'{s / 1e6:g}' for s in sorted(set(steps)))} M" if steps else ""
-        body.append(
-            [f"`{name}`", trained, f"{study.iqm(own.mean(axis=1)):.4f}", *paired(by, name, rivals)]
-        )
+        body.append([f"`{name}`", trained, f"{study.iqm(own.mean(axis=1)):.4f}", *paired(by, name, rivals)])
     heads = ["policy", "seeds, steps each", "J", *(f"against `{rival}`" for rival in rivals)]
     return markdown(heads, body, "llrrrrr")
 
