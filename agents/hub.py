@@ -151,15 +151,6 @@ def _command(policy: Policy) -> str:
     return f"isd-gym score .{car}" + (f" --preview {policy.preview:g}" if policy.preview else "")
 
 
-def _regret(row: dict[str, Any]) -> float | None:
-    """Return J minus the least J known for causal controllers with the same sight; None where that is not known."""
-    share = row.get("share_of_causal_gain")  # share of the change of J that the ceiling allows
-    if not share:
-        return None
-    change = row["cost"]["change"]
-    return float(row["cost"]["value"] / (1.0 + change) * (change - change / share))
-
-
 def _card(policy: Policy, title: str, found: dict[str, Any]) -> str:
     """Return README.md: the hub's metadata, then the text."""
     ours = next(name for name in found["raw"] if name != "passive")
@@ -180,7 +171,8 @@ def _card(policy: Policy, title: str, found: dict[str, Any]) -> str:
         ("cost_j", round(row["cost"]["value"], 4)),
         ("change_of_cost_against_passive", round(row["cost"]["change"], 4)),
     ]
-    regret = _regret(row)
+    share = row.get("share_of_causal_gain")  # share of the change of J that the ceiling allows
+    regret = cards.regret(row["cost"], row["cost"]["change"] / share) if share else None
     if regret is not None:
         metrics.append(("regret_to_causal_ceiling", round(regret, 4)))
     tags = [environment, "deep-reinforcement-learning", "reinforcement-learning", "isd-gym"]

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
-from isd_gym import elements as el
+from isd_gym.baselines.car import CarWeights, WholeCar, columns
 from isd_gym.baselines.lqg import LawSettings
-from isd_gym.baselines.model import device_reach, dry, equations, friction_levels, white_covariance
+from isd_gym.baselines.model import dry, equations, white_covariance
 from isd_gym.batch import SLEW_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionVectorEnv
@@ -32,6 +32,7 @@ from isd_gym.vehicle import state_channels, vehicle
 from .memory import Echo, Filter, Memory, tuples
 
 if TYPE_CHECKING:
+    from isd_gym import elements as el
     from isd_gym.network import Network
     from isd_gym.vehicle import Vehicle
 
@@ -44,7 +45,7 @@ SEED = 800_000  # seed of roads without other use
 
 
 @dataclass(frozen=True)
-class RoadModel:
+class RoadModel(WholeCar):
     """One control step of a whole car and the road under its wheels: ``x+ = A x + B I + P w + G f``, ``y = C x + D I + F f``, ``v = S x + SF f``.
 
     Attributes:
@@ -99,19 +100,10 @@ def road_model(network: Network, step: float) -> RoadModel:
     channels, nodes = [*car.channels], state_channels(network)
     parts = equations(network, [*channels, *nodes], {})
     dry_laws = dry(parts.laws)
-    # the order of corners and of driven corners, for any order of the network's inputs
-    moving = [c.name for c in network.moving]
-    named = [c.name for c in network.inputs if c.quantity == "current"]
-
-    def columns(part: str, places: list[int]) -> list[int]:
-        return [parts.columns[part].start + i for i in places]
-
-    x = list(range(parts.columns["x"].stop))
-    moved = [moving.index(c.road_input) for c in car.corners]
-    r, v = columns("r", moved), columns("v", moved)
-    currents = columns("I", [named.index(c.current_input) for c in car.driven if c.current_input is not None])
+    x, (r, v, motors) = list(range(parts.columns["x"].stop)), columns(car, parts)
+    currents = [place for place in motors if place is not None]
     laws = [parts.apart[j] for j in dry_laws]
-    n, corners = len(x), len(moved)
+    n, corners = len(x), len(r)
     size = n + corners
     given = [*currents, *v, *laws]
     big = np.zeros((size + len(given),) * 2)
@@ -208,10 +200,12 @@ def preview_law(model: RoadModel, settings: LawSettings, followers: list[int], p
         InputError: The Riccati equation has no solution.
     """
     m, car = model, model.car
-    weights, effort = _weights(m, settings)
-    q = weights[:, None]
+    cost = StageCost.of(None, car.axes, len(car.corners))
+    cost = replace(cost, tyre_load=cost.tyre_load + settings.tyre_load)
+    weights, efforts = CarWeights(cost, settings.effort, settings.centring).of(m)
+    q, r = weights[:, None], np.diag(efforts)
     C, D = m.C @ m.A, m.C @ m.B + m.D
-    Q, R, N = C.T @ (q * C), D.T @ (q * D) + effort * np.eye(D.shape[1]), C.T @ (q * D)
+    Q, R, N = C.T @ (q * C), D.T @ (q * D) + r, C.T @ (q * D)
     try:
         V = solve_discrete_are(m.A, m.B, Q, R, s=N)
     except np.linalg.LinAlgError:
@@ -222,7 +216,7 @@ def preview_law(model: RoadModel, settings: LawSettings, followers: list[int], p
     K = np.linalg.solve(R + m.B.T @ V @ m.B, m.B.T @ V @ m.A + N.T)
     value = V + m.C.T @ (q * m.C)
     across = m.B.T @ value + m.D.T @ (q * m.C)
-    size = across @ m.B + m.B.T @ m.C.T @ (q * m.D) + m.D.T @ (q * m.D) + effort * np.eye(D.shape[1])
+    size = across @ m.B + m.B.T @ m.C.T @ (q * m.D) + m.D.T @ (q * m.D) + r
     loop, P = m.A - m.B @ K, m.P[:, followers]
     slope = m.A.T @ value @ P - K.T @ (across @ P)
     gains = np.zeros((points, *(across @ P).shape))
@@ -230,46 +224,21 @@ def preview_law(model: RoadModel, settings: LawSettings, followers: list[int], p
         gains[i] = np.linalg.solve(size, across @ P if i == 0 else m.B.T @ slope)
         if i > 0:
             slope = loop.T @ slope
-    rates = [i for i, c in enumerate(car.channels) if c.name in _rates(car)]
     lead, foresight = settings.lead / m.step, settings.foresight / m.step
     at, by, later = _ahead(m, K, gains, P, lead)
     law, law_ahead = -K @ at, -np.einsum("mn,pnq->pmq", K, by) - later
     at, by, _ = _ahead(m, K, gains, P, foresight)
-    row = m.C[rates]
-    levels = {frozenset(e.where): level for e, level in zip(m.laws, friction_levels(m.laws), strict=True)}
-    force = []
-    for c in car.driven:
-        motor = next(e for e in car.network.elements if e.name == c.motor)
-        assert isinstance(motor, el.Motor)
-        level = levels.get(frozenset(motor.where), 0.0)
-        force.append(settings.compensation * level / (motor.thrust_constant * motor.ratio))
+    row = m.device_rates
+    levels = {frozenset(e.where): level for e, level in zip(m.laws, m.levels(), strict=True)}
+    beside = np.array([levels.get(frozenset(c.device), 0.0) for c in car.driven])
+    force = settings.compensation * beside / m.thrusts
 
     def flat(
         block: np.ndarray,
     ) -> np.ndarray:  # (points, currents, followers) -> (currents, followers * points)
         return block.transpose(1, 2, 0).reshape(block.shape[1], -1)
 
-    return Law(law, row @ at, flat(law_ahead), flat(np.einsum("mn,pnq->pmq", row, by)), np.array(force))
-
-
-def _rates(car: Vehicle) -> list[str]:
-    return [c.named("device_travel_rate") for c in car.driven]
-
-
-def _weights(m: RoadModel, settings: LawSettings) -> tuple[np.ndarray, float]:
-    """Return the weights (channels,) of the regulator on the channels, and its weight on each current [1/A^2]."""
-    car = m.car
-    cost = StageCost.of(None, car.axes, len(car.corners))
-    cost = replace(cost, tyre_load=cost.tyre_load + settings.tyre_load)
-    corners, currents = len(car.corners), len(car.driven)
-    factors = list(cost.factors(car.axes, corners, currents))
-    motions = 1 + len(car.axes)
-    travels, loads = factors[motions : motions + corners], factors[motions + corners : motions + 2 * corners]
-    out = factors[:motions]
-    centring = settings.centring / device_reach(car.network) ** 2 / corners
-    for travel in travels:
-        out += [travel, 0.0, centring, 0.0]
-    return np.array([*out, *loads]), factors[-1] + settings.effort / currents
+    return Law(law, row @ at, flat(law_ahead), flat(np.einsum("mn,pnq->pmq", row, by)), force)
 
 
 def _ahead(
@@ -361,7 +330,7 @@ def car_filter(
         oldest = n + k * LAG + LAG - 1
         rows[k, oldest] = -1.0
         rows[k, oldest - 1 if LAG > 1 else n - corners + leader] = 1.0
-    levels = friction_levels(m.laws)
+    levels = m.levels()
     plain = dict(
         A=A,
         B=B,

@@ -25,13 +25,11 @@ from isd_gym.vehicle import Vehicle, vehicle
 
 from .model import (
     ROAD_INTENSITY,
-    SLIDING,
+    Laws,
     Sensors,
     _riccati,
     device_reach,
-    dry,
     equations,
-    friction_levels,
     lift,
     stationary,
     steady_gain,
@@ -45,9 +43,46 @@ if TYPE_CHECKING:
     from isd_gym.network import Network
     from isd_gym.vehicle import Corner
 
+    from .model import Equations
+
+
+class WholeCar(Laws):
+    """Channels and motors of a model of a `car` with an output matrix `C` (channels, n)."""
+
+    car: Vehicle
+    C: np.ndarray
+
+    @property
+    def network(self) -> Network:
+        """Network of the car."""
+        return self.car.network
+
+    @cached_property
+    def thrusts(self) -> np.ndarray:
+        """Thrust of each motor at its terminals per current (currents,) [N/A]; 0 without a motor."""
+        return np.array([_thrust(self.network, c) for c in self.car.driven])
+
+    @cached_property
+    def device_rates(self) -> np.ndarray:
+        """Rates of the devices by the state (currents, n)."""
+        names = [c.name for c in self.car.channels]
+        return self.C[[names.index(c.named("device_travel_rate")) for c in self.car.driven]]
+
+    def rows(self, kind: str) -> list[int]:
+        """Return the rows of the channels of a kind, one per corner.
+
+        Args:
+            kind: Name of the channel without the name of the corner.
+
+        Returns:
+            Rows.
+        """
+        names = [c.name for c in self.car.channels]
+        return [names.index(c.named(kind)) for c in self.car.corners]
+
 
 @dataclass(frozen=True)
-class CarModel:
+class CarModel(WholeCar):
     """One control step of a car: ``x+ = A x + inputs I + G f + gamma w``, ``y = C x + feedthrough I + F f``.
 
     Attributes:
@@ -95,59 +130,10 @@ class CarModel:
     road_intensity: float
 
     @property
-    def network(self) -> Network:
-        """Network of the car."""
-        return self.car.network
-
-    @property
-    def n(self) -> int:
-        """Number of states."""
-        return len(self.A)
-
-    @property
-    def friction(self) -> list[int]:
-        """Indices of the laws that are dry friction."""
-        return dry(self.laws)
-
-    def levels(self, rate: float = SLIDING) -> np.ndarray:
-        """Return the friction level of each law.
-
-        Args:
-            rate: Sliding rate [m/s].
-
-        Returns:
-            Levels (laws,) [N]; 0 for laws that are not dry friction.
-        """
-        return friction_levels(self.laws, rate)
-
-    @property
     def current_places(self) -> slice:
         """Places of the present currents in an observation."""
         signals = len(self.car.measured)
         return slice(signals - len(self.car.driven), signals)
-
-    @cached_property
-    def thrusts(self) -> np.ndarray:
-        """Thrust of each motor at its terminals per current (currents,) [N/A]; 0 without a motor."""
-        return np.array([_thrust(self.network, c) for c in self.car.driven])
-
-    @cached_property
-    def device_rates(self) -> np.ndarray:
-        """Rates of the devices by the state (currents, n)."""
-        names = [c.name for c in self.car.channels]
-        return self.C[[names.index(c.named("device_travel_rate")) for c in self.car.driven]]
-
-    def rows(self, kind: str) -> list[int]:
-        """Return the rows of the channels of a kind, one per corner.
-
-        Args:
-            kind: Name of the channel without the name of the corner.
-
-        Returns:
-            Rows.
-        """
-        names = [c.name for c in self.car.channels]
-        return [names.index(c.named(kind)) for c in self.car.corners]
 
     def rises_ahead(self, corner: int) -> np.ndarray:
         """Return the rises of the road under a wheel in the next control steps, as far as the delay line knows the road.
@@ -202,7 +188,7 @@ class CarWeights:
     effort: float = 0.0
     centring: float = 0.01
 
-    def of(self, model: CarModel) -> tuple[np.ndarray, np.ndarray]:
+    def of(self, model: WholeCar) -> tuple[np.ndarray, np.ndarray]:
         """Return the weights of a model.
 
         Args:
@@ -312,12 +298,10 @@ def car_model(
     first = [min(d for d, t in zip(behind, tracks, strict=True) if t == i) for i in range(max(tracks) + 1)]
     delays = behind - np.array([first[t] for t in tracks])
     line = _Line.of(delays, tracks)
-    x, r, v, current = (parts.columns[k] for k in ("x", "r", "v", "I"))
-    moving = [c.name for c in network.moving]
-    order = [moving.index(c.road_input) for c in car.corners]
-    roads = np.zeros((len(moving), max(tracks) + 1))
-    for road, t in zip(order, tracks, strict=True):
-        roads[road, t] = 1.0
+    x, (r, v, currents) = parts.columns["x"], columns(car, parts)
+    roads = np.zeros((corners, max(tracks) + 1))
+    for road, t in zip(r, tracks, strict=True):
+        roads[road - parts.columns["r"].start, t] = 1.0
     T = lift(network, parts, roads, count)
     leader = [
         next(c for c in range(corners) if tracks[c] == t and delays[c] == 0.0) for t in range(max(tracks) + 1)
@@ -326,17 +310,16 @@ def car_model(
     n, nl = len(parts.rate), len(parts.laws)
     size = n + corners
     A = np.zeros((size, size))
-    A[:n, :n], A[:n, n:] = parts.rate[:, x], parts.rate[:, r][:, order]
+    A[:n, :n], A[:n, n:] = parts.rate[:, x], parts.rate[:, r]
     white = np.zeros((size, corners))
-    white[:n], white[n:] = parts.rate[:, v][:, order], np.eye(corners)
+    white[:n], white[n:] = parts.rate[:, v], np.eye(corners)
     for t, c in enumerate(leader):
         white[:n, c] -= T[:, t]
         white[n:, c] -= [float(track == t) for track in tracks]
-    currents = _currents(network, car)
     inputs = np.zeros((size, len(currents) + nl))
     for j, place in enumerate(currents):
         if place is not None:
-            inputs[:n, j] = parts.rate[:, current][:, place]
+            inputs[:n, j] = parts.rate[:, place]
     inputs[:n, len(currents) :] = parts.rate[:, parts.apart]
     wide = np.hstack([inputs, white])
     big = np.zeros((size + wide.shape[1],) * 2)
@@ -356,10 +339,10 @@ def car_model(
         W[:n, :n] += between - variance * np.outer(ramps[:, c], ramps[:, c])
 
     def widened(rows: np.ndarray) -> np.ndarray:
-        return np.hstack([rows[:, x], rows[:, r][:, order] @ line.heights])
+        return np.hstack([rows[:, x], rows[:, r] @ line.heights])
 
     def through(rows: np.ndarray) -> np.ndarray:
-        blocks = [np.zeros(len(rows)) if j is None else rows[:, current][:, j] for j in currents]
+        blocks = [np.zeros(len(rows)) if j is None else rows[:, j] for j in currents]
         return np.column_stack(blocks)
 
     below = np.zeros((len(line.shift), inputs.shape[1]))
@@ -389,10 +372,24 @@ def car_model(
     )
 
 
-def _currents(network: Network, car: Vehicle) -> list[int | None]:
-    """Return the column of each current among the currents of the assembly; None for a corner without a motor."""
-    names = [c.name for c in network.inputs if c.quantity == "current"]
-    return [None if c.current_input is None else names.index(c.current_input) for c in car.driven]
+def columns(car: Vehicle, parts: Equations) -> tuple[list[int], list[int], list[int | None]]:
+    """Return columns of the equations in the order of the corners, for any order of the network's inputs.
+
+    Args:
+        car: Car.
+        parts: Its equations.
+
+    Returns:
+        Columns of the displacements and of the velocities of the roads, and of the current of each driven corner;
+            None for a corner without a motor.
+    """
+    moving = [c.name for c in car.network.moving]
+    named = [c.name for c in car.network.inputs if c.quantity == "current"]
+    order = [moving.index(c.road_input) for c in car.corners]
+    r, v = ([parts.columns[part].start + i for i in order] for part in ("r", "v"))
+    first = parts.columns["I"].start
+    inputs = [c.current_input for c in car.driven]
+    return r, v, [None if name is None else first + named.index(name) for name in inputs]
 
 
 def _drifts(car: Vehicle, out: np.ndarray, total: int) -> np.ndarray:

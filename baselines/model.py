@@ -73,8 +73,36 @@ class Sensors:
         return np.diag(np.square(values))
 
 
+class Laws:
+    """States and laws of a model with a state matrix `A` (n, n) and nonlinear `laws`."""
+
+    A: np.ndarray
+    laws: tuple[el.Element, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def friction(self) -> list[int]:
+        """Indices of the laws that are dry friction."""
+        return dry(self.laws)
+
+    def levels(self, rate: float = SLIDING) -> np.ndarray:
+        """Return the friction level of each law at a sliding rate.
+
+        Args:
+            rate: Sliding rate [m/s].
+
+        Returns:
+            Levels (laws,) [N]; 0 for laws that are not dry friction.
+        """
+        return friction_levels(self.laws, rate)
+
+
 @dataclass(frozen=True)
-class Model:
+class Model(Laws):
     """One control step of a car: ``x+ = A x + B I + G f + w``, ``y = C x + D I + F f``, ``v = S x + SI I + SF f``.
 
     x (n,) are states with positions above the road, I [A] the current of the step, f (nl,) [N] the forces of
@@ -137,11 +165,6 @@ class Model:
         return np.linalg.lstsq(rows, np.arange(len(rows)) < len(speed), rcond=None)[0]
 
     @property
-    def n(self) -> int:
-        """Number of states."""
-        return len(self.A)
-
-    @property
     def inputs(self) -> np.ndarray:
         """Effect (n, 1) of the current on the state."""
         return self.B[:, None]
@@ -150,22 +173,6 @@ class Model:
     def feedthrough(self) -> np.ndarray:
         """Effect (6, 1) of the current on the signals."""
         return self.D[:, None]
-
-    @property
-    def friction(self) -> list[int]:
-        """Indices of the laws that are dry friction."""
-        return dry(self.laws)
-
-    def levels(self, rate: float = SLIDING) -> np.ndarray:
-        """Return the friction level of each law at a sliding rate.
-
-        Args:
-            rate: Sliding rate [m/s].
-
-        Returns:
-            Levels (nl,) [N]; 0 for laws that are not dry friction.
-        """
-        return friction_levels(self.laws, rate)
 
 
 def dry(laws: Sequence[el.Element]) -> list[int]:

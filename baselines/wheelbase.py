@@ -89,11 +89,10 @@ class WheelbaseLqg(WholeCarController):
         """Solve the Riccati equations."""
         super().__init__(name, model)
         self.settings = s = settings or WheelbaseSettings()
-        self.prediction = m = wheelbase_model(name, model, control_step, s)
+        self.prediction, self.estimator = m, _ = wheelbase_model(name, model, control_step, s)
         cost = StageCost.of(cost, self.car.axes, len(self.car.corners))
         cost = replace(cost, tyre_load=cost.tyre_load + s.tyre_load)
         self.weights = CarWeights(cost, s.effort, s.centring)
-        self.estimator = Estimator(m, s.sensors, s.friction_noise)
         thrusts = m.thrusts
         if not np.all(thrusts):
             self._law = self._rates = np.zeros((len(thrusts), m.n))
@@ -164,9 +163,8 @@ class WheelbaseMpc(Decentralised):
             friction_noise=base.friction_noise,
             road_intensity=base.road_intensity,
         )
-        self.prediction = m = wheelbase_model(name, model, control_step, own)
+        self.prediction, self.estimator = m, _ = wheelbase_model(name, model, control_step, own)
         car = m.car
-        self.estimator = Estimator(m, own.sensors, own.friction_noise)
         cost = corner_cost(StageCost.of(cost, car.axes, len(car.corners)))
         base = replace(base, road_intensity=m.road_intensity)
         self._ahead = [m.rises_ahead(car.corners.index(corner)) for corner in car.driven]
@@ -219,8 +217,8 @@ class WheelbaseMpc(Decentralised):
 
 def wheelbase_model(
     name: str, network: Network, control_step: float, settings: WheelbaseSettings
-) -> CarModel:
-    """Return the model of a car with a known rear road, at the speed of the settings.
+) -> tuple[CarModel, Estimator]:
+    """Return model and estimator of a car with a known rear road, at the speed of the settings.
 
     Args:
         name: Name of the controller, for the message.
@@ -229,7 +227,7 @@ def wheelbase_model(
         settings: Settings of the controller.
 
     Returns:
-        The model.
+        The model, and the Kalman filter of the car's motion and of the delay line.
 
     Raises:
         InputError: No wheel of the car follows another wheel.
@@ -246,7 +244,7 @@ def wheelbase_model(
             f"'{name}' is a controller of a car with two axles, but network '{network.name}' is a quarter car: choose "
             "half-car-isd, full-car-isd or another network with a rear axle"
         )
-    return m
+    return m, Estimator(m, settings.sensors, settings.friction_noise)
 
 
 def _levels(model: CarModel, control_step: float) -> np.ndarray:

@@ -6,6 +6,7 @@
     python benchmarks/study.py table benchmarks/study.json
     python benchmarks/study.py draw benchmarks/study.json --out docs/figures
 
+`--network half-car-isd` (train, collect) does the same with a half car; its only condition is the training road (`--training-road`).
 `collect` drives every policy over the same roads in every condition and stores the cost of each episode and the
 learning curves: a small file from which table and figures are redrawn. The point estimate over training seeds is the
 interquartile mean, its 95 % interval a stratified bootstrap over seeds and roads (Agarwal et al., NeurIPS 2021).
@@ -29,8 +30,11 @@ from isd_gym.files import write_text
 from isd_gym.network import Network
 
 SCHEMA = "isd-study/2"
-#: of the MPCs the best (`isd-gym score` has all of them)
-BASELINES = ("passive", "isd-passive", "lqg", "mpc-friction")
+#: by network; of the quarter car's MPCs the best (`isd-gym score` has all of them)
+BASELINES = {
+    "quarter-car-isd": ("passive", "isd-passive", "lqg", "mpc-friction"),
+    "half-car-isd": ("passive", "mpc-friction", "lqg-wheelbase", "mpc-wheelbase"),
+}
 #: every controller keeps believing in the nominal car; on the training road eight times as many roads, to tell policies
 #: apart that differ by a tenth of a per cent
 CONDITIONS = (
@@ -57,12 +61,16 @@ def collect(
     jobs: int = 1,
     preview: float | None = None,
     conditions: tuple[Condition, ...] = CONDITIONS,
+    network: str = "quarter-car-isd",
 ) -> dict[str, Any]:
     """Cost and RMS tyre load [N] (episodes,) of every policy in every condition, and the learning curves of the runs.
 
     Items lie in the folder `items`: what is in it is not driven again. preview [s]: baselines that see so much of the road.
     """
-    baselines = (*BASELINES[:2], *(f"{n}-preview" for n in BASELINES[2:])) if preview else BASELINES
+    baselines = BASELINES[network]
+    if preview:
+        baselines = (*baselines[:2], *(f"{n}-preview" for n in baselines[2:]))
+    conditions = tuple(replace(c, network=network) for c in conditions)
     curves, names = {}, dict.fromkeys(baselines)
     keys = {name: name for name in baselines}
     for folder in runs:
@@ -93,14 +101,14 @@ def collect(
             tyre[c.name][key] = [round(q**0.5, 2) for q in load]
     return {
         "schema": SCHEMA,
-        "network": "quarter-car-isd",
+        "network": network,
         "episodes": episodes,
         "seed": seed,
         "preview": preview or 0.0,
         "conditions": {c.name: c.to_dict() for c in conditions},
         "costs": costs,
         "tyre_load": tyre,
-        "clairvoyant": least(Network.load("quarter-car-isd"), seed, episodes * MORE),
+        "clairvoyant": least(Network.load(network), seed, episodes * MORE),
         "training": curves,
     }
 
@@ -117,14 +125,16 @@ def least(network: Network, seed: int, episodes: int) -> list[float]:
     return out
 
 
-def train_all(out: Path, seeds: int, algorithms: tuple[str, ...] = ("ppo", "sac")) -> None:
+def train_all(
+    out: Path, seeds: int, algorithms: tuple[str, ...] = ("ppo", "sac"), network: str = "quarter-car-isd"
+) -> None:
     """Train every seed of every algorithm, one after the other; goes on where it stopped."""
     from isd_gym.agents.train import train
 
     for seed in range(seeds):
         for algorithm in algorithms:
             (out / algorithm).mkdir(parents=True, exist_ok=True)
-            train(algorithm, out / algorithm / str(seed), seed=seed)
+            train(algorithm, out / algorithm / str(seed), seed=seed, network=network)
 
 
 def ship(out: Path) -> list[Path]:
@@ -135,7 +145,7 @@ def ship(out: Path) -> list[Path]:
         policies = [p for p in policies if p.info["score"] is not None]
         if policies:
             best = min(policies, key=lambda p: min(row["cost"] for row in p.info["training"]["curve"]))
-            shipped.append(best.save(SHIPPED / algorithm))
+            shipped.append(best.save(SHIPPED / best.name))
     return shipped
 
 
@@ -292,10 +302,12 @@ def main() -> None:
     one.add_argument("--training-road", action="store_true", help="that condition alone")
     one.add_argument("--episodes", type=int, default=16)
     one.add_argument("--seed", type=int, default=0)
+    one.add_argument("--network", choices=BASELINES, default="quarter-car-isd")
     runs = commands.add_parser("train")
     runs.add_argument("--out", type=Path, required=True)
     runs.add_argument("--seeds", type=int, default=5)
     runs.add_argument("--algorithms", nargs="+", default=["ppo", "sac"])
+    runs.add_argument("--network", choices=BASELINES, default="quarter-car-isd")
     commands.add_parser("ship").add_argument("runs", type=Path)
     for name in ("table", "draw"):
         other = commands.add_parser(name)
@@ -313,11 +325,12 @@ def main() -> None:
             jobs=given.jobs,
             preview=given.preview,
             conditions=where,
+            network=given.network,
         )
         write_text(given.out, json.dumps(found) + "\n")
         return
     if given.command == "train":
-        train_all(given.out, given.seeds, tuple(given.algorithms))
+        train_all(given.out, given.seeds, tuple(given.algorithms), given.network)
         return
     if given.command == "ship":
         for path in ship(given.runs):

@@ -179,18 +179,24 @@ def wheelbase() -> str:
 # --------------------------------------------------------------------------------------------------- learning
 
 
+def paired(by: dict[str, np.ndarray], name: str, rivals: dict[str, int]) -> list[str]:
+    """Cells with the change of J against each rival to its number of digits; empty against itself and for the passive car."""
+    cells = []
+    for rival, digits in rivals.items():
+        value, low, high = study.change(by[name], by[rival][0], np.random.default_rng(0))
+        same = name in (rival, "passive")
+        cells.append("" if same else f"{percent(value, digits)} {interval(low, high, digits)}")
+    return cells
+
+
 def learned() -> str:
     """Trained policies against the best MPC and the LQG, condition by condition."""
     found = json.loads((BENCHMARKS / "study.json").read_text(encoding="utf-8"))
     body = []
     for condition, costs in found["costs"].items():
         by = study.groups(costs)
-        cells = [condition]
-        for name in ("ppo", "sac"):
-            for rival in (study.best_mpc(by), "lqg"):
-                value, low, high = study.change(by[name], by[rival][0], np.random.default_rng(0))
-                cells.append(f"{percent(value, 2)} {interval(low, high, 2)}")
-        body.append(cells)
+        rivals = {study.best_mpc(by): 2, "lqg": 2}
+        body.append([condition, *paired(by, "ppo", rivals), *paired(by, "sac", rivals)])
     heads = [
         "condition",
         "PPO against the best MPC",
@@ -212,12 +218,22 @@ def learned_preview() -> str:
             row = [f"{ahead} s", f"`{name}`", f"{study.iqm(by[name].mean(axis=1)):.4f}"]
             row.append(percent(float(study.iqm(loads[name] / loads["passive"] - 1))))
             row.append(f"{100 * shares[name]:.1f} %")
-            for rival, digits in (("passive", 1), ("mpc-friction-preview", 2)):
-                value, low, high = study.change(by[name], by[rival][0], np.random.default_rng(0))
-                same = name == rival
-                row.append("" if same else f"{percent(value, digits)} {interval(low, high, digits)}")
-            body.append(row)
+            body.append([*row, *paired(by, name, {"passive": 1, "mpc-friction-preview": 2})])
     heads = ["road ahead", "policy", "J", "tyre load", "of the reachable gain", "against `passive`", "against `mpc-friction-preview`"]  # fmt: skip
+    return markdown(heads, body, "llrrrrr")
+
+
+def learned_half_car() -> str:
+    """Trained policies of the half car against the controllers, with and without wheelbase preview."""
+    found = json.loads((BENCHMARKS / "half-car-study.json").read_text(encoding="utf-8"))
+    by = study.groups(found["costs"]["training road"])
+    rivals = {"passive": 1, "mpc-friction": 1, "lqg-wheelbase": 2, "mpc-wheelbase": 2}
+    body = []
+    for name, own in by.items():
+        steps = [t["settings"]["steps"] for k, t in found["training"].items() if k.partition("/")[0] == name]
+        trained = f"{len(steps)}, {'/'.join(f'{s / 1e6:g}' for s in sorted(set(steps)))} M" if steps else ""
+        body.append([f"`{name}`", trained, f"{study.iqm(own.mean(axis=1)):.4f}", *paired(by, name, rivals)])
+    heads = ["policy", "seeds, steps each", "J", *(f"against `{rival}`" for rival in rivals)]
     return markdown(heads, body, "llrrrrr")
 
 
@@ -399,9 +415,9 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/tutorials/half-car.md": (half_car,),
     "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
-    "docs/explanation/study.md": (study_table, learned_preview),
+    "docs/explanation/study.md": (study_table, learned_preview, learned_half_car),
     "docs/validation/controllers.md": (scores, ceilings, steps),
-    "docs/validation/learning.md": (learned, learned_preview),
+    "docs/validation/learning.md": (learned, learned_preview, learned_half_car),
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, sources),
     "docs/reference/limits.md": (gates, limits),

@@ -254,6 +254,19 @@ def test_tables_are_those_of_the_benchmarks_files(page, results):
     assert results.fill(name) == page.read_text(encoding="utf-8"), "run python docs/results.py"
 
 
+def test_the_study_of_the_half_car_is_on_the_roads_of_its_score(results):
+    """Two files of figures, by a sweep and by a score: the same controllers have the same cost on each road."""
+    studied, scored = (
+        json.loads((results.BENCHMARKS / f"{name}.json").read_text())
+        for name in ("half-car-study", "half-car")
+    )
+    costs = studied["costs"]["training road"]
+    shared = costs.keys() & scored["raw"].keys()
+    assert shared == {"passive", "mpc-friction", "lqg-wheelbase", "mpc-wheelbase"}
+    for name in shared:
+        assert costs[name] == pytest.approx(scored["raw"][name]["cost"], abs=1e-6)
+
+
 def test_shares_of_the_ceiling_follow_from_card_and_ceiling(results):
     """README's two shares of the gain at the ceiling."""
     text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())

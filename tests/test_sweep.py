@@ -23,6 +23,7 @@ from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
 from isd_gym.scoring import score
+from isd_gym.vehicle import vehicle
 
 GRID = """
 policies = ["isd-passive", "skyhook"]
@@ -247,9 +248,23 @@ def test_the_watch_sees_what_is_not_allowed():
         def act(self, observation):
             return 7.0
 
-    counts = Counter()
-    drive(_watched(Entry("wild", Wild), counts), Network.load("quarter-car-isd"), episodes=2, duration=0.05)
+    counts, car = Counter(), Network.load("quarter-car-isd")
+    drive(_watched(Entry("wild", Wild), vehicle(car), counts), car, episodes=2, duration=0.05)
     assert counts == {"given": 20, "not_finite": 0, "above_limit": 20, "above_slew": 20}
+
+
+def test_a_sweep_of_half_cars_counts_both_currents_and_goes_on(tmp_path):
+    grid = Grid(
+        ("skyhook",), (Condition("half", network="half-car-isd"),), episodes=2, batch=2, duration=0.05
+    )
+    merged, outcome = sweep(grid, tmp_path)
+    assert not outcome.failed and not merged["missing"]
+    (row,) = merged["conditions"][0]["policies"]
+    assert row["commands"] == {"given": 2 * 2 * 10, "not_finite": 0, "above_limit": 0, "above_slew": 0}
+    assert row["pitch_acceleration_rms"]["unit"] == "rad/s^2"
+    again: list[tuple[int, int]] = []
+    assert sweep(grid, tmp_path, progress=lambda done, of: again.append((done, of)))[0] == merged
+    assert again[0] == (2, 2)  # nothing is driven twice
 
 
 @pytest.mark.parametrize(

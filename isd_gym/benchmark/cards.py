@@ -19,7 +19,7 @@ from ..inputs import read_json
 from .scoring import compare
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
 SCHEMA = "isd-card/1"
 BUILT_IN = Path(__file__).parents[1] / "references"
@@ -183,8 +183,24 @@ def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
     raise InputError(f"the score is on no track of {card['environment']} ({'; '.join(whys)})")
 
 
+def regret(cost: Mapping[str, float], ceiling: float) -> float:
+    """Return the cost above the least cost known for causal controllers.
+
+    Args:
+        cost: `value` [-] and relative `change` against the passive car.
+        ceiling: Change of the cost at the causal ceiling.
+
+    Returns:
+        Difference of the costs [-].
+    """
+    return float(cost["value"] / (1.0 + cost["change"]) * (cost["change"] - ceiling))
+
+
 def ranking(
-    card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()
+    card: Mapping[str, Any],
+    name: str,
+    scores: Sequence[Mapping[str, Any]] = (),
+    ceiling: Callable[[float], Mapping[str, Any] | None] = lambda preview: None,
 ) -> list[dict[str, Any]]:
     """Return all policies of a track and of scores on the track, best first.
 
@@ -195,6 +211,8 @@ def ranking(
         card: The card.
         name: Name of the track.
         scores: Scores on the track.
+        ceiling: Returns the causal ceiling of controllers with a given preview [s] (its `change`), for the
+            `regret`; None where the ceiling is not known.
 
     Returns:
         One entry per policy.
@@ -210,14 +228,16 @@ def ranking(
     ground = one["policies"]["passive"]["episodes"]
     units = next(p["units"] for p in one["policies"].values() if p["units"])
     held = {policy: p["episodes"] for policy, p in one["policies"].items()}
+    ahead = {policy: p["preview"] for policy, p in one["policies"].items()}
     theirs: list[str] = []
     for score in scores:
         match(score, {**card, "tracks": [one]})
+        shown_road = {row["policy"]: row.get("preview", {}).get("value", 0.0) for row in score["policies"]}
         for policy, values in _episodes(score).items():
             if policy in held and np.allclose(values["cost"], held[policy]["cost"], rtol=CLOSE, atol=0.0):
                 continue  # a reference that was driven again, possibly on another machine
             label = policy if policy not in held else f"{policy} (submitted)"
-            held[label] = values
+            held[label], ahead[label] = values, shown_road.get(policy, 0.0)
             theirs.append(label)
     rows = []
     for policy, values in held.items():
@@ -227,6 +247,8 @@ def ranking(
             for k, v in values.items()
             if k in ground
         }
+        bound = ceiling(ahead[policy])
+        row["regret"] = regret(row["cost"], bound["change"]) if bound else None
         if policy in theirs:
             costs = {q: np.array(v["cost"]) for q, v in held.items() if q != policy}
             row["against"] = {q: compare("cost", np.array(values["cost"]), c, "-") for q, c in costs.items()}

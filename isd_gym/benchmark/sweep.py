@@ -20,6 +20,8 @@ from .grid import SCHEMA, Condition, Grid, belongings
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from ..vehicle import Vehicle
+
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
 FOLDER = ("sweep", None, ("items", "sweep.json", "sweep.md"))
@@ -52,6 +54,7 @@ def drive_item(
         InputError: A file is missing or differs on this machine.
     """
     from ..cost import StageCost
+    from ..vehicle import vehicle
     from .policies import find
     from .scoring import drive, measures
 
@@ -64,7 +67,7 @@ def drive_item(
     entry = find(policy, plant, model=Network.load(c.model or c.network), speed=c.speed, **ahead)
     counts: Counter[str] = Counter()
     run = drive(
-        _watched(entry, counts),
+        _watched(entry, vehicle(plant), counts),
         plant,
         road=c.road,
         speed=c.speed,
@@ -83,10 +86,12 @@ def drive_item(
     }
 
 
-def _watched(entry: Any, counts: Counter[str]) -> Any:
+def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
     """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
     from ..batch import CURRENT_LIMIT, SLEW_LIMIT
     from .driving import Entry
+
+    currents = [i for i, signal in enumerate(car.measured) if signal.kind == "current"]
 
     def make() -> Any:
         controller: Any = entry.make()
@@ -95,9 +100,10 @@ def _watched(entry: Any, counts: Counter[str]) -> Any:
 
         def watched(observation: np.ndarray) -> Any:
             command = act(observation)
-            present = np.atleast_2d(observation)[:, 5]
-            wanted = np.broadcast_to(command, present.shape)
-            counts["given"] += len(wanted)
+            present = np.atleast_2d(observation)[:, currents]
+            # one current of many cars may come without an axis
+            wanted = np.broadcast_to(np.reshape(command, (-1, len(currents))), present.shape)
+            counts["given"] += wanted.size
             counts["not_finite"] += int(np.sum(~np.isfinite(wanted)))
             counts["above_limit"] += int(np.sum(np.abs(wanted) > CURRENT_LIMIT + 1e-6))
             counts["above_slew"] += int(np.sum(np.abs(wanted - present) > SLEW_LIMIT + 1e-6))
@@ -115,8 +121,8 @@ def _sound(task: Task, result: Any) -> bool:
 
     episodes, commands = task.arguments["episodes"], result["commands"]
     return (
-        result["units"] == MEASURES
-        and result["measures"].keys() == MEASURES.keys()
+        MEASURES.items() <= result["units"].items()
+        and result["measures"].keys() == result["units"].keys()
         and all(len(v) == episodes and all(map(is_number, v)) for v in result["measures"].values())
         and all(isinstance(n, int) for n in (result["fallbacks"], *(commands[k] for k in COMMANDS)))
     )
