@@ -74,7 +74,7 @@ def print_score(result: Any) -> None:
     console.print(title)
     names = {"policy": [Text(plain(row["policy"], 40)) for row in result.policies]}
     tables = [(main,), (motion,), (share, work)] if narrow else [(main, share), (motion, work)]
-    for parts in (*tables, *((corner,) for corner in corners)):
+    for parts in (*tables, corners):
         print_columns(
             names,
             *({head: [say(row) for row in result.policies] for head, say in part.items()} for part in parts),

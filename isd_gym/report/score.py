@@ -310,7 +310,7 @@ def histories(shown: Shown) -> Chart:
         return out
 
     seed = shown.score.seed
-    stride = f" Every {every}th sample." if every > 1 else ""
+    stride = f" One sample in {every} is drawn." if every > 1 else ""
     choices, captions = {}, {}
     for episode, words in (
         (middle, f"the median by the cost of {shown.reference}"),
