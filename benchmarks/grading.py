@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from isd_gym.discrepancy.selection.criteria import CRITERIA
 from isd_gym.elements import TYPES
 
 Row = dict[str, Any]
@@ -164,8 +165,6 @@ def values(rows: Iterable[Row]) -> tuple[list[float], list[bool], list[bool]]:
 # ------------------------------------------------------------------------------------------------------- reliability
 #: levels of an answer, from coarse to fine
 LEVELS = ("place", "kind", "law")
-#: smallest probability of a kind that counts as an answer; `Criteria.certain`
-CERTAIN = 0.8
 
 
 def kind_of(effect: str) -> str | None:
@@ -226,7 +225,7 @@ def kind_graded(row: Row) -> str:
         return "right"
     findings = row.get("diagnosis", {}).get("findings", [])
     row = {**row, "diagnosis": {**row.get("diagnosis", {}), "findings": [f for f in findings if f["place"]]}}
-    sure = [ok for p, ok in statements(row, "kind") if p >= CERTAIN]
+    sure = [ok for p, ok in statements(row, "kind") if p >= CRITERIA.certain]
     return "right" if any(sure) else "wrong" if sure else "missed"
 
 

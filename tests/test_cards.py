@@ -119,7 +119,7 @@ def test_the_regret_is_the_cost_above_the_ceiling_of_the_same_preview(capsys):
         least = rows["passive"]["cost"]["value"] * (1.0 + known("quarter-car-isd", preview=preview)["change"])
         assert rows[policy]["regret"] == pytest.approx(rows[policy]["cost"]["value"] - least, rel=1e-9)
     print_track(card, "preview-0.1")
-    assert f"({rows['mpc-friction-preview']['regret']:.4f})" in capsys.readouterr().out
+    assert f" {rows['mpc-friction-preview']['regret']:.4f} " in capsys.readouterr().out
 
 
 def test_no_regret_where_no_ceiling_is_known(card, capsys):

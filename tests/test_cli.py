@@ -166,6 +166,37 @@ def test_a_card_fits_a_narrow_terminal():
     assert any("[-53.5, -51.4]" in line for line in lines)
 
 
+@pytest.mark.parametrize("width", [48, 80, 106, 200])
+def test_a_score_folds_no_name_and_loses_no_figure(width, capsys, monkeypatch):
+    from isd_gym.benchmark.scoring import score
+    from isd_gym.commands._score_table import print_score
+
+    monkeypatch.setattr("rich.console.Console.width", width)
+    result = score(["isd-passive"], "half-car-isd", episodes=2, duration=0.5)
+    shares = {f"share_of_{which}_gain": 10.0 for which in ("reachable", "causal", "lq")}
+    for row in result.policies:
+        row |= shares
+    row |= {"policy": "mpc-friction-wheelbase", "fallbacks": 123456}
+    row |= {name: 11.0 + i for i, name in enumerate(shares)}
+    print_score(result)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    rows = [line for line in lines if "mpc-friction-wheelbase" in line]
+    figures = " ".join(rows).replace("mpc-friction-wheelbase", "").split()
+    assert not any("mpc" in line for line in lines if line not in rows)
+    for figure in (
+        "1100",
+        "1200",
+        "1300",
+        "123456",
+        f"{row['cost']['value']:.3f}",
+        f"{row['energy']['value']:.0f}",
+    ):
+        assert figure in figures, figure
+    for corner in ("front", "rear"):
+        assert f"{row[f'suspension_travel_{corner}_rms']['value'] * 1e3:.2f}" in figures
+
+
 @pytest.mark.parametrize(
     ("args", "message"),
     [

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import picture_checks
 import pytest
 
 from isd_gym import rendering
@@ -44,17 +45,14 @@ def passive(**changes: Any) -> Snapshot:
     return snapshot(**{**nothing, "label": "passive", **changes})
 
 
-def frame(*shots: Snapshot, width: int = 640, height: int = 400) -> np.ndarray:
-    picture = Renderer("rgb_array", width=width, height=height, cars=len(shots)).draw(*shots)
-    assert picture is not None
-    return picture
+frame = partial(picture_checks.frame, width=640, height=400)
 
 
 def where(
     picture: np.ndarray, colour: tuple[int, int, int], tolerance: int = 6
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the pixels of (nearly) this colour."""
-    rows, columns = np.nonzero((np.abs(picture.astype(int) - colour) <= tolerance).all(axis=2))
+    rows, columns = np.nonzero(picture_checks.near(picture, colour, tolerance))
     return rows, columns
 
 
@@ -244,14 +242,6 @@ def test_curves_are_where_the_values_are() -> None:
 def test_words_never_touch_nor_leave_the_picture(
     size: tuple[int, int], cars: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    placed: list[Any] = []
-    finish = Canvas.finish
-
-    def remember(canvas: Any) -> None:
-        placed[:] = [surface.get_rect(topleft=place) for surface, place in canvas._texts]
-        finish(canvas)
-
-    monkeypatch.setattr(Canvas, "finish", remember)
     long = "friction-aware MPC, horizon 20, with road preview"
     poses = [
         snapshot(label=long, time=999.99, cost=12.345, current=-4.44, body_acceleration=-12.0),
@@ -259,14 +249,7 @@ def test_words_never_touch_nor_leave_the_picture(
         snapshot(time=999.99, joint=-LIMIT, wheel=0.012, current=5.0, body_acceleration=28.0, speed=100.0),
         snapshot(piston=None), passive(cost=804.86, suspension_travel=-0.5),
     ]  # fmt: skip
-    for pose in poses:
-        frame(*[pose] * cars, width=size[0], height=size[1])
-        assert len(placed) > 15
-        box = pygame.Rect((0, 0), size)
-        assert all(box.contains(words) for words in placed)
-        # The boxes of the letters' full height may graze each other; the words themselves then do not.
-        tight = [words.inflate(0, -0.3 * words.height) for words in placed]
-        assert not [pair for pair in itertools.combinations(tight, 2) if pair[0].colliderect(pair[1])]
+    picture_checks.check_words(poses, cars, size, monkeypatch)
 
 
 def test_a_renderer_says_what_it_cannot_do() -> None:

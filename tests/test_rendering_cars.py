@@ -6,10 +6,12 @@ import itertools
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
+import picture_checks
 import pytest
 from scipy.ndimage import uniform_filter
 from typer.testing import CliRunner
@@ -63,14 +65,7 @@ def car(places: dict[str, tuple[float, float]] = HALF, /, **changes: Any) -> Car
     return CarSnapshot(**{**base, **changes})
 
 
-def frame(*shots: Any, width: int = 960, height: int = 600) -> np.ndarray:
-    picture = Renderer("rgb_array", width=width, height=height, cars=len(shots)).draw(*shots)
-    assert picture is not None
-    return picture
-
-
-def near(picture: np.ndarray, colour: tuple[int, int, int], tolerance: int = 6) -> np.ndarray:
-    return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=2)
+frame = partial(picture_checks.frame, width=960, height=600)
 
 
 @pytest.fixture
@@ -111,7 +106,7 @@ def factor(said: list[str]) -> float:
 
 def slope(picture: np.ndarray, columns: slice) -> float:
     """Slope of the body's lower edge [px/px], downwards to the right."""
-    blue = near(picture, rendering.BLUE, 30)[:, columns]
+    blue = picture_checks.near(picture, rendering.BLUE, 30)[:, columns]
     rows = np.array([np.flatnonzero(column).max() if column.any() else -1 for column in blue.T])
     x = np.flatnonzero(rows >= 0)[8:-8]
     return float(np.polyfit(x, rows[x], 1)[0])
@@ -180,9 +175,9 @@ def test_all_of_a_car_that_rises_with_its_road_is_where_it_was() -> None:
 def test_the_wheels_are_a_wheelbase_apart(places: dict[str, tuple[float, float]], base: float) -> None:
     """Measured against the picture's own ruler of a metre."""
     picture = frame(car(places))
-    foot = near(picture[-30:, :557], MUTED, 20)
+    foot = picture_checks.near(picture[-30:, :557], MUTED, 20)
     metre = max(len(list(run)) for row in foot[:, 300:] for dark, run in itertools.groupby(row) if dark) - 1
-    columns = np.flatnonzero(near(picture[400:505, :557], RUBBER, 12).sum(axis=0) > 8)
+    columns = np.flatnonzero(picture_checks.near(picture[400:505, :557], RUBBER, 12).sum(axis=0) > 8)
     gap = int(np.argmax(np.diff(columns))) + 1
     rear, front = ((part.min() + part.max()) / 2 for part in (columns[:gap], columns[gap:]))
     assert (front - rear) / metre == pytest.approx(base, rel=0.03)
@@ -269,7 +264,7 @@ def test_the_views_follow_from_the_corners(scenes: list[RigidCarScene]) -> None:
         scenes.clear()
         picture = frame(car(places, pitch=0.0))
         assert [view.is_rear for view in scenes[0].views] == views
-        assert near(picture, RUBBER).sum() > 300
+        assert picture_checks.near(picture, RUBBER).sum() > 300
     assert len(near_corners := scenes[0].views[0].near) == 1 and near_corners[0].x == 0.0
 
 
@@ -307,10 +302,15 @@ def test_a_frame_is_a_picture(name: str) -> None:
     later = env.render()
     for picture in (first, later):
         assert picture.shape == (600, 960, 3) and picture.dtype == np.uint8
-        assert near(picture, rendering.BLUE).sum() > 1000 and near(picture, RUBBER).sum() > 500
+        assert (
+            picture_checks.near(picture, rendering.BLUE).sum() > 1000
+            and picture_checks.near(picture, RUBBER).sum() > 500
+        )
     assert (first != later).any(axis=2).mean() > 0.02
-    bars = near(later[75:150, 560:], rendering.PULL)
-    assert bars.sum() == pytest.approx(0.3 / 0.7 * near(later[75:150, 560:], PALE).sum(), rel=0.1)
+    bars = picture_checks.near(later[75:150, 560:], rendering.PULL)
+    assert bars.sum() == pytest.approx(
+        0.3 / 0.7 * picture_checks.near(later[75:150, 560:], PALE).sum(), rel=0.1
+    )
 
 
 @both
@@ -364,14 +364,6 @@ def test_a_snapshot_without_a_picture_is_refused_in_one_line() -> None:
 def test_words_never_touch_nor_leave_the_picture(
     places: dict[str, tuple[float, float]], cars: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    placed: list[Any] = []
-    finish = Canvas.finish
-
-    def remember(canvas: Any) -> None:
-        placed[:] = [surface.get_rect(topleft=place) for surface, place in canvas._texts]
-        finish(canvas)
-
-    monkeypatch.setattr(Canvas, "finish", remember)
     long = "friction-aware MPC, horizon 20, with road preview"
     heavy = {"tyre_load": -12345.0, "current": -4.44, "joint": LIMIT}
     poses = [
@@ -383,13 +375,7 @@ def test_words_never_touch_nor_leave_the_picture(
             places, heave=0.3, points={"driver": (0.1, 0.3), "passenger": (0.1, -0.3), "far_away": (9.0, 4.0)}
         ),
     ]
-    for pose in poses:
-        frame(*[pose] * cars, width=size[0], height=size[1])
-        assert len(placed) > 15
-        box = pygame.Rect((0, 0), size)
-        assert all(box.contains(words) for words in placed)
-        tight = [words.inflate(0, -0.3 * words.height) for words in placed]
-        assert not [pair for pair in itertools.combinations(tight, 2) if pair[0].colliderect(pair[1])]
+    picture_checks.check_words(poses, cars, size, monkeypatch)
 
 
 def test_points_of_the_body_are_named(said: list[str]) -> None:

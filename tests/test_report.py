@@ -395,8 +395,8 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
         name: {i["name"] for p in page.data[f"chart-{name}"]["choices"][0]["panels"] for i in p["items"] if i.get("name")}
         for name in ("gap", "time", "spectra", "plane")
     }  # fmt: skip
-    assert "with the force" in lines["gap"] and "with what was found" in lines["time"]
-    assert "left over, new model" in lines["spectra"] and "the law that was found" in lines["plane"]
+    assert "with the force" in lines["gap"] and "completed model" in lines["time"]
+    assert "residual of the completed model" in lines["spectra"] and "fitted law" in lines["plane"]
     # the law is that of the result
     law = next(i for i in page.data["chart-law"]["choices"][0]["panels"][0]["items"] if i["name"] == "law")
     assert unpacked(law["y"]) == pytest.approx(d.tabulated.force)
@@ -829,7 +829,7 @@ def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypa
     assert d.summary in page.text and report.TITLES[d.verdict] in page.text and "a.csv" in page.text
     assert ("The next experiment" in page.text) == (d.verdict == "ambiguous")
     found = kind in ("missing_effect", "unknown_effect with a table")
-    assert ("the model with what was found" in page.text) == found == ("the model refitted" not in page.text)
+    assert ("the completed model;" in page.text) == found == ("the refitted model)" not in page.text)
     assert Path("found/law.png").exists() == found == ("chart-law" in page.data)
     assert ("with the effect" in page.text) == (kind == "missing_effect")
     assert Path("found/plane.png").exists() == (d.verdict != "no_discrepancy")
@@ -956,7 +956,7 @@ def test_a_long_record_is_thinned_and_the_page_says_so(diagnosis, monkeypatch):
     chart = report.draw_time(report.View(diagnosis))
     line = chart.panels[0].items[0]
     assert len(line.x) < 700 and line.x[1] == pytest.approx(5 * STEP)
-    assert "every 5th sample" in chart.caption
+    assert "One sample in 5 is drawn" in chart.caption
 
 
 def test_a_parameter_that_the_data_do_not_tell_is_drawn_as_such(diagnosis):

@@ -57,6 +57,18 @@ PAPER = {
 }
 
 
+def _of_corners(kind: str, unit: str) -> property:
+    """Return the property of a `Run` that joins the signals of a kind."""
+
+    def joined(run: Run) -> np.ndarray:
+        found = run.of(kind)
+        return found[0] if len(found) == 1 else np.stack(found, axis=-1)
+
+    return property(
+        joined, doc=f"{kind} [{unit}] (steps, episodes), of several corners (steps, episodes, corners)."
+    )
+
+
 @dataclass
 class Run:
     """Signals of one policy over all episodes.
@@ -97,29 +109,10 @@ class Run:
         """Vertical acceleration of the body at its centre of gravity [m/s^2] (steps, episodes)."""
         return self.signals["body_acceleration"]
 
-    @property
-    def suspension_travel(self) -> np.ndarray:
-        """Suspension travel [m] (steps, episodes), of several corners (steps, episodes, corners)."""
-        return self._joined("suspension_travel")
-
-    @property
-    def tyre_load(self) -> np.ndarray:
-        """Dynamic tyre load [N] (steps, episodes), of several corners (steps, episodes, corners)."""
-        return self._joined("tyre_load")
-
-    @property
-    def device_travel_rate(self) -> np.ndarray:
-        """Rate of the device [m/s] (steps, episodes), of several corners (steps, episodes, corners)."""
-        return self._joined("device_travel_rate")
-
-    @property
-    def current(self) -> np.ndarray:
-        """Motor current [A] (steps, episodes), of several corners (steps, episodes, currents)."""
-        return self._joined("current")
-
-    def _joined(self, kind: str) -> np.ndarray:
-        found = self.of(kind)
-        return found[0] if len(found) == 1 else np.stack(found, axis=-1)
+    suspension_travel = _of_corners("suspension_travel", "m")
+    tyre_load = _of_corners("tyre_load", "N")
+    device_travel_rate = _of_corners("device_travel_rate", "m/s")
+    current = _of_corners("current", "A")
 
     def acceleration_at(self, point: str) -> np.ndarray:
         """Return the vertical acceleration of a point of the body.

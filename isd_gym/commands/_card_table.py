@@ -7,13 +7,12 @@ from typing import Any
 
 from ..console import printer
 from ..errors import InputError, plain
+from ._columns import print_columns
 from ._score_bounds import known_ceilings
 
 
 def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]] = ()) -> None:
     """Print a track, best first, and the comparisons of each submitted policy."""
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
     from ..benchmark.cards import ranking
@@ -22,34 +21,36 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
     rows = ranking(card, name, scores, _ceilings(one))
     known = any(row["regret"] is not None for row in rows)
     console = printer()
-    made = Table(
-        box=box.SIMPLE_HEAD,
-        title=Text(f"{card['environment']} of {card['date']}, {name}: change against passive [%]"),
-        title_justify="left",
-        pad_edge=False,
-    )
-    narrow = console.width < 98
-    heads = ("accel-\neration", "travel", "tyre\nload") if narrow else ("acceleration", "travel", "tyre load")
-    gap = "\n" if narrow else " "
-    for head in ("", "policy", f"cost J{gap}(regret)" if known else "cost J", "change of J", *heads):
-        # names may be folded, numbers are never cut
-        words = head == "policy"
-        made.add_column(head, justify="left" if words else "right", no_wrap=not words, overflow="fold")
-    for place, row in enumerate(rows, 1):
-        q = row["cost"]
-        made.add_row(
-            str(place),
-            Text(plain(row["policy"], 40), style="bold" if row["submitted"] else ""),
-            f"{q['value']:.4f}" + ("" if row["regret"] is None else f"{gap}({row['regret']:.4f})"),
-            f"{100 * q['change']:+.1f}{gap}[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
-            if q["change"]
-            else "",
-            *(
-                f"{100 * row[k]['change']:+.1f}"
-                for k in ("body_acceleration_rms", "suspension_travel_rms", "tyre_load_rms")
+    gap = "\n" if console.width < 98 else " "
+
+    def change(q: Mapping[str, Any]) -> str:
+        interval = f"[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
+        return f"{100 * q['change']:+.1f}{gap}{interval}" if q["change"] else ""
+
+    console.print(f"{card['environment']} of {card['date']}, {name}: change against passive [%]")
+    print_columns(
+        {
+            "": [f"{place:2}" for place in range(1, len(rows) + 1)],
+            "policy": [Text(plain(r["policy"], 40), style="bold" if r["submitted"] else "") for r in rows],
+        },
+        {
+            "cost J": [f"{r['cost']['value']:.4f}" for r in rows],
+            **(
+                {"regret": ["" if r["regret"] is None else f"{r['regret']:.4f}" for r in rows]}
+                if known
+                else {}
             ),
-        )
-    console.print(made)
+            "change of J": [change(r["cost"]) for r in rows],
+        },
+        {
+            head: [f"{100 * r[key]['change']:+.1f}" for r in rows]
+            for head, key in (
+                ("accel-\neration", "body_acceleration_rms"),
+                ("travel", "suspension_travel_rms"),
+                ("tyre\nload", "tyre_load_rms"),
+            )
+        },
+    )
     if known:
         console.print("Regret: J above the causal ceiling, the least J known for causal controllers.")
     for row in rows:

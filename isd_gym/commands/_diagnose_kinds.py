@@ -1,4 +1,4 @@
-"""Diagnoses beside that of one network: without a measured road, of a folder of cases, of a unit for co-simulation."""
+"""Diagnoses beside that of one network: without a measured road, of a folder of cases, of an FMU."""
 
 from __future__ import annotations
 
@@ -103,15 +103,15 @@ def diagnose_unit(
     named: dict[str, Any],
     shares: dict[str, float],
 ) -> Any:
-    """Return the diagnosis of a unit for co-simulation. Warn that compiled code runs."""
+    """Return the diagnosis of an FMU. Warn that compiled code runs."""
     from ..data import read_table
     from ..discrepancy import diagnose_unit
     from ..fmi.cosimulation import WHY_TRUST, Unit
 
     if trust and os.path.exists(model):
         typer.echo(f"isd-gym: warning: {model}: {WHY_TRUST}", err=True)
-    with lines() as say, Unit(model, trust=trust) as unit:
-        known = [p.name for p in (*unit.model.inputs, *unit.model.outputs)]
+    with lines() as say, Unit(model, trust=trust) as fmu:
+        known = [p.name for p in (*fmu.model.inputs, *fmu.model.outputs)]
         check_channels(named["rename"].values(), ["time", *known], "--rename")
         data, validate = ([read_table(f, **named) for f in files] for files in (data, validate))
-        return diagnose_unit(data, unit, validate=validate, accept=accept, uncertainty=shares, progress=say)
+        return diagnose_unit(data, fmu, validate=validate, accept=accept, uncertainty=shares, progress=say)

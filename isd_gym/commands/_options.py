@@ -39,6 +39,12 @@ def road_names() -> Iterable[str]:
     return ("paper", "paper-printed", "flat", *"ABCDEFGH", "bump", "pothole", "sweep")
 
 
+def _option(usage: str, help: str) -> Any:
+    """Return an option from its usage, such as ``--map FILE``."""
+    flag, metavar = usage.split()
+    return typer.Option(flag, help=help, metavar=metavar)
+
+
 PolicyArgument = Annotated[
     str,
     typer.Argument(
@@ -80,9 +86,7 @@ PreviewOption = Annotated[
     typer.Option(help="Length of road ahead [s] that policies with preview see.", min=0.0),
 ]
 
-JsonOption = Annotated[
-    Path | None, typer.Option("--json", help="Write the results to this file.", metavar="FILE")
-]
+JsonOption = Annotated[Path | None, _option("--json FILE", "Write the results to this file.")]
 
 TrustOption = Annotated[
     bool,
@@ -94,43 +98,30 @@ TrustOption = Annotated[
 
 ColumnsOption = Annotated[
     str | None,
-    typer.Option(
-        "--columns",
-        help="Names of the columns of text files without a header, in order: 'time,force [kN],travel [mm]'.",
-        metavar="NAME,NAME,...",
+    _option(
+        "--columns NAME,NAME,...",
+        "Names of the columns of text files without a header, in order: 'time,force [kN],travel [mm]'.",
     ),
 ]
 
 RenameOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--rename",
-        help="Column of the files and the channel of the model. May be repeated.",
-        metavar="COLUMN=CHANNEL",
-    ),
+    _option("--rename COLUMN=CHANNEL", "Column of the files and the channel of the model. May be repeated."),
 ]
 
 UnitOption = Annotated[
     list[str] | None,
-    typer.Option("--unit", help="Unit of a channel in the files. May be repeated.", metavar="CHANNEL=UNIT"),
+    _option("--unit CHANNEL=UNIT", "Unit of a channel in the files. May be repeated."),
 ]
 
 MapOption = Annotated[
     Path | None,
-    typer.Option(
-        "--map",
-        help="File with the column of each channel, written by isd-gym inspect --out.",
-        metavar="FILE",
-    ),
+    _option("--map FILE", "File with the column of each channel, written by isd-gym inspect --out."),
 ]
 
 ElementsOption = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--elements",
-        help="Python file that registers your own elements. The program runs the file.",
-        metavar="FILE.py",
-    ),
+    _option("--elements FILE.py", "Python file that registers your own elements. The program runs the file."),
 ]
 
 JobsOption = Annotated[int, typer.Option("--jobs", help="Number of processes on this machine.", min=1)]

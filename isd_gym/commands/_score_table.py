@@ -7,25 +7,17 @@ from typing import Any
 
 from ..console import printer
 from ..errors import plain, shown
+from ._columns import print_columns
 
 
 def print_score(result: Any) -> None:
     """Print the tables of a score, the paper's tables and the bounds."""
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
     from ..benchmark.scoring import PAPER, corner_measures
 
     console = printer()
     narrow = console.width < 106
-
-    def table(*heads: str) -> Table:
-        made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-        for i, head in enumerate(heads):
-            # names may be folded, numbers are never cut
-            made.add_column(head, justify="left" if i == 0 else "right", no_wrap=i > 0, overflow="fold")
-        return made
 
     def cell(q: dict[str, Any], digits: int, scale: float = 1.0) -> str:
         text = f"{q['value'] * scale:.{digits}f}"
@@ -79,14 +71,14 @@ def print_score(result: Any) -> None:
         f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
         f"seeds {result.seed} to {result.seed + result.episodes - 1}{sight}; RMS, change against passive{interval}"
     )
-    groups = [main, motion, share | work] if narrow else [main | share, motion | work]
-    groups += corners
     console.print(title)
-    for group in groups:
-        made = table("policy", *group)
-        for row in result.policies:
-            made.add_row(Text(plain(row["policy"], 40)), *(say(row) for say in group.values()))
-        console.print(made)
+    names = {"policy": [Text(plain(row["policy"], 40)) for row in result.policies]}
+    tables = [(main,), (motion,), (share, work)] if narrow else [(main, share), (motion, work)]
+    for parts in (*tables, corners):
+        print_columns(
+            names,
+            *({head: [say(row) for row in result.policies] for head, say in part.items()} for part in parts),
+        )
     for name, (before, after) in PAPER.items() if not result.comparable.tables else ():
         parts = [
             f"{what} {b * s:.{d}f} -> {a * s:.{d}f} ({100 * (a / b - 1):+.1f} %)"

@@ -10,6 +10,7 @@ import typer
 
 from ..console import counted, printer, resumable
 from ..errors import plain
+from ._columns import print_columns
 from ._options import EngineOption, JobsOption
 
 
@@ -74,25 +75,21 @@ def command(
 
 def _print(merged: Mapping[str, Any]) -> None:
     """Print the table of a merged sweep."""
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
     from ..benchmark.sweep import change_cell, items_are, rows
 
     names, lines = rows(merged)
     console = printer()
-    # a number is never cut: in a narrow console the interval goes on the line below
-    wide = [max((len(line[k + 1]) for line in lines), default=0) for k in range(len(names))]
-    room = 34 + sum(w + 4 for w in wide) <= console.width
-    made = Table(box=box.SIMPLE_HEAD, title="change of J against passive [%]", title_justify="left")
-    made.add_column("condition", overflow="fold")
-    for name in names:
-        made.add_column(Text(plain(name, 40)), justify="right", overflow="fold")
-    for first, *cells in lines:
-        made.add_row(Text(plain(first, 60)), *(Text(c if room else c.replace(" [", "\n[")) for c in cells))
+    # in a narrow console the interval goes on the line below
+    room = 34 + sum(max((len(line[k + 1]) for line in lines), default=0) + 4 for k in range(len(names)))
+    gap = " [" if room <= console.width else "\n["
     if lines:
-        console.print(made)
+        console.print("change of J against passive [%]")
+        print_columns(
+            {"condition": [Text(plain(line[0], 60)) for line in lines]},
+            {plain(name): [line[k].replace(" [", gap) for line in lines] for k, name in enumerate(names, 1)},
+        )
     for row in merged["overall"][:1]:
         for rival, q in row["against"].items():
             console.print(

@@ -1,8 +1,8 @@
-"""Runner of a functional mock-up unit in a separate process, where a fault of the unit is only an error.
+"""Runner of a functional mock-up unit (FMU) in a separate process, where a fault of the FMU is only an error.
 
 `isd_gym.fmi.cosimulation` starts this text with ``python -c``; the text imports nothing from the package. A
 request is a line of JSON on standard input, followed by its arrays as float64; the answer is a line of JSON
-on standard output, followed by arrays. FMPy loads the unit: compiled code from its author, which runs with
+on standard output, followed by arrays. FMPy loads the FMU: compiled code from its author, which runs with
 the rights of this process.
 """
 
@@ -22,14 +22,14 @@ class Refused(Exception):
     """Error with one line for the user."""
 
 
-class Unit:
-    """An unpacked and described unit, which is loaded for its first run."""
+class Fmu:
+    """An unpacked FMU with its description, which is loaded for its first run."""
 
     def __init__(self, folder):
         import fmpy
 
         self.fmpy, self.folder, self.instance = fmpy, folder, None
-        self.said: deque[str] = deque(maxlen=3)  # last messages of the unit, for the error message
+        self.said: deque[str] = deque(maxlen=3)  # last messages of the FMU, for the error message
         self.described = fmpy.read_model_description(folder, validate=False)
         kinds = [self.described.coSimulation, self.described.modelExchange]
         self.kind = next(
@@ -103,31 +103,31 @@ def main():
     asked = os.fdopen(os.dup(0), "rb")
     told = os.fdopen(os.dup(1), "wb")
     nothing = os.open(os.devnull, os.O_RDWR)
-    for standard in (0, 1, 2):  # output of a unit is no answer
+    for standard in (0, 1, 2):  # output of an FMU is no answer
         os.dup2(nothing, standard)
-    unit = None
+    fmu = None
     for line in iter(asked.readline, b""):
         request = json.loads(line)
         shape = request.get("shape")
         array = np.frombuffer(asked.read(8 * shape[0] * shape[1])).reshape(shape) if shape else None
         try:
-            if unit is None:
-                unit = Unit(request["folder"])
+            if fmu is None:
+                fmu = Fmu(request["folder"])
             if request["do"] == "describe":
-                answer(told, unit.describe())
+                answer(told, fmu.describe())
             else:
                 how = {k: request[k] for k in ("step", "start", "inputs", "outputs")}
-                answer(told, {}, unit.run(values=array, **how))
+                answer(told, {}, fmu.run(values=array, **how))
         except ImportError as error:
             answer(told, {"lacks": error.name or "fmpy"})
         except Refused as error:
             answer(told, {"refused": str(error)})
         except Exception as error:
-            said = [*(unit.said if unit else ()), f"{type(error).__name__}: {error}"]
+            said = [*(fmu.said if fmu else ()), f"{type(error).__name__}: {error}"]
             answer(told, {"refused": "; ".join(" ".join(x.split()) for x in said)[-400:]})
-            if unit is not None:
-                unit.said.clear()
-    os._exit(0)  # some units crash when their libraries are unloaded
+            if fmu is not None:
+                fmu.said.clear()
+    os._exit(0)  # some FMUs crash when their libraries are unloaded
 
 
 if __name__ == "__main__":

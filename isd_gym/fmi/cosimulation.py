@@ -1,6 +1,6 @@
 """Functional mock-up units (FMU) of users as models: their description and their simulation.
 
-A unit is compiled code from its author. It is opened only if the user declares trust, and runs in a separate
+An FMU is compiled code from its author. It is opened only if the user declares trust, and runs in a separate
 process (`_host`, with FMPy), which isolates faults but not malicious code. Supported are FMI 2 and 3,
 co-simulation and model exchange.
 """
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 SECONDS = 600.0  # limit for one run or for loading [s]
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 
-WHY_TRUST = "a unit is compiled code of whoever made it and runs with your rights: it can read, change and send what you can"
+WHY_TRUST = "an FMU is compiled code of whoever made it and runs with your rights: it can read, change and send what you can"
 
 
 @dataclass(frozen=True)
 class Port:
-    """A real variable of a unit.
+    """A real variable of an FMU.
 
     Attributes:
         name: Name.
@@ -62,10 +62,10 @@ class Port:
 
 @dataclass(frozen=True)
 class UnitModel:
-    """Description of a unit, with values of its parameters.
+    """Description of an FMU, with values of its parameters.
 
     Attributes:
-        name: Name of the unit.
+        name: Name of the FMU.
         inputs: Real inputs.
         outputs: Real outputs, followed by local variables.
         parameters: Start value of each real parameter, in its unit.
@@ -108,7 +108,7 @@ class UnitModel:
         for name in values:
             if name not in self.parameters:
                 raise InputError(
-                    f"unit {shown(self.name)} has no parameter {shown(name)}: {hint(name, self.parameters)}"
+                    f"FMU {shown(self.name)} has no parameter {shown(name)}: {hint(name, self.parameters)}"
                 )
         return replace(self, parameters={**self.parameters, **values})
 
@@ -133,11 +133,11 @@ class UnitModel:
 
 
 class Unit:
-    """A running unit; `model` is its description. A context manager: process and unpacked files end with the block.
+    """A running FMU; `model` is its description. A context manager: process and unpacked files end with the block.
 
     Args:
         path: The .fmu file.
-        trust: Whether the code of the unit may run here; without trust, nothing is unpacked.
+        trust: Whether the code of the FMU may run here; without trust, nothing is unpacked.
 
     Raises:
         InputError: Trust is missing, or the file is no FMU that can run here.
@@ -150,7 +150,7 @@ class Unit:
             raise InputError(f"{path}: {WHY_TRUST}; --trust-fmu opens it (trust=True in Python)")
         self._folder = tempfile.TemporaryDirectory(prefix="isd-gym-fmu-")
         self._process: Guarded | None = None
-        self._afresh = False  # a new process for every run: the unit keeps state between runs
+        self._afresh = False  # a new process for every run: the FMU keeps state between runs
         self.runs = 0
         try:
             self._unpack()
@@ -286,7 +286,7 @@ def _model(about: Mapping[str, Any]) -> UnitModel:
         elif causality == "parameter" and variability in ("fixed", "tunable") and start is not None:
             parameters[name], units[name] = start, unit
             limits[name] = (-np.inf if low is None else low, np.inf if high is None else high)
-    name = str(about["name"] or "unit")
+    name = str(about["name"] or "FMU")
     return UnitModel(
         name, tuple(ports["input"]), (*ports["output"], *ports["local"]), parameters, units, limits
     )

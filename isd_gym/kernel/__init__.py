@@ -17,7 +17,7 @@ stored, and the state of the lane becomes NaN.
 Order of reading:
 
 - `layout`: place of each number, by name; `lanes`: arithmetic on eight numbers at once;
-- `linear`: linear part of a step; `contact`: its end in closed form; `laws`, `newton`, `solve`: its end law
+- `linear`: linear part of a step; `contact`: its end in closed form; `law_forces`, `newton`, `solve`: its end law
   by law;
 - `steps`: steps, records, outputs; `cars`: a control step of many cars with drive, road, limits, reward and
   observation;

@@ -14,7 +14,7 @@ from numba.core.options import DefaultOptions
 
 from .. import cost
 from .. import elements as el
-from . import cars, contact, lanes, laws, layout, linear, newton, solve, steps
+from . import cars, contact, lanes, law_forces, layout, linear, newton, solve, steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -96,7 +96,7 @@ _CLOSED = (layout.layout, linear.sums, linear.pooled, linear.number, linear.clip
 _ALONE = (contact.beside, contact.touch, contact.apply, contact.contact)
 _SEVERAL = (contact.among_others, contact.beside_others, contact.touch, contact.apply, contact.contacts)
 _LAWS = (
-    laws.parameters, laws.held, laws.seen, laws.ask, laws.rub, laws.push,
+    law_forces.parameters, law_forces.held, law_forces.seen, law_forces.ask, law_forces.rub, law_forces.push,
     newton.eliminate, newton.resting, newton.answers, newton.excess, newton.bracketed, newton.newton,
     solve.settle, solve.busy, solve.finish, solve.solved, solve.yields, solve.lacks, solve.between, solve.at_once,
 )  # fmt: skip
@@ -126,7 +126,7 @@ _MODULES = (
     lanes,
     linear,
     contact,
-    laws,
+    law_forces,
     newton,
     solve,
     steps,
@@ -136,7 +136,7 @@ _MODULES = (
 #: functions with one call need not be compiled and linked twice
 _INLINE = (
     steps.pool_of,
-    laws.parameters,
+    law_forces.parameters,
     solve.settle,
     solve.busy,
     solve.finish,
@@ -175,8 +175,8 @@ def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kerne
     names["CAR"] = layout.cars_layout(car)
     flavour = "_".join(map(str, ("laws" if with_laws else "several" if several else "closed", *car)))
     if with_laws:
-        names["law_force"] = _dispatch([c.law for c in smooth], laws.law_force)  # type: ignore[misc]
-        names["law_bound"] = _dispatch([c.bound for c in dry], laws.law_bound)  # type: ignore[misc]
+        names["law_force"] = _dispatch([c.law for c in smooth], law_forces.law_force)  # type: ignore[misc]
+        names["law_bound"] = _dispatch([c.bound for c in dry], law_forces.law_bound)  # type: ignore[misc]
     laws_ = _LAWS if with_laws else (solve.unsolved, solve.as_it_is)
     for plain in (*_CLOSED, *(_SEVERAL if several else _ALONE), *laws_, *_STEPS, *_ENTRIES):
         # compiled functions read constants and functions from `names`; the name of a function is part of its

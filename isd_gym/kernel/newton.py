@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .laws import TIGHT, ask, held, parameters, seen
+from .law_forces import TIGHT, ask, held, parameters, seen
 from .layout import WIDTH, layout
 from .linear import U, number
 

@@ -6,7 +6,7 @@ import math
 
 from .contact import apply
 from .lanes import bits, load, spread, store
-from .laws import law_bound, law_force, parameters, push, rub, seen
+from .law_forces import law_bound, law_force, parameters, push, rub, seen
 from .layout import GENERAL, QUIET, WIDTH, layout
 from .linear import U, clip, number, pooled
 from .newton import newton

@@ -94,7 +94,7 @@ class QuarterCarScene:
         seat = rest - (shot.body - reference) * scale  # underside of the body
 
         c.clip(self.left, 0, self.width, self.height)
-        wheel.side_tyre(c, self.x, hub, contact_y, u, lifted=shot.corner.has_lifted)
+        wheel.tyre(c, self.x, hub, contact_y, u, lifted=shot.corner.has_lifted)
         ground(c, self.window, road_y, shot.speed * shot.time, u)
         # rolls with the drawn road
         wheel.side_rim(c, self.x, hub, u, shot.speed * shot.time * METRE / wheel.RADIUS)

@@ -256,11 +256,10 @@ class RigidCarScene:
         ground(self.canvas, window, y, travelled, self.u, is_behind=is_behind)
 
     def _tyre(self, view: View, corner: CornerSnapshot, colour: Colour = wheel.RUBBER) -> None:
-        draw = wheel.rear_wheel if view.is_rear else wheel.side_tyre
         contact = self._down(self.contacts[corner])
-        draw(
+        wheel.tyre(
             self.canvas, view.place(corner), self._hub(corner), contact, self.wheel_unit,
-            lifted=corner.has_lifted, colour=colour,
+            lifted=corner.has_lifted, colour=colour, is_rear=view.is_rear,
         )  # fmt: skip
 
     def _far_side(self, view: View) -> None:

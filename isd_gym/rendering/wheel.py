@@ -23,12 +23,20 @@ RUBBER: Colour = (58, 63, 68)
 RUBBER_FAR: Colour = (176, 182, 188)
 
 
-def side_tyre(
-    c: Canvas, x: float, hub: float, contact: float, u: float, *, lifted: bool, colour: Colour = RUBBER
+def tyre(
+    c: Canvas,
+    x: float,
+    hub: float,
+    contact: float,
+    u: float,
+    *,
+    lifted: bool,
+    colour: Colour = RUBBER,
+    is_rear: bool = False,
 ) -> None:
-    """Draw a tyre from the side, in contact with the road while the tyre carries load.
+    """Draw a tyre, in contact with the road while the tyre carries load.
 
-    The road is painted over the compressed part.
+    From the side, the road is painted over the compressed part.
 
     Args:
         c: Canvas.
@@ -38,8 +46,19 @@ def side_tyre(
         u: Unit of the layout [px].
         lifted: Whether the tyre carries no load.
         colour: Colour of the rubber.
+        is_rear: Whether the view is from behind, not from the side.
     """
     radius = RADIUS * u
+    if is_rear:
+        foot = hub + radius if lifted else contact + 1.5 * u
+        top = hub - radius
+        c.rect(colour, x - WIDTH / 2 * u, top, WIDTH * u, foot - top, radius=6 * u)
+        if colour == RUBBER:
+            for groove in (-5.0, 5.0):
+                c.rect(
+                    (92, 98, 104), x + (groove - 0.8) * u, top + 3 * u, 1.6 * u, max(0.0, foot - top - 6 * u)
+                )
+        return
     gap = contact - hub
     angle = np.linspace(0.0, 2 * np.pi, 73)[:-1]  # from the lowest point
     below = np.maximum(np.cos(angle), 0.0)
@@ -69,28 +88,6 @@ def side_rim(c: Canvas, x: float, hub: float, u: float, turn: float) -> None:
         s, n = math.sin(angle), math.cos(angle)
         spoke = [(5, -3), (22, -2), (22, 2), (5, 3)]
         c.polygon(STEEL_FAR, [(x + (a * n - b * s) * u, hub + (a * s + b * n) * u) for a, b in spoke])
-
-
-def rear_wheel(
-    c: Canvas, x: float, hub: float, contact: float, u: float, *, lifted: bool, colour: Colour = RUBBER
-) -> None:
-    """Draw a wheel from behind.
-
-    Args:
-        c: Canvas.
-        x: Position of the hub [px].
-        hub: Height of the hub [px].
-        contact: Height of the road under the hub [px].
-        u: Unit of the layout [px].
-        lifted: Whether the tyre carries no load.
-        colour: Colour of the rubber.
-    """
-    foot = hub + RADIUS * u if lifted else contact + 1.5 * u
-    top = hub - RADIUS * u
-    c.rect(colour, x - WIDTH / 2 * u, top, WIDTH * u, foot - top, radius=6 * u)
-    if colour == RUBBER:
-        for groove in (-5.0, 5.0):
-            c.rect((92, 98, 104), x + (groove - 0.8) * u, top + 3 * u, 1.6 * u, max(0.0, foot - top - 6 * u))
 
 
 def carrier(c: Canvas, x: float, hub: float, top: float, reach: float, u: float, pin: float) -> None:

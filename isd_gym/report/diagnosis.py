@@ -201,7 +201,7 @@ class View:
         found = {e.name for e in self.d.model.elements} - known
         pairs: list[tuple[str, Network, set[str]]] = [("The model as given", self.d.base, set())]
         if self.changed:
-            pairs.append(("With what was found, in colour", self.d.model, found))
+            pairs.append(("The completed model, with the addition in colour", self.d.model, found))
         try:
             return [(title, sketch(n, found=marked).svg(inline=True)) for title, n, marked in pairs]
         except InputError:  # nothing between nodes
@@ -263,8 +263,8 @@ class View:
         """
         full, width = 60, 60 * min(max(share, 0.0), 1.0)
         return (
-            f'<svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" fill="{PALE}"/>'
-            f'<rect width="{width:.1f}" height="10" fill="{BLUE}"/></svg> {share:.2f}'
+            f'<svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" style="fill:var(--pale)"/>'
+            f'<rect width="{width:.1f}" height="10" style="fill:var(--accent)"/></svg> {share:.2f}'
         )
 
     def effect_text(self, e: Any) -> str:
@@ -680,9 +680,9 @@ def draw_time(view: View) -> Chart | None:
         out = []
         for c in names:
             k = view.scales[c].factor
-            says = {"measured": t.measured[c], "old model, refitted": t.refit[c]}
+            says = {"measured": t.measured[c], "refitted model": t.refit[c]}
             if view.changed:
-                says["with what was found"] = t.after[c]
+                says["completed model"] = t.after[c]
             looks = dict(zip(says, (MEASURED, BEFORE, AFTER), strict=False))
             # the measured signal first: its broader line remains visible under the others
             lines = [Line(n, time, k * y[::every], looks[n]) for n, y in says.items()]
@@ -714,7 +714,7 @@ def draw_time(view: View) -> Chart | None:
             )
         return [p if k < 2 else replace(p, title="") for k, p in enumerate(out)]
 
-    lines = ": orange without, blue with what was found" if view.changed else ""
+    lines = ": orange without, blue with the addition" if view.changed else ""
     more = (
         f" The picture shows the {len(few)} channels with the largest error."
         if len(few) < len(view.order)
@@ -726,8 +726,7 @@ def draw_time(view: View) -> Chart | None:
         return (
             f"Record “{t.name}” ({t.use}). Left: the {shown[1] - shown[0]:.3g} s with the largest error of the refitted model (shaded on "
             f"the right). Right: the residual{lines}. Dotted: twice the noise. Peaks of a few samples may exceed the axis."
-            f"{more if t is trace else ''}"
-            + (f" Drawn from every {thinned}th sample." if thinned > 1 else "")
+            f"{more if t is trace else ''}" + (f" One sample in {thinned} is drawn." if thinned > 1 else "")
         )
 
     choices, captions = {}, {}
@@ -740,7 +739,7 @@ def draw_time(view: View) -> Chart | None:
     return Chart(
         "time",
         "In time",
-        "Measured and simulated signals, and what is left over, over time",
+        "Measured and simulated signals, and residuals over time",
         next(iter(captions.values())),
         choices,
         columns=2,
@@ -788,10 +787,10 @@ def draw_spectra(view: View) -> Chart | None:
         keep = (f >= 0.2) & (f <= min(60.0, 0.45 / step))
         keep = keep if keep.sum() > 4 else f > 0
         _, old = mean(lambda t, c=c: t.measured[c] - t.refit[c])  # type: ignore[misc]
-        curves = [("measured", p, Look(MUTED, "-", "", 1.4)), ("left over, old model", old, BEFORE)]
+        curves = [("measured", p, Look(MUTED, "-", "", 1.4)), ("residual of the refitted model", old, BEFORE)]
         if view.changed:
             _, new = mean(lambda t, c=c: t.measured[c] - t.after[c])  # type: ignore[misc]
-            curves.append(("left over, new model", new, AFTER))
+            curves.append(("residual of the completed model", new, AFTER))
         items: list[Item] = [Line(n, f[keep], y[keep], replace(look, marker="")) for n, y, look in curves]
         top = float(p[keep].max())
         least = min(float(y[keep].min()) for _, y, _ in curves[1:])
@@ -807,14 +806,14 @@ def draw_spectra(view: View) -> Chart | None:
         else f"{len(used)} records ({view.trace.use}), averaged: {', '.join(t.name for t in used)}"
     )
     shade = (
-        " Grey bands hold most of the old model's excess error in the fitted records."
+        " Grey bands hold most of the refitted model's excess error in the fitted records."
         if any(p.bands_hz for p in view.d.where)
         else ""
     )
     return Chart(
         "spectra",
         "In frequency",
-        "Spectra of the measurements and of what is left over",
+        "Spectra of the measurements and of the residuals",
         f"Power spectral densities of {over} (Welch, Hann windows of {seconds:.3g} s).{shade}",
         {"all": panels},
         columns=columns,
@@ -851,12 +850,12 @@ def draw_plane(view: View) -> Chart | None:
         over = {"rate": cloud.rate, "travel": cloud.travel}
         if cloud.after is not None:
             parts = [
-                (kind, cloud.before, "on top of the old model", VERMILLION),
-                (kind, cloud.after, "on top of the new model", BLUE),
+                (kind, cloud.before, "missing in the refitted model", VERMILLION),
+                (kind, cloud.after, "missing in the completed model", BLUE),
             ]
         else:
             parts = [
-                (k, cloud.before, f"on top of the old model, over {k}", VERMILLION)
+                (k, cloud.before, f"missing in the refitted model, over {k}", VERMILLION)
                 for k in ("rate", "travel")
             ]
         law = _sum_of_laws(cloud)
@@ -871,7 +870,7 @@ def draw_plane(view: View) -> Chart | None:
             if law is not None and k == 0:
                 axis, middle, low, high = law
                 look = Look(BLUE, "-", "", 1.6)
-                items.append(Line("the law that was found", factor * axis, middle, look, band=(low, high)))
+                items.append(Line("fitted law", factor * axis, middle, look, band=(low, high)))
             y = _force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
     drawn = any(cloud.laws for cloud in view.clouds)
@@ -926,14 +925,14 @@ def _draw_channel_plane(view: View) -> Chart | None:
     if view.named:
         x, axis = _abscissa(view, trace, channel)
         parts = [
-            (trace.refit, x, axis, "old model, refitted", VERMILLION),
-            (trace.after, x, axis, "with what was found", BLUE),
+            (trace.refit, x, axis, "refitted model", VERMILLION),
+            (trace.after, x, axis, "completed model", BLUE),
         ]
     else:
         (d, travel), (v, rate) = _motion_axes(view, trace, channel)
         parts = [
-            (trace.refit, d, travel, "old model, over travel", VERMILLION),
-            (trace.refit, v, rate, "old model, over rate", VERMILLION),
+            (trace.refit, d, travel, "refitted model, over travel", VERMILLION),
+            (trace.refit, v, rate, "refitted model, over rate", VERMILLION),
         ]
     rest = [unit.factor * (trace.measured[channel] - says[channel]) for says, *_ in parts]
     top = 1.08 * max(float(np.abs(r).max()) for r in rest) or 1.0
@@ -1038,7 +1037,7 @@ def draw_law(view: View) -> Chart | None:
             text = f"{text} of {e.between[0]}–{e.between[1]}"
         items = (
             Line("law", x, law.force, Look(BLUE, "-", "", 1.6), band=(law.low, law.high)),
-            Line("where the data are", x, size, Look(MUTED, "-", ""), fill=True),
+            Line("distribution of the samples", x, size, Look(MUTED, "-", ""), fill=True),
             Rule("x", 0.0),
             Rule("y", 0.0),
         )

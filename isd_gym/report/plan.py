@@ -95,7 +95,7 @@ def matrix_figure(plan: Plan) -> Figure:
     ax.set_ylabel("truth, at its smallest nameable size")
     bar = fig.colorbar(image, ax=ax, shrink=0.5, ticks=range(int(SHADES) + 1))
     bar.ax.set_yticklabels([f"{10**k:g}" for k in range(int(SHADES) + 1)])
-    bar.set_label("distance [σ of the noise, whole record]")
+    bar.set_label("distance [σ of the noise]")
     return fig
 
 

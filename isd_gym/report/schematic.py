@@ -137,7 +137,9 @@ class Drawing:
             )
         body = "".join(f'<g data-part="{escape(name)}">{"".join(marks)}</g>' for name, marks in parts.items())
         size = f'width="{self.width:.0f}" height="{self.height:.0f}" viewBox="0 0 {self.width:.0f} {self.height:.0f}"'
-        head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} class="schematic" role="img" font-family="system-ui, sans-serif" stroke-linejoin="round">'
+        # in a page the drawing shrinks to the width of the text, as long as its words remain readable
+        style = f' style="min-width:{0.8 * self.width:.0f}px"' if inline else ""
+        head = f'<svg xmlns="http://www.w3.org/2000/svg" {size}{style} class="schematic" role="img" font-family="system-ui, sans-serif" stroke-linejoin="round">'
         back = "" if inline else f'<rect width="{self.width:.0f}" height="{self.height:.0f}" fill="#fff"/>'
         return f"{head}<title>{escape(self.title)}</title>{back}{body}</svg>"
 

@@ -310,7 +310,7 @@ def histories(shown: Shown) -> Chart:
         return out
 
     seed = shown.score.seed
-    stride = f" Every {every}th sample." if every > 1 else ""
+    stride = f" One sample in {every} is drawn." if every > 1 else ""
     choices, captions = {}, {}
     for episode, words in (
         (middle, f"the median by the cost of {shown.reference}"),
@@ -377,7 +377,7 @@ def spectra(shown: Shown) -> Chart | None:
         extra: tuple[Item, ...] = ()
         if key == "body_acceleration":  # drawn from the axis to a decade above
             w = low * 10 ** (0.25 * np.log10(high / low) * frequency_weighting(f[keep]))
-            extra = (Line("W_k, how strongly one feels it", f[keep], w, LOOKS[0], fill=True),)
+            extra = (Line("W_k: sensitivity of a seated person", f[keep], w, LOOKS[0], fill=True),)
         y = Axis("density", unit, log=True, low=low, high=high, ticks=decades(low, high))
         top.append(Panel(x, y, (*lines, *extra), title=title, link=key, tall=1.7))
         y = Axis(f"ratio to {shown.reference}", log=True, low=0.125, high=8.0, ticks=halves)
@@ -498,7 +498,6 @@ def trade_off(shown: Shown) -> Chart:
             else ""
         )
         mark(name, 100 * l["change"], 100 * a["change"], look, t.get("change"), spans, more)
-    own = len(xs) - 1
     paper = not shown.score.comparable.tables
     for (name, (before, after)), marker in zip(PAPER.items(), ("*", "p"), strict=True):
         if paper:
@@ -535,12 +534,12 @@ def trade_off(shown: Shown) -> Chart:
         if shown.score.episodes > 1
         else "One episode has no interval. The"
     )
-    two = ", the paper's two for comparison" if paper else ""
+    two = " Two points are the results of the paper." if paper else ""
     return Chart(
         "trade_off",
         "The trade-off",
         "Change of acceleration over change of travel, by policy",
-        f"Better policies are lower and further left. {crosses} label of each point has the change of RMS tyre load ({own} driven here{two}).{bound}",
+        f"Better policies are lower and further left. {crosses} label of each point has the change of RMS tyre load.{two}{bound}",
         {
             "all": [
                 Panel(

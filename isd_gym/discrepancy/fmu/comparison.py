@@ -39,16 +39,16 @@ class FmuComparison:
     """Records and the FMU that simulates them.
 
     Args:
-        unit: The opened FMU.
+        fmu: The opened FMU.
         model: Parameters and ports of the FMU.
         records: Records with inputs and measured outputs in the FMU's units.
         outputs: Ports that are compared, in the order of the measured columns.
     """
 
     def __init__(
-        self, unit: Unit, model: UnitModel, records: Sequence[Record], outputs: Sequence[Port]
+        self, fmu: Unit, model: UnitModel, records: Sequence[Record], outputs: Sequence[Port]
     ) -> None:
-        self.unit, self.model, self.records = unit, model, list(records)
+        self.fmu, self.model, self.records = fmu, model, list(records)
         self.outputs = list(outputs)
         self.channels = [p.name for p in outputs]
         #: share of a communication step by which each input is set early
@@ -90,9 +90,9 @@ class FmuComparison:
             name: np.interp(np.minimum(fine + self.lead[name] / every, n - 1), np.arange(len(values)), values)
             for name, values in record.inputs.items()
         }
-        own = self.unit.model.parameters
+        own = self.fmu.model.parameters
         changed = {k: v for k, v in model.parameters.items() if v != own[k]}
-        return self.unit.run(inputs, len(fine), record.step / every, self.channels, changed)[::every]
+        return self.fmu.run(inputs, len(fine), record.step / every, self.channels, changed)[::every]
 
     def simulate(self, model: UnitModel, index: int) -> Array:
         """Simulate a whole record, or return the stored result.
@@ -125,7 +125,7 @@ class FmuComparison:
         """
         record = self.records[0]
         n = min(len(record), max(200, math.ceil(20 * self.time_scale / record.step)))
-        self.unit.forgets({k: v[:n] for k, v in record.inputs.items()}, n, record.step, self.channels, {})
+        self.fmu.forgets({k: v[:n] for k, v in record.inputs.items()}, n, record.step, self.channels, {})
         reference = self.run(self.model, 0, stop=n, steps_per_sample=2 * FINEST)
         deviation = np.maximum(reference.std(axis=0), 0.1 * np.maximum(record.measured.std(axis=0), 1e-300))
 
@@ -134,7 +134,7 @@ class FmuComparison:
             return float(np.max(difference.std(axis=0) / deviation))
 
         while True:
-            progress(f"stepping the unit every {1e3 * record.step / self.steps_per_sample:.3g} ms")
+            progress(f"stepping the FMU every {1e3 * record.step / self.steps_per_sample:.3g} ms")
             least = error()
             for name in record.inputs:
                 errors = {self.lead[name]: least}
@@ -149,10 +149,10 @@ class FmuComparison:
         words = {0.0: "at the start", 0.5: "in the middle", 1.0: "at the end"}
         how = ", ".join(f"{name} {words[lead]} of a step" for name, lead in self.lead.items())
         step = 1e3 * record.step / self.steps_per_sample
-        notes = [f"communication step of the unit: {step:.3g} ms" + (f"; input values: {how}" if how else "")]
+        notes = [f"communication step of the FMU: {step:.3g} ms" + (f"; input values: {how}" if how else "")]
         if least >= STEP_TOLERANCE:
             notes.append(
-                f"the unit's outputs depend on the communication step, by {least:.1%} of their deviation"
+                f"the FMU's outputs depend on the communication step, by {least:.1%} of their deviation"
             )
         return notes
 

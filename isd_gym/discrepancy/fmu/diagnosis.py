@@ -38,7 +38,7 @@ MOST_FREE = 20  # parameters without a stated uncertainty that may be refitted
 
 def diagnose_unit(
     data: Sequence[Table | str | Path],
-    unit: Unit,
+    fmu: Unit,
     *,
     validate: Sequence[Table | str | Path] = (),
     accept: Sequence[str] = (),
@@ -55,7 +55,7 @@ def diagnose_unit(
 
     Args:
         data: Records to fit.
-        unit: The opened FMU.
+        fmu: The opened FMU.
         validate: Records that take no part in fitting. Default: the last third of `data`.
         accept: Data checks that only warn.
         rename: Variable name by column name.
@@ -74,12 +74,12 @@ def diagnose_unit(
     notes: list[str] = []
     for name in accept:
         known_check(name)
-    records, ports = _read_all([*data, *validate], unit.model, notes, accept, rename or {}, units or {})
-    free = _uncertainty(unit.model, uncertainty or {}, notes)
+    records, ports = _read_all([*data, *validate], fmu.model, notes, accept, rename or {}, units or {})
+    free = _uncertainty(fmu.model, uncertainty or {}, notes)
     comparison = FmuComparison(
-        unit, replace(unit.model, outputs=tuple(ports), uncertainty=free), records, ports
+        fmu, replace(fmu.model, outputs=tuple(ports), uncertainty=free), records, ports
     )
-    progress("measuring the input timing and the run-in of the unit")
+    progress("measuring the input timing and the run-in of the FMU")
     notes += comparison.settle(progress)
     run_in, seen = comparison.run_in()
     notes.append(
@@ -113,7 +113,7 @@ def _read_all(
         raise InputError("data: no records")
     common = [p for p in read[0][1] if all(p in ports for _, ports in read)]
     if not common:
-        raise InputError("the records have no output of the unit in common")
+        raise InputError("the records have no output of the FMU in common")
     return [replace(r, measured=r.measured[:, [ports.index(p) for p in common]]) for r, ports in read], common
 
 
@@ -131,7 +131,7 @@ def _read(
     if not outputs:
         some = ", ".join(p.name for p in model.outputs[:8])
         raise InputError(
-            f"{table.source}: none of the unit's outputs is a column (it has: {some}; --rename COLUMN=CHANNEL)"
+            f"{table.source}: none of the FMU's outputs is a column (it has: {some}; --rename COLUMN=CHANNEL)"
         )
     ports = [*model.inputs, *outputs]
     columns = {p.name: _column(table, p, notes) for p in ports}
@@ -156,7 +156,7 @@ def _column(table: Table, port: Port, notes: list[str]) -> Array:
     name = port.name
     if name not in table.columns:
         raise InputError(
-            f"{table.source}: the unit's input {shown(name)} is no column (--rename COLUMN={name}, or a constant one)"
+            f"{table.source}: the FMU's input {shown(name)} is no column (--rename COLUMN={name}, or a constant one)"
         )
     values, unit = np.asarray(table[name], float), table.units.get(name) or port.unit
     if port.quantity:
@@ -167,7 +167,7 @@ def _column(table: Table, port: Port, notes: list[str]) -> Array:
     elif unit != port.unit:
         own = port.unit or "none"
         notes.append(
-            f"{table.source}: {name} is used without conversion, in {unit or 'no unit'}; the unit states {own}"
+            f"{table.source}: {name} is used without conversion, in {unit or 'no unit'}; the FMU states {own}"
         )
     if not np.isfinite(values).all():
         raise InputError(f"{table.source}: {name}: not every sample is finite")
@@ -185,7 +185,7 @@ def _uncertainty(model: UnitModel, stated: Mapping[str, float], notes: list[str]
     able = [k for k, v in model.parameters.items() if v != 0 and math.isfinite(v)]
     if len(able) > MOST_FREE:
         raise InputError(
-            f"unit {shown(model.name)} has {len(able)} parameters that could be refitted: select some with --uncertain NAME=0.1"
+            f"FMU {shown(model.name)} has {len(able)} parameters that could be refitted: select some with --uncertain NAME=0.1"
         )
     if able:
         notes.append(

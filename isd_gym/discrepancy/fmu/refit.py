@@ -126,8 +126,8 @@ class FmuRefit:
         x, weights, best = self.mean.copy(), white_filters(floors), None
         least: Array | None = None
         for number in range(rounds):
-            runs = self.comparison.unit.runs
-            progress(f"refitting {len(x)} parameters (round {number + 1}, {runs} runs of the unit so far)")
+            runs = self.comparison.fmu.runs
+            progress(f"refitting {len(x)} parameters (round {number + 1}, {runs} runs of the FMU so far)")
             x = self._minimise(x, weights, iterations)
             left = self.residuals(self.model_at(x), held_out=False)
             least = trusted_noise(left, floors) if least is None else least
@@ -145,7 +145,7 @@ class FmuRefit:
         """Minimise the cost by damped Gauss-Newton steps from `x` (parameters,); return the minimum."""
         damping, cost = 1e-4, self._cost(x, weights)
         if not math.isfinite(cost):
-            path = self.comparison.unit.path
+            path = self.comparison.fmu.path
             raise InputError(f"{path}: the simulation breaks down at the start values")
         for _ in range(iterations if len(x) else 0):
             found, lower, damping = self._step(x, cost, weights, damping)

@@ -113,7 +113,7 @@ class Plan:
         text = f"A diagnosis could name {len(named)} of {len(self.effects)} hypotheses."
         shares = [e.share for e in named if e.share is not None and e.share < 1]
         if shares:
-            text += f" The median of the smallest sizes is {np.median(shares):.0%} of the force, current or signal at the place."
+            text += f" The median of the smallest sizes is {100 * np.median(shares):.0f} % of the force, current or signal at the place."
         words = {
             "confused": "not distinguishable from a rival",
             "hidden": "hidden by refitted parameters",

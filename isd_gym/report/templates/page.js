@@ -124,12 +124,12 @@ class Figure {
       this.tools.append(b);
     };
     if (this.chart.walk) {
-      tool("◀", "back", () => this.move(-0.5, 1));
-      tool("▶", "on", () => this.move(0.5, 1));
+      tool("◀", "earlier", () => this.move(-0.5, 1));
+      tool("▶", "later", () => this.move(0.5, 1));
       tool("+", "closer", () => this.move(0, 0.5));
       tool("−", "wider", () => this.move(0, 2));
     }
-    tool("whole", "show all of it (double click)", () => this.whole());
+    tool("reset zoom", "show the whole range (double click)", () => this.whole());
     this.tools.append(make("span", {class: "hint"}, "drag to zoom"));
   }
 
@@ -396,13 +396,14 @@ function points(fig, panel, cell, width, columns) {
     const count = Math.max(2, Math.floor((width - left - right) / 70));
     let tx = ticksOf(panel.x, ...view);
     if (!tx || tx.length < 2) tx = (panel.x.log ? logTicks(...view) : nice(...view, count)).map(t => [t, short(t)]);
-    let free = -Infinity;  // where the next word may begin
-    for (const [t, text] of tx) {
+    const rank = t => panel.x.log ? ["1", "5", "2"].indexOf(t.toExponential()[0]) + 1 || 4 : 0;  // the roundest numbers get their words first
+    const taken = [];
+    for (const [t, text] of [...tx].sort(([a], [b]) => rank(a) - rank(b))) {
       svg("line", {x1: X(t), x2: X(t), y1: top, y2: height - bottom, stroke: css("line")}, frame);
-      const half = 3.4 * text.length;
-      if (X(t) - half < free) continue;
+      const half = 3.4 * text.length + 3;
+      if (taken.some(([a, b]) => X(t) - half < b && X(t) + half > a)) continue;
       word(text, X(t), height - bottom + 16, "middle");
-      free = X(t) + half + 6;
+      taken.push([X(t) - half, X(t) + half]);
     }
     word(panel.x.label + (panel.x.unit ? ` [${panel.x.unit}]` : ""), width < 420 ? width - right : (left + width - right) / 2, height - 8, width < 420 ? "end" : "middle");
     if (rows) rows.forEach((r, k) => word(r, short_names ? left : left - 8, short_names ? Y(k) - 10 : Y(k) + 4, short_names ? "start" : "end"));

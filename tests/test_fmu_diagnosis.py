@@ -1,4 +1,4 @@
-"""A unit of somebody's own as the model of a diagnosis: opened on trust alone, refitted, honest about what it hides."""
+"""An FMU as the model of a diagnosis: opened on trust alone and refitted."""
 
 import json
 import zipfile
@@ -176,7 +176,7 @@ def test_a_unit_that_brings_its_process_down_is_one_line(unit_file, tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"columns": ["base"]}, "none of the unit's outputs"),
+        ({"columns": ["base"]}, "none of the FMU's outputs"),
         ({"columns": ["acc"]}, "input 'base' is no column"),
         ({"uncertainty": {"mass.weight": 0.1}}, "no parameter 'mass.weight'"),
         ({"uncertainty": {"mass.mass": -1.0}}, "must be a share"),
