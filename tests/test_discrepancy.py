@@ -19,9 +19,10 @@ from isd_gym.data import Table
 from isd_gym.discrepancy import CRITERIA, Diagnosis, SearchSettings, diagnose
 from isd_gym.discrepancy.estimation.noise import (
     Noise,
-    autoregression,
+    lagged,
     noise_after_filters,
     noise_of,
+    predicted,
     whitener,
 )
 from isd_gym.errors import InputError
@@ -218,7 +219,7 @@ def test_whitener_makes_coloured_noise_white() -> None:
     x = np.zeros_like(e)
     for k in range(1, len(x)):
         x[k] = 0.9 * x[k - 1] + 3.0 * e[k]
-    a, sigma = autoregression([x[:, 0]], 5)
+    a, sigma = predicted(*lagged([x[:, 0]], 5), 0.0)
     assert a[1] == pytest.approx(-0.9, abs=0.03)
     assert sigma == pytest.approx(3.0, rel=0.03)
     w = whitener([x], np.array([1e-3]))(x)[50:, 0]
@@ -244,9 +245,7 @@ def test_what_noise_leaves_behind_a_filter_is_predicted() -> None:
 
 
 def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
-    from isd_gym.discrepancy.estimation.gauss_newton import Fitter
     from isd_gym.discrepancy.estimation.initial_states import states_along
-    from isd_gym.discrepancy.estimation.noise import Whitener
     from isd_gym.discrepancy.estimation.structure import base_structure
     from isd_gym.discrepancy.simulation.problem import Problem, Record
 
@@ -262,11 +261,10 @@ def test_a_record_can_be_cut_anywhere_and_goes_on_as_it_was() -> None:
     problem = Problem(net, [record, record.part(1000, 2000, "drive")], ["fit", "fit"])
     assert problem.records[1].follows(record.part(0, 1000, "drive"))
     assert not problem.records[1].follows(record.part(0, 900, "drive"))
-    fitter = Fitter(problem, Whitener(tuple(np.ones(1) for _ in net.outputs)))
     rest = np.zeros(7)
-    whole = fitter.simulate_point(structure, structure.start, 0, rest)
+    whole = problem.simulate([net], 0, rest[:, None], like=net)[:, :, 0]
     (state,) = states_along(problem, structure, structure.start, {0: rest}, [1000])[0]
-    piece = fitter.simulate_point(structure, structure.start, 1, state)
+    piece = problem.simulate([net], 1, state[:, None], like=net)[:, :, 0]
     error = np.sqrt(np.mean((piece - whole[1000:2000]) ** 2, axis=0)) / whole.std(axis=0)
     assert error.max() < 0.01
 

@@ -125,7 +125,7 @@ def test_the_unit_is_stepped_so_that_its_inputs_are_not_late(unit):
     from isd_gym.discrepancy.fmu.comparison import FmuComparison
     from isd_gym.discrepancy.fmu.diagnosis import _read
 
-    r, ports = _read(record(RIG, 4, "a", 800), unit.model, [], [], {}, {})
+    r, ports = _read(record(RIG, 4, "a", 800), unit.model, [], [])
     c = FmuComparison(unit, unit.model, [r], ports)
     c.settle(lambda line: None)
     assert c.lead == {"base": 1.0}  # ours goes there while the step lasts

@@ -17,7 +17,6 @@ from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.hypotheses.library import hypotheses, pairs
 from isd_gym.discrepancy.hypotheses.missing_force import Deconvolution
 from isd_gym.discrepancy.hypotheses.motion import motions
-from isd_gym.discrepancy.result import Trace
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
 from isd_gym.network import Network, assemble, linearise
@@ -224,9 +223,7 @@ def test_the_missing_force_at_the_ground_is_followed_where_only_the_speed_is_kno
     network = Network.load(model)
     t = np.arange(0, 4, 2e-3)
     names = [c.name for c in network.outputs]
-    measured = {n: np.sin(9.0 * t) for n in names}
-    trace = Trace("run", False, t, {}, measured, measured, measured, measured)
-    response = Deconvolution.of(network, pair, trace, names)
+    response = Deconvolution.of(network, pair, t, {n: np.sin(9.0 * t) for n in names})
     if moves:  # as the mass answers against the table
         compliance = 1 / (K - M * (2 * np.pi * response.frequency) ** 2 + 2j * np.pi * response.frequency * C)
         assert np.allclose(np.abs(response.moved[:, 0]), np.abs(compliance), rtol=1e-6)

@@ -80,9 +80,7 @@ def made_diagnosis() -> Diagnosis:
     gap["noise_floor"] = dict.fromkeys(last.measured, 0.02)
     axis = np.linspace(-0.3, 0.3, 301)
     force = LEVEL * np.sign(axis)
-    law = Law(
-        "seal", "rate", axis, force, 0.98 * force, 1.02 * force, 0.1 * rng.standard_normal(500), np.zeros(0)
-    )
+    law = Law("seal", "rate", axis, force, 0.98 * force, 1.02 * force, 0.1 * rng.standard_normal(500))
     level = Quantity(LEVEL, 145.2, 154.9, "N")
     return Diagnosis(
         verdict="missing_effect",
@@ -144,18 +142,7 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
             ("piston", "joint"), "rate", "missing_force", 0.93, (), tuple(rate), force, 0.95 * force, 1.05 * force,
             (("coulomb_friction", 0.98),),
         )  # fmt: skip
-        laws = (
-            Law(
-                "missing_force",
-                "rate",
-                rate,
-                force,
-                0.95 * force,
-                1.05 * force,
-                d.laws[0].visited,
-                np.zeros(0),
-            ),
-        )
+        laws = (Law("missing_force", "rate", rate, force, 0.95 * force, 1.05 * force, d.laws[0].visited),)
     gap = {
         stage: {c: float(np.std(traces[-1].measured[c] - y) / np.std(traces[-1].measured[c])) for c, y in says.items()}
         for stage, says in (("before", traces[-1].before), ("refit", traces[-1].refit), ("after", traces[-1].after))
@@ -340,8 +327,7 @@ def test_a_force_that_is_applied_is_found_again():
     names = [c.name for c in car.outputs]
     # what it looks at to see how fast the motion is
     wave = {c: np.sin(2 * np.pi * 5.0 * t) for c in names}
-    trace = Trace("chirp", True, t, {}, wave, wave, wave, wave)
-    probe = Deconvolution.of(car, ("body", "wheel"), trace, names)
+    probe = Deconvolution.of(car, ("body", "wheel"), t, wave)
     force = 100 * np.sin(2 * np.pi * (1.0 + 0.5 * t) * t) * np.hanning(n)
     spectrum = np.fft.rfft(force)[probe.first : probe.first + len(probe.frequency)]
     rng = np.random.default_rng(0)

@@ -114,14 +114,8 @@ class Contender:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        return {
-            "effects": list(self.effects),
-            "where": [list(w) for w in self.where],
-            "excess": self.score,
-            "why_not": self.why_not,
-            "values": [dict(v) for v in self.values],
-            "options": [dict(o) for o in self.options],
-        }
+        names = {"score": "excess"}
+        return {names.get(k, k): v for k, v in asdict(self).items() if k != "likelihood"}
 
 
 @dataclass(frozen=True)
@@ -138,12 +132,7 @@ class Place:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        return {
-            "channel": self.channel,
-            "share": self.share,
-            "bands_hz": [list(b) for b in self.bands_hz],
-            "when": self.when,
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -195,8 +184,6 @@ class Law:
     high: Array
     #: measured operating points, in the unit of `axis`
     visited: Array
-    #: residual as a force at the operating points [N]; may be empty
-    residual_before: Array
 
 
 @dataclass(frozen=True)
@@ -230,14 +217,9 @@ class Tabulated:
         """Return the entry of the JSON document."""
         axes = {k: list(v) for k, v in (("elongation", self.elongation), ("rate", self.rate)) if v}
         return {
-            "between": list(self.between),
-            "over": self.over,
-            "element": self.element,
-            "explained": self.explained,
+            **{k: getattr(self, k) for k in ("between", "over", "element", "explained")},
             **axes,
-            "force": self.force.tolist(),
-            "low": self.low.tolist(),
-            "high": self.high.tolist(),
+            **{k: getattr(self, k).tolist() for k in ("force", "low", "high")},
             "nearest": [{"effect": name, "share": share} for name, share in self.nearest],
             "shares": dict(self.shares),
         }
@@ -263,12 +245,7 @@ class BestTable:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        return {
-            "between": list(self.between),
-            "over": self.over,
-            "explained": self.explained,
-            "gates": [g.to_dict() for g in self.gates],
-        }
+        return asdict(self) | {"gates": [g.to_dict() for g in self.gates]}
 
 
 @dataclass(frozen=True)
@@ -290,14 +267,7 @@ class BestCandidate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        return {
-            "effects": list(self.effects),
-            "where": [list(w) for w in self.where],
-            "values": [dict(v) for v in self.values],
-            "explained": self.explained,
-            "error": self.error,
-            "failed_gates": [g.to_dict() for g in self.failed_gates],
-        }
+        return asdict(self) | {"failed_gates": [g.to_dict() for g in self.failed_gates]}
 
 
 @dataclass(frozen=True)
@@ -321,18 +291,9 @@ class Remainder:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON document."""
-        addition = {
-            "effects": list(self.effects),
-            "where": [list(w) for w in self.where],
-            "error": self.error,
-        }
-        return {
-            "channel": self.channel,
-            "after": self.after,
-            "noise_floor": self.noise_floor,
-            "when": self.when,
-            "candidate": addition if self.effects else None,
-        }
+        out = asdict(self)
+        addition = {k: out.pop(k) for k in ("effects", "where", "error")}
+        return out | {"candidate": addition if self.effects else None}
 
 
 @dataclass(frozen=True)
@@ -532,10 +493,6 @@ def _plain(value: Any) -> Any:
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(v) for v in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, float | int | np.floating | np.integer):
-        if isinstance(value, int | np.integer):
-            return int(value)
-        return float(value) if math.isfinite(value) else None
-    return value
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

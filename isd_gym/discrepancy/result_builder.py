@@ -53,13 +53,7 @@ class ResultBuilder:
     feedback: tuple[Feedback, ...] = ()
 
     def build(self, decision: Decision, notes: Sequence[str], over: Stretches | None = None) -> Diagnosis:
-        """Build the result.
-
-        Args:
-            decision: Decision by the gates.
-            notes: Notes so far.
-            over: Segments over which the records were compared; None for whole records.
-        """
+        """Build the result; `over` describes the segments over which records were compared, None for whole records."""
         search, scores, measured = self.search, self.scores, self.measured
         p, network, criteria = search.problem, search.problem.network, search.criteria
         refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable

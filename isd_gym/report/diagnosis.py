@@ -564,7 +564,7 @@ def _cloud(
     noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
     from ..discrepancy.hypotheses.missing_force import Deconvolution, motion
 
-    response = Deconvolution.of(d.refitted, pair, trace, names)
+    response = Deconvolution.of(d.refitted, pair, trace.time, {n: trace.measured[n] for n in names})
     before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
     after, new = None, bool(d.effects or d.tabulated)
     if new:

@@ -86,7 +86,7 @@ def align_clocks(
     out = list(records)
     doubts = {i: x.doubt for i, r in enumerate(out) for x in previous or () if x.record == r.name}
     structure = base_structure(network)
-    problem = _problem_of(network, out)
+    problem = Problem(network, out)
     for i, r in enumerate(out):
         if r.clocks and previous is None:
             found, doubts[i], rivals = _search_lags(problem, structure, i, limit)
@@ -95,7 +95,7 @@ def align_clocks(
                 out[i], doubts[i] = _fit_rivals(out[i], rivals, network)
     x, fit = structure.start, None
     for _ in range(ROUNDS):
-        problem = _problem_of(network, out)
+        problem = Problem(network, out)
         deviation = problem.deviation()
         try:
             fit = Fitter(problem, white_filters(0.5 * ROUGH * deviation)).fit(structure, x, iterations=4)
@@ -112,13 +112,8 @@ def align_clocks(
             break
     if fit is None:
         return out, []
-    problem = _problem_of(network, out)
+    problem = Problem(network, out)
     return out, [lag for i in range(len(out)) for lag in _estimate_lags(problem, fit, i, doubts.get(i, ""))]
-
-
-def _problem_of(network: Network, records: Sequence[Record]) -> Problem:
-    """Return the problem with every record as training record."""
-    return Problem(network, records, ["fit"] * len(records))
 
 
 def _apply_lags(record: Record, lags: Mapping[str, float], network: Network) -> Record:
@@ -218,15 +213,13 @@ def _search_lags(
     """
     record = problem.records[index]
     x0 = guess(problem, base.at(base.start), index)
-    fine = Problem(problem.network, [record.unread()], ["fit"], time=problem.time)
+    fine = Problem(problem.network, [record.unread()], time=problem.time)
     tangent = tangents(fine, base, base.start, {0: x0})[0]
     columns = np.concatenate([tangent.outputs[:, :, None], tangent.by_parameter, tangent.by_state], axis=2)
     lags, doubt = dict(record.lags), ""
     if not np.isfinite(columns).all():
         return lags, "the model breaks down before anything is fitted", []
-    prior = np.concatenate(
-        [1 / np.array([f.sigma for f in base.free]), np.full(tangent.by_state.shape[2], 1e-9)]
-    )
+    prior = np.append(1 / base.sigma, np.full(tangent.by_state.shape[2], 1e-9))
     grid = record.start + record.step * np.arange(len(columns))
     reach = min(limit, 0.25 * (grid[-1] - grid[0]))
     known = [j for j in range(len(problem.channels)) if not any(own[j] for own in record.late)]
@@ -323,7 +316,7 @@ def _fit_rivals(record: Record, rivals: Sequence[float], network: Network) -> tu
     for r in [record, *(_apply_lags(record, {clock: lag}, network) for lag in rivals)]:
         weights = white_filters(0.5 * ROUGH * np.maximum(r.measured.std(axis=0), 1e-300))
         try:
-            fit = Fitter(_problem_of(network, [r]), weights).fit(structure, iterations=5)
+            fit = Fitter(Problem(network, [r]), weights).fit(structure, iterations=5)
         except InputError:
             continue
         (step,) = _clip_step(r, fit.offset[0][len(network.outputs) :])

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...arrays import rms
 from ...errors import InputError
 from ...units import convert
 from ..records import find_computed_forces, find_feedback
 from ..simulation.problem import BROKEN, Problem
-from .gauss_newton import Fitter
+from .gauss_newton import Fitter, residuals
 from .input_noise import propagate_input_noise
 from .noise import floors_of, white_filters
 from .structure import base_structure
@@ -28,7 +29,6 @@ from .structure import base_structure
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ...arrays import Array
     from ...network import Channel, Network
     from ..simulation.problem import Record
 
@@ -56,7 +56,7 @@ def prefer_direct_problem(
     if len(pairs) != 1 or any(r.reading is not None for r in records):
         return None
     motion, force = pairs[0]
-    inverse = Problem(network, records[:training], ["fit"] * training)
+    inverse = Problem(network, records[:training])
     noise = (propagate_input_noise(inverse) / inverse.deviation())[network.outputs.index(force)]
     if noise < least_noise:
         return None
@@ -67,7 +67,7 @@ def prefer_direct_problem(
     turned = [_swap_channels(r, network, motion, force) for r in records]
     if find_feedback(turned, swapped):
         return None
-    direct = Problem(swapped, turned[:training], ["fit"] * training)
+    direct = Problem(swapped, turned[:training])
     channel = [c.name for c in swapped.outputs].index(motion.name)
     if not _refitted_error(direct, channel) < largest_error * _straight_error(direct, channel):
         return None
@@ -113,7 +113,7 @@ def _straight_error(problem: Problem, channel: int) -> float:
     for r in problem.records:
         y = r.measured[:, channel]
         left.append(y - np.polyval(np.polyfit(r.time, y, 1), r.time))
-    return _rms(np.concatenate(left))
+    return rms(np.concatenate(left))
 
 
 def _refitted_error(problem: Problem, channel: int) -> float:
@@ -123,12 +123,4 @@ def _refitted_error(problem: Problem, channel: int) -> float:
         fit = Fitter(problem, white_filters(floors)).fit(base_structure(problem.network))
     except BROKEN:
         return math.inf
-    return _rms(
-        np.concatenate(
-            [problem.records[i].measured[:, channel] - y[:, channel] for i, y in fit.outputs.items()]
-        )
-    )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return rms(np.concatenate(residuals(problem, fit))[:, channel])

@@ -144,8 +144,7 @@ class Fitter(Objective):
         at = self.begin(structure, x, initial, offset, records)
         if frozen:
             return self._result(structure, self._states(structure, at, records, iterations, tolerance))
-        mean = np.array([f.mean for f in structure.free])
-        sigma = np.array([f.sigma for f in structure.free])
+        mean, sigma = structure.mean, structure.sigma
         slopes = self.slopes(structure, at, records, True)
         if slopes is None:
             raise InputError("the simulation breaks down at the start values")
@@ -197,12 +196,8 @@ class Fitter(Objective):
         """
         free = structure.free
         p, q = len(free), int(self.problem.shared_offset.sum())
-        mean, sigma = (np.array([getattr(f, key) for f in free]) for key in ("mean", "sigma"))
-        none = np.full(q, math.inf)
-        low, high = (
-            np.array([getattr(f, key) for f in free] + (sign * none).tolist())
-            for key, sign in (("low", -1.0), ("high", 1.0))
-        )
+        mean, sigma, none = structure.mean, structure.sigma, np.full(q, math.inf)
+        low, high = np.append([f.low for f in free], -none), np.append([f.high for f in free], none)
         stride = np.array([min(f.stride, 1.5 if f.log else math.inf) for f in free])
         wide = np.where(np.isfinite(stride), stride, 3.0 * np.maximum(np.abs(at.x), sigma))
         wide, here = np.append(wide, none), np.append(at.x, np.zeros(q))
@@ -247,8 +242,7 @@ class Fitter(Objective):
                 gains = {i: 1.0 - then.costs[i] / max(at.costs[i], 1e-300) for i in going}
                 better = [i for i in going if gains[i] > 0]
                 for i in better:
-                    at.initial[i], at.offset[i] = then.initial[i], then.offset[i]
-                    at.outputs[i], at.costs[i] = then.outputs[i], then.costs[i]
+                    at.take(then, i)
                     there[i] = gains[i] < 0.1 * tolerance
                 onward = [i for i in better if gains[i] > tolerance]
                 if not onward:  # records whose cost a full step increases take a part of the step
@@ -313,11 +307,12 @@ class Fitter(Objective):
                 if i in begun and len(v) == n0:
                     begun[i].append(v)
         at = self._states(structure, self._cheapest(structure, x, begun), records, iterations, tolerance=1e-4)
-        before = {j: i for i in records for j in records if j not in given and _goes_on(problem, i, j)}
+        pieces = problem.records
+        before = {j: i for i in records for j in records if j not in given and pieces[j].follows(pieces[i])}
         # a record with a residual like the others' has a good initial state
-        each = [at.costs[i] / len(problem.records[i]) for i in records]
+        each = [at.costs[i] / len(pieces[i]) for i in records]
         usual = min(UNUSUAL * float(np.median(each)), NEAR * min(each))  # most of them may be astray
-        before = {j: i for j, i in before.items() if at.costs[j] > usual * len(problem.records[j])}
+        before = {j: i for j, i in before.items() if at.costs[j] > usual * len(pieces[j])}
         for _ in range(ROUNDS if n0 and before else 0):
             ends = next_states(problem, structure, x, {i: at.initial[i] for i in before.values()})
             ahead = {j: ends[i] for j, i in before.items()}
@@ -360,8 +355,7 @@ class Fitter(Objective):
         other = self._states(structure, there, near, iterations, tolerance=1e-4)
         better = [j for j in near if other.costs[j] < (1.0 - 1e-3) * at.costs[j]]
         for j in better:
-            at.initial[j], at.offset[j] = other.initial[j], other.offset[j]
-            at.outputs[j], at.costs[j] = other.outputs[j], other.costs[j]
+            at.take(other, j)
         return better
 
     def _cheapest(self, structure: Structure, x: Array, begun: Mapping[int, Sequence[Array]]) -> Point:
@@ -373,23 +367,31 @@ class Fitter(Objective):
             at = self.seen(structure, Point(x, those, offset), list(those))
             for i in those:
                 if i not in best.costs or at.costs[i] < best.costs[i]:
-                    best.initial[i], best.offset[i] = those[i].copy(), offset[i]
-                    best.costs[i] = at.costs[i]
+                    best.take(at, i)
         return best
 
-    def refit(self, fit: Fit, responses: dict[int, Array]) -> tuple[Array, dict[int, Array]]:
-        """Return how a fit would absorb responses (samples, channels, m) in the records, to first order.
+    def normal_equations(
+        self, structure: Structure, x: Array, initial: Mapping[int, Array], responses: Mapping[int, Array]
+    ) -> tuple[Array, Array, dict[int, tuple[Array, Array]]]:
+        """Return the normal equations of responses in the records, linearised, with initial states and nuisances eliminated.
 
-        By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
+        Args:
+            structure: The structure.
+            x: Its transformed parameters (parameters,).
+            initial: Initial state by record.
+            responses: Responses (samples, channels, m) by record.
+
+        Returns:
+            The matrix by parameters and shared offsets (p, p) with the prior, the right-hand sides (p, m), and by record the
+            whitened derivatives (rows, p) and responses (rows, m).
         """
-        problem, structure = self.problem, fit.structure
-        p, q = len(fit.x), int(problem.shared_offset.sum())
-        sigma = np.array([f.sigma for f in structure.free])
-        H = np.diag(np.append(1 / sigma**2, np.zeros(q)))
+        problem = self.problem
+        p, q = len(x), int(problem.shared_offset.sum())
+        H = np.diag(np.append(1 / structure.sigma**2, np.zeros(q)))
         m = next(iter(responses.values())).shape[2]
         g = np.zeros((p + q, m))
         parts = {}
-        for i, t in tangents(problem, structure, fit.x, {i: fit.initial[i] for i in responses}).items():
+        for i, t in tangents(problem, structure, x, {i: initial[i] for i in responses}).items():
             s = responses[i]
             free = problem.nuisances(i, t.outputs)
             stack = np.concatenate([t.by_parameter, problem.common(t.outputs), t.by_state, free, s], axis=2)
@@ -402,10 +404,19 @@ class Fitter(Objective):
             H += a.T @ a
             g += a.T @ c
             parts[i] = a, c
-        shift = np.linalg.solve(H, g)
-        return np.asarray(shift[:p], dtype=np.float64), {
+        return H, g, parts
+
+    def refit(self, fit: Fit, responses: Mapping[int, Array]) -> tuple[Array, dict[int, Array]]:
+        """Return how a fit would absorb responses (samples, channels, m) in the records, to first order.
+
+        By how much the parameters would be off (parameters, m), and what would be left (n, channels, m), whitened.
+        """
+        H, g, parts = self.normal_equations(fit.structure, fit.x, fit.initial, responses)
+        shift = np.asarray(np.linalg.solve(H, g), dtype=np.float64)
+        left: dict[int, Array] = {
             i: (c - a @ shift).reshape(responses[i].shape) for i, (a, c) in parts.items()
         }
+        return shift[: len(fit.x)], left
 
 
 def _weighted_mean(
@@ -434,10 +445,6 @@ def _weighted_mean(
         total += information
         weighted += information @ offset[i][channels]
     return np.asarray(np.linalg.solve(total, weighted), dtype=np.float64)
-
-
-def _goes_on(problem: Problem, first: int, second: int) -> bool:
-    return problem.records[second].follows(problem.records[first])
 
 
 def residuals(problem: Problem, fit: Fit) -> list[Array]:

@@ -76,7 +76,7 @@ def initial_state(
     notes: list[str] = []
     record = read_record(data, network, notes, ("all",))
     (record,), lags = align_clocks([record], network)
-    problem = Problem(network, [record], ["fit"])
+    problem = Problem(network, [record])
     structure = base_structure(network)
     noise = np.array([f.deviation for f in floors_of(problem)])
     fit = Fitter(problem, white_filters(noise)).follow(structure, structure.start, [0], iterations=12)

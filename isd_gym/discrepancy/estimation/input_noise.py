@@ -29,9 +29,6 @@ def propagate_input_noise(problem: Problem) -> Array:
     The noise is the RMS change of a simulated force when a second noise of the same level is added to the motion. The level is the
     median over the training records, because a glitch in one record is no noise.
 
-    Args:
-        problem: Model and records.
-
     Returns:
         RMS noise (channels,) in the channels' units; zero for channels that are not computed by differentiating twice.
     """

@@ -47,7 +47,7 @@ def fit_segments(problem: Problem, structure: Structure, x: Array, weights: Fitt
     ]
     if len(pieces) <= len(problem.estimation):
         return None
-    brief = Problem(problem.network, pieces, ["fit"] * len(pieces), problem.step, problem.time)
+    brief = problem.with_records(pieces, ["fit"] * len(pieces))
     try:
         return Fitter(brief, weights.weights).fit(structure, x, iterations=8).x
     except (InputError, np.linalg.LinAlgError):

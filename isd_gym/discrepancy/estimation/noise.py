@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
     from ..simulation.problem import Array, Problem
 
+#: order of the autoregressive filters
+ORDER = 20
+
 
 @dataclass(frozen=True)
 class Whitener:
@@ -44,15 +47,6 @@ def _filter(taps: Array, x: Array, out: Array) -> None:
                 out[t, c] += taps[k] * x[t - k, c]
 
 
-def autoregression(series: Sequence[Array], order: int, least: float = 0.0) -> tuple[Array, float]:
-    """Return least-squares AR taps (1, -a1, ...) and the innovation standard deviation of segments of a series.
-
-    White noise of deviation `least` is added in thought: bands where a record happens to be quieter than any model
-    can be trusted to be are not weighed by how quiet they are.
-    """
-    return predicted(*lagged(series, order), least)
-
-
 def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, int]:
     """Return the Gram matrix of the lags (order, order), their products with the present (order,), its power, and the number of samples."""
     gram: Array = np.zeros((order, order))
@@ -68,7 +62,10 @@ def lagged(series: Sequence[Array], order: int) -> tuple[Array, Array, float, in
 
 
 def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -> tuple[Array, float]:
-    """Return AR taps and the innovation deviation from the moments of `lagged`, with white noise of deviation `least` added."""
+    """Return least-squares AR taps (1, -a1, ...) and the innovation deviation from the moments of `lagged`.
+
+    White noise of deviation `least` is added: a band where a record is quieter than any model is credited with has no larger weight.
+    """
     order = len(rhs)
     total += count * least**2
     gram = gram + count * least**2 * np.eye(order)
@@ -78,23 +75,25 @@ def predicted(gram: Array, rhs: Array, total: float, count: int, least: float) -
     return np.concatenate([[1.0], -a]), math.sqrt(variance)
 
 
-def whitener(residuals: Sequence[Array], floor: Array, order: int = 20) -> Whitener:
+def channel_moments(residuals: Sequence[Array]) -> list[tuple[Array, Array, float, int]]:
+    """Return the moments (`lagged`) of each channel of residuals [(samples, channels), ...] about the means of the records."""
+    order = min(ORDER, min(map(len, residuals)) // 8)
+    every = range(residuals[0].shape[1])
+    return [lagged([r[:, j] - r[:, j].mean() for r in residuals], order) for j in every]
+
+
+def whitener(residuals: Sequence[Array], floor: Array) -> Whitener:
     """Return filters that whiten residuals [(samples, channels), ...], with white noise `floor` (channels,) added."""
-    taps = []
-    for j in range(residuals[0].shape[1]):
-        series = [r[:, j] - r[:, j].mean() for r in residuals]
-        a, sigma = autoregression(series, min(order, min(map(len, series)) // 8), float(floor[j]))
-        taps.append(a / max(sigma, 1e-300))
-    return Whitener(tuple(taps))
+    found = [predicted(*m, float(s)) for m, s in zip(channel_moments(residuals), floor, strict=True)]
+    return Whitener(tuple(a / max(sigma, 1e-300) for a, sigma in found))
 
 
-def innovations(residuals: Sequence[Array], floor: Array, order: int = 20) -> float:
+def innovations(residuals: Sequence[Array], floor: Array) -> float:
     """Return -2 log L of residuals under coloured noise: the sum over channels of n log(innovation variance)."""
-    total = 0.0
-    for j in range(residuals[0].shape[1]):
-        series = [r[:, j] - r[:, j].mean() for r in residuals]
-        _, sigma = autoregression(series, min(order, min(map(len, series)) // 8), float(floor[j]))
-        total += 2 * sum(len(s) for s in series) * math.log(max(sigma, 1e-300))
+    total, samples = 0.0, sum(map(len, residuals))
+    for moments, least in zip(channel_moments(residuals), floor, strict=True):
+        _, sigma = predicted(*moments, float(least))
+        total += 2 * samples * math.log(max(sigma, 1e-300))
     return total
 
 
@@ -227,9 +226,6 @@ def floors_of(problem: Problem) -> list[Floor]:
     """Estimate the noise of each channel: sensor noise, and noise of a force that is computed from a measured motion.
 
     The sensor noise is stated in the model file, or follows from the training and validation records.
-
-    Args:
-        problem: Records and channels.
 
     Returns:
         One noise estimate per output. Test records take no part.

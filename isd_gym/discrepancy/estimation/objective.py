@@ -39,6 +39,13 @@ class Point:
     def total(self) -> float:
         return sum(self.costs.values()) + self.prior if self.costs else math.inf
 
+    def take(self, other: Point, i: int) -> None:
+        """Take over initial state, offsets, outputs and cost of a record from another point."""
+        self.initial[i], self.offset[i] = other.initial[i], other.offset[i]
+        self.costs[i] = other.costs[i]
+        if i in other.outputs:
+            self.outputs[i] = other.outputs[i]
+
 
 @dataclass
 class Slope:
@@ -57,10 +64,6 @@ class Objective:
         self.problem = problem
         self.weights = weights
         self._rows: dict[int, tuple[Structure, Array]] = {}
-
-    def simulate_point(self, structure: Structure, x: Array, index: int, initial: Array) -> Array:
-        net = structure.at(x)
-        return self.problem.simulate([net], index, initial[:, None], like=net)[:, :, 0]
 
     # -- costs ------------------------------------------------------------------------------------------
     def _information(self, structure: Structure, index: int) -> Array:

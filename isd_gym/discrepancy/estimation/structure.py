@@ -75,7 +75,7 @@ class Hypothesis:
             return self.kind.stands(network, self.where)
         here = [e.name for e in el.beside(network, self.where)]
         alone = [e for e in network.elements if e.name not in here or e.name == self.behind]
-        return self.kind.stands(_opened(network, tuple(alone)), self.where)
+        return self.kind.stands(unchecked(network, elements=tuple(alone)), self.where)
 
     @property
     def label(self) -> str:
@@ -107,8 +107,15 @@ class Structure:
         known = self.network.parameters
         return np.array([f.forward(known[f.path]) for f in self.free])
 
-    def kinds(self) -> list[type[el.Element]]:
-        return [h.kind for h in self.hypotheses]
+    @property
+    def mean(self) -> np.ndarray:
+        """Prior means of the free parameters (parameters,)."""
+        return np.array([f.mean for f in self.free])
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Prior standard deviations of the free parameters (parameters,)."""
+        return np.array([f.sigma for f in self.free])
 
 
 def base_structure(network: Network) -> Structure:
@@ -214,7 +221,7 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     tied = cls.tied(network, where)
     data = {**_plausible(cls, values), **{key: network.parameters[path] for key, path in tied.items()}}
     element = cls(name=name, where=where, **data, **dict(h.options))
-    network = replace(network, elements=(*network.elements, element), outputs=_cells(network, element))
+    network = replace(network, elements=(*network.elements, element), outputs=cells_beside(network, element))
     for other in gone:  # what replaces it stands there by now
         network = drop(network, other)
         free = [f for f in free if not f.path.startswith(f"{other}.")]
@@ -242,7 +249,7 @@ def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, f
     return structure
 
 
-def _cells(network: Network, element: el.Element) -> tuple[Channel, ...]:
+def cells_beside(network: Network, element: el.Element) -> tuple[Channel, ...]:
     """Return the outputs; a load cell also reads an element in parallel with its own element."""
     out = []
     for c in network.outputs:
@@ -285,16 +292,14 @@ def split(
         if e.place == "between" and set(e.where) == {first, second} and behind in ("", e.name):
             e = replace(e, where=tuple(node if n == first else n for n in e.where))
         moved.append(e)
-    # two terminals in the owner's order, so that the sign of elongation stays
-    return _opened(network, tuple(moved)), (first, node)
+    # two terminals in the owner's order, so that the sign of elongation stays; the element in series closes the gap later
+    return unchecked(network, elements=tuple(moved)), (first, node)
 
 
-def _opened(network: Network, moved: tuple[el.Element, ...]) -> Network:
-    """Return an unchecked network: the element in series closes the gap later."""
+def unchecked(network: Network, **changes: object) -> Network:
+    """Return a network with changes that the checks of `Network` would refuse."""
     out = object.__new__(Network)
-    for f in fields(Network):
-        object.__setattr__(out, f.name, getattr(network, f.name))
-    object.__setattr__(out, "elements", moved)
+    out.__dict__.update({f.name: getattr(network, f.name) for f in fields(Network)} | changes)
     return out
 
 

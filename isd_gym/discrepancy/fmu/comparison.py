@@ -97,10 +97,6 @@ class FmuComparison:
     def simulate(self, model: UnitModel, index: int) -> Array:
         """Simulate a whole record, or return the stored result.
 
-        Args:
-            model: Parameter values.
-            index: Index of the record.
-
         Returns:
             Outputs (samples, channels) in the FMU's units.
         """
@@ -116,9 +112,6 @@ class FmuComparison:
 
         An FMU receives an input at the start of a communication step and may hold or extrapolate the input. The
         reference is a run with short steps, in which the difference vanishes.
-
-        Args:
-            progress: Function that receives a line per stage.
 
         Returns:
             Notes for the user.

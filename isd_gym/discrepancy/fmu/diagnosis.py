@@ -74,7 +74,11 @@ def diagnose_unit(
     notes: list[str] = []
     for name in accept:
         known_check(name)
-    records, ports = _read_all([*data, *validate], fmu.model, notes, accept, rename or {}, units or {})
+    sources = [
+        source if isinstance(source, Table) else read_table(source, rename=rename or {}, units=units or {})
+        for source in (*data, *validate)
+    ]
+    records, ports = _read_all(sources, fmu.model, notes, accept)
     free = _uncertainty(fmu.model, uncertainty or {}, notes)
     comparison = FmuComparison(
         fmu, replace(fmu.model, outputs=tuple(ports), uncertainty=free), records, ports
@@ -100,15 +104,10 @@ def diagnose_unit(
 
 
 def _read_all(
-    sources: Sequence[Table | str | Path],
-    model: UnitModel,
-    notes: list[str],
-    accept: Sequence[str],
-    rename: Mapping[str, str],
-    units: Mapping[str, str],
+    tables: Sequence[Table], model: UnitModel, notes: list[str], accept: Sequence[str]
 ) -> tuple[list[Record], list[Port]]:
-    """Read records and keep the outputs that all records have. See `diagnose_unit` for the arguments."""
-    read = [_read(source, model, notes, accept, rename, units) for source in sources]
+    """Return the records of tables, with the outputs that all tables have."""
+    read = [_read(table, model, notes, accept) for table in tables]
     if not read:
         raise InputError("data: no records")
     common = [p for p in read[0][1] if all(p in ports for _, ports in read)]
@@ -118,15 +117,9 @@ def _read_all(
 
 
 def _read(
-    source: Table | str | Path,
-    model: UnitModel,
-    notes: list[str],
-    accept: Sequence[str],
-    rename: Mapping[str, str],
-    units: Mapping[str, str],
+    table: Table, model: UnitModel, notes: list[str], accept: Sequence[str]
 ) -> tuple[Record, list[Port]]:
-    """Read and check one record; return the record in the FMU's units and the measured outputs."""
-    table = source if isinstance(source, Table) else read_table(source, rename=rename, units=units)
+    """Check one record; return the record in the FMU's units and the measured outputs."""
     outputs = [p for p in model.outputs if p.name in table.columns]
     if not outputs:
         some = ", ".join(p.name for p in model.outputs[:8])
@@ -139,16 +132,9 @@ def _read(
     inputs, measured = ({p.name: p.quantity for p in some if p.quantity} for some in (model.inputs, outputs))
     admit(table, check(table, inputs=inputs, outputs=measured), notes, accept)
     table = table.uniform()
-    return (
-        Record(
-            Path(table.source).stem,
-            table.step,
-            {p.name: np.asarray(table[p.name]) for p in model.inputs},
-            np.stack([table[p.name] for p in outputs], axis=1),
-            start=float(table.time[0]),
-        ),
-        outputs,
-    )
+    driven = {p.name: np.asarray(table[p.name]) for p in model.inputs}
+    seen = np.stack([table[p.name] for p in outputs], axis=1)
+    return Record(Path(table.source).stem, table.step, driven, seen, start=float(table.time[0])), outputs
 
 
 def _column(table: Table, port: Port, notes: list[str]) -> Array:
@@ -246,16 +232,14 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
     step = c.records[0].step
     measured = [c.records[s.record].measured[s.first : s.stop] for s in refit.segments]
     known = [_noise_floor([m[:, j] for m in measured], step) for j in range(len(c.channels))]
-    floors = np.maximum(
-        [k.deviation for k in known], CRITERIA.least_noise * _deviation(refit, held_out=False)
-    )
+    least = CRITERIA.least_noise * _deviation(refit, held_out=False)
+    floors = np.maximum([k.deviation for k in known], least)
     found = refit.fit(floors, progress)
     deviation = _deviation(refit, held_out=True)
-    before, after = (np.concatenate(refit.residuals(m, held_out=True)) for m in (c.model, found.model))
-    errors = [np.sqrt(np.mean(r**2, axis=0)) / deviation for r in (before, after)]
-    residuals = refit.residuals(found.model, held_out=True)
+    before, after = (refit.residuals(m, held_out=True) for m in (c.model, found.model))
+    errors = [np.sqrt(np.mean(np.concatenate(r) ** 2, axis=0)) / deviation for r in (before, after)]
     noise = np.array([
-        min(noise_of([r[:, j] for r in residuals], step, time=c.time_scale).deviation, k.deviation)
+        min(noise_of([r[:, j] for r in after], step, time=c.time_scale).deviation, k.deviation)
         for j, k in enumerate(known)
     ])  # fmt: skip
     rows = {
@@ -264,13 +248,12 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
         "after": errors[1],
         "noise_floor": np.minimum(noise / deviation, errors[1]),
     }
-    mean = after.mean(axis=0) / deviation
+    mean = np.concatenate(after).mean(axis=0) / deviation
     constant = {
         name: float((m / max(e, 1e-300)) ** 2) for name, m, e in zip(c.channels, mean, errors[1], strict=True)
     }
-    return _Errors(
-        found, floors, tuple(k.known for k in known), {k: as_numbers(v) for k, v in rows.items()}, constant
-    )
+    is_known, rounded = tuple(k.known for k in known), {k: as_numbers(v) for k, v in rows.items()}
+    return _Errors(found, floors, is_known, rounded, constant)
 
 
 def _noise_floor(series: Sequence[Array], step: float) -> Floor:

@@ -56,10 +56,6 @@ class FmuRefit:
     def residuals(self, model: UnitModel, held_out: bool) -> list[Array]:
         """Return measured minus simulated outputs of each segment.
 
-        Args:
-            model: Parameter values.
-            held_out: Whether to return held-out segments, else fitted segments.
-
         Returns:
             One array (samples, channels) per segment, in the FMU's units.
         """

@@ -63,18 +63,10 @@ class PlaceForces:
 
 
 def place_forces(problem: Problem, fit: Fit, without: str | None = None) -> PlaceForces:
-    """Return the typical forces of a rig.
+    """Return the typical forces of a rig; the force of the element `without` does not count.
 
     A simulation that has lost the measured motion is too small or too large; its forces are scaled up by the ratio of the
     measured to the simulated output deviations.
-
-    Args:
-        problem: records and channels; the records to fit by are simulated.
-        fit: fitted structure with its initial states.
-        without: element whose own force does not count.
-
-    Returns:
-        Typical forces.
     """
     net = fit.network
     driven = {str(c.at) for c in net.moving}

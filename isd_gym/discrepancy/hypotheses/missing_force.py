@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,16 +29,6 @@ if TYPE_CHECKING:
 HIGHEST = 8.0  # times the frequency of the motion
 
 
-class Signals(Protocol):
-    """Time stamps [s] and measured outputs of a record."""
-
-    @property
-    def time(self) -> Array: ...
-
-    @property
-    def measured(self) -> Mapping[str, Array]: ...
-
-
 @dataclass(frozen=True)
 class Deconvolution:
     """Response of the outputs of a model to a force between two nodes, and its inverse."""
@@ -56,13 +46,23 @@ class Deconvolution:
         cls,
         network: Network,
         pair: tuple[str, str],
-        trace: Signals,
-        names: list[str],
+        time: Array,
+        measured: Mapping[str, Array],
         highest: float = HIGHEST,
     ) -> Deconvolution:
-        """The linear response about rest, up to some eight times the frequency of the motion (`highest` times): above it the sensors
-        resolve no force. Raises `InputError` where there is none."""
-        step, samples = float(trace.time[1] - trace.time[0]), len(trace.time)
+        """Return the linear response about rest, up to `highest` times the frequency of the motion: above it the sensors resolve no force.
+
+        Args:
+            network: The model.
+            pair: The two nodes.
+            time: Time stamps [s] (n,).
+            measured: Measured outputs by channel (n,).
+            highest: Highest frequency of the band, as a multiple of the frequency of the motion.
+
+        Raises:
+            InputError: The model has no linear response, or the record is too short.
+        """
+        step, samples, names = float(time[1] - time[0]), len(time), list(measured)
         name = network.free_name("missing_force")
         outputs = []
         seen = _moved_by_a_force(network, pair)
@@ -70,39 +70,33 @@ class Deconvolution:
             if c.name in names:
                 beside = c.element is not None and any(network.element(e).where == pair for e in c.elements)
                 outputs.append(replace(c, element=(*c.elements, name)) if beside else c)
-        outputs += [
-            *(
-                network.probe(f"_{q}", q, between=seen)
-                for q in ("displacement", "velocity")
-                if seen is not None
-            ),
-        ]
-        kept = tuple(e for e in network.elements if e.place == "between")
-        probe = Network(
-            network.name,
-            network.masses,
-            (*kept, el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)),  # type: ignore[call-arg]
-            (
+        factors = {c.name: convert(1.0, c.unit, c.si) for c in outputs}
+        if seen is not None:
+            outputs += [network.probe(f"_{q}", q, between=seen) for q in ("displacement", "velocity")]
+        motor = el.Motor(name, pair, thrust_constant=1.0, ratio=1.0)  # type: ignore[call-arg]
+        probe = replace(
+            network,
+            elements=(*(e for e in network.elements if e.place == "between"), motor),
+            inputs=(
                 *(c for c in network.inputs if c.quantity != "current"),
                 Channel(name, "current", "A", element=name),
             ),
-            tuple(outputs),
-            bodies=network.bodies,
-            levers=network.levers,
+            outputs=tuple(outputs),
+            uncertainty={},
+            turning=frozenset(),
         )
         space = linearise(probe)
-        time = float(np.median([pace(trace.measured[n], step) for n in names]))
+        scale = float(np.median([pace(y, step) for y in measured.values()]))
         frequency = np.asarray(np.fft.rfftfreq(samples, step), np.float64)
-        low, high = 0.5 / (samples * step), min(highest / (2 * math.pi * time), 0.4 / step)
+        low, high = 0.5 / (samples * step), min(highest / (2 * math.pi * scale), 0.4 / step)
         band = np.flatnonzero((frequency >= low) & (frequency <= high))
         if len(band) < 10:
             raise InputError("the record is too short to look for a force in it")
         answer = space.response(frequency[band])[:, :, space.inputs.index(name)]
         order = [space.outputs.index(n) for n in names]
-        factors = np.array([convert(1.0, c.unit, c.si) for c in outputs[: len(names)]])
-        factors = factors[[[c.name for c in outputs].index(n) for n in names]]
         two = answer[:, len(order) :] if seen is not None else np.zeros((len(band), 2), complex)
-        return cls(names, frequency[band], int(band[0]), answer[:, order], two, factors, samples)
+        units = np.array([factors[n] for n in names])
+        return cls(names, frequency[band], int(band[0]), answer[:, order], two, units, samples)
 
     def force(self, residual: Mapping[str, Array], noise: Mapping[str, float]) -> tuple[Array, Array]:
         """Force [N] (n,) that explains `residual` best under white noise of deviations `noise`, and the motion it makes (n, 2).
@@ -115,12 +109,8 @@ class Deconvolution:
 
         taper = tukey(self.samples, 0.1)
         band = slice(self.first, self.first + len(self.frequency))
-        R = (
-            np.stack(
-                [np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names], axis=1
-            )
-            * self.factors
-        )
+        spectra = [np.fft.rfft((residual[n] - residual[n].mean()) * taper)[band] for n in self.names]
+        R = np.stack(spectra, axis=1) * self.factors
         S = (np.maximum([noise[n] for n in self.names], 1e-12) * self.factors) ** 2 * float(np.sum(taper**2))
         seen = np.sum(np.abs(self.gain) ** 2 / S, axis=1)
         sought = np.sum(self.gain.conj() * R / S, axis=1)
@@ -155,7 +145,7 @@ def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
-    problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)], ["fit"])
+    problem = Problem(network, [Record(trace.name, step, trace.inputs, measured)])
     fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
         base_structure(network), frozen=True, iterations=3
     )

@@ -31,11 +31,6 @@ def motions(
     """Return elongation and rate of every pair in the fitted simulation of the records that are fitted by.
 
     Where the inputs tell the rate of a pair alone, its elongation counts from the start of each record.
-
-    Args:
-        problem: The records.
-        fit: The fitted model.
-        also: Further pairs.
     """
     out: dict[tuple[str, str], list[Array]] = {}
     net = fit.network

@@ -9,7 +9,6 @@ References:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,14 +31,6 @@ LOST = 0.25  # share of the residual's power beyond the noise that must not be l
 MATERIAL = (
     3.0  # power of the residual beyond the noise, over that of the noise, from which on the question is asked
 )
-
-
-@dataclass(frozen=True)
-class _Signals:
-    """The parts of a record that the deconvolution reads: time stamps [s] and measured outputs."""
-
-    time: Array
-    measured: dict[str, Array]
 
 
 def typical_advance(travel: Array) -> float:
@@ -91,11 +82,11 @@ def _missing_force(problem: Problem, fit: Fit, index: int, pair: tuple[str, str]
     """Return the force [N] (n,) that the residual of a record shows; None for a model without a linear response."""
     record, names = problem.records[index], problem.channels
     residual = record.measured - fit.outputs[index]
-    signals = _Signals(record.time, {n: record.measured[:, j] for j, n in enumerate(names)})
-    noise = {n: float(np.std(residual[:, j])) for j, n in enumerate(names)}
+    signals = {n: record.measured[:, j] for j, n in enumerate(names)}
+    left = {n: residual[:, j] for j, n in enumerate(names)}
     try:
-        response = Deconvolution.of(fit.network, pair, signals, names, highest=ALL)
-        force, _ = response.force({n: residual[:, j] for j, n in enumerate(names)}, noise)
+        response = Deconvolution.of(fit.network, pair, record.time, signals, highest=ALL)
+        force, _ = response.force(left, {n: float(np.std(r)) for n, r in left.items()})
     except (InputError, ValueError, np.linalg.LinAlgError):
         return None
     return force if np.isfinite(force).all() else None

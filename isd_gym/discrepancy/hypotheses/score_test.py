@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ...elements import PERIODS
 from ...errors import InputError
@@ -61,29 +62,21 @@ class Residual:
 def residual_of(problem: Problem, fitter: Fitter, fit: Fit) -> Residual:
     structure, own = fit.structure, len(fit.x)
     p = own + int(problem.shared_offset.sum())  # parameters, and offsets that all records share
-    parts, columns = [], p
+    parts, spans, at = [], {}, 0
     begun = {i: fit.initial[i] for i in problem.estimation}
     for i, t in tangents(problem, structure, fit.x, begun).items():
         r = (problem.records[i].measured - problem.shifted(i, t.outputs, fit.offset[i]))[:, :, None]
         free = problem.nuisances(i, t.outputs)
         common = problem.common(t.outputs)
         W = fitter.weights(np.concatenate([r, t.by_parameter, common, t.by_state, free], axis=2))
-        parts.append((i, t.outputs, W.reshape(-1, W.shape[2])))
-        columns += W.shape[2] - 1 - p
-    rows = sum(len(w) for _, _, w in parts)
-    J, r = np.zeros((rows + own, columns)), np.zeros(rows + own)
-    at, col, spans = 0, p, {}
-    for i, y, W in parts:
-        n, extra = len(W), W.shape[1] - 1 - p
-        r[at : at + n] = W[:, 0]
-        J[at : at + n, :p] = W[:, 1 : 1 + p]
-        J[at : at + n, col : col + extra] = W[:, 1 + p :]
-        spans[i] = (at, at + n, y)
-        at, col = at + n, col + extra
-    sigma = np.array([f.sigma for f in structure.free])
-    mean = np.array([f.mean for f in structure.free])
-    J[rows + np.arange(own), np.arange(own)] = 1 / sigma  # the stated uncertainty
-    r[rows:] = (mean - fit.x) / sigma
+        parts.append(W.reshape(-1, W.shape[2]))
+        spans[i] = (at, at + len(parts[-1]), t.outputs)
+        at += len(parts[-1])
+    by_record = block_diag(*(W[:, 1 + p :] for W in parts))
+    J = np.zeros((at + own, p + by_record.shape[1]))
+    J[:at, :p], J[:at, p:] = np.concatenate([W[:, 1 : 1 + p] for W in parts]), by_record
+    J[at:, :own] = np.diag(1 / structure.sigma)  # the stated uncertainty
+    r = np.concatenate([*(W[:, 0] for W in parts), (structure.mean - fit.x) / structure.sigma])
     norm = np.linalg.norm(J, axis=0)
     Q, R = np.linalg.qr(J / np.where(norm > 0, norm, 1))
     Q = Q[:, np.abs(np.diag(R)) > 1e-7]

@@ -136,11 +136,11 @@ class RivalComparison:
 
     def __init__(self, network: Network, record: Record, rivals: Sequence[Rival], noise: Array):
         self.rivals = rivals
-        blank = Problem(network, [record], ["fit"])
+        blank = Problem(network, [record])
         self.outputs = [blank.simulate([r.structure.at(r.x)], 0)[:, :, 0] for r in rivals]
         if not all(np.isfinite(y).all() and np.abs(y).max() <= 1e12 for y in self.outputs):
             raise InputError("the simulation of a rival fails")
-        self.problem = Problem(network, [replace(record, measured=self.outputs[0])], ["fit"])
+        self.problem = Problem(network, [replace(record, measured=self.outputs[0])])
         level = np.maximum(
             noise, CRITERIA.least_noise * np.max([y.std(axis=0) for y in self.outputs], axis=0)
         )
@@ -167,7 +167,7 @@ class RivalComparison:
         level = math.sqrt(2.0) * self.noise
         for a, truth in enumerate(self.rivals):
             record = replace(self.problem.records[0], measured=self.outputs[a])
-            p = Problem(self.problem.network, [record], ["fit"], time=self.problem.time)
+            p = Problem(self.problem.network, [record], time=self.problem.time)
             fitter = Fitter(p, white_filters(self.noise))
             for b, r in enumerate(self.rivals):
                 if a == b:
@@ -387,7 +387,7 @@ def estimate_output_noise(
     """
     known = {**measured_noise(records, network), **given}
     record = make_record(network, rig, make_excitation(network, rig))
-    y = Problem(network, [record], ["fit"]).simulate([network], 0)[:, :, 0]
+    y = Problem(network, [record]).simulate([network], 0)[:, :, 0]
     values = []
     for c, signal in zip(network.outputs, y.T, strict=True):
         values.append(known.get(c.name, c.noise) or CRITERIA.least_noise * float(signal.std()) or 1.0)

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import InputError
 from ..estimation.gauss_newton import Fit, Fitter
 from ..estimation.initial_states import transfer_states
-from ..estimation.noise import lagged, predicted, white_filters
+from ..estimation.noise import channel_moments, predicted, white_filters
 from ..estimation.structure import Hypothesis, Structure, add
 from ..result import Quantity
 from ..selection.candidate import is_special_case
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from ..verdict.gates import Decision
     from .virtual_bench import BenchFit, VirtualBench
 
-ORDER = 20  # of the whitening filters, as in the diagnosis
 #: range of sizes, as multiples of the simulated size
 SMALLEST, LARGEST = 0.02, 30.0
 #: smallest excess score of a candidate, as a share of the score of noise
@@ -40,24 +39,15 @@ LEAST_EXCESS = 0.01
 
 
 class NoiseFreeResidual:
-    """Noise-free residual of a fit, which is proportional to the effect's size.
-
-    Args:
-        bench: The virtual bench.
-        fitted: The fit.
-    """
+    """Noise-free residual of a fit, which is proportional to the effect's size."""
 
     def __init__(self, bench: VirtualBench, fitted: BenchFit):
         self.bench = bench
         self.prior = fitted.fit.prior
         self.parameters = len(fitted.fit.x)
         training, validation = fitted.training, fitted.validation
-        self._lags = []
-        for j in range(training[0].shape[1]):
-            series = [r[:, j] - r[:, j].mean() for r in training]
-            self._lags.append(lagged(series, min(ORDER, min(map(len, series)) // 8)))
+        self._moments = channel_moments(training)
         self.samples = sum(map(len, training))
-        self.training_power = np.mean(np.concatenate(training) ** 2, axis=0)  # (channels,)
         self.validation_power = np.mean(np.concatenate(validation) ** 2, axis=0)  # (channels,)
         weight = bench.weighting_noise
         #: mean whitened square of each validation block, at the simulated size
@@ -68,7 +58,7 @@ class NoiseFreeResidual:
     def excess_deviance(self, scale: float) -> float:
         """Return the deviance of noise plus residual minus the deviance of noise, at a multiple of the size."""
         total = 0.0
-        for (gram, rhs, power, count), white in zip(self._lags, self.bench.weighting_noise, strict=True):
+        for (gram, rhs, power, count), white in zip(self._moments, self.bench.weighting_noise, strict=True):
             square = scale * scale
             _, sigma = predicted(square * gram, square * rhs, square * power, count, float(white))
             total += 2 * self.samples * math.log(max(sigma / white, 1.0))
@@ -179,12 +169,7 @@ class SimulatedEffect:
         return relative_uncertainty(element, quantities, apart)
 
     def is_distinguishable(self, rival: RefittedRival, scale: float) -> bool:
-        """Return whether a diagnosis would distinguish the effect from a rival.
-
-        Args:
-            rival: The refitted rival.
-            scale: Multiple of the simulated size.
-        """
+        """Return whether a diagnosis would distinguish the effect from a rival."""
         c, more = self.bench.criteria, rival.residual.parameters - len(self.structure.free)
         if more > 0:  # it predicts no better, at best
             return True
@@ -196,10 +181,6 @@ class SimulatedEffect:
 
     def evidence(self, scale: float = 1.0, *, with_rivals: bool = True) -> Evidence:
         """Return the evidence that a diagnosis would have.
-
-        Args:
-            scale: Multiple of the simulated size.
-            with_rivals: Whether to compare with the refitted rivals.
 
         Returns:
             The evidence, with noise in expectation.
@@ -259,9 +240,6 @@ class SimulatedEffect:
 def find_smallest_scale(passes: Callable[[float], bool]) -> float:
     """Find the smallest multiple of the simulated size from which on a test passes, by bisection.
 
-    Args:
-        passes: Function from a multiple of the size to the result of the test.
-
     Returns:
         The multiple, between `SMALLEST` and `LARGEST`; infinite if the test fails at `LARGEST`.
     """
@@ -278,11 +256,6 @@ def find_smallest_scale(passes: Callable[[float], bool]) -> float:
 
 def simulate_effect(bench: VirtualBench, hypothesis: Hypothesis, values: dict[str, float]) -> SimulatedEffect:
     """Simulate an effect on the bench and refit the nominal model.
-
-    Args:
-        bench: The virtual bench.
-        hypothesis: The hypothesis.
-        values: Parameters of the effect.
 
     Returns:
         The simulated effect, without rivals.
@@ -305,11 +278,6 @@ def refit_rival(
 ) -> RefittedRival | None:
     """Refit a rival to the outputs of a simulated effect.
 
-    Args:
-        effect: The simulated effect.
-        rival: The rival.
-        starts: Start values of the rival.
-
     Returns:
         The rival with the smallest deviance, or None if all fits fail.
     """
@@ -330,10 +298,9 @@ def _fit_truth(bench: VirtualBench, truth: Problem, structure: Structure) -> tup
     weights = white_filters(bench.weighting_noise)
     known = transfer_states(truth, bench.network, bench.nominal.initial, structure)
     fit = Fitter(truth, weights).fit(structure, structure.start, known, iterations=0)
-    sigma = np.array([q.sigma for q in structure.free])
     if fit.hessian is None or not np.isfinite(fit.hessian).all():
         raise InputError("the simulation fails near these values")
-    covariance = np.linalg.inv(bench.length_factor * fit.hessian + np.diag(1 / sigma**2))
+    covariance = np.linalg.inv(bench.length_factor * fit.hessian + np.diag(1 / structure.sigma**2))
     try:
         with np.errstate(invalid="ignore", over="ignore"):
             shift, _ = Fitter(truth, weights).refit(fit, bench.unmodelled_responses)

@@ -159,11 +159,6 @@ def _simulate_near_limit(
 ) -> tuple[SimulatedEffect, float, float] | None:
     """Simulate an effect near the smallest size that is named without rivals.
 
-    Args:
-        bench: The virtual bench.
-        h: The hypothesis.
-        start: The start with the shape.
-
     Returns:
         The simulated effect, the simulated size as a multiple of the start's size, and the smallest named size as a
         multiple of the simulated size. None if all simulations fail.

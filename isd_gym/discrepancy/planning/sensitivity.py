@@ -109,11 +109,6 @@ def select_hypotheses(network: Network, only: Sequence[str]) -> list[Hypothesis]
 def is_rival(network: Network, rival: Hypothesis, truth: Hypothesis) -> bool:
     """Return whether a diagnosis that names `rival` instead of `truth` would be wrong but plausible.
 
-    Args:
-        network: The nominal model.
-        rival: The named hypothesis.
-        truth: The true hypothesis.
-
     Returns:
         False for equal laws along one force path, for generalisations of the truth, and for laws with more parameters.
     """
@@ -180,7 +175,7 @@ class Sensitivities:
         for i in p.estimation:
             r = p.records[i]
             records.append(replace(r, measured=np.hstack([r.measured, np.zeros((len(r), len(self.more)))])))
-        problem = Problem(network, records, ["fit"] * len(records), p.step, p.time)
+        problem = Problem(network, records, step=p.step, time=p.time)
         self._compute_products(problem, wide, networks, progress)
 
     def _compute_products(
@@ -253,7 +248,7 @@ class Sensitivities:
         """Return products (responses, responses) after a refit of the nominal model, in units of the noise."""
         bench = self.bench
         weight = 1.0 / self._weighting_noise[channels] ** 2
-        sigma = np.array([f.sigma for f in bench.structure.free])
+        sigma = bench.structure.sigma
         p = len(sigma) + self._shared
         total: Array | float = 0.0
         for products, n in zip(self._products, self._nuisances, strict=True):
@@ -361,7 +356,7 @@ def _simulate_responses(
         done += len(chunk)
         progress(min(1.0, done / max(1, len(networks) * len(out))))
     for k, y in out.items():  # a failed simulation may have stopped the networks beside it
-        single = Problem(problem.network, [problem.records[k]], ["fit"], problem.step, problem.time)
+        single = problem.with_records([problem.records[k]], ["fit"])
         own = replace(fit, initial={0: fit.initial[k]})
         for c in np.flatnonzero(np.isnan(y).all(axis=(0, 1))).tolist():
             for _, _, alone in simulate_variants(single, own, [networks[c]]):

@@ -18,14 +18,7 @@ if TYPE_CHECKING:
 
 
 def list_additional_sensors(network: Network) -> list[Channel]:
-    """List sensors that the model lacks: accelerations of masses, elongations and forces of joined pairs.
-
-    Args:
-        network: The nominal model.
-
-    Returns:
-        The channels.
-    """
+    """List sensors that the model lacks: accelerations of masses, elongations and forces of joined pairs."""
     probes = [
         network.probe(f"{m.replace('.', '_')}_acceleration", "acceleration", at=m) for m in network.carried
     ]
@@ -63,10 +56,6 @@ def _measurand(c: Channel) -> tuple[object, ...]:
 
 def rank_sensors(responses: Sensitivities, progress: Progress) -> tuple[SensorGain, ...]:
     """Rank the additional channels by their gain, linearised.
-
-    Args:
-        responses: Sensitivities with additional channels.
-        progress: Function that receives the stage and the finished share.
 
     Returns:
         Gains, best first.

@@ -74,7 +74,7 @@ class VirtualBench:
         #: length of the whole test over the simulated length
         records, self.length_factor = _shorten(records, self.notes)
         records = [replace(r, name=f"test {k + 1}", start=0.0) for k, r in enumerate(records)]
-        whole = Problem(network, records, ["fit"] * len(records))
+        whole = Problem(network, records)
         clean = _simulate(whole, network)
         #: RMS noise (channels,) [unit of the channel]
         self.noise = self._stated_noise(network, np.concatenate(clean), noise or {})
@@ -86,7 +86,7 @@ class VirtualBench:
             for r, y in zip(records, clean, strict=True)
         ]
         noisy = differentiate_inputs(noisy, self.network)
-        self._whole = Problem(self.network, noisy, ["fit"] * len(noisy))
+        self._whole = Problem(self.network, noisy)
         pieces, roles = split_records(noisy, [], [], self._whole.time)
         index = {r.name: k for k, r in enumerate(noisy)}
         self._cuts = []  # record, first sample and end of each piece
@@ -135,17 +135,10 @@ class VirtualBench:
     def measure(self, truth: Network) -> Problem:
         """Return the problem with noise-free outputs of another network.
 
-        Args:
-            truth: The network that produces the outputs.
-
-        Returns:
-            The nominal model with records of `truth`.
-
         Raises:
             InputError: The simulation of `truth` fails.
         """
-        p = self.problem
-        return Problem(p.network, self._cut(p.records, truth), p.roles, p.step, p.time)
+        return self.problem.with_records(self._cut(self.problem.records, truth))
 
     def _fit_initial_states(self) -> Fit:
         """Fit the initial states of the nominal model, from the states of a simulation from rest."""
@@ -156,11 +149,8 @@ class VirtualBench:
             initial[i] = (
                 states_along(self._whole, s, x, {k: rest}, [first])[k][0] if first and len(rest) else rest
             )
-        fitter, pieces = (
-            Fitter(self.problem, white_filters(self.weighting_noise)),
-            list(range(len(self._cuts))),
-        )
-        return fitter.fit(s, x, initial, records=pieces, frozen=True, iterations=3)
+        fitter = Fitter(self.problem, white_filters(self.weighting_noise))
+        return fitter.fit(s, x, initial, records=[*initial], frozen=True, iterations=3)
 
     # -- the nominal model on the training records ----------------------------------------------------------
     @cached_property

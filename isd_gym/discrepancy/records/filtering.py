@@ -53,10 +53,6 @@ LEAST_COMPARED = 60  # least number of compared samples of a record behind a low
 def differentiate_inputs(records: list[Record], network: Network) -> list[Record]:
     """Return records with low-passed inputs and derivatives, if noisy inputs have to be differentiated.
 
-    Args:
-        records: Training, validation and test records.
-        network: The nominal model.
-
     Returns:
         New records behind one low-pass; `records` unchanged if no low-pass is needed or sampling intervals differ.
     """
@@ -92,9 +88,6 @@ def differentiate_inputs(records: list[Record], network: Network) -> list[Record
 
 def count_derivatives(network: Network) -> dict[str, int]:
     """Return the inputs that move a node and have to be differentiated.
-
-    Args:
-        network: The nominal model.
 
     Returns:
         Input name -> how often the input is differentiated, 1 or 2.
@@ -180,9 +173,6 @@ def find_noise_band(records: Sequence[Record], network: Network) -> float:
 
 def find_computed_forces(network: Network) -> list[tuple[Channel, Channel]]:
     """Return the measured displacements that are differentiated twice, each with the force measured at the same node.
-
-    Args:
-        network: The nominal model.
 
     Returns:
         Pairs of an input (displacement) and an output (force).
@@ -297,10 +287,6 @@ def find_signal_band(record: Record, network: Network) -> float:
     - every signal of a displacement, since noise of a derivative reaches a displacement only through a mass;
     - `KEPT` of the power of forces and accelerations, since derivatives add noise to both directly;
     - every natural frequency present in the motion of an input, with or without response.
-
-    Args:
-        record: The measured record.
-        network: The nominal model.
     """
     natural = natural_frequencies(network)
     resonant = ABOVE_RESONANCE * float(natural.max(initial=0.0))

@@ -293,10 +293,6 @@ def check_sampling_rates(record: Record, network: Network) -> None:
 
     The bandwidth is that of the nominal model, simulated over the inputs of the record.
 
-    Args:
-        record: The measured record.
-        network: The nominal model.
-
     Raises:
         InputError: The sampling rate of an output is too low.
     """
@@ -317,7 +313,7 @@ def check_sampling_rates(record: Record, network: Network) -> None:
     }
     fine = replace(record.unread(), step=record.step / FINER, inputs=inputs, slopes={}, size=0)
     try:
-        simulated = Problem(network, [fine], ["fit"]).simulate([network], 0)[:, :, 0]
+        simulated = Problem(network, [fine]).simulate([network], 0)[:, :, 0]
     except (InputError, np.linalg.LinAlgError):
         return
     for j in slow:

@@ -102,7 +102,7 @@ def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
             return scale
         rest = {c.name: raw.inputs[c.name][0] * (c.quantity == "displacement") for c in network.inputs}
         moved = replace(raw, inputs={n: x - rest[n] for n, x in raw.inputs.items()})
-        problem = Problem(network, [moved], ["fit"])
+        problem = Problem(network, [moved])
         outputs = problem.simulate([network], 0)[moved.samples // 2 :, :, 0] / problem.factors
     except (InputError, np.linalg.LinAlgError):
         return scale

@@ -62,22 +62,13 @@ class Candidate:
 def deviance(problem: Problem, fit: Fit, noise: Array) -> float:
     """Return -2 log L of a fit on its records, without constants, the prior of the parameters included.
 
-    Args:
-        problem: Model and records.
-        fit: The fit.
-        noise: White noise (channels,) that is added to the residuals' coloured noise.
+    White noise `noise` (channels,) is added to the coloured noise of the residuals.
     """
     return innovations(residuals(problem, fit), noise) + fit.prior
 
 
 def white_noise(problem: Problem, fit: Fit, least: Array) -> Array:
-    """Return the white noise (channels,) of weights that are taken from the residuals of a fit.
-
-    Args:
-        problem: Model and records.
-        fit: The fit.
-        least: Smallest noise (channels,).
-    """
+    """Return the white noise (channels,) of weights that are taken from the residuals of a fit, at least `least` (channels,)."""
     return trusted_noise(residuals(problem, fit), least)
 
 
@@ -128,13 +119,7 @@ def settle(
 
 
 def transfer(problem: Problem, fit: Fit, least: Array) -> Fit:
-    """Return a fit, unchanged, on other samples of the same records.
-
-    Args:
-        problem: Model and records with the other samples.
-        fit: The fit.
-        least: Smallest noise (channels,).
-    """
+    """Return a fit, unchanged, on the samples of `problem`: other samples of the same records."""
     return Fitter(problem, white_filters(least)).fit(
         fit.structure, fit.x, fit.initial, fit.offset, records=list(fit.initial), iterations=0
     )
@@ -173,14 +158,7 @@ def refit_with_other_shape(
 
 
 def deviance_with_noise_of(problem: Problem, candidate: Candidate, best: Candidate, least: Array) -> float:
-    """Return -2 log L of a candidate, with the white noise that another candidate leaves.
-
-    Args:
-        problem: Model and records.
-        candidate: The candidate.
-        best: The candidate whose residuals give the white noise.
-        least: Smallest noise (channels,).
-    """
+    """Return -2 log L of a candidate, with the white noise that the candidate `best` leaves, at least `least` (channels,)."""
     return deviance(problem, candidate.fit, refined_noise(white_noise(problem, best.fit, least), least))
 
 
@@ -191,10 +169,6 @@ def parameter_values(element: el.Element) -> dict[str, float]:
 
 def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hypothesis, Structure]]:
     """Return the structures with one effect left out, or replaced by a special case of its law.
-
-    Args:
-        problem: Model and records.
-        candidate: The candidate, whose values are the start values.
 
     Returns:
         The effect that is left out or replaced, and the structure.

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
 
-#: growth of the window of a fit over growing windows
+#: length of the first window of a fit over growing windows, in periods; least number of samples
+WINDOW_PERIODS, LEAST_WINDOW = 6.0, 80
+#: growth of that window
 GROWTH = 1.4
 #: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
 ASTRAY = 1.1
@@ -50,18 +52,16 @@ class CandidateFitter:
         p, least = self.evaluator.problem, self.evaluator.least_noise
         structure = base_structure(p.network)
         found = [settle(p, structure, structure.start, least)]
-        again = self.from_segments(structure, structure.start, found[0])
-        found += [again] if again is not None else []
+        more = [self.from_segments(structure, structure.start, found[0])]
         if self.is_lightly_damped or not p.network.inputs:
-            grown = self.from_growing_windows(structure, structure.start)
-            found += [grown] if grown is not None else []
+            more.append(self.from_growing_windows(structure, structure.start))
+        found += [c for c in more if c is not None]
         gaps = [gap(p, c.fit) for c in found]
         near = [c for c, g in zip(found, gaps, strict=True) if g <= ASTRAY * min(gaps)]
         best = min(near, key=lambda c: c.deviance)
         nominal = Fitter(p, white_filters(least)).follow(structure, structure.start, p.estimation)
         if gap(p, nominal) < min(gaps) / ASTRAY:  # every refit has lost the motion
-            kept = settle(p, structure, structure.start, least, nominal, iterations=0)
-            return kept
+            return settle(p, structure, structure.start, least, nominal, iterations=0)
         return best
 
     def from_segments(
@@ -118,8 +118,7 @@ class CandidateFitter:
     def deviance_gain(self, candidate: Candidate, other: Candidate) -> float:
         """Return by how much the deviance of a candidate is below that of another one, with the candidate's noise (2 log L)."""
         p, least = self.evaluator.problem, self.evaluator.least_noise
-        levels = (deviance_with_noise_of(p, c, candidate, least) for c in (candidate, other))
-        own, theirs = levels
+        own, theirs = (deviance_with_noise_of(p, c, candidate, least) for c in (candidate, other))
         return theirs - own
 
     def refit(self, structure: Structure, similar: Candidate, worst: float = math.inf) -> Candidate | None:
@@ -143,8 +142,10 @@ class CandidateFitter:
         try:
             initial = transfer_states(p, similar.fit.network, similar.fit.initial, structure)
             f = e.coarse_fitter.fit(structure, x, initial, similar.fit.offset)
-            if worst < math.inf and f.cost > worst * self._coarse_cost(similar):
-                return None
+            if worst < math.inf:  # the cost of the candidate on as few samples
+                s, training = similar.fit, p.estimation
+                if f.cost > worst * e.coarse_fitter.cost(s.structure, s.x, s.initial, s.offset, training):
+                    return None
             f = f if p.rough is p else transfer(p, f, least)
             found.append(settle(p, structure, f.x, least, f, rounds=2, noise=noise))
         except BROKEN:
@@ -158,12 +159,3 @@ class CandidateFitter:
             return min(found, key=lambda c: c.deviance)
         except (*BROKEN, ValueError):
             return None
-
-    def _coarse_cost(self, candidate: Candidate) -> float:
-        """Return the cost of a candidate on as few samples as the motion needs."""
-        e, fit = self.evaluator, candidate.fit
-        return e.coarse_fitter.cost(fit.structure, fit.x, fit.initial, fit.offset, e.problem.estimation)
-
-
-#: length of the first window, in periods; least number of samples
-WINDOW_PERIODS, LEAST_WINDOW = 6.0, 80

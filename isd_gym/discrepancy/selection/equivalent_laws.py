@@ -36,11 +36,6 @@ def equivalent_structures(
 ) -> Iterator[Structure]:
     """Replace each law of a candidate by other laws with nearly the same force.
 
-    Args:
-        problem: Model and records.
-        candidate: The fitted candidate.
-        c: Limits of the decision.
-
     Yields:
         Structures with one law replaced, best match first for each law.
     """
@@ -66,10 +61,6 @@ def equivalent_structures(
 
 def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
     """Replace several laws over one plane at one place by a single law.
-
-    Args:
-        problem: Model and records.
-        candidate: The fitted candidate.
 
     Yields:
         Structures with a single law for each group, best match first.
@@ -108,13 +99,7 @@ def curves(problem: Problem, like: el.Element) -> Iterator[Hypothesis]:
 
 
 def repeats(element: el.Element, motion: el.Motion, c: Criteria = CRITERIA) -> bool:
-    """Return False for a periodic law with fewer than `Criteria.periods` periods within the travel.
-
-    Args:
-        element: The element with the law.
-        motion: Motion of the element's terminals.
-        c: Limits of the decision.
-    """
+    """Return False for a periodic law with fewer than `Criteria.periods` periods within the travel."""
     if not element.periodic:
         return True
     # rare excursions show no repetition
@@ -126,11 +111,6 @@ def is_sound(problem: Problem, candidate: Candidate, c: Criteria = CRITERIA) -> 
     """Return whether the values of a candidate's effects agree with the effects' names.
 
     A periodic law must repeat within the travel, and a law must differ from a limit that has another name.
-
-    Args:
-        problem: Model and records.
-        candidate: The fitted candidate.
-        c: Limits of the decision.
     """
     if not candidate.well_formed():
         return False
@@ -154,12 +134,6 @@ def force_difference(problem: Problem, candidate: Candidate, other: Candidate, e
     """Return the difference in force between an effect and the law that replaces the effect.
 
     The forces belong to the motion that is simulated with the effect. A law with memory, such as hysteresis, is simulated.
-
-    Args:
-        problem: Model and records.
-        candidate: The candidate with the effect.
-        other: The candidate with the other law.
-        effect: Index of the effect in `candidate`.
 
     Returns:
         Root mean square of the difference, as a share of the force. Infinite if the laws are at different places or in series.

@@ -21,8 +21,7 @@ from ...network import Network, assemble
 from ...network.frames import order_told
 from ..estimation.gauss_newton import Fit, Fitter, residuals
 from ..estimation.noise import Whitener, whitener
-from ..estimation.sensitivities import tangents
-from ..estimation.structure import Free, Structure
+from ..estimation.structure import Free, Structure, cells_beside
 from ..hypotheses.curve_matching import match_law
 from ..hypotheses.forces import PlaceForces, place_forces
 from ..hypotheses.library import hypotheses, pairs
@@ -72,24 +71,19 @@ class Table(Structure):
     shape: tuple[int, ...] = ()
     basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def _own(self) -> int:
-        return len(self.free) - self.basis.shape[1]
+    @property
+    def own(self) -> Structure:
+        """The network with its own free parameters alone."""
+        return Structure(self.network, self.free[: len(self.free) - self.basis.shape[1]])
 
     def at(self, x: Array) -> Network:
-        own = self._own()
-        values = {f.path: f.back(float(v)) for f, v in zip(self.free[:own], x[:own], strict=True)}
-        network = self.network.with_parameters(values) if values else self.network
-        return network.with_table(self.element, self.forces(self.basis @ x[own:]))
-
-    def forces(self, values: Array) -> Any:
-        """Numbers at the knots as the element has them."""
-        return values.reshape(self.shape).tolist()
+        own = self.own
+        force = self.basis @ x[len(own.free) :]
+        return own.at(x[: len(own.free)]).with_table(self.element, force.reshape(self.shape).tolist())
 
     @property
     def start(self) -> Array:
-        known = self.network.parameters
-        own = [f.forward(known[f.path]) for f in self.free[: self._own()]]
-        return np.array([*own, *np.zeros(self.basis.shape[1])])
+        return np.append(self.own.start, np.zeros(self.basis.shape[1]))
 
 
 # ---------------------------------------------------------------------------------------------------- the prior
@@ -119,31 +113,27 @@ def _directions(axes: Sequence[Array], length: float, sigma: float, most: int) -
 
 
 def table(fit: Fit, pair: tuple[str, str], over: Over, m: el.Motion, length: float, sigma: float) -> Table:
-    """The owner's model as refitted (`fit`) with a table between two nodes, and the numbers that may move.
+    """Return the refitted nominal model with a table between two nodes.
 
-    over: what the force is a function of. m: the motion of the pair. length: over
-    which the force changes, as a share of half the range. sigma [N]: how large it may be.
+    Args:
+        fit: Fit of the nominal model.
+        pair: The two nodes.
+        over: Argument of the force.
+        m: Motion of the pair.
+        length: Correlation length, as a share of half the range of the motion.
+        sigma: Prior standard deviation of the force [N].
     """
     network, base = fit.network, fit.structure
-    knots = {"elongation": m.d, "rate": m.v}
-    axes = [_axis(knots[k], KNOTS[over]) for k in ("elongation", "rate") if over in (k, "both")]
-    basis = _directions(axes, length, sigma, MOST[over])
+    motion = {"elongation": m.d, "rate": m.v}
+    axes = {k: _axis(x, KNOTS[over]) for k, x in motion.items() if over in (k, "both")}
+    basis = _directions([*axes.values()], length, sigma, MOST[over])
     name = network.free_name("missing_force")
-    shape = tuple(len(x) for x in axes)
-    given = dict(
-        zip(
-            [k for k in ("elongation", "rate") if over in (k, "both")],
-            (tuple(x.tolist()) for x in axes),
-            strict=True,
-        )
-    )
+    shape = tuple(map(len, axes.values()))
+    given: dict[str, Any] = {k: tuple(x.tolist()) for k, x in axes.items()}
     element = el.TabulatedForce(name, pair, force=np.zeros(shape).tolist(), **given)  # type: ignore[call-arg]
-    outputs = []
-    for c in network.outputs:  # a force cell reads what was put beside its element, too
-        cell = c.elements and all(network.element(n).where == pair for n in c.elements)
-        outputs.append(replace(c, element=(*c.elements, name)) if cell else c)
     new = [Free(f"{name}.{k}", False, 0.0, 1.0, -math.inf, math.inf, 0) for k in range(basis.shape[1])]
-    built = replace(network, elements=(*network.elements, element), outputs=tuple(outputs))
+    outputs = cells_beside(network, element)
+    built = replace(network, elements=(*network.elements, element), outputs=outputs)
     assemble(bare(built))
     free, offsets = (*base.free, *new), base.offsets
     return Table(built, free, offsets=offsets, element=name, over=over, shape=shape, basis=basis)
@@ -158,28 +148,13 @@ def _start_values(base: Candidate, structure: Table) -> Array:
 
 def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) -> float:
     """Return the decrease of the cost that a table is expected to bring, to first order."""
-    x = _start_values(base, structure)
-    p, q, shared = len(base.fit.x), len(x), int(problem.shared_offset.sum())
-    total = np.diag([*(1 / f.sigma**2 for f in structure.free), *np.zeros(shared)])
-    slope = np.zeros(q + shared)
-    begun = {i: base.fit.initial[i] for i in problem.estimation}
-    for i, t in tangents(problem, structure, x, begun).items():
-        left = problem.records[i].measured - base.fit.outputs[i]
-        free = problem.nuisances(i, t.outputs)
-        common = problem.common(t.outputs)
-        stack = np.concatenate([left[:, :, None], t.by_parameter, common, t.by_state, free], axis=2)
-        W = fitter.weights(stack).reshape(-1, stack.shape[2])
-        r, J, nuisance = W[:, 0], W[:, 1 : 1 + q + shared], W[:, 1 + q + shared :]
-        total[np.arange(q, q + shared), np.arange(q, q + shared)] += 1e-9 * np.sum(J[:, q:] ** 2, axis=0)
-        if nuisance.shape[1]:
-            Q, _ = np.linalg.qr(nuisance)
-            r, J = r - Q @ (Q.T @ r), J - Q @ (Q.T @ J)
-        total, slope = total + J.T @ J, slope + J.T @ r
-    own = np.append(np.arange(p), np.arange(q, q + shared))
-    whole = float(slope @ np.linalg.solve(total, slope))
-    if not len(own):
-        return whole
-    return whole - float(slope[own] @ np.linalg.solve(total[np.ix_(own, own)], slope[own]))
+    x, fit = _start_values(base, structure), base.fit
+    left = {i: (problem.records[i].measured - fit.outputs[i])[:, :, None] for i in problem.estimation}
+    H, g, _ = fitter.normal_equations(structure, x, fit.initial, left)
+    own = np.delete(np.arange(len(H)), np.s_[len(fit.x) : len(x)])  # without the table
+    gains = (g[k, 0] @ np.linalg.solve(H[np.ix_(k, k)], g[k, 0]) for k in (np.arange(len(H)), own))
+    whole, without = map(float, gains)
+    return whole - without
 
 
 def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:
@@ -297,10 +272,8 @@ class BestTableSoFar:
         """Return the explained fraction, the largest error reduction of a channel, and the standard errors of the gain."""
         after = evaluator.score(self.best, self.filters, (evaluator.score_alone(base),))
         refit = evaluator.score(base, self.filters, (after,))
-        noise_score, noise = (
-            evaluator.expected_noise_score(after, self.filters),
-            evaluator.noise_share(after),
-        )
+        noise_score = evaluator.expected_noise_score(after, self.filters)
+        noise = evaluator.noise_share(after)
         weights = 1.0 / np.maximum(noise, 1e-3) ** 2
         plain = float(np.sum((refit.nrmse**2 - after.nrmse**2) * weights))
         plain /= max(float(np.sum(np.maximum(refit.nrmse**2 - noise**2, 0.0) * weights)), 1e-12)
@@ -338,11 +311,10 @@ def _select_table(
     scored = []
     for c in tried:
         try:
-            score = evaluator.score(c, filters, (evaluator.score_alone(base),)).mean_square
+            richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
+            scored.append((richer * _mean_square(evaluator, base, c, filters), c))
         except BROKEN:
             continue
-        richer = RICHER if c.fit.structure.over == "both" else 1.0  # type: ignore[attr-defined]
-        scored.append((score * richer, c))
     return BestTableSoFar(min(scored, key=lambda t: t[0])[1], filters) if scored else None
 
 
@@ -356,23 +328,19 @@ def _refine_length(
     m = motions(evaluator.problem, found.best.fit, (pair,))[pair]
     for length in LENGTHS[old.over][1:]:
         try:
-            c = _fit_table(
-                evaluator.problem,
-                base,
-                table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair)),
-                evaluator.least_noise,
-            )
-            if c is None:
-                continue
-            then = evaluator.score(c, found.filters, (evaluator.score_alone(base),)).mean_square
+            shorter = table(base.fit, pair, old.over, m, length, STRONG * forces.at(pair))
+            c = _fit_table(evaluator.problem, base, shorter, evaluator.least_noise)
+            then = math.inf if c is None else _mean_square(evaluator, base, c, found.filters)
         except BROKEN:
             continue
-        if (
-            RICHER * then
-            < evaluator.score(found.best, found.filters, (evaluator.score_alone(base),)).mean_square
-        ):
+        if c is not None and RICHER * then < _mean_square(evaluator, base, found.best, found.filters):
             found = BestTableSoFar(c, found.filters)
     return found
+
+
+def _mean_square(evaluator: HeldOutEvaluator, base: Candidate, table: Candidate, filters: Whitener) -> float:
+    """Return the mean whitened square of a table on the validation records."""
+    return evaluator.score(table, filters, (evaluator.score_alone(base),)).mean_square
 
 
 # ------------------------------------------------------------------------------------------------- what is told
@@ -383,30 +351,19 @@ def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: floa
     assert isinstance(structure, Table)
     W = whitener(residuals(problem, best.fit), white_noise(problem, best.fit, floors))
     f = Fitter(problem, W).fit(structure, best.fit.x, best.fit.initial, best.fit.offset, iterations=0)
-    sigma = np.array([q.sigma for q in structure.free])
     assert f.hessian is not None
-    own = len(sigma) - structure.basis.shape[1]
-    covariance = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))[own:, own:]
+    own = len(structure.own.free)
+    covariance = np.linalg.inv(f.hessian + np.diag(1 / structure.sigma**2))[own:, own:]
     force = structure.basis @ best.fit.x[own:]
-    spread = 1.96 * np.sqrt(
-        np.maximum(np.einsum("ij,jk,ik->i", structure.basis, covariance, structure.basis), 0.0)
-    )
+    variance = np.einsum("ij,jk,ik->i", structure.basis, covariance, structure.basis)
+    spread = 1.96 * np.sqrt(np.maximum(variance, 0.0))
     e = best.fit.network.element(structure.element)
     assert isinstance(e, el.TabulatedForce)
-    shape = structure.shape
-    return Tabulated(
-        e.between,
-        structure.over,
-        e.name,
-        explained,
-        e.elongation,
-        e.rate,
-        force.reshape(shape),
-        (force - spread).reshape(shape),
-        (force + spread).reshape(shape),
-        tuple(nearest(problem, best, e)),
-        _shares(problem, best, e) if structure.over == "both" else (),
-    )
+    force, low, high = (y.reshape(structure.shape) for y in (force, force - spread, force + spread))
+    shares = _shares(problem, best, e) if structure.over == "both" else ()
+    near = tuple(nearest(problem, best, e))
+    over, axes = structure.over, (e.elongation, e.rate)
+    return Tabulated(e.between, over, e.name, explained, *axes, force, low, high, near, shares)
 
 
 def _shares(problem: Problem, best: Candidate, e: el.TabulatedForce) -> tuple[tuple[str, float], ...]:

@@ -27,7 +27,6 @@ from ..estimation.noise import (
 from ..estimation.structure import Structure, base_structure
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
-from ..simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density
 from .criteria import CRITERIA
@@ -325,13 +324,7 @@ class HeldOutEvaluator:
 
 
 def effect_size(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the RMS of what an element does over the RMS of what is there: force, current or signal.
-
-    Args:
-        problem: Model and records.
-        fit: Fitted structure with the element.
-        name: Name of the element.
-    """
+    """Return the RMS of what an element does over the RMS of what is there: force, current or signal."""
     net = fit.network
     e = net.element(name)
     if e.place == "channel":
@@ -376,6 +369,3 @@ def error_reduction(before: HeldOutScore, after: HeldOutScore) -> float:
     """Return the largest share of a channel's deviation by which the error falls, on validation or training records."""
     pairs = ((before.nrmse, after.nrmse), (before.training_nrmse, after.training_nrmse))
     return max(float(np.sqrt(np.maximum(a**2 - b**2, 0.0)).max()) for a, b in pairs)
-
-
-__all__ = ["BROKEN", "HeldOutEvaluator", "HeldOutScore", "effect_size", "error_reduction"]

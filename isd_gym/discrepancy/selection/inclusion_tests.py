@@ -81,11 +81,9 @@ class InclusionTests:
         return float(size * force_difference(self.evaluator.problem, chosen, other, own[0]))
 
     def simplest(self, scores: CandidateComparison, candidates: Sequence[Candidate]) -> Candidate:
-        """Return the candidate with fewest parameters that no candidate with more parameters is preferred to.
+        """Return the sound candidate with fewest parameters that no candidate with more parameters is preferred to.
 
-        Args:
-            scores: Scores of the candidates.
-            candidates: Candidates with the same number of effects; the first is returned where no candidate is sound.
+        The candidates have the same number of effects. The first is returned where no candidate is sound.
         """
         sound = [
             r
@@ -117,12 +115,7 @@ class InclusionTests:
     def removed(
         self, scores: CandidateComparison, chosen: Candidate, without: Candidate
     ) -> tuple[float, float, bool]:
-        """Return what an effect removes of the error without it.
-
-        Args:
-            scores: Scores of the candidates.
-            chosen: A candidate with the effect.
-            without: The candidate without the effect.
+        """Return what an effect of the candidate `chosen` removes of the error of the candidate `without` it.
 
         Returns:
             Share of the excess error; excess error without the effect, mean over channels, as a share of the deviation; whether that
@@ -136,23 +129,13 @@ class InclusionTests:
     def is_material(
         self, scores: CandidateComparison, chosen: Candidate, without: Candidate, size: float
     ) -> bool:
-        """Return whether an effect is large enough to be named.
-
-        Args:
-            scores: Scores of the candidates.
-            chosen: A candidate with the effect.
-            without: The candidate without the effect.
-            size: Share of the force, current or signal at the effect's place.
-        """
+        """Return whether an effect with a share `size` of the force, current or signal at its place is large enough to be named."""
         return is_material(*self.removed(scores, chosen, without), size, self.criteria)
 
     def passes_inclusion(self, scores: CandidateComparison, before: Candidate, after: Candidate) -> bool:
-        """Return whether the last effect of a candidate is kept: it predicts better, is material, and removes half of the excess error.
+        """Return whether the last effect of the candidate `after` is kept; a note about the test is appended to `scores`.
 
-        Args:
-            scores: Scores of the candidates; a note about the test is appended.
-            before: The candidate without the last effect.
-            after: The candidate with it.
+        The effect is kept if it predicts better, is material, and removes half of the excess error.
         """
         c = self.criteria
         a, b = scores.score(before), scores.score(after)

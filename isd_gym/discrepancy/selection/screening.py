@@ -6,7 +6,6 @@ of them to a window, and the finals are fitted to whole records.
 
 from __future__ import annotations
 
-import functools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -230,19 +229,18 @@ class Screening:
     # -- fits ---------------------------------------------------------------------------------------------
     def fit_to_windows(self, group: list[ScoredStart]) -> Candidate | None:
         """Fit a hypothesis to the windows from its best starts; None where every fit breaks down."""
-        tries: list[Candidate] = []
+        fitter, tries = self.window_fitter, []
         for structure, x in starts(self, group):
             known = transfer_states(self.windowed, self.current.network, self.window_states, structure)
             try:
                 if structure.hypotheses[-1].kind.periodic:  # first find the position of rest that holds
                     guessed = {i: guess(self.windowed, structure.at(x), i) for i in self.windowed.estimation}
-                    known = min(
-                        (known, guessed),
-                        key=lambda s: self.window_fitter.cost(
-                            structure, x, s, self.current.offset, self.windowed.estimation
-                        ),
+                    own, guess_cost = (
+                        fitter.cost(structure, x, s, self.current.offset, self.windowed.estimation)
+                        for s in (known, guessed)
                     )
-                f = self.window_fitter.fit(structure, x, known, self.current.offset, iterations=3)
+                    known = guessed if guess_cost < own else known
+                f = fitter.fit(structure, x, known, self.current.offset, iterations=3)
             except BROKEN:
                 continue
             tries.append(self._candidate(self.windowed, f))
@@ -250,7 +248,7 @@ class Screening:
             return None
         f = min(tries, key=lambda c: c.deviance).fit
         try:
-            f = self.window_fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
+            f = fitter.fit(f.structure, f.x, f.initial, f.offset, iterations=4)
         except BROKEN:
             return None
         return self._candidate(self.windowed, f)
@@ -261,9 +259,8 @@ class Screening:
     def fit_to_records(self, r: Candidate) -> Candidate | None:
         """Fit a candidate of the windows to whole records; None where the fit breaks down."""
         try:
-            filters = whitener(
-                residuals(self.windowed, r.fit), white_noise(self.windowed, r.fit, self.least_noise)
-            )
+            p = self.windowed
+            filters = whitener(residuals(p, r.fit), white_noise(p, r.fit, self.least_noise))
             known = transfer_states(self.problem, self.current.network, self.current.initial, r.fit.structure)
             known |= {i: r.fit.initial[i] for i, w in self.windows.items() if w.first == 0}
             fitter = Fitter(self.problem, filters)
@@ -292,10 +289,6 @@ class Screening:
             return None
         return r
 
-    def try_other_shape(self, r: Candidate, factor: float, noise: Array) -> Candidate:
-        """Refit a candidate from another shape of its law. Return the unchanged candidate if the refit fails."""
-        return refit_with_other_shape(self.problem, r, shape_index(r), factor, self.least_noise, noise) or r
-
     def first_round(self) -> list[Candidate]:
         """Fit the hypotheses of the shortlist to the windows, and the best of them to whole records."""
         groups, _ = self.shortlist(), (self.window_fitter, self.window_states)
@@ -317,13 +310,16 @@ class Screening:
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         with ThreadPoolExecutor(self.settings.jobs) as pool:
             ranked = _best_first(pool.map(lambda r: self.settle_noise(r, noise), ranked))
-            again = [(r, k) for r in ranked[:2] if shape_index(r) is not None for k in SHAPES]
-            for r, other in zip(
-                [r for r, _ in again],
-                pool.map(lambda t: self.try_other_shape(t[0], t[1], noise), again),
-                strict=True,
-            ):
-                ranked = [other if q is r and other.deviance < q.deviance else q for q in ranked]
+            again = [(r, k) for r in ranked[:2] for k in SHAPES]
+
+            def refit(t: tuple[Candidate, float]) -> Candidate | None:
+                return refit_with_other_shape(
+                    self.problem, t[0], shape_index(t[0]), t[1], self.least_noise, noise
+                )
+
+            for (r, _), other in zip(again, pool.map(refit, again), strict=True):
+                if other is not None:
+                    ranked = [other if q is r and other.deviance < q.deviance else q for q in ranked]
         return ScreeningResult(tuple(self.rank(ranked)), noise)
 
     def _transferred(self, r: Candidate) -> Candidate | None:
@@ -468,7 +464,12 @@ def _screen_growing(
         share = min(GROWTH * share, 1.0)
         part = beginning(problem, share, settings.shortest) if share < 1.0 else problem
         fitter = Fitter(part, white_filters(least_noise))
-        change_each(functools.partial(_refit, fitter))
+
+        def refit(r: Candidate, fitter: Fitter = fitter) -> Candidate:
+            f = fitter.fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset)
+            return with_fit(r, f, math.nan)
+
+        change_each(refit)
     noise = least_noise
     if ranked:
         noise = np.min([white_noise(problem, r.fit, least_noise) for r in ranked], axis=0)
@@ -477,18 +478,8 @@ def _screen_growing(
     return ScreeningResult(tuple(simplest_first(ranked, settings.chance, settings.sure)), noise)
 
 
-def _refit(fitter: Fitter, r: Candidate) -> Candidate:
-    return with_fit(r, fitter.fit(r.fit.structure, r.fit.x, r.fit.initial, r.fit.offset), math.nan)
-
-
 def beginning(problem: Problem, share: float, least: int) -> Problem:
-    """Return the problem with the first part of every record.
-
-    Args:
-        problem: Model and records.
-        share: Share of each record.
-        least: Smallest number of samples, where a record has as many.
-    """
+    """Return the problem with the first `share` of every record, at least `least` samples where a record has as many."""
     return problem.with_records(
         [r.part(0, max(int(share * len(r)), min(len(r), least)), r.name) for r in problem.records]
     )

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import elements as el
-from ..estimation.gauss_newton import Fitter, residuals
-from ..estimation.noise import whitener
+from ..estimation.gauss_newton import Fitter
 from ..result import Quantity
 from ..simulation.problem import BROKEN
-from .candidate import Candidate, white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,6 +18,7 @@ if TYPE_CHECKING:
     from ...network import Network
     from ..estimation.structure import Structure
     from ..simulation.problem import Array
+    from .candidate import Candidate
     from .held_out import HeldOutEvaluator
 
 #: quantile of a normal distribution for a 95 % interval
@@ -33,18 +32,13 @@ def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | Non
 
     Noise counts by the curvature of the cost with the coloured noise of the residuals. Unmodelled effects count by the shift of the
     parameters that each of them causes, to first order.
-
-    Args:
-        evaluator: Records and responses to unmodelled effects.
-        candidate: The candidate.
     """
     problem, fit = evaluator.problem, candidate.fit
-    filters = whitener(residuals(problem, fit), white_noise(problem, fit, evaluator.least_noise))
+    filters = evaluator.whitener(candidate)
     f = Fitter(problem, filters).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
     if f.hessian is None or not len(f.x):
         return None
-    sigma = np.array([q.sigma for q in f.structure.free])
-    out = np.linalg.inv(f.hessian + np.diag(1 / sigma**2))
+    out = np.linalg.inv(f.hessian + np.diag(1 / f.structure.sigma**2))
     try:
         shift, left = Fitter(problem, filters).refit(f, evaluator.unmodelled_responses(candidate))
         # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
@@ -72,8 +66,7 @@ def intervals(
     out: dict[str, Quantity] = {}
     if matrix is None:
         return out
-    sigma = np.array([q.sigma for q in f.structure.free])
-    variance = np.minimum(np.maximum(np.diag(matrix), 0.0), sigma**2)
+    variance = np.minimum(np.maximum(np.diag(matrix), 0.0), f.structure.sigma**2)
     prior = problem.network.parameters
     for k, q in enumerate(f.structure.free):
         s, x = math.sqrt(variance[k]), f.x[k]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.signal import firwin, oaconvolve, welch
@@ -224,7 +224,7 @@ class Problem:
     Args:
         network: The nominal model.
         records: Measured records, training records first.
-        roles: Role of each record.
+        roles: Role of each record. Default: all are training records.
         step: Largest physics step relative to the time scale of the motion.
         time: Time scale of the motion [s], if known from other records.
     """
@@ -233,13 +233,13 @@ class Problem:
         self,
         network: Network,
         records: Sequence[Record],
-        roles: Sequence[Role],
+        roles: Sequence[Role] | None = None,
         step: float = FINE,
         time: float | None = None,
     ):
         self.network = network
         self.records = list(records)
-        self.roles = list(roles)
+        self.roles: list[Role] = list(roles) if roles is not None else ["fit"] * len(self.records)
         self.step = step
         self.channels = [c.name for c in network.outputs]
         self.factors = np.array([convert(1.0, c.si, c.unit) for c in network.outputs])
@@ -309,9 +309,9 @@ class Problem:
             [self.records[i].measured for i in (self.estimation if records is None else records)]
         )
 
-    def with_records(self, records: Sequence[Record]) -> Problem:
-        """Return the problem with other records in the same roles."""
-        return Problem(self.network, records, self.roles, self.step, self.time)
+    def with_records(self, records: Sequence[Record], roles: Sequence[Role] | None = None) -> Problem:
+        """Return the problem with other records; the roles stay unless given."""
+        return Problem(self.network, records, roles or self.roles, self.step, self.time)
 
     @cached_property
     def rough(self) -> Problem:
@@ -361,10 +361,8 @@ class Problem:
         Returns:
             Deviation (channels,) in the channels' units, at least 1e-300.
         """
-        pick = self.estimation if records is None else records
-        return deviation_within(
-            [self.records[i].measured for i in pick], [self.records[i].name for i in pick]
-        )
+        pick = [self.records[i] for i in (self.estimation if records is None else records)]
+        return deviation_within([r.measured for r in pick], [r.name for r in pick])
 
     def nothing(self, index: int, shared: Sequence[float] | None = None) -> Array:
         """Return the nuisances of a record at the start of a fit.
@@ -438,13 +436,13 @@ class Problem:
         like: Network | None = None,
     ) -> dict[int, Array]:
         """The same over several records, those of one length side by side in one call of the kernel."""
-        groups: dict[tuple[object, ...], list[int]] = {}
+        groups: dict[tuple[Any, ...], list[int]] = {}
         for i in records:
             r = self.records[i]
             groups.setdefault((r.samples, r.step, self.every(r), *r.slopes), []).append(i)
         out: dict[int, Array] = {}
         for (samples, *_), members in groups.items():
-            size = max(1, LARGEST // (int(str(samples)) * len(networks)))
+            size = max(1, LARGEST // (samples * len(networks)))
             for k in range(0, len(members), size):
                 out |= self._side_by_side(networks, members[k : k + size], initial, like)
         return {i: out[i] for i in records}
@@ -523,12 +521,7 @@ class Problem:
             return np.zeros((plant.n, lanes))
         source = assemble(bare(like))
         # most lanes differ in parameters that the motion of the nodes does not depend on
-        known: dict[bytes, Array] = {}
-        maps = {}
-        for asm in plant.assemblies:
-            if id(asm) not in maps:
-                key = asm.position.tobytes() + asm.velocity.tobytes()
-                if key not in known:
-                    known[key] = transfer_matrix(source, asm, self.time)
-                maps[id(asm)] = known[key]
-        return np.stack([maps[id(asm)] @ initial[:, k] for k, asm in enumerate(plant.assemblies)], axis=1)
+        keys = [asm.position.tobytes() + asm.velocity.tobytes() for asm in plant.assemblies]
+        distinct = dict(zip(keys, plant.assemblies, strict=True))
+        maps = {key: transfer_matrix(source, asm, self.time) for key, asm in distinct.items()}
+        return np.stack([maps[key] @ initial[:, k] for k, key in enumerate(keys)], axis=1)

@@ -187,11 +187,6 @@ def fit_model(model: KalmanModel, x: Array, clock: TimeLimit, fixed: int = 0) ->
 def fit_effect(base: ModelFit, hypothesis: Hypothesis, clock: TimeLimit) -> ModelFit | None:
     """Fit a model with one more linear effect, from a small and from a large start.
 
-    Args:
-        base: Fit without the effect.
-        hypothesis: The effect and its place.
-        clock: Time limit of the fit.
-
     Returns:
         The better fit; None if the effect cannot be built in or every fit fails.
     """
@@ -222,12 +217,7 @@ def fit_effect(base: ModelFit, hypothesis: Hypothesis, clock: TimeLimit) -> Mode
 
 
 def estimate_uncertainty(network: Network, fit: ModelFit) -> Estimates:
-    """Compute intervals, determined parameters and the common scale from the Fisher information at a fit.
-
-    Args:
-        network: The nominal model in the frame of the road.
-        fit: The fit.
-    """
+    """Compute intervals, determined parameters and the common scale from the Fisher information at a fit."""
     model, x = fit.model, fit.x
     free, at, frictions = model.structure.free, len(model.structure.free), len(model.frictions)
     here = model.predict(x)

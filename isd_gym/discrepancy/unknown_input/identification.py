@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from ...loggers.recording import Recording
 from ...network import Network
 from ...network.frames import order_told
 from ..estimation.noise import floors_of
-from ..estimation.structure import base_structure
+from ..estimation.structure import base_structure, unchecked
 from ..hypotheses.library import hypotheses
 from ..records import read_record
 from ..selection.settings import TimeLimit
@@ -99,7 +99,8 @@ def prepare_model(
 ) -> KalmanModel:
     """Return the Kalman model of the records at the start of a fit; arguments and errors as in `identify`."""
     network, name = _move_to_road_frame(nominal, road)
-    channels = _without_input(network, name)
+    # the channels without the road: a network would have to move the node
+    channels = unchecked(network, inputs=tuple(c for c in network.inputs if c.name != name))
     tables = [data] if isinstance(data, Table | Recording | str | Path) else data
     records = [read_record(t, channels, notes, accept) for t in tables]
     if not records:
@@ -113,7 +114,7 @@ def prepare_model(
             )
         if abs(r.step - step) > 1e-3 * step:
             raise InputError("the records are sampled at different rates: resample them to one")
-    problem = Problem(channels, records, ["fit"] * len(records))
+    problem = Problem(channels, records)
     spread = problem.deviation() / problem.factors
     noise = np.array([f.deviation for f in floors_of(problem)]) / problem.factors
     rows = []
@@ -145,11 +146,3 @@ def _move_to_road_frame(network: Network, road: str | None) -> tuple[Network, st
     inputs = tuple(velocity if o is c else o for o in network.inputs)
     between = tuple(e for e in network.elements if e.place == "between")
     return replace(network, inputs=inputs, elements=between), c.name
-
-
-def _without_input(network: Network, name: str) -> Network:
-    """Return a list of channels without an input; the checks of `Network` would refuse the unmoved node."""
-    out = object.__new__(Network)
-    out.__dict__.update({f.name: getattr(network, f.name) for f in fields(Network)})
-    out.__dict__["inputs"] = tuple(c for c in network.inputs if c.name != name)
-    return out

@@ -76,12 +76,6 @@ def decide_under_feedback(
 def imitated_share(problem: Problem, fit: Fit, element: Element, name: str) -> float:
     """Compute the share of an element's force that an input explains, as a multiple, over the records to fit by.
 
-    Args:
-        problem: Model and records.
-        fit: The fit with the element.
-        element: The element.
-        name: The input.
-
     Returns:
         Squared correlation within records; 0 for a fault of a drive or a sensor.
     """

@@ -157,16 +157,8 @@ def draw_law(problem: Problem, fit: Fit, name: str, quantities: dict[str, Quanti
             except InputError:
                 continue
             spread = np.maximum(spread, np.abs(changed.curve(axis) - middle))
-    return Law(
-        name,
-        "rate" if rate else "travel",
-        axis,
-        middle,
-        middle - spread,
-        middle + spread,
-        visited[:: max(1, len(visited) // 2000)],
-        np.zeros(0),
-    )
+    thin = visited[:: max(1, len(visited) // 2000)]
+    return Law(name, "rate" if rate else "travel", axis, middle, middle - spread, middle + spread, thin)
 
 
 def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
@@ -174,8 +166,8 @@ def draw_table(problem: Problem, fit: Fit, t: Tabulated) -> Law:
     motion = motions(problem, fit, (t.between,))[t.between]
     rate = t.over == "rate"
     still = int(np.argmin(np.abs(t.rate))) if t.over == "both" else slice(None)
-    rows = [x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high)]
+    force, low, high = (x[:, still] if t.over == "both" else x for x in (t.force, t.low, t.high))
     visited = motion.v if rate else motion.d
     axis = np.array(t.rate if rate else t.elongation)
     thin = visited[:: max(1, len(visited) // 2000)]
-    return Law(t.element, "rate" if rate else "travel", axis, rows[0], rows[1], rows[2], thin, np.zeros(0))
+    return Law(t.element, "rate" if rate else "travel", axis, force, low, high, thin)

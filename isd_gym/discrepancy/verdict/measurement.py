@@ -55,13 +55,7 @@ class Measurements:
 
 
 def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0) -> Measurements:
-    """Measure the foremost candidate.
-
-    Args:
-        search: The search.
-        scores: Scores of its candidates.
-        seed: Seed of the Bayesian bootstrap.
-    """
+    """Measure the foremost candidate."""
     evaluator, tests = search.evaluator, search.tests
     refitted, best = scores.refitted, scores.foremost
     refit, after, richest = scores.score(refitted), scores.score(best), scores.score(scores.richest)

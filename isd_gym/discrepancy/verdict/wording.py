@@ -68,11 +68,7 @@ def summary_of(document: Mapping[str, Any]) -> str:
 
 
 def unit_summary_of(document: Mapping[str, Any]) -> str:
-    """Return the summary of a diagnosis whose model is an FMU.
-
-    Args:
-        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
-    """
+    """Return the summary of a diagnosis whose model is an FMU."""
     gap, verdict = document["gap"]["held_out"], document["verdict"]
     if verdict == "no_discrepancy":
         worst = _widest(gap)
@@ -342,11 +338,8 @@ def _table(d: Mapping[str, Any]) -> str:
             f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, or on a motion "
             "that no sensor measures."
         )
-    return (
-        f"{text}, but fails {failures(tried['gates'])}."
-        if failures(tried["gates"])
-        else f"{text}, but its interval cannot be computed."
-    )
+    failed = failures(tried["gates"])
+    return f"{text}, but fails {failed}." if failed else f"{text}, but its interval cannot be computed."
 
 
 def _agreement(d: Mapping[str, Any]) -> str:
@@ -366,18 +359,15 @@ def _agreement(d: Mapping[str, Any]) -> str:
 def _reason(d: Mapping[str, Any]) -> str:
     e, c = d["evidence"], d["criteria"]
     rows = zip(e["channels"], e["refit"], e["noise"], e["envelope"], strict=True)
-    excess = {
-        name: (max(_square(r) - _square(f), 0.0) ** 0.5, f, w)
+    excess = [
+        (name, max(_square(r) - _square(f), 0.0) ** 0.5, f, w)
         for name, r, f, w in rows
         if None not in (r, f, w)
-    }
+    ]
     if not excess:
         return ""
-    worst = max(excess, key=lambda n: excess[n][0])
-    over, _, small = excess[worst]
     if d["reason"] == "small_effects":
-        worst = max(excess, key=lambda n: excess[n][0] / max(excess[n][2], 1e-12))
-        over, _, small = excess[worst]
+        worst, over, _, small = max(excess, key=lambda x: x[1] / max(x[3], 1e-12))
         return (
             f"On validation data the error in {worst} beyond noise is {_percent(over)}. Unmodelled effects of {_percent(c['small'], 0)} of "
             f"the typical force, which every rig has, leave up to {_percent(small)}."
@@ -388,14 +378,13 @@ def _reason(d: Mapping[str, Any]) -> str:
             f"{_percent(c['share'], 0)}."
         )
     if d["reason"] == "noise":
-        worst = max(excess, key=lambda n: excess[n][0] / max(excess[n][1], 1e-12))
-        over, floor, _ = excess[worst]
+        worst, over, floor, _ = max(excess, key=lambda x: x[1] / max(x[2], 1e-12))
         return f"On validation data the error in {worst} beyond noise is {_percent(over)} (noise {_percent(floor)}), and no known effect reduces the error."
     if d["reason"] == "doubtful_sensor":
         return f"A sensor fault may explain the rest, but fails {failures(d['gates'])}."
     if d["reason"] == "immaterial":
         return (
-            f"On validation data the error beyond noise is at most {_percent(over)} of the standard deviation in every channel "
+            f"On validation data the error beyond noise is at most {_percent(max(x[1] for x in excess))} of the standard deviation in every channel "
             f"(limit {_percent(c['material'], 0)})."
         )
     return ""
