@@ -224,15 +224,17 @@ def learned_preview() -> str:
 
 
 def learned_half_car() -> str:
-    """Trained policies of the half car against the controllers, with and without wheelbase preview."""
+    """Trained policies of the half car against controllers with and without wheelbase preview."""
     found = json.loads((BENCHMARKS / "half-car-study.json").read_text(encoding="utf-8"))
     by = study.groups(found["costs"]["training road"])
     rivals = {"passive": 1, "mpc-friction": 1, "lqg-wheelbase": 2, "mpc-wheelbase": 2}
     body = []
     for name, own in by.items():
-        steps = [t["settings"]["steps"] for k, t in found["training"].items() if k.partition("/")[0] == name]
-        trained = f"{len(steps)}, {'/'.join(f'{s / 1e6:g}' for s in sorted(set(steps)))} M" if steps else ""
-        body.append([f"`{name}`", trained, f"{study.iqm(own.mean(axis=1)):.4f}", *paired(by, name, rivals)])
+        runs = [t for key, t in found["training"].items() if key.partition("/")[0] == name]
+        if runs:
+            trained = f"{len(runs)}, {min(run['settings']['steps'] for run in runs) / 1e6:g} M"
+            cost = f"{study.iqm(own.mean(axis=1)):.4f}"
+            body.append([f"`{name}`", trained, cost, *paired(by, name, rivals)])
     heads = ["policy", "seeds, steps each", "J", *(f"against `{rival}`" for rival in rivals)]
     return markdown(heads, body, "llrrrrr")
 
