@@ -98,7 +98,7 @@ def find(
         of_kind = probability(candidates, place=place, kind=kind)
         if of_kind < c.reported:
             continue
-        is_free = FREE_FORCE in laws  # its weight is that of a law that is not in the library
+        is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
         doubt = 0.0 if (place, kind) in passed or is_free else c.mistaken_extra
         entries = [
             LawProbability(
