@@ -273,7 +273,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         autoreset_mode: 'next_step' (Gymnasium's default), 'same_step' (`final_obs` and `final_info` in
             `info`) or 'disabled' (reset with ``options={"reset_mask": mask}``).
         render_mode: None, or 'rgb_array' for a picture of every car from `render`.
-        threads: Number of threads that share the cars; None for one per 2048 cars, at most one per core.
+        threads: Number of threads that share the cars; None for a thread per 2048 cars, at most one per core.
         options: Further options of `ISDSuspensionEnv`.
 
     Raises:

@@ -114,7 +114,7 @@ class Idle:
 
 
 class Crew:
-    """A policy that drives several cars, with one controller for all cars or one per car.
+    """A policy in several cars, with a common controller or a controller per car.
 
     `observation` is the wanted observation, `preview` [s] the wanted length of the road ahead, and `times`
     [s] the processor times of single decisions with one controller per car.

@@ -304,7 +304,7 @@ class Element:
         return 0.0, 0.0, 0.0
 
     def parts(self) -> tuple[Element, ...]:
-        """Return the elements that the kernel steps: this element if it has a law, none if the force is linear.
+        """Return the elements that the kernel steps: the element itself if it has a law; an empty tuple if the force is linear.
 
         Returns:
             Elements with a law or a bound.
@@ -388,7 +388,7 @@ class Element:
                 out[f.name] = getattr(self, f.name)
         return out
 
-    # --------------------------------------------------- what it knows of itself as a hypothesis of the diagnosis
+    # --------------------------------------------------- the element as a hypothesis of the diagnosis
 
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:

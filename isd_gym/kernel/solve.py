@@ -13,7 +13,7 @@ from .newton import newton
 
 SWEEPS = 40  # largest number of Gauss-Seidel sweeps
 INSTANTS = 200  # largest number of sweeps for the forces of one instant
-QUICK = 20  # number of these that may be Newton steps
+QUICK = 20  # largest number of Newton steps among INSTANTS
 
 
 def solved(mats, own, ints, state, count, now):

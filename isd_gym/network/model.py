@@ -423,8 +423,7 @@ class Network:
                 )
 
     def _check_turning(self) -> None:
-        """Check that connected nodes are all rotational or all translational; no element converts between
-        rotation and translation."""
+        """Check that each element connects either rotational or translational nodes."""
         if not self.rotating:
             return
         for body in self.bodies:

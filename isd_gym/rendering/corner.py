@@ -223,7 +223,7 @@ class Suspension:
         return PULL if self.corner.current >= 0 else PUSH
 
     def _thrust(self, x: float, middle: float) -> None:
-        """The motor's force on the terminals: arrows that face each other pull together, arrows apart push."""
+        """Draw the force of the motor on the terminals: converging arrows for a pull, diverging arrows for a push."""
         c, u, corner = self.canvas, self.u, self.corner
         assert corner.current_limit is not None
         share = min(1.0, abs(corner.current) / corner.current_limit)

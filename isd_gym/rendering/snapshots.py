@@ -84,13 +84,13 @@ class CornerSnapshot:
     joint: float | None = None
     # [A]
     current: float = 0.0
-    # [A]; None: there is no motor
+    # [A]; None without a motor
     current_limit: float | None = None
-    # dynamic tyre load [N]: what is added to the static load
+    # dynamic tyre load [N], in addition to the static load
     tyre_load: float
-    # [N]; where given, a tyre that carries nothing is drawn off the road
+    # [N]; if given, an unloaded tyre is drawn above the road
     static_tyre_load: float | None = None
-    # end stop of the device [m]; None: it has none
+    # end stop of the device [m]; None without end stop
     device_travel_limit: float | None = None
 
     def __post_init__(self) -> None:
@@ -141,17 +141,17 @@ class Snapshot:
     speed: float
     # [A]
     current: float = 0.0
-    # [A]; None: there is no motor
+    # [A]; None without a motor
     current_limit: float | None = None
     # [m/s^2]
     body_acceleration: float
     # [m]
     suspension_travel: float
-    # dynamic tyre load [N]: what is added to the static load
+    # dynamic tyre load [N], in addition to the static load
     tyre_load: float
-    # [N]; where given, a tyre that carries nothing is drawn off the road
+    # [N]; if given, an unloaded tyre is drawn above the road
     static_tyre_load: float | None = None
-    # end stop of the device [m]; None: it has none
+    # end stop of the device [m]; None without end stop
     device_travel_limit: float | None = None
     # mean cost so far
     cost: float | None = None

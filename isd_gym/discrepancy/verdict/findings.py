@@ -101,7 +101,7 @@ def find(
         """Return the finding of a kind at a place, or at any place where `place` is empty."""
         where: dict[str, object] = {"kind": kind} | ({"place": place} if place else {})
         is_passed = any(s.kind == kind and place in (s.place, ()) for s in passed)
-        is_free = FREE_FORCE in laws  # its weight is that of a law that is not in the library
+        is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
         doubt = 0.0 if is_passed or is_free else c.mistaken_extra
         of_kind = probability(candidates, **where) * (1.0 - max(doubt, share("kind")))
         entries = [
