@@ -279,7 +279,7 @@ def suites() -> str:
 
 
 #: statements of a level and a probability below which their share says little
-FEWEST = 5
+FEWEST = 10
 
 
 def calibration() -> str:

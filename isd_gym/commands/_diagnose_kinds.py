@@ -25,7 +25,7 @@ def identify_without_road(
     json_file: Path | None,
 ) -> None:
     """Refit a model by its likelihood, without the measured road; write and print the result."""
-    from ..discrepancy.unknown_input import FOLDER, identify
+    from ..discrepancy.unknown_input import FOLDER, MAX_SECONDS, identify
     from ..files import check_folder
     from ..loggers.record_reading import outputs_of, records_of
 
@@ -49,7 +49,7 @@ def identify_without_road(
             network,
             road=road,
             accept=accept,
-            **({"max_seconds": max_seconds} if max_seconds else {}),
+            max_seconds=max_seconds or MAX_SECONDS,
         )
     found.save(out)
     write_json(json_file, found.to_dict())

@@ -15,7 +15,7 @@ References:
     Ljung, System Identification, 2nd edition, 1999, section 4.3.
 """
 
-from .identification import identify
+from .identification import MAX_SECONDS, identify
 from .result import FOLDER, UnknownInputResult
 
-__all__ = ["FOLDER", "UnknownInputResult", "identify"]
+__all__ = ["FOLDER", "MAX_SECONDS", "UnknownInputResult", "identify"]

@@ -209,14 +209,14 @@ def _certain(d: Mapping[str, Any]) -> str:
     sentences = []
     for f in kinds:
         if not f["place"]:
-            places = " or ".join(
+            open_places = " or ".join(
                 f"{_spot(g['place'])} ({g['place_probability']:.2f})"
                 for g in findings
                 if g["place"] and g["kind"] == f["kind"]
             )
             sentences.append(
                 f"{KINDS[f['kind']]} explains the error (probability {f['kind_probability']:.2f}), but the data do not determine "
-                f"its place: {places}."
+                f"its place: {open_places}."
             )
             continue
         laws = " or ".join(
