@@ -6,7 +6,7 @@ import pytest
 from test_words import VAGUE, document
 
 from isd_gym.discrepancy.selection.criteria import CRITERIA
-from isd_gym.discrepancy.selection.weights import Statement, WeightedCandidate
+from isd_gym.discrepancy.selection.weights import FREE_FORCE, Statement, WeightedCandidate
 from isd_gym.discrepancy.verdict.findings import find
 from isd_gym.discrepancy.verdict.wording import summary_of
 
@@ -20,10 +20,10 @@ def friction(place):
     return Statement(place, "dry_friction", "coulomb_friction")
 
 
-def found(*weighted, own, is_named=False):
+def found(*weighted, own, is_named=False, explained=0.99):
     """Findings of candidates: pairs of a weight and the statements of a candidate; `own` are those of the foremost candidate."""
     candidates = [WeightedCandidate(NO_LAWS, w, frozenset(s)) for w, s in weighted]
-    evidence = SimpleNamespace(explained=0.99, support=1.0)
+    evidence = SimpleNamespace(explained=explained, support=1.0)
     search = SimpleNamespace(criteria=CRITERIA)
     return find(search, candidates, evidence, {}, frozenset(own), is_named=is_named, is_doubted=False)
 
@@ -49,6 +49,18 @@ def test_a_kind_that_two_places_share_is_certain_and_its_place_is_open():
 )  # fmt: skip
 def test_no_open_place_where_a_place_is_certain_or_kinds_differ(candidates, is_named):
     assert all(f.place for f in found(*candidates, own=[friction(FRONT)], is_named=is_named))
+
+
+def test_a_place_is_doubted_where_its_candidate_explains_less_than_half_or_did_not_pass():
+    front, rear = [friction(FRONT)], [friction(FRONT), friction(REAR)]
+    sure = {f.place: f.place_probability for f in found((0.1, front), (0.9, rear), own=front)}
+    assert sure[FRONT] == pytest.approx(1 - CRITERIA.mistaken_place)
+    assert sure[REAR] == pytest.approx(0.9 * (1 - CRITERIA.mistaken_extra))  # the further effect did not pass
+    (weak,) = found((1.0, front), own=front, explained=0.3)
+    assert weak.place_probability == weak.kind_probability == pytest.approx(1 - CRITERIA.mistaken_weak)
+    free = Statement(FRONT, "other", FREE_FORCE)
+    (table,) = found((1.0, [free]), own=[friction(FRONT)], explained=0.3)
+    assert table.place_probability == pytest.approx(1 - CRITERIA.mistaken_place)
 
 
 def test_the_summary_says_that_the_place_is_open():

@@ -96,6 +96,26 @@ def find(
         for s in sorted(w.statements, key=lambda s: (s.place, s.kind, s.law)):
             every.setdefault((s.place, s.kind), {})[s.law] = s
     passed = frozenset[Statement]() if is_doubted else own
+    free_places = {place for (place, _), laws in every.items() if FREE_FORCE in laws}
+
+    own_places = {s.place for s in own}
+
+    def of_place(place: tuple[str, ...]) -> float:
+        """Return the probability of a place.
+
+        A place beside the foremost candidate's place belongs to an effect that did not pass the inclusion test. A free force explains by
+        itself, whatever the foremost candidate explains.
+        """
+        whole = probability(candidates, place=place)
+        if place in free_places:
+            return whole * (1.0 - c.mistaken_place)
+        beside = [
+            w for w in candidates if place not in own_places and own_places & {s.place for s in w.statements}
+        ]
+        further = probability(beside, place=place)
+        return (whole - further) * (1.0 - share("place")) + further * (
+            1.0 - max(c.mistaken_extra, share("place"))
+        )
 
     def finding(place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
         """Return the finding of a kind at a place, or at any place where `place` is empty."""
@@ -103,7 +123,8 @@ def find(
         is_passed = any(s.kind == kind and place in (s.place, ()) for s in passed)
         is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
         doubt = 0.0 if is_passed or is_free else c.mistaken_extra
-        of_kind = probability(candidates, **where) * (1.0 - max(doubt, share("kind")))
+        mistaken = c.mistaken_kind if is_free else max(doubt, share("kind"))
+        of_kind = probability(candidates, **where) * (1.0 - mistaken)
         entries = [
             LawProbability(
                 law,
@@ -114,7 +135,7 @@ def find(
         ]
         return Finding(
             place,
-            probability(candidates, place=place) * (1.0 - share("place")) if place else of_kind,
+            of_place(place) if place else of_kind,
             kind,
             of_kind,
             tuple(sorted(entries, key=lambda e: (-e.probability, e.effect))),
