@@ -595,7 +595,9 @@ class _Filter:
         for _ in range(2 if self.nf > 1 else 0):
             for j in range(self.nf):
                 friction[:, j] = np.clip(rest[:, j] - friction @ self.others[:, j], -1.0, 1.0)
-        z = now @ self.free + friction @ self.force + observations[:, : self.ny] @ self.gain
+        # products of part of a row may raise the flag of an invalid value although all values are finite: the library reads past the part
+        with np.errstate(invalid="ignore"):
+            z = now @ self.free + friction @ self.force + observations[:, : self.ny] @ self.gain
         if known:
             z += risen @ self.road
         features[:, :n] = z

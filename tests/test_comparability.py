@@ -75,4 +75,4 @@ def test_the_report_draws_no_bound_that_does_not_hold(monkeypatch, tmp_path):
     result.comparable = Comparable()
     assert len(page.fronts(result)) == 2
     assert asked[0]["network"] is CAR and asked[0]["road"].name == "paper"  # the plant itself, not its name
-    assert "the paper's two for comparison" in page.trade_off(page.Shown(result)).caption
+    assert "Two points are the results of the paper." in page.trade_off(page.Shown(result)).caption

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from isd_gym import cli, simulate
 from isd_gym.data import Table, write_table
 from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.selection.settings import TimeLimit
 from isd_gym.discrepancy.unknown_input import estimation, identification, identify
 from isd_gym.discrepancy.unknown_input.decision import (
     check_fit,
@@ -335,7 +336,7 @@ def test_the_time_limit_stops_the_search_and_says_so(limit, tried, monkeypatch):
 
     monkeypatch.setattr(identification, "fit_effect", fit_effect)
     seconds = (lambda _: float(next(readings))) if tried.startswith("0") else (lambda _: float(len(fitted)))
-    monkeypatch.setattr(estimation.TimeLimit, "seconds", property(seconds))
+    monkeypatch.setattr(TimeLimit, "seconds", property(seconds))
     data = car(True).to_dict()
     data["elements"].append(
         {"name": "b", "type": "inertance", "between": ["body", "wheel"], "inertance": 60.0}
