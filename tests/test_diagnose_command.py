@@ -297,7 +297,7 @@ def test_unknown_effect_with_its_table(files: Path, library: None, tmp_path: Pat
     assert d["tabulated"] is not None and set(d["tabulated"]["between"]) == PLACE
     assert o.model.element(d["tabulated"]["element"]).type == "tabulated_force"
     assert "Force between mass and ground, as a table over travel" in o.page.text
-    assert "the model with what was found" in o.page.text and (o.folder / "law.png").exists()
+    assert "the completed model; use it as" in o.page.text and (o.folder / "law.png").exists()
     assert d["best_table"]["explained"] == d["tabulated"]["explained"] >= 0.5
     assert f"removes {100 * d['tabulated']['explained']:.0f} %" in d["summary"]
     rejected = d["best_candidate"]
