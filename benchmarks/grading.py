@@ -172,7 +172,7 @@ def kind_of(effect: str) -> str | None:
     return TYPES[effect].mechanism if effect in TYPES else None
 
 
-def statements(row: Row, level: str) -> list[tuple[float, bool]]:
+def statements(row: Row, level: str, *, is_placed: bool = False) -> list[tuple[float, bool]]:
     """Return the statements of a diagnosis at a level: stated probability, and whether the statement is true.
 
     Kinds and laws of a hidden law that is not in the library are left out: only its place can be right or wrong.
@@ -180,6 +180,7 @@ def statements(row: Row, level: str) -> list[tuple[float, bool]]:
     Args:
         row: The row of a case.
         level: One of `LEVELS`.
+        is_placed: Whether findings with an open place are left out.
     """
     answer, findings = row["answer"], row.get("diagnosis", {}).get("findings", [])
     if isinstance(answer, Mapping):
@@ -201,6 +202,8 @@ def statements(row: Row, level: str) -> list[tuple[float, bool]]:
         laws = {(pair(where), effect) for effect, where in truth}
     out: dict[Any, tuple[float, bool]] = {}
     for f in findings:
+        if is_placed and not f["place"]:
+            continue
         place = pair(f["place"])
 
         def is_true(what: set[Any], *rest: str, place: Any = place) -> bool:
@@ -223,9 +226,7 @@ def kind_graded(row: Row) -> str:
     """Return 'right' where a true kind is stated as certain at a true place, 'wrong' where only others are, else 'missed'."""
     if graded(row) == "right":
         return "right"
-    findings = row.get("diagnosis", {}).get("findings", [])
-    row = {**row, "diagnosis": {**row.get("diagnosis", {}), "findings": [f for f in findings if f["place"]]}}
-    sure = [ok for p, ok in statements(row, "kind") if p >= CRITERIA.certain]
+    sure = [ok for p, ok in statements(row, "kind", is_placed=True) if p >= CRITERIA.certain]
     return "right" if any(sure) else "wrong" if sure else "missed"
 
 

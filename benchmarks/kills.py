@@ -6,9 +6,9 @@ python benchmarks/kills.py full      # disks and files that take no more
 python benchmarks/kills.py both      # two processes on one folder
 python benchmarks/kills.py places    # no HOME, caches that cannot be written, two processes on one cold cache, forked and spawned environments
 
-Commands: score --report, record, sweep, diagnose, train, each at its smallest, `--only` some of them. What is whole is what an undisturbed run
-writes; anything else must be nothing, or what stood there before. A kill takes a process its memory and leaves the disk: so
-the states of the disk before each change of it, copied within one run, are those that a kill could leave. Ends with 1 where anything was wrong.
+Commands: score --report, record, sweep, diagnose, train, each at its smallest, `--only` some of them. An output must be
+absent, unchanged, or equal to the output of an undisturbed run. A kill deletes the memory of a process and leaves the disk. The states
+of the disk before each change, copied within one run, are therefore the states that a kill can leave. Ends with 1 where anything was wrong.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ CASES = {
 # ------------------------------------------------------------------------------------------- a process
 
 
-#: of processes under way: what they say, and where it is to be kept
+#: handle and file of the output of each running process, by process number
 _SAID: dict[int, tuple[int, Path]] = {}
 
 

@@ -144,7 +144,7 @@ def compare(P: np.ndarray, A: np.ndarray, asked: list[tuple]) -> dict[str, Any]:
     first = program("daqp", P, A)
     best = np.array([optimum(P, q, A, l, h, first.solve(q, l, h, g).x) for q, l, h, g in asked])
     objective = lambda x, q: 0.5 * x @ P @ x + q @ x  # noqa: E731
-    # the optimum is negative, for no change costs nothing: its mean is what there is to gain
+    # no change of current has cost 0, so the optimum is negative: the mean optimum is the possible gain
     gain = -float(np.mean([objective(x, asked[k][0]) for k, x in enumerate(best)]))
     out: dict[str, Any] = {}
     for solver in SOLVERS:

@@ -87,7 +87,7 @@ def test_the_penalty_has_no_mean_whatever_a_causal_policy_does(preview):
         charged.append(cost[-1] - charging.cost_of(charging.rollout(currents)))
     error = np.std(charged, ddof=1) / np.sqrt(24)
     assert abs(np.mean(charged)) < 3 * error
-    # and it is news that it charges for: for a causal policy it explains most of the luck of the road
+    # the penalty charges for information on the road: for a causal policy it explains most of the variance between roads
     assert np.std(np.array(cost) - charged) < 0.5 * np.std(cost)
     np.testing.assert_allclose(cost, lqg.cost(COST), rtol=1e-9)
 

@@ -38,7 +38,7 @@ def test_importing_the_package_stays_light():
 
 
 def test_help_is_light_and_knows_the_commands_of_all_packages():
-    """--help lists train, reproduce, ... with their first sentence, and imports nothing that they would need."""
+    """--help lists train, reproduce, ... with the first sentence of each, and imports none of their libraries."""
     code = (
         "import sys; sys.argv = ['isd-gym', '--help']; from isd_gym.cli import main\n"
         "try: main()\n"

@@ -274,18 +274,30 @@ def test_missing_effect(files: Path, library: None, tmp_path: Path, validate: bo
 def test_a_time_limit_ends_the_search_and_is_noted(
     files: Path, library: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first stage runs in any case: the friction is found. No second stage and no second start follow."""
+    """The first stage runs in any case: the friction is found. A limit that stopped nothing is not told."""
     monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: 1e9))
-    words = (files / "friction1.csv", "--validate", files / "friction2.csv", "--model", files / "model.json")
-    d = diagnosed(tmp_path / "out", *words, "--max-seconds", 5).document
-    assert d["verdict"] == "missing_effect" and d["effects"][0]["effect"] == "coulomb_friction"
-    assert any(n.startswith("the time limit of 5 s stopped the search") for n in d["notes"])
-    words = (files / "hum1.csv", "--validate", files / "hum2.csv", "--model", files / "model.json")
-    stages = []
+    stages: list[int] = []
     screen = forward_backward.screen_effects
     monkeypatch.setattr(forward_backward, "screen_effects", lambda *given: stages.append(1) or screen(*given))
-    assert diagnosed(tmp_path / "hum", *words, "--max-seconds", 5).document["verdict"] == "unknown_effect"
-    assert len(stages) == 1
+
+    def limited(name: str) -> tuple[dict[str, Any], list[str]]:
+        words = (
+            files / f"{name}1.csv",
+            "--validate",
+            files / f"{name}2.csv",
+            "--model",
+            files / "model.json",
+        )
+        d = diagnosed(tmp_path / name, *words, "--max-seconds", 5).document
+        return d, [n for n in d["notes"] if n.startswith("the time limit of 5 s stopped the search")]
+
+    d, told = limited("friction")
+    assert d["verdict"] == "missing_effect" and d["effects"][0]["effect"] == "coulomb_friction" and not told
+    d, told = limited("clean")
+    assert d["verdict"] == "no_discrepancy" and not told
+    stages.clear()
+    d, told = limited("hum")  # further starts would follow
+    assert d["verdict"] == "unknown_effect" and told and len(stages) == 1
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ def test_public_names():
     typed = {
         a.name: n.module for n in block.body if isinstance(n, ast.ImportFrom) and n.level for a in n.names
     }
-    assert typed == {**isd_gym._HOME, "simulate": "simulate"}  # what a type checker sees is what there is
+    assert typed == {**isd_gym._HOME, "simulate": "simulate"}  # type checkers and Python know the same names
 
 
 def test_modules_after_the_dot():
@@ -154,7 +154,7 @@ def test_source_folder_is_no_package_of_its_own(folder):
 
 
 def test_other_packages_named_agents_and_baselines(tmp_path):
-    """Packages of these names come first on the path: nothing of this package imports them, and both stay importable."""
+    """Foreign packages `agents` and `baselines` come first on the path. isd_gym imports its own packages, and the foreign ones import too."""
     for name in ("agents", "baselines"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f"other = {name!r}\n")

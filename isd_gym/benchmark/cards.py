@@ -200,7 +200,7 @@ def ranking(
     card: Mapping[str, Any],
     name: str,
     scores: Sequence[Mapping[str, Any]] = (),
-    ceiling: Callable[[float], Mapping[str, Any] | None] = lambda preview: None,
+    ceiling: Callable[[float], Mapping[str, Any] | None] | None = None,
 ) -> list[dict[str, Any]]:
     """Return all policies of a track and of scores on the track, best first.
 
@@ -212,7 +212,7 @@ def ranking(
         name: Name of the track.
         scores: Scores on the track.
         ceiling: Returns the causal ceiling of controllers with a given preview [s] (its `change`), for the
-            `regret`; None where the ceiling is not known.
+            `regret`; None where the ceiling is not known. Without it no ceiling is known.
 
     Returns:
         One entry per policy.
@@ -247,7 +247,7 @@ def ranking(
             for k, v in values.items()
             if k in ground
         }
-        bound = ceiling(ahead[policy])
+        bound = ceiling(ahead[policy]) if ceiling else None
         row["regret"] = regret(row["cost"], bound["change"]) if bound else None
         if policy in theirs:
             costs = {q: np.array(v["cost"]) for q, v in held.items() if q != policy}

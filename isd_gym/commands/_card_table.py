@@ -61,12 +61,8 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
             )
 
 
-def _no_ceiling(preview: float) -> None:
-    return None
-
-
-def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None]:
-    """Return a function from preview [s] to the causal ceiling of a track, or None where no ceiling may stand beside the track."""
+def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None] | None:
+    """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
     from ..comparability import comparable
     from ..network import Network
     from ..road import road
@@ -75,6 +71,6 @@ def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | N
     try:
         plant, ground = Network.load(one["network"]), road(one["road"])
     except InputError:  # of a file on another machine
-        return _no_ceiling
+        return None
     left_out = comparable(plant, ground, speed, one["episodes"], duration).ceiling
-    return _no_ceiling if left_out else known_ceilings(plant, ground, speed, duration)
+    return None if left_out else known_ceilings(plant, ground, speed, duration)

@@ -225,7 +225,7 @@ class Workflow:
         measured = self.measure(scores)
         decision = self.decide(scores)
         if decision.verdict == "unknown_effect" and not is_lost:
-            for factor in () if self.clock.is_over else SEGMENT_FACTORS:
+            for factor in () if self.clock.stops() else SEGMENT_FACTORS:
                 found = self._diagnose_segments(notes, start, error, periodic_only=True, factor=factor)
                 if found is not None:
                     return found
@@ -275,7 +275,7 @@ class Workflow:
         builder = ResultBuilder(
             self.search, scores, measured, self.whole, self.held_from, self.seed, self.say, self.feedback
         )
-        if self.clock.is_over:
+        if self.clock.has_stopped:
             notes = [
                 *notes,
                 f"the time limit of {self.settings.max_seconds:g} s stopped the search: more effects may be found without it",

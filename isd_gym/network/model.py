@@ -60,8 +60,8 @@ class Channel:
         at: Node.
         between: Two nodes of a relative motion.
         element: Element of a force or current; several for the sum of their forces.
-        offset: Unknown constant of an output's sensor: 'free' (one for all records), 'record' (one per
-            record) or None.
+        offset: Unknown constant of an output's sensor: 'free' for a common constant of all records, 'record'
+            for a constant per record, None without.
         noise: RMS of an output's noise from the sensor's data sheet [unit]; None if unknown.
         measured: False for a road that was not measured.
         axis: 'pitch' or 'roll' if `at` is the angle of a body ('body.pitch'); a model file has "body" and

@@ -119,7 +119,7 @@ class Search:
                     path.append(hint)
                     stages.append([hint])
                     break
-            best = None if self.clock.is_over and stages else self._add_best(now, stages)
+            best = None if stages and self.clock.stops() else self._add_best(now, stages)
             if best is None:
                 break
             try:
@@ -279,7 +279,7 @@ class Search:
             # the first search went through a special case of the runner-up
             if is_special_case(first.hypotheses[-1], runner.hypotheses[-1]) or score > refitted:
                 continue
-            if self.clock.is_over:
+            if self.clock.stops():
                 break
             self.say(f"starting over with {runner.hypotheses[-1].label}")
             try:

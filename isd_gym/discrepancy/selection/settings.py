@@ -70,6 +70,8 @@ class TimeLimit:
 
     def __init__(self, limit: float | None = None) -> None:
         self._limit, self._start = limit, time.process_time()
+        #: whether work was left out since the time was up
+        self.has_stopped = False
 
     @property
     def seconds(self) -> float:
@@ -80,3 +82,8 @@ class TimeLimit:
     def is_over(self) -> bool:
         """Whether the time is up."""
         return self._limit is not None and self.seconds > self._limit
+
+    def stops(self) -> bool:
+        """Return whether further work is left out since the time is up; `has_stopped` keeps the answer."""
+        self.has_stopped = self.has_stopped or self.is_over
+        return self.is_over
