@@ -72,7 +72,7 @@ class Criteria:
         0.50, "share of the excess", "what one more effect must remove of what is left", "half: it leads"
     )
     adequate: float = limit(
-        0.85,
+        0.75,
         "share of the excess",
         "what is named must explain the gap",
         "what small effects leave beside a true name on fresh rigs: below 10 % in nine of ten",

@@ -221,14 +221,16 @@ class Search:
     def _fit_simpler(
         self, structure: Structure, chosen: Candidate, known: Sequence[Candidate]
     ) -> Candidate | None:
-        """Return the best fit of a simpler structure: a known candidate, or a new fit."""
+        """Return the best fit of a simpler structure: a known candidate, or a new fit from the values of the chosen one.
+
+        A known candidate may have ended in a local optimum, which would make whatever was added to it look needed.
+        """
 
         def rank(q: Candidate) -> float:
             return deviance_with_noise_of(self.problem, q, chosen, self.least_noise)
 
-        is_replaced = len(structure.hypotheses) == len(chosen.hypotheses)
         r = next((r for r in known if r.hypotheses == structure.hypotheses), None)
-        if r is None or (is_replaced and rank(r) > rank(chosen) + self.settings.chance):
+        if r is None or rank(r) > rank(chosen) + self.settings.chance:
             tried = [q for q in (r, self.fitter.refit(structure, chosen)) if q is not None]
             r = min(tried, key=rank, default=None)
         return r
