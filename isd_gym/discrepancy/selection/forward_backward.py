@@ -129,7 +129,8 @@ class Search:
             path.append(best)
             if error_reduction(score, then) < c.material:
                 break
-            if len(path) > 2 and not then.compare_with(score).is_better(c):
+            is_worse = then.mean_square > score.mean_square  # better on the training records alone
+            if len(path) > 2 and (is_worse or not then.compare_with(score).is_better(c)):
                 break
             is_small = e.effect_sizes(best)[-1] < c.share
             if is_small and float(then.excess(e.noise_share(then)).mean()) < c.wide:

@@ -197,9 +197,10 @@ class Screening:
 
     @property
     def entries(self) -> int:
-        """Number of hypotheses of the first round: more where the windows are short."""
-        samples = sum(len(self.windowed.records[i]) for i in self.windowed.estimation)
-        return max(self.settings.first_round, self.settings.cheap_samples // samples)
+        """Number of hypotheses of the first round: more where the windows take few physics steps."""
+        p = self.windowed
+        steps = sum(len(p.records[i]) * p.every(p.records[i]) for i in p.estimation)
+        return max(self.settings.first_round, self.settings.cheap_steps // steps)
 
     def is_sensible(self, h: Hypothesis) -> bool:
         """Return False for hypotheses that repeat an effect already in the model, in series or in parallel.

@@ -14,8 +14,8 @@ class SearchSettings:
     first_round: int = 8
     #: hypotheses of the first round that are fitted to whole records
     finals: int = 4
-    #: samples of all windows together up to which more hypotheses enter the first round
-    cheap_samples: int = 40_000
+    #: physics steps of a simulation of all windows up to which more hypotheses enter the first round
+    cheap_steps: int = 40_000
     #: gap (power of the error over the power of the signal) above which the score test, which is local, says too little
     wide_gap: float = 0.1
     #: hypotheses that enter the first round above that gap because they come nearest to the records at large amplitudes
