@@ -128,6 +128,15 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
     assert [g.name for g in d.gates if not g.passed] == ["material"]
 
 
+def test_two_effects_must_explain_more_than_one() -> None:
+    # each effect removes half of what is left by the inclusion test alone
+    part = replace(GOOD, explained=0.8, after=(0.2,), richest=(0.2,), test_explained=0.8, test_excess_ratio=10.0)
+    assert decide(part).verdict == "missing_effect"
+    several = replace(part, effects=(FRICTION, replace(FRICTION, label="series_compliance at mass-ground")))
+    assert [g.name for g in decide(several).gates if not g.passed] == ["adequate", "confirmed"]
+    assert [round(Criteria().least_explained(k), 4) for k in (1, 2, 3)] == [0.75, 0.875, 0.9375]
+
+
 def test_agreement_needs_a_noise_that_is_known_or_a_small_error() -> None:
     quiet = replace(GOOD, before=(0.021,), refit=(0.02,), after=(0.02,), effects=(), richest=())
     assert decide(quiet).verdict == "no_discrepancy"
@@ -258,19 +267,20 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
         or (x.removed >= c.alone and (x.width > c.wide or (x.beyond_small and x.share > c.small)))
         for x in e.effects
     )
+    least = 1.0 - c.half ** (len(e.effects) + 1)
     half = e.explained >= c.half and e.width_after < c.wide
     excused = e.excess_ratio < c.several and (half or e.training_explained >= c.alone)
     far = c.forces_first if all(x.fault < c.doubtful for x in sensors) else c.forces_far
     assert {n: g.passed for n, g in gates.items()} == {
         "predicts better": e.elpd_diff > c.elpd_diff and e.elpd_diff / max(e.elpd_dse, 1e-12) > c.elpd_errors,
         "material": e.moved >= c.material and large,
-        "adequate": e.training_ratio <= 1.0 and (e.explained >= c.adequate or excused),
+        "adequate": e.training_ratio <= 1.0 and (e.explained >= least or excused),
         "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.contradiction for x in e.effects),
         "plausible": not e.driven_to_limits,
         "distinguishable": not e.indistinguishable,
         "lack of fit": e.lack_of_fit < c.half,
         "probable": e.probability >= c.probable,
-        "confirmed": e.test_explained >= c.adequate or (e.test_explained >= c.half and e.test_excess_ratio < c.several),
+        "confirmed": e.test_explained >= least or (e.test_explained >= c.half and e.test_excess_ratio < c.several),
         "sensor": not sensors or e.force_loss >= far,
     }  # fmt: skip
 

@@ -69,13 +69,10 @@ class Criteria:
         0.90, "share of the excess", "what a small effect must close of such a gap", "as above"
     )
     half: float = limit(
-        0.50, "share of the excess", "what one more effect must remove of what is left", "half: it leads"
-    )
-    adequate: float = limit(
-        0.75,
+        0.50,
         "share of the excess",
-        "what is named must explain the gap",
-        "what small effects leave beside a true name on fresh rigs: below 10 % in nine of ten",
+        "what one more effect must remove of what is left; a name must leave half of what its effects have to leave (`least_explained`)",
+        "half: it leads",
     )
     several: float = limit(
         3.0,
@@ -190,8 +187,10 @@ class Criteria:
     partly: float = limit(
         0.36,
         "share of names",
-        "the same of a name that explains less than `alone` of the gap, whatever small effects excuse the rest",
-        "of 26 such names at first looks (seeds 310 to 317 of all families) 9 were wrong, of 814 others 22: (9 + 1) / (26 + 2)",
+        "the same of a name that explains less than `alone` of the gap, whatever small effects excuse the rest; and of the places and kinds "
+        "of such a candidate that is not named",
+        "of 26 such names at first looks (seeds 310 to 317 of all families) 9 were wrong, of 814 others 22: (9 + 1) / (26 + 2); of 32 such "
+        "places and kinds in answers without a name 9 were wrong",
     )
     mistaken_kind: float = limit(
         0.05,
@@ -218,19 +217,33 @@ class Criteria:
         "as for names",
     )
 
-    def share_mistaken(self, level: str, explained: float, support: float = 1.0) -> float:
+    def least_explained(self, effects: int) -> float:
+        """Return the least share of the excess error that a name must explain.
+
+        Each effect removes at least `half` of what is left, which leaves half**effects. A name must leave no more than half of that: 0.75
+        must be explained with one effect, 0.875 with two.
+
+        Args:
+            effects: Number of effects of the name.
+        """
+        return float(1.0 - self.half ** (effects + 1))
+
+    def share_mistaken(
+        self, level: str, explained: float, support: float = 1.0, is_named: bool = True
+    ) -> float:
         """Return the share of statements of a level that are wrong although no resampling shows it.
 
         Args:
             level: 'place', 'kind' or 'law'.
             explained: Share of the held-out excess error that the foremost candidate removes.
             support: Share of the samples on the rarer side of a law's characteristic point.
+            is_named: Whether the foremost candidate passed every gate.
         """
         is_doubtful = explained < self.alone or support < self.support
-        least = self.mistaken_weak if explained < self.half else 0.0
-        law = self.partly if is_doubtful else self.mistaken
-        share = {"law": law, "kind": self.mistaken_kind, "place": self.mistaken_place}[level]
-        return max(share, least)
+        own = {"law": self.mistaken, "kind": self.mistaken_kind, "place": self.mistaken_place}[level]
+        if is_doubtful and (level == "law" or not is_named):
+            own = max(own, self.partly)
+        return max(own, self.mistaken_weak) if explained < self.half else own
 
 
 CRITERIA = Criteria()

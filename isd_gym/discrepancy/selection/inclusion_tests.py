@@ -144,7 +144,7 @@ class InclusionTests:
         # held-out records that are driven harder than training records may show more of the unmodelled effects
         removes = share >= c.half or (
             self.leaves_unmodelled_only(scores, after)
-            and scores.explained_on_training(a, b, self.unmodelled_envelope(before)) >= c.adequate
+            and scores.explained_on_training(a, b, self.unmodelled_envelope(before)) >= c.least_explained(1)
         )
         scores.notes.append(
             f"{after.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "

@@ -90,7 +90,9 @@ def find(
         Findings, largest probability of the kind first.
     """
     c = search.criteria
-    share = functools.partial(c.share_mistaken, explained=evidence.explained, support=evidence.support)
+    share = functools.partial(
+        c.share_mistaken, explained=evidence.explained, support=evidence.support, is_named=is_named
+    )
     every: dict[tuple[tuple[str, ...], str], dict[str, Statement]] = {}
     for w in candidates:
         for s in sorted(w.statements, key=lambda s: (s.place, s.kind, s.law)):

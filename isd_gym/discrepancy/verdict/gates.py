@@ -178,7 +178,7 @@ def _predicts_better(e: Evidence, c: Criteria) -> Gate:
 def _confirmed(e: Evidence, c: Criteria) -> Gate:
     removed = "share of the squared error beyond noise removed on the test records"
     rest = f"the rest is {e.test_excess_ratio:.3g} times the power of unmodelled effects"
-    main = gate("confirmed", e.test_explained, ">=", c.adequate, f"{removed}; {rest}")
+    main = gate("confirmed", e.test_explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}")
     part = gate(
         "confirmed", e.test_explained, ">=", c.half, f"{removed}; enough, since {rest} (limit {c.several:g})"
     )
@@ -231,7 +231,7 @@ def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
 def _adequate(e: Evidence, c: Criteria) -> Gate:
     removed = "share of the squared held-out error beyond noise removed, in all and in the channel with the widest gap"
     rest = f"the rest is {e.excess_ratio:.3g} times the power that small effects leave"
-    main = gate("adequate", e.explained, ">=", c.adequate, f"{removed}; {rest}")
+    main = gate("adequate", e.explained, ">=", c.least_explained(len(e.effects)), f"{removed}; {rest}")
     excused = f"enough, since {rest} (limit {c.several:g})"
     # unmodelled effects may leave the rest, unless the rest is a wide gap itself
     part = all_of(

@@ -213,7 +213,7 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
     contradict their names, such as a part of one period of a periodic law, are free curves as well. The share is 1 if the number of
     effects at one place reaches the number of bends of a curve (`Criteria.bends`). Laws of the model at their limits over the same
     plane count as effects. The share is also 1 if one free curve
-    explains the gap (`Criteria.adequate`) in place of the same number of effects at several places.
+    explains the gap (`Criteria.least_explained`) in place of the same number of effects at several places.
     """
     c, best = search.criteria, scores.foremost
     if len(best.hypotheses) > 1:
@@ -226,7 +226,7 @@ def lack_of_fit(search: Search, scores: CandidateComparison) -> float:
             return 0.0
         refit = scores.score(scores.refitted)
         shares = (share for e in best.elements for share in _removed_by_curves(search, scores, refit, e))
-        return float(any(share >= c.adequate for share in shares))
+        return float(any(share >= c.least_explained(1) for share in shares))
     after = scores.score(best)
     if after.excess(scores.noise).max() < c.misses and search.tests.leaves_unmodelled_only(scores, best):
         return 0.0
