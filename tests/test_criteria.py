@@ -56,7 +56,6 @@ def test_a_name_passes_every_gate() -> None:
         ("adequate", {"explained": 0.6, "after": (0.2,), "richest": (0.2,)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, spread=3.0),)}, "unknown_effect"),
         ("determined", {"effects": (replace(FRICTION, contradiction="beyond its reach"),)}, "unknown_effect"),
-        ("plausible", {"limits": ("damper.damping",), "beside": ("damper.damping",)}, "unknown_effect"),
         (
             "distinguishable",
             {"indistinguishable": ("hysteresis at mass-ground",), "rival_loss": 1.0},
@@ -74,17 +73,6 @@ def test_each_gate_can_fail_and_the_verdict_follows(gate: str, change: dict, ver
     d = decide(replace(GOOD, **change))
     assert [g.name for g in d.gates if not g.passed] == [gate]
     assert d.verdict == verdict
-
-
-def test_a_limit_that_the_model_stood_at_before_is_no_fault_of_the_name() -> None:
-    own = {"limits": ("damper.damping",), "beside": ("damper.damping",)}
-    assert decide(replace(GOOD, **own)).verdict == "unknown_effect"
-    assert decide(replace(GOOD, **own, refit_limits=("damper.damping",))).verdict == "missing_effect"
-    # nor is one of a law elsewhere, which small effects there may ask for
-    assert (
-        decide(replace(GOOD, limits=("leak.damping",), beside=("damper.damping",))).verdict
-        == "missing_effect"
-    )
 
 
 def test_two_that_are_abreast_stay_so_where_a_resampling_prefers_either() -> None:
@@ -130,7 +118,9 @@ def test_a_small_force_that_closes_a_wide_gap_is_named_and_one_that_closes_a_nar
 
 def test_two_effects_must_explain_more_than_one() -> None:
     # each effect removes half of what is left by the inclusion test alone
-    part = replace(GOOD, explained=0.8, after=(0.2,), richest=(0.2,), test_explained=0.8, test_excess_ratio=10.0)
+    part = replace(
+        GOOD, explained=0.8, after=(0.2,), richest=(0.2,), test_explained=0.8, test_excess_ratio=10.0
+    )
     assert decide(part).verdict == "missing_effect"
     several = replace(part, effects=(FRICTION, replace(FRICTION, label="series_compliance at mass-ground")))
     assert [g.name for g in decide(several).gates if not g.passed] == ["adequate", "confirmed"]
@@ -248,7 +238,7 @@ def evidences(draw: st.DrawFn) -> Evidence:
             name: draw(SHARES)
             for name in ("elpd_dse", "training_explained", "probability", "lack_of_fit", "test_excess_ratio")
         },
-        **{name: draw(PARAMETERS) for name in ("indistinguishable", "limits", "refit_limits", "beside")},
+        **{name: draw(PARAMETERS) for name in ("indistinguishable", "limits", "refit_limits")},
     )
 
 
@@ -276,7 +266,6 @@ def test_the_figures_of_a_gate_are_those_that_were_tested(e: Evidence) -> None:
         "material": e.moved >= c.material and large,
         "adequate": e.training_ratio <= 1.0 and (e.explained >= least or excused),
         "determined": -math.expm1(-max(x.spread for x in e.effects)) < 0.9 and not any(x.contradiction for x in e.effects),
-        "plausible": not e.driven_to_limits,
         "distinguishable": not e.indistinguishable,
         "lack of fit": e.lack_of_fit < c.half,
         "probable": e.probability >= c.probable,

@@ -93,7 +93,7 @@ VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground",
 def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() -> None:
     said = summary_of(document(VAGUE))
     assert "The best candidate, coulomb friction between mass and ground, reduces the error in travel" in said
-    assert "from 30.0 % to 7.0 % and fails 1 of 10 gates: determined (0.95, needed below 0.9)." in said
+    assert "from 30.0 % to 7.0 % and fails 1 of 9 gates: determined (0.95, needed below 0.9)." in said
     nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, richest=())))
     assert "No known effect reduces the error" in nothing
 

@@ -13,7 +13,6 @@ from ..result import Quantity
 from ..simulation.problem import BROKEN
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
 
     from ...network import Network
     from ..estimation.structure import Structure
@@ -85,17 +84,6 @@ def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:
         for q, x in zip(candidate.fit.structure.free, candidate.fit.x, strict=True)
         if q.owner < 0 and (x <= q.low + 1e-6 * q.sigma or x >= q.high - 1e-6 * q.sigma)
     )
-
-
-def parameters_beside(network: Network, elements: Sequence[el.Element]) -> tuple[str, ...]:
-    """Return the parameters of the network's laws over the same plane and at the same place as one of the elements."""
-    out = []
-    for e in elements:
-        here = el.beside(network, e.where) if e.place == "between" else []
-        out += [
-            f"{o.name}.{f.name}" for o in here if o.plane == e.plane for f in el.parameter_fields(type(o))
-        ]
-    return tuple(dict.fromkeys(out))
 
 
 def differing_part(

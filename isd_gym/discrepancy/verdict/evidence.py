@@ -87,8 +87,6 @@ class Evidence:
     limits: tuple[str, ...] = ()
     #: the same in the refitted model
     refit_limits: tuple[str, ...] = ()
-    #: parameters of the model's laws over the same plane at an effect's place
-    beside: tuple[str, ...] = ()
     #: excess error of unmodelled effects beside the candidate
     envelope_after: tuple[float, ...] = ()
     #: share of the excess error that the candidate removes on the training records
@@ -143,14 +141,6 @@ class Evidence:
     def agrees_before(self) -> bool:
         """Whether the nominal model errs by no more than unmodelled effects make."""
         return all(x < w for x, w in zip(self.excess_before, self.envelope, strict=True))
-
-    @property
-    def driven_to_limits(self) -> tuple[str, ...]:
-        """Parameters beside an effect that are at their limit with the candidate only.
-
-        The true effect returns such parameters to plausible values. A wrong law needs extreme values to complete its curve.
-        """
-        return tuple(x for x in self.limits if x in self.beside and x not in self.refit_limits)
 
     @property
     def excess_ratio(self) -> float:

@@ -122,14 +122,6 @@ def gates_of(e: Evidence, c: Criteria = CRITERIA) -> tuple[Gate, ...]:
         _adequate(e, c),
         _determined(e, c),
         gate(
-            "plausible",
-            len(e.driven_to_limits),
-            "<=",
-            0,
-            "parameters of the model at the same place that the effect drives to the limit of their stated "
-            "uncertainty" + (f": {', '.join(e.driven_to_limits)}" if e.driven_to_limits else ""),
-        ),
-        gate(
             "distinguishable",
             len(e.indistinguishable),
             "<=",

@@ -22,7 +22,6 @@ from ..selection.uncertainty import (
     differing_part,
     intervals,
     parameters_at_limits,
-    parameters_beside,
     relative_uncertainty,
 )
 from ..selection.weights import WeightedCandidate, weigh_candidates, weight_of_all
@@ -105,7 +104,6 @@ def collect_evidence(search: Search, scores: CandidateComparison, seed: int = 0)
         force_loss=loss_ratio(forces),
         training_refit=as_numbers(evaluator.training_nrmse(refitted)),
         training_after=as_numbers(evaluator.training_nrmse(best)),
-        beside=parameters_beside(search.problem.network, best.elements),
         richest=as_numbers(richest.nrmse),
         richest_share=max(evaluator.effect_sizes(scores.richest), default=1.0),
         **common,
