@@ -20,6 +20,8 @@ a tie; momentum remains a state if r' is known.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -195,11 +197,14 @@ def _widths(size: Size) -> tuple[int, ...]:
     return states, moved, moved, moved, forces, currents, laws
 
 
-def _spans(size: Size) -> dict[str, slice]:
+@cache
+def _spans(size: Size) -> Mapping[str, slice]:
     """Return the slices of the parts of the base vector."""
     ends = np.cumsum([0, *_widths(size)]).tolist()
     names = ("x", "r", "v", "alpha", "F", "I", "f")
-    return {name: slice(begin, end) for name, begin, end in zip(names, ends[:-1], ends[1:], strict=True)}
+    return MappingProxyType(
+        {name: slice(begin, end) for name, begin, end in zip(names, ends[:-1], ends[1:], strict=True)}
+    )
 
 
 def _entries(size: Size, part: str, rows: int, start: int = 0) -> np.ndarray:
