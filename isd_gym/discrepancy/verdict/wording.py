@@ -57,6 +57,8 @@ def summary_of(document: Mapping[str, Any]) -> str:
         parts = [_unknown(document), _certain(document), _best_candidate(document), _table(document)]
     else:
         parts = [_agreement(document), _reason(document), _changes(document)]
+    if verdict in {"missing_effect", "ambiguous", "unknown_effect"}:
+        parts.append(_worse_refit(document))
     parts += [
         _small(document),
         _noise(document),
@@ -185,6 +187,19 @@ def _missing(d: Mapping[str, Any]) -> str:
     return text if down else f"{text} {NOT_BORNE_OUT}"
 
 
+def _worse_refit(d: Mapping[str, Any]) -> str:
+    """Return a sentence where the refitted model errs more on held-out data than the model as given, by a material share."""
+    gap = d["gap"]["held_out"]
+    c = _most_gained(gap, "refit", "before")
+    given, refit = gap["before"][c], gap["refit"][c]
+    if not _square(refit) - _square(given) >= d["criteria"]["material"] ** 2:
+        return ""
+    return (
+        f"On held-out data the refitted model errs more in {c} ({_percent(refit)}) than the model as given ({_percent(given)}): the share "
+        "of the error that an addition removes is relative to the refitted model."
+    )
+
+
 def _remaining(d: Mapping[str, Any]) -> str:
     left = d["remainder"]
     if not left:
@@ -299,7 +314,7 @@ def _where(d: Mapping[str, Any]) -> str:
 def _best_candidate(d: Mapping[str, Any]) -> str:
     best = d["best_candidate"]
     if best is None:
-        return "No known effect reduces the error on these records."
+        return "No known effect reduces the held-out error by enough to be kept."
     error = best["error"]
     c = _most_gained(error, "refit", "after")
     down = _square(error["after"][c]) <= _square(error["refit"][c])
@@ -335,8 +350,8 @@ def _table(d: Mapping[str, Any]) -> str:
     )
     if not explains["passed"]:
         return (
-            f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, or on a motion "
-            "that no sensor measures."
+            f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, on an input, or "
+            "on a motion that no sensor measures."
         )
     failed = failures(tried["gates"])
     return f"{text}, but fails {failed}." if failed else f"{text}, but its interval cannot be computed."
