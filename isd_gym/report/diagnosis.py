@@ -541,8 +541,10 @@ def clouds(view: View) -> list[Cloud]:
             pairs.setdefault((e.between[0], e.between[1]), []).append(e)
     if d.tabulated is not None and d.tabulated.element in laws:
         pairs[d.tabulated.between] = []
-    elif not d.effects and (first := d.best_candidate or next(iter(d.contenders), None)):
-        if len(where := first.where[-1]) == 2:
+    elif not d.effects:
+        first = d.best_candidate or next(iter(d.contenders), None)
+        where = first.where[-1] if first else ()
+        if len(where) == 2:
             pairs[(where[0], where[1])] = []
     out = []
     for pair, effects in pairs.items():
