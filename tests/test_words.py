@@ -98,6 +98,14 @@ def test_a_refit_that_errs_more_than_the_model_as_given_is_told() -> None:
     assert "errs more" not in said(before=0.299) and "errs more" not in said(before=0.4)
 
 
+@pytest.mark.parametrize(("refit", "is_told"), [(1.053, True), (0.99, False)])
+def test_a_refit_that_errs_more_than_a_constant_is_told(refit: float, is_told: bool) -> None:
+    rows = {"before": 1.2, "refit": refit, "after": 0.9, "noise_floor": 0.01}
+    held_out = {k: {"travel": v} for k, v in rows.items()}
+    said = summary_of(document(VAGUE, gap={"held_out": held_out, "closed": None}))
+    assert ("errs more in travel than a constant would" in said) == is_told
+
+
 #: friction that takes the error from 30 to 7 %, whose level is known to a factor of 20 only
 VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=3.0),))
 

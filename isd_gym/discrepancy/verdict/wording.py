@@ -58,7 +58,7 @@ def summary_of(document: Mapping[str, Any]) -> str:
     else:
         parts = [_agreement(document), _reason(document), _changes(document)]
     if verdict in {"missing_effect", "ambiguous", "unknown_effect"}:
-        parts.append(_worse_refit(document))
+        parts += [_worse_refit(document), _worse_than_constant(document)]
     parts += [
         _small(document),
         _noise(document),
@@ -197,6 +197,18 @@ def _worse_refit(d: Mapping[str, Any]) -> str:
     return (
         f"On held-out data the refitted model errs more in {c} ({_percent(refit)}) than the model as given ({_percent(given)}): the share "
         "of the error that an addition removes is relative to the refitted model."
+    )
+
+
+def _worse_than_constant(d: Mapping[str, Any]) -> str:
+    """Return a sentence where the refitted model errs more on held-out data than the mean of each record."""
+    gap = d["gap"]["held_out"]
+    c = _widest(gap)
+    if not _square(gap["refit"][c]) > 1.0:
+        return ""
+    return (
+        f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation): first check the values "
+        "of the model, their stated uncertainty and the units."
     )
 
 
