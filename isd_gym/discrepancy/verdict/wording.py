@@ -207,8 +207,8 @@ def _worse_than_constant(d: Mapping[str, Any]) -> str:
     if not _square(gap["refit"][c]) > 1.0:
         return ""
     return (
-        f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation): first check the values "
-        "of the model, their stated uncertainty and the units."
+        f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation): first check values, "
+        "stated uncertainty, signs and units of the model."
     )
 
 
