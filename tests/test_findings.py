@@ -89,6 +89,20 @@ def test_the_summary_says_that_the_place_is_open():
     assert "Also possible" not in text
 
 
+@pytest.mark.parametrize(("weight", "words"), [(1.0, "Perhaps beside it"), (0.88, "Also possible")])
+def test_a_kind_beside_a_certain_kind_is_told_from_one_in_its_place(weight, words):
+    """Of 0.33, at most 0.05 is left for candidates without the certain kind; of 0.23, up to 0.16."""
+    spring = Statement(FRONT, "elastic", "cubic_stiffness")
+    both = [friction(FRONT), spring]
+    candidates = [(weight, both)] if weight == 1.0 else [(weight, [friction(FRONT)]), (1 - weight, [spring])]
+    findings = [f.to_dict() for f in found(*candidates, own=[friction(FRONT)])]
+    for f in findings:  # as likely as a further kind is in most of the results
+        if f["kind"] == "elastic" and weight < 1.0:
+            f["kind_probability"] = 0.23
+    text = summary_of(document(VAGUE, findings=findings))
+    assert f"{words}: an elastic force between body_front and wheel_front" in text
+
+
 @pytest.mark.parametrize(("is_tied", "listed"), [(True, ["best"]), (False, ["other"])])
 def test_a_candidate_without_a_rival_is_not_listed_as_one_that_cannot_be_told_apart(is_tied, listed):
     """A certain kind whose law is open: the best candidate has no rival, and stands in `best_candidate`."""

@@ -263,15 +263,25 @@ def _certain(d: Mapping[str, Any]) -> str:
             f"An effect is missing {_spot(place)} (probability {chance:.2f}); the data do not determine its kind."
             for place, chance in places.items()
         ]
-    beside = [
-        f"{KINDS[f['kind']].lower()} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
+    others = [
+        f
         for f in findings
         if f not in kinds
         and f["kind"] not in {"other", *(g["kind"] for g in kinds if not g["place"])}
         and f["kind_probability"] >= POSSIBLE
     ]
-    if kinds and beside:
-        sentences.append(f"Also possible: {' or '.join(beside)}.")
+    # candidates without the certain kind have the rest of the weight: a kind that is twice as likely stands mostly beside it
+    rest = 1.0 - max((f["kind_probability"] for f in kinds), default=0.0)
+    for words, told in (
+        ("Perhaps beside it", [f for f in others if f["kind_probability"] > 2.0 * rest]),
+        ("Also possible", [f for f in others if f["kind_probability"] <= 2.0 * rest]),
+    ):
+        if kinds and told:
+            listed = (
+                f"{KINDS[f['kind']].lower()} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
+                for f in told
+            )
+            sentences.append(f"{words}: {' or '.join(listed)}.")
     return " ".join(sentences)
 
 
