@@ -12,6 +12,7 @@ from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.verdict.gates import Reason, decide, gate, table_gates
 from isd_gym.discrepancy.verdict.wording import (
     NOT_BORNE_OUT,
+    described,
     failures,
     plain_number,
     summary_of,
@@ -84,6 +85,11 @@ def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:
     assert NOT_BORNE_OUT not in summary_of(document(after=0.021))
     assert "rises from 30.0 % to 90.0 %" in summary_of(document(after=0.9))
     assert summary_of(document(after=0.9)).endswith(NOT_BORNE_OUT)
+
+
+def test_a_number_without_a_unit_has_none_in_the_text() -> None:
+    effect = {**FRICTION, "parameters": {**FRICTION["parameters"], "exponent": {"value": 1.0, "unit": "-"}}}
+    assert "exponent 1)" in described(effect)
 
 
 def test_a_refit_that_errs_more_than_the_model_as_given_is_told() -> None:

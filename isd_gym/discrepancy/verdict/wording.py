@@ -111,12 +111,14 @@ def described(effect: Mapping[str, Any]) -> str:
     what, kind = effect["effect"].replace("_", " "), TYPES.get(effect["effect"])
     if kind is not None and kind.series:
         what, spot = f"{what},", f"in series with {effect.get('behind') or 'all elements'} {spot}"
-    figures = ", ".join(
-        f"{k.replace('_', ' ')} {plain_number(q['value'])} {q['unit']}"
-        for k, q in effect["parameters"].items()
-        if q["value"] is not None
-    )
+    figures = ", ".join(_parameter(k, q) for k, q in effect["parameters"].items() if q["value"] is not None)
     return f"{what} {spot} ({figures})"
+
+
+def _parameter(name: str, quantity: Mapping[str, Any]) -> str:
+    """Return a parameter with its value and unit, such as ``level 1.2 N`` or ``exponent 2``."""
+    unit = "" if quantity["unit"] == "-" else f" {quantity['unit']}"
+    return f"{name.replace('_', ' ')} {plain_number(quantity['value'])}{unit}"
 
 
 def candidate_text(candidate: Mapping[str, Any]) -> str:
@@ -286,9 +288,7 @@ def _certain(d: Mapping[str, Any]) -> str:
 
 
 def _law_values(law: Mapping[str, Any]) -> str:
-    values = [
-        f"{k.replace('_', ' ')} {plain_number(q['value'])} {q['unit']}" for k, q in law["parameters"].items()
-    ]
+    values = [_parameter(k, q) for k, q in law["parameters"].items()]
     return f", {', '.join(values)}" if values else ""
 
 
