@@ -365,7 +365,8 @@ def rival(row: Row) -> bool:
     if d.get("verdict") != "ambiguous" or not isinstance(row["answer"], list) or not row["answer"]:
         return False
     wanted = sorted(a[0] for a in row["answer"])
-    return any(sorted(c["effects"]) == wanted for c in d["alternatives"])
+    listed = [*d["alternatives"], *filter(None, [d.get("best_candidate")])]
+    return any(sorted(c["effects"]) == wanted for c in listed)
 
 
 def report(rows: Sequence[Row]) -> str:

@@ -357,6 +357,45 @@ def measurements() -> str:
     return markdown(["rig", "what is known", "answer of the diagnosis", "right?"], body, "llll")
 
 
+def first_looks() -> str:
+    """Rigs that the diagnosis had never seen, run once: figures by date."""
+
+    def right(stated: list[list[Any]], least: float = 0.9) -> str:
+        sure = [is_true for p, is_true in stated if p >= least]
+        return f"{sum(sure)} of {len(sure)}" if sure else "–"
+
+    body = []
+    for look in json.loads((BENCHMARKS / "first-looks.json").read_text(encoding="utf-8")):
+        rigs = look["rigs"]
+        said = {level: [s for r in rigs for s in r["stated"][level]] for level in ("law", "kind", "place")}
+        body.append(
+            [
+                f"{look['date']}, {look['version']}",
+                str(len(rigs)),
+                str(sum(r["law"] == "right" for r in rigs)),
+                str(sum(r["kind"] == "right" for r in rigs)),
+                str(sum(r["law"] == "wrong" for r in rigs)),
+                *(right(said[level]) for level in ("law", "kind", "place")),
+            ]
+        )
+    heads = ["date, version", "rigs", "law right or rightly silent", "place and kind right", "wrong name"]
+    heads += [f"{level} stated at 0.9 or more that is right" for level in ("name", "kind", "place")]
+    return markdown(heads, body, "lrrrrrrr")
+
+
+def first_looks_by_rig() -> str:
+    """What was known of each rig before its first look, and the answer; without the rigs of `measurements`."""
+    grades = {"right": "yes", "wrong": "**no**", "missed": "undecided"}
+    listed = json.loads(MEASURED.read_text(encoding="utf-8"))
+    body = [
+        [f"{r['rig']} <small>({r['source']})</small>", r["known"], r["answer"], grades[r["law"]], grades[r["kind"]]]
+        for look in json.loads((BENCHMARKS / "first-looks.json").read_text(encoding="utf-8"))
+        for r in look["rigs"]
+        if r["name"] not in listed
+    ]  # fmt: skip
+    return markdown(["rig", "what is known", "first answer", "right?", "place and kind"], body, "lllll")
+
+
 def sources() -> str:
     """Where the public data sets are, their licences, and the records that are compared."""
     body = [
@@ -421,7 +460,8 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview, learned_half_car),
     "docs/validation/diagnosis.md": (suites, calibration),
-    "docs/validation/public-measurements.md": (measurements, sources),
+    "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
+    "docs/validation/public-data.md": (sources,),
     "docs/reference/limits.md": (gates, limits),
 }
 

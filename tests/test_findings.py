@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 from test_words import VAGUE, document
 
+from isd_gym.discrepancy.result_builder import ResultBuilder
 from isd_gym.discrepancy.selection.criteria import CRITERIA
 from isd_gym.discrepancy.selection.weights import FREE_FORCE, Statement, WeightedCandidate
 from isd_gym.discrepancy.verdict.findings import find
@@ -69,6 +70,20 @@ def test_a_place_is_doubted_where_its_candidate_explains_less_than_half_or_did_n
     assert table.place_probability == pytest.approx(1 - CRITERIA.mistaken_place)
 
 
+def test_a_law_beside_the_foremost_candidates_law_is_doubted_and_a_rival_is_not():
+    """A richer candidate holds both laws: the further one did not pass the inclusion test."""
+    further = Statement(FRONT, "dry_friction", "stribeck_friction")
+    rival = Statement(FRONT, "dry_friction", "hysteresis")
+    weighted = (0.8, [friction(FRONT), further]), (0.1, [friction(FRONT)]), (0.1, [rival])
+    (both,) = found(*weighted, own=[friction(FRONT)], is_named=True)
+    said = {law.effect: law.probability for law in both.laws}
+    doubt = 1 - CRITERIA.mistaken
+    assert said["coulomb_friction"] == pytest.approx(0.9 * doubt)
+    assert said["hysteresis"] == pytest.approx(0.1 * doubt)
+    assert said["stribeck_friction"] == pytest.approx(0.8 * (1 - CRITERIA.mistaken_extra))
+    assert both.laws[0].effect == "coulomb_friction"
+
+
 def test_the_summary_says_that_the_place_is_open():
     front, rear = [friction(FRONT)], [friction(REAR)]
     findings = [f.to_dict() for f in found((0.55, front), (0.43, rear), (0.02, []), own=front)]
@@ -78,3 +93,38 @@ def test_the_summary_says_that_the_place_is_open():
     )
     assert "between body_front and wheel_front (0.53) or between body_rear and wheel_rear (0.42)." in text
     assert "Also possible" not in text
+
+
+@pytest.mark.parametrize(("weight", "words"), [(1.0, "Perhaps beside it"), (0.88, "Also possible")])
+def test_a_kind_beside_a_certain_kind_is_told_from_one_in_its_place(weight, words):
+    """Of 0.33, at most 0.05 is left for candidates without the certain kind; of 0.23, up to 0.16."""
+    spring = Statement(FRONT, "elastic", "cubic_stiffness")
+    both = [friction(FRONT), spring]
+    candidates = [(weight, both)] if weight == 1.0 else [(weight, [friction(FRONT)]), (1 - weight, [spring])]
+    findings = [f.to_dict() for f in found(*candidates, own=[friction(FRONT)])]
+    for f in findings:  # as likely as a further kind is in most of the results
+        if f["kind"] == "elastic" and weight < 1.0:
+            f["kind_probability"] = 0.23
+    text = summary_of(document(VAGUE, findings=findings))
+    assert f"{words}: an elastic force between body_front and wheel_front" in text
+
+
+@pytest.mark.parametrize(("is_tied", "listed"), [(True, ["best"]), (False, ["other"])])
+def test_a_candidate_without_a_rival_is_not_listed_as_one_that_cannot_be_told_apart(is_tied, listed):
+    """A certain kind whose law is open: the best candidate has no rival, and stands in `best_candidate`."""
+
+    def candidate(name):
+        h = SimpleNamespace(effect=name, where=("rod", "ground"), choices={})
+        return SimpleNamespace(hypotheses=(h,), elements=(), deviance=0.0)
+
+    best, other = candidate("best"), candidate("other")
+    scores = SimpleNamespace(
+        refitted=None,
+        foremost=best,
+        noise_score=0.0,
+        rivals=lambda: [other],
+        score=lambda r: SimpleNamespace(mean_square=1.0 if r is None else 0.4),
+    )
+    made = ResultBuilder._contenders(SimpleNamespace(scores=scores), [], is_tied)
+    assert [c.effects[0] for c in made] == listed
+    assert (made[0].why_not == "cannot be told apart on these data") == is_tied

@@ -368,6 +368,9 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     page = reopened(d, path)
     assert "Force between piston and joint, as a table over rate" in page.text
     assert "coulomb friction (98\u00a0% of it)" in page.text
+    # a known law gives nearly all of the force: the page must not say that none does
+    assert page.text.count("no law of the library passes every gate") >= 1
+    assert "no law of the library explains" not in page.text and "gives this force" not in page.text
     assert (
         "The best candidate is hysteresis between piston and joint. The candidate removes 42\u00a0%"
         in page.text
@@ -386,6 +389,14 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     # the law is that of the result
     law = next(i for i in page.data["chart-law"]["choices"][0]["panels"][0]["items"] if i["name"] == "law")
     assert unpacked(law["y"]) == pytest.approx(d.tabulated.force)
+
+
+def test_the_title_tells_a_certain_kind_from_several_explanations(diagnosis):
+    d = of_kind(diagnosis, "ambiguous")
+    assert report.View(d).title == "Several effects explain the error equally well"
+    certain = report.View(replace(d, reason="kind_certain"))
+    assert certain.title == "The kind of the missing effect is certain, its law is not"
+    assert report.View(d).tied and not certain.tied
 
 
 def test_a_report_that_cannot_be_drawn_leaves_the_results(diagnosis, tmp_path, monkeypatch, quick):

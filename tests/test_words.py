@@ -12,6 +12,7 @@ from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.verdict.gates import Reason, decide, gate, table_gates
 from isd_gym.discrepancy.verdict.wording import (
     NOT_BORNE_OUT,
+    described,
     failures,
     plain_number,
     summary_of,
@@ -86,6 +87,31 @@ def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:
     assert summary_of(document(after=0.9)).endswith(NOT_BORNE_OUT)
 
 
+def test_a_number_without_a_unit_has_none_in_the_text() -> None:
+    effect = {**FRICTION, "parameters": {**FRICTION["parameters"], "exponent": {"value": 1.0, "unit": "-"}}}
+    assert "exponent 1)" in described(effect)
+
+
+def test_a_refit_that_errs_more_than_the_model_as_given_is_told() -> None:
+    def said(before: float) -> str:
+        rows = {"before": before, "refit": 0.3, "after": 0.021, "noise_floor": 0.01}
+        return summary_of(
+            document(gap={"held_out": {k: {"travel": v} for k, v in rows.items()}, "closed": 0.99})
+        )
+
+    words = "the refitted model errs more in travel (30.0 %) than the model as given (14.0 %)"
+    assert words in said(before=0.14)
+    assert "errs more" not in said(before=0.299) and "errs more" not in said(before=0.4)
+
+
+@pytest.mark.parametrize(("refit", "is_told"), [(1.053, True), (0.99, False)])
+def test_a_refit_that_errs_more_than_a_constant_is_told(refit: float, is_told: bool) -> None:
+    rows = {"before": 1.2, "refit": refit, "after": 0.9, "noise_floor": 0.01}
+    held_out = {k: {"travel": v} for k, v in rows.items()}
+    said = summary_of(document(VAGUE, gap={"held_out": held_out, "closed": None}))
+    assert ("errs more in travel than a constant would" in said) == is_told
+
+
 #: friction that takes the error from 30 to 7 %, whose level is known to a factor of 20 only
 VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=3.0),))
 
@@ -95,7 +121,7 @@ def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() 
     assert "The best candidate, coulomb friction between mass and ground, reduces the error in travel" in said
     assert "from 30.0 % to 7.0 % and fails 1 of 9 gates: determined (0.95, needed below 0.9)." in said
     nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, richest=())))
-    assert "No known effect reduces the error" in nothing
+    assert "No known effect reduces the held-out error by enough to be kept." in nothing
 
 
 def tried(explained: float, moved: float = 0.2, errors: float = 5.0) -> dict[str, Any]:
@@ -110,7 +136,7 @@ def test_a_table_that_is_not_stated_is_told_with_its_figure_and_the_reason() -> 
     assert "depend on time" not in said and "half" not in said
     said = summary_of(document(VAGUE, best_table=tried(0.3)))
     assert "removes 30 % of the squared held-out error beyond noise (needed 50 %)." in said
-    assert "depend on time, on its own past" in said
+    assert "depend on time, on its own past, on an input" in said
 
 
 def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:

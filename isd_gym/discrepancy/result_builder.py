@@ -91,7 +91,7 @@ class ResultBuilder:
             closed_loop=self.feedback,
             effects=tuple(found),
             small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
-            contenders=tuple(self._contenders(rivals, is_ambiguous)),
+            contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
             findings=findings,
             where=() if decision.verdict == "no_discrepancy" else locate_errors(p, refitted.fit, noise),
             parameters={path: q for path, q in quantities.items() if path in network.parameters},
@@ -200,15 +200,15 @@ class ResultBuilder:
             tuple(g for g in decision.gates if not g.passed),
         )
 
-    def _contenders(self, rivals: Sequence[Candidate], is_ambiguous: bool) -> list[Contender]:
-        """Return the other candidates, and why they are not named."""
+    def _contenders(self, rivals: Sequence[Candidate], is_tied: bool) -> list[Contender]:
+        """Return the other candidates, and why they are not named; where several are tied, the foremost candidate too."""
         scores = self.scores
         refit, best = scores.score(scores.refitted), scores.foremost
         out = []
-        for r in [best, *rivals] if is_ambiguous else scores.rivals():
+        for r in [best, *rivals] if is_tied else scores.rivals():
             loss = scores.score(r).mean_square
             why = "explains less of the held-out records"
-            if r in rivals or is_ambiguous:
+            if r in rivals or is_tied:
                 why = "cannot be told apart on these data"
             elif loss > refit.mean_square:
                 why = "errs more on the held-out records than the old model does"

@@ -47,7 +47,7 @@ TITLES = {
     "missing_effect": "A physical effect is missing",
     "no_discrepancy": "The model agrees with the measurements",
     "parameters_only": "Parameters were off; no effect is missing",
-    "unknown_effect": "An effect is missing that no law of the library explains",
+    "unknown_effect": "An effect is missing, and no law of the library passes every gate",
     "ambiguous": "Several effects explain the error equally well",
 }
 STAGES = {
@@ -152,6 +152,10 @@ class View:
         # whether the new model differs from the given model
         self.changed = self.named or d.tabulated is not None or d.reason == "kind_certain"
         self.title = TITLES.get(d.verdict, d.verdict)
+        # whether several candidates cannot be told apart
+        self.tied = d.verdict == "ambiguous" and d.reason != "kind_certain"
+        if d.reason == "kind_certain":
+            self.title = "The kind of the missing effect is certain, its law is not"
         if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
             self.title = "An effect is missing that no parameter of the FMU explains"
         if self.named and all(e.channel for e in d.effects):
@@ -159,6 +163,8 @@ class View:
         elif len(d.effects) > 1:
             count = ("Two", "Three", "Four")[min(len(d.effects), 4) - 2]
             self.title = f"{count} physical effects are missing"
+        # whether several candidates cannot be told apart
+        self.tied = d.verdict == "ambiguous" and d.reason != "kind_certain"
         if d.reason == "kind_certain":
             self.title = "The kind of the missing effect is certain, its law is not"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
@@ -535,9 +541,11 @@ def clouds(view: View) -> list[Cloud]:
             pairs.setdefault((e.between[0], e.between[1]), []).append(e)
     if d.tabulated is not None and d.tabulated.element in laws:
         pairs[d.tabulated.between] = []
-    elif not d.effects and d.contenders and len(d.contenders[0].where[-1]) == 2:
-        a, b = d.contenders[0].where[-1]
-        pairs[(a, b)] = []
+    elif not d.effects:
+        first = d.best_candidate or next(iter(d.contenders), None)
+        where = first.where[-1] if first else ()
+        if len(where) == 2:
+            pairs[(where[0], where[1])] = []
     out = []
     for pair, effects in pairs.items():
         try:

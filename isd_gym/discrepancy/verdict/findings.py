@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class LawProbability:
-    """A law of a finding with its probability and the values of the likeliest candidate that contains the law."""
+    """A law of a finding with its probability, and its values in the foremost candidate or else in the likeliest that contains the law."""
 
     effect: str
     probability: float
@@ -101,6 +101,7 @@ def find(
     free_places = {place for (place, _), laws in every.items() if FREE_FORCE in laws}
 
     own_places = {s.place for s in own}
+    foremost_first = sorted(candidates, key=lambda w: w.statements != own)
 
     def of_place(place: tuple[str, ...]) -> float:
         """Return the probability of a place.
@@ -122,17 +123,23 @@ def find(
     def finding(place: tuple[str, ...], kind: str, laws: Mapping[str, Statement]) -> Finding:
         """Return the finding of a kind at a place, or at any place where `place` is empty."""
         where: dict[str, object] = {"kind": kind} | ({"place": place} if place else {})
-        is_passed = any(s.kind == kind and place in (s.place, ()) for s in passed)
+        own_here = {s for s in own if s.kind == kind and place in (s.place, ())}
+        is_passed = bool(own_here & passed)
         is_free = FREE_FORCE in laws  # the free force stands for laws outside the library
         doubt = 0.0 if is_passed or is_free else c.mistaken_extra
         mistaken = c.mistaken_kind if is_free else max(doubt, share("kind"))
         of_kind = probability(candidates, **where) * (1.0 - mistaken)
+
+        def of_law(law: str) -> float:
+            """Return the probability of a law. Beside a law of the foremost candidate it did not pass the inclusion test."""
+            whole = probability(candidates, **where, law=law)
+            is_own = any(s.law == law for s in own_here)
+            beside = [] if is_own else [w for w in candidates if own_here & w.statements]
+            further, wrong = probability(beside, **where, law=law), max(doubt, share("law"))
+            return (whole - further) * (1.0 - wrong) + further * (1.0 - max(c.mistaken_extra, wrong))
+
         entries = [
-            LawProbability(
-                law,
-                probability(candidates, **where, law=law) * (1.0 - max(doubt, share("law"))),
-                _values(candidates, statement, quantities) if place else {},
-            )
+            LawProbability(law, of_law(law), _values(foremost_first, statement, quantities) if place else {})
             for law, statement in laws.items()
         ]
         return Finding(
@@ -160,7 +167,7 @@ def find(
 def _values(
     candidates: Sequence[WeightedCandidate], statement: Statement, quantities: Mapping[str, Quantity]
 ) -> dict[str, Quantity]:
-    """Return the values of a law in the likeliest candidate with the statement; without an interval if it is not the foremost."""
+    """Return the values of a law in the first candidate with the statement; without an interval if it is not the foremost."""
     for w in candidates:
         if statement not in w.statements:
             continue

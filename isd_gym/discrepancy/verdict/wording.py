@@ -57,6 +57,8 @@ def summary_of(document: Mapping[str, Any]) -> str:
         parts = [_unknown(document), _certain(document), _best_candidate(document), _table(document)]
     else:
         parts = [_agreement(document), _reason(document), _changes(document)]
+    if verdict in {"missing_effect", "ambiguous", "unknown_effect"}:
+        parts += [_worse_refit(document), _worse_than_constant(document)]
     parts += [
         _small(document),
         _noise(document),
@@ -109,12 +111,14 @@ def described(effect: Mapping[str, Any]) -> str:
     what, kind = effect["effect"].replace("_", " "), TYPES.get(effect["effect"])
     if kind is not None and kind.series:
         what, spot = f"{what},", f"in series with {effect.get('behind') or 'all elements'} {spot}"
-    figures = ", ".join(
-        f"{k.replace('_', ' ')} {plain_number(q['value'])} {q['unit']}"
-        for k, q in effect["parameters"].items()
-        if q["value"] is not None
-    )
+    figures = ", ".join(_parameter(k, q) for k, q in effect["parameters"].items() if q["value"] is not None)
     return f"{what} {spot} ({figures})"
+
+
+def _parameter(name: str, quantity: Mapping[str, Any]) -> str:
+    """Return a parameter with its value and unit, such as ``level 1.2 N`` or ``exponent 2``."""
+    unit = "" if quantity["unit"] == "-" else f" {quantity['unit']}"
+    return f"{name.replace('_', ' ')} {plain_number(quantity['value'])}{unit}"
 
 
 def candidate_text(candidate: Mapping[str, Any]) -> str:
@@ -185,6 +189,31 @@ def _missing(d: Mapping[str, Any]) -> str:
     return text if down else f"{text} {NOT_BORNE_OUT}"
 
 
+def _worse_refit(d: Mapping[str, Any]) -> str:
+    """Return a sentence where the refitted model errs more on held-out data than the model as given, by a material share."""
+    gap = d["gap"]["held_out"]
+    c = _most_gained(gap, "refit", "before")
+    given, refit = gap["before"][c], gap["refit"][c]
+    if not _square(refit) - _square(given) >= d["criteria"]["material"] ** 2:
+        return ""
+    return (
+        f"On held-out data the refitted model errs more in {c} ({_percent(refit)}) than the model as given ({_percent(given)}): the share "
+        "of the error that an addition removes is relative to the refitted model."
+    )
+
+
+def _worse_than_constant(d: Mapping[str, Any]) -> str:
+    """Return a sentence where the refitted model errs more on held-out data than the mean of each record."""
+    gap = d["gap"]["held_out"]
+    c = _widest(gap)
+    if not _square(gap["refit"][c]) > 1.0:
+        return ""
+    return (
+        f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation): first check values, "
+        "stated uncertainty, signs and units of the model."
+    )
+
+
 def _remaining(d: Mapping[str, Any]) -> str:
     left = d["remainder"]
     if not left:
@@ -236,22 +265,30 @@ def _certain(d: Mapping[str, Any]) -> str:
             f"An effect is missing {_spot(place)} (probability {chance:.2f}); the data do not determine its kind."
             for place, chance in places.items()
         ]
-    beside = [
-        f"{KINDS[f['kind']].lower()} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
+    others = [
+        f
         for f in findings
         if f not in kinds
         and f["kind"] not in {"other", *(g["kind"] for g in kinds if not g["place"])}
         and f["kind_probability"] >= POSSIBLE
     ]
-    if kinds and beside:
-        sentences.append(f"Also possible: {' or '.join(beside)}.")
+    # candidates without the certain kind have the rest of the weight: a kind that is twice as likely stands mostly beside it
+    rest = 1.0 - max((f["kind_probability"] for f in kinds), default=0.0)
+    for words, told in (
+        ("Perhaps beside it", [f for f in others if f["kind_probability"] > 2.0 * rest]),
+        ("Also possible", [f for f in others if f["kind_probability"] <= 2.0 * rest]),
+    ):
+        if kinds and told:
+            listed = (
+                f"{KINDS[f['kind']].lower()} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
+                for f in told
+            )
+            sentences.append(f"{words}: {' or '.join(listed)}.")
     return " ".join(sentences)
 
 
 def _law_values(law: Mapping[str, Any]) -> str:
-    values = [
-        f"{k.replace('_', ' ')} {plain_number(q['value'])} {q['unit']}" for k, q in law["parameters"].items()
-    ]
+    values = [_parameter(k, q) for k, q in law["parameters"].items()]
     return f", {', '.join(values)}" if values else ""
 
 
@@ -299,7 +336,7 @@ def _where(d: Mapping[str, Any]) -> str:
 def _best_candidate(d: Mapping[str, Any]) -> str:
     best = d["best_candidate"]
     if best is None:
-        return "No known effect reduces the error on these records."
+        return "No known effect reduces the held-out error by enough to be kept."
     error = best["error"]
     c = _most_gained(error, "refit", "after")
     down = _square(error["after"][c]) <= _square(error["refit"][c])
@@ -335,8 +372,8 @@ def _table(d: Mapping[str, Any]) -> str:
     )
     if not explains["passed"]:
         return (
-            f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, or on a motion "
-            "that no sensor measures."
+            f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, on an input, or "
+            "on a motion that no sensor measures."
         )
     failed = failures(tried["gates"])
     return f"{text}, but fails {failed}." if failed else f"{text}, but its interval cannot be computed."
