@@ -223,11 +223,11 @@ def statements(row: Row, level: str, *, is_placed: bool = False) -> list[tuple[f
 
 
 def kind_graded(row: Row) -> str:
-    """Return 'right' where a true kind is stated as certain at a true place, 'wrong' where only others are, else 'missed'."""
+    """Return 'right' where a true kind at a true place is stated as more likely than not, 'wrong' where only others are, else 'missed'."""
     if graded(row) == "right":
         return "right"
-    sure = [ok for p, ok in statements(row, "kind", is_placed=True) if p >= CRITERIA.certain]
-    return "right" if any(sure) else "wrong" if sure else "missed"
+    likely = [ok for p, ok in statements(row, "kind", is_placed=True) if p >= CRITERIA.probable]
+    return "right" if any(likely) else "wrong" if likely else "missed"
 
 
 def names_with_confidence(rows: Iterable[Row]) -> list[tuple[float, bool]]:

@@ -84,6 +84,20 @@ def test_a_law_beside_the_foremost_candidates_law_is_doubted_and_a_rival_is_not(
     assert both.laws[0].effect == "coulomb_friction"
 
 
+def test_a_place_with_most_of_the_weight_is_not_open_however_doubtful_the_kind_is():
+    front, rear = [friction(FRONT)], [friction(REAR)]
+    findings = found((0.9, front), (0.1, rear), own=front, explained=0.6)
+    assert all(f.place for f in findings) and findings[0].kind_probability < CRITERIA.certain
+
+
+def test_a_kind_that_explains_a_part_is_told_as_probable():
+    front = [friction(FRONT)]
+    for explained, told in ((0.99, "explains the error"), (0.6, "probably explains a part of the error")):
+        findings = [f.to_dict() for f in found((1.0, front), own=front, explained=explained)]
+        text = summary_of(document(VAGUE, findings=findings))
+        assert f"Dry friction between body_front and wheel_front {told} (probability" in text
+
+
 def test_the_summary_says_that_the_place_is_open():
     front, rear = [friction(FRONT)], [friction(REAR)]
     findings = [f.to_dict() for f in found((0.55, front), (0.43, rear), (0.02, []), own=front)]

@@ -13,7 +13,6 @@ from ..result import Quantity
 from ..simulation.problem import BROKEN
 
 if TYPE_CHECKING:
-
     from ...network import Network
     from ..estimation.structure import Structure
     from ..simulation.problem import Array

@@ -158,7 +158,12 @@ def find(
     ]
     for kind in sorted({f.kind for f in found} - set(NAMELESS)):
         at_places = [f for f in found if f.kind == kind]
-        if len(at_places) > 1 and not any(f.named or f.kind_probability >= c.certain for f in at_places):
+        whole = probability(candidates, kind=kind)
+        is_settled = any(
+            f.named or probability(candidates, place=f.place, kind=kind) >= c.certain * whole
+            for f in at_places
+        )
+        if len(at_places) > 1 and not is_settled:
             laws = {s.law: s for (_, k), own_laws in every.items() if k == kind for s in own_laws.values()}
             found.append(replace(finding((), kind, laws), named=False))
     return tuple(sorted(found, key=lambda f: (not f.named, -f.kind_probability, f.place, f.kind)))

@@ -52,9 +52,9 @@ def summary_of(document: Mapping[str, Any]) -> str:
     if verdict == "missing_effect":
         parts = [_missing(document), _remaining(document)]
     elif verdict == "ambiguous":
-        parts = [_certain(document), _ambiguous(document)]
+        parts = [_likely(document), _ambiguous(document)]
     elif verdict == "unknown_effect":
-        parts = [_unknown(document), _certain(document), _best_candidate(document), _table(document)]
+        parts = [_unknown(document), _likely(document), _best_candidate(document), _table(document)]
     else:
         parts = [_agreement(document), _reason(document), _changes(document)]
     if verdict in {"missing_effect", "ambiguous", "unknown_effect"}:
@@ -231,12 +231,19 @@ def _remaining(d: Mapping[str, Any]) -> str:
     return text
 
 
-def _certain(d: Mapping[str, Any]) -> str:
-    """Return the most specific statements that are certain, with probabilities: kinds, or else places."""
-    least, findings = d["criteria"]["certain"], d["findings"]
-    kinds = [f for f in findings if f["kind"] != "other" and f["kind_probability"] >= least]
+def _likely(d: Mapping[str, Any]) -> str:
+    """Return the most specific statements that are likely, with probabilities: kinds, or else places that are certain."""
+    certain, findings = d["criteria"]["certain"], d["findings"]
+    kinds = [
+        f for f in findings if f["kind"] != "other" and f["kind_probability"] >= d["criteria"]["probable"]
+    ]
     sentences = []
     for f in kinds:
+        explains = (
+            "explains the error"
+            if f["kind_probability"] >= certain
+            else "probably explains a part of the error"
+        )
         if not f["place"]:
             open_places = " or ".join(
                 f"{_spot(g['place'])} ({g['place_probability']:.2f})"
@@ -244,7 +251,7 @@ def _certain(d: Mapping[str, Any]) -> str:
                 if g["place"] and g["kind"] == f["kind"]
             )
             sentences.append(
-                f"{KINDS[f['kind']]} explains the error (probability {f['kind_probability']:.2f}), but the data do not determine "
+                f"{KINDS[f['kind']]} {explains} (probability {f['kind_probability']:.2f}), but the data do not determine "
                 f"its place: {open_places}."
             )
             continue
@@ -254,12 +261,12 @@ def _certain(d: Mapping[str, Any]) -> str:
             if law is f["laws"][0] or law["probability"] >= d["criteria"]["reported"]
         )
         sentences.append(
-            f"{KINDS[f['kind']]} {_spot(f['place'])} explains the error (probability {f['kind_probability']:.2f}). "
+            f"{KINDS[f['kind']]} {_spot(f['place'])} {explains} (probability {f['kind_probability']:.2f}). "
             f"Likeliest: {laws}."
         )
     if not kinds:
         places = {
-            tuple(f["place"]): f["place_probability"] for f in findings if f["place_probability"] >= least
+            tuple(f["place"]): f["place_probability"] for f in findings if f["place_probability"] >= certain
         }
         sentences = [
             f"An effect is missing {_spot(place)} (probability {chance:.2f}); the data do not determine its kind."
@@ -272,7 +279,7 @@ def _certain(d: Mapping[str, Any]) -> str:
         and f["kind"] not in {"other", *(g["kind"] for g in kinds if not g["place"])}
         and f["kind_probability"] >= POSSIBLE
     ]
-    # candidates without the certain kind have the rest of the weight: a kind that is twice as likely stands mostly beside it
+    # candidates without the likeliest kind have the rest of the weight: a kind that is twice as likely stands mostly beside it
     rest = 1.0 - max((f["kind_probability"] for f in kinds), default=0.0)
     for words, told in (
         ("Perhaps beside it", [f for f in others if f["kind_probability"] > 2.0 * rest]),
