@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import elements as el
-from ..estimation.structure import Hypothesis, Structure, rebuilt
+from ..estimation.structure import Hypothesis, Structure, in_line, rebuilt, twin
 from ..hypotheses.curve_matching import match_law
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.library import hypotheses
@@ -20,6 +20,7 @@ from .criteria import CRITERIA
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from ...network import Network
     from ..simulation.problem import Array, Problem
     from .criteria import Criteria
 
@@ -60,10 +61,12 @@ def equivalent_structures(
 
 
 def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structure]:
-    """Replace several laws over one plane at one place by a single law.
+    """Replace several laws over one plane at one place by a single law, and several series laws along one line by one of them.
+
+    The links of a chain without masses carry the same force, so that two series laws on it may imitate one at a third link.
 
     Yields:
-        Structures with a single law for each group, best match first.
+        Structures with a single law for each group; laws over one plane in the order of their match.
     """
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
@@ -79,6 +82,24 @@ def joint_structures(problem: Problem, candidate: Candidate) -> Iterator[Structu
         matches = _match_laws(problem, curves(problem, laws[0]), laws, motion[pair], forces.at)
         rest = [effect for k, effect in enumerate(found) if k not in members]
         yield from _rebuild(problem, ([*rest, match] for match in matches))
+    yield from _rebuild(problem, _series_alone(problem.network, found))
+
+
+def _series_alone(network: Network, found: Sequence[Effect]) -> Iterator[list[Effect]]:
+    """Yield the effects with one series law, at every link of its line, in place of all series laws along the line."""
+    links = [tuple(twin(n, network.nodes) for n in h.where) for h, _ in found]
+    for k, (h, values) in enumerate(found):
+        line = [
+            j
+            for j, (other, _) in enumerate(found)
+            if other.kind.series and in_line(network, links[k], links[j])
+        ]
+        if not h.kind.series or len(line) < 2:
+            continue
+        rest = [effect for j, effect in enumerate(found) if j not in line]
+        for other in hypotheses(network):
+            if other.effect == h.effect and not other.behind and in_line(network, links[k], other.where):
+                yield [*rest, (other, values)]
 
 
 def _rebuild(problem: Problem, variants: Iterator[list[Effect]]) -> Iterator[Structure]:
