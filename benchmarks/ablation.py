@@ -1,11 +1,17 @@
 """Replay finished diagnoses with each limit of the decision varied and each gate removed, and count the verdicts that change.
 
 python benchmarks/ablation.py DIR [DIR ...] [--json FILE] [--markdown FILE]
+python benchmarks/ablation.py --search [--seed N] [--json FILE] [--only WORD ...]
 
 DIR     results of `python benchmarks/diagnose.py … --out DIR`: each holds the evidence that its verdict follows from.
 
 `decide` is a pure function of evidence and limits, so a replay fits nothing and takes seconds. A limit that changes no verdict
-over hundreds of rigs, or that helps a single one, is a candidate for deletion. Rules of the search need a rerun and are not seen here.
+over hundreds of rigs, or that helps a single one, is a candidate for deletion.
+
+--search        diagnose a sample of quick rigs again for each variation of `search_ablation.py`: a setting, a constant or a rule of
+                the search. The file is written after each variation; the same line again goes on with the variations that are not
+                there yet. A variation takes about a minute.
+--only WORD     variations with a word in their name
 """
 
 from __future__ import annotations
@@ -170,10 +176,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR")
+    parser.add_argument("folders", nargs="*", type=Path, metavar="DIR")
+    parser.add_argument("--search", action="store_true", help="run a sample again with settings of the search varied")
+    parser.add_argument("--seed", type=int, default=464)
+    parser.add_argument("--only", nargs="*", default=[""], metavar="WORD")
     parser.add_argument("--json", type=Path, help="write the changes with the names of the rigs")
     parser.add_argument("--markdown", type=Path, help="write the table")
     args = parser.parse_args()
+    if args.search:
+        import search_ablation
+
+        search_ablation.run(args.seed, args.json or search_ablation.FILE, args.only)
+        return
     replays = replays_of(args.folders)
     if not replays:
         parser.error(f"no results in {', '.join(map(str, args.folders))}")

@@ -1,0 +1,241 @@
+"""Diagnose a sample of quick rigs with one setting, constant or rule of the search varied: `ablation.py --search`.
+
+A variation is worth its lines where verdicts become worse without it. The sample is small: a variation that changes no number of any
+diagnosis (`moved` is 0) was not exercised, and the sample says nothing about it.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import importlib
+import json
+import math
+import os
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+os.environ.update({f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")})
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import diagnose
+import grading
+
+from isd_gym.discrepancy import workflow
+from isd_gym.discrepancy.selection.settings import SearchSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+FILE = Path(__file__).with_name("ablation-search.json")
+SELECTION = "isd_gym.discrepancy.selection"
+
+#: suite and kind of each rig: several families, known and unknown laws, forces, sensors, one and two effects, none
+SAMPLE = (
+    ("families", "dyno.stribeck"),
+    ("families", "dyno.unknown_position_damping"),
+    ("families", "cart.cogging"),
+    ("families", "pushed.delay"),
+    ("families", "decay.asymmetric"),
+    ("families", "decay.drag_and_sine"),
+    ("families", "shaken.none"),
+    ("home", "drive_gas_spring"),
+    ("home", "mass_bump"),
+    ("home", "decay_friction"),
+    ("home", "rig_compliance"),
+)
+
+
+@dataclass(frozen=True)
+class Variation:
+    """A change of the search: a field of `SearchSettings`, or an attribute of a module of `selection` ("screening.SHAPES")."""
+
+    target: str
+    label: str
+    value: Any
+
+    @property
+    def is_setting(self) -> bool:
+        """Whether the target is a field of `SearchSettings`."""
+        return "." not in self.target
+
+
+def _settings(**values: tuple[float, ...]) -> list[Variation]:
+    return [Variation(name, f"{x:g}", x) for name, options in values.items() for x in options]
+
+
+def _keep_chosen(self: Any, scores: Any, chosen: Any) -> Any:
+    return chosen
+
+
+def _nothing(*args: Any, **more: Any) -> None:
+    return None
+
+
+def _no_structures(*args: Any, **more: Any) -> tuple[()]:
+    return ()
+
+
+#: variations, the most telling first
+VARIATIONS = [
+    Variation("screening.SHAPES", "off", ()),
+    Variation("screening.BEGINNING", "off", math.inf),
+    Variation("screening.LARGE", "off", ()),
+    Variation("screening.OTHER_SIGN", "off", ()),
+    Variation("screening.AMPLITUDES", "1, 5", (1.0, 5.0)),
+    Variation("screening.BETTER_PERIOD", "off", math.inf),
+    *_settings(turns=(0,), nearest=(0,), wide_gap=(math.inf,)),
+    Variation("forward_backward.joint_structures", "off", _no_structures),
+    Variation("forward_backward.equivalent_structures", "off", _no_structures),
+    Variation("forward_backward.Search._hint", "off", _nothing),
+    Variation("candidate_fitter.CandidateFitter.from_growing_windows", "off", _nothing),
+    Variation("candidate_fitter.ASTRAY", "off", math.inf),
+    Variation("candidate_comparison.RIVALS", "3", 3),
+    Variation("free_force.BOTH", "off", 0),
+    Variation("free_force.RICHER", "off", 1.0),
+    Variation("free_force.LENGTHS", "one", {"rate": (0.7,), "elongation": (0.7,), "both": (0.7,)}),
+    Variation("held_out.BLOCKS", "10", 10),
+    Variation("held_out.BLOCKS", "40", 40),
+    *_settings(worst_equivalent=(math.inf,), chance=(15, 60), sure=(0, 120)),
+    Variation("candidate.RETURNED", "off", 0.0),
+    Variation("candidate.HOPELESS", "off", math.inf),
+    Variation("equivalent_laws.NEAR", "0.25", 0.25),
+    Variation("equivalent_laws.MOST", "1", 1),
+    *_settings(first_round=(4, 16), finals=(2, 8), window=(0.2, 0.8), lost_phase=(0.25, 1.0), depth=(2,)),
+    Variation("free_force.STRONG", "1.5", 1.5),
+    Variation("free_force.STRONG", "6", 6.0),
+    Variation("free_force.FINALS", "1", 1),
+    Variation("free_force.KNOTS", "half", {"rate": 17, "elongation": 17, "both": 7}),
+    Variation("free_force.MOST", "half", {"rate": 6, "elongation": 6, "both": 12}),
+    Variation("free_force.ENOUGH", "0.8", 0.8),
+    Variation("candidate.CONVERGED", "10", 10.0),
+    Variation("screening.GROWTH", "2", 2.0),
+    Variation("candidate_fitter.GROWTH", "2", 2.0),
+    Variation("equivalent_laws.STARTS", "2", 2),
+    Variation("equivalent_laws.POINTS", "120", 120),
+    Variation("held_out.LEAST_BLOCK", "20", 20),
+    Variation("held_out.SMALL", "0.01", 0.01),
+    Variation("free_force.INSIDE", "0.98", 0.98),
+    Variation("free_force.KEPT", "0.001", 1e-3),
+    *_settings(least_window=(1000, 4000), shortest=(40, 160), astray=(0.25, 1.0), segment=(8, 32), least_segment=(2, 8), segments=(15,)),
+]  # fmt: skip
+
+
+@contextmanager
+def varied(variation: Variation | None) -> Iterator[SearchSettings]:
+    """Apply a variation and return the settings of the search; None for no variation."""
+    settings = SearchSettings(jobs=1)
+    if variation is None:
+        yield settings
+    elif variation.is_setting:
+        kind = type(getattr(settings, variation.target))
+        yield replace(settings, **{variation.target: kind(variation.value)})
+    else:
+        module, *path, name = variation.target.split(".")
+        owner = importlib.import_module(f"{SELECTION}.{module}")
+        for part in path:
+            owner = getattr(owner, part)
+        original = getattr(owner, name)
+        # a constant that other modules import has a copy there
+        copies = [
+            m
+            for n, m in sys.modules.items()
+            if n.startswith(SELECTION) and not path and getattr(m, name, None) is original and m is not owner
+        ]
+        copies = [m for m in copies if name == "RIVALS"]
+        for place in (owner, *copies):
+            setattr(place, name, variation.value)
+        try:
+            yield settings
+        finally:
+            for place in (owner, *copies):
+                setattr(place, name, original)
+
+
+def diagnosed(job: diagnose.Job, files: diagnose.Case, settings: SearchSettings) -> dict[str, Any]:
+    """Diagnose a case and return verdict, grade, processor time [s], and a digest of every number of the evidence."""
+    row: grading.Row = {"answer": job.answer, "truth": job.truth, "name": job.name}
+    began = time.process_time()
+    try:
+        found = workflow.diagnose(files.records, files.model, validate=files.held, settings=settings)
+        row["diagnosis"] = json.loads(found.to_json()) if hasattr(found, "to_json") else found.to_dict()
+    except Exception as error:
+        row["error"] = f"{type(error).__name__}: {error}"
+    seconds = time.process_time() - began
+    said = row.get("diagnosis", {})
+    numbers = json.dumps([said.get(k) for k in ("evidence", "effects", "findings")], default=str)
+    return {
+        "verdict": grading.outcome(row),
+        "named": [f"{name} at {'-'.join(sorted(where))}" for name, where in grading.named(row)],
+        "grade": grading.graded(row),
+        "seconds": round(seconds, 2),
+        "numbers": hashlib.sha1(numbers.encode()).hexdigest()[:10],
+    }
+
+
+def change(variation: Variation, before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    """Return the verdicts that a variation changes, by rig, and the ratio of the processor times."""
+    out: dict[str, Any] = {"rule": variation.target, "variation": variation.label}
+    out |= {"better": [], "worse": [], "other": [], "moved": 0}
+    worth = {"wrong": -1, "missed": 0, "right": 1}
+    for name, then in before.items():
+        now = after[name]
+        out["moved"] += now["numbers"] != then["numbers"]
+        if all(now[k] == then[k] for k in ("verdict", "named", "grade")):
+            continue
+        step = worth[now["grade"]] - worth[then["grade"]]
+        said = f"{name}: {then['verdict']} {then['named']} -> {now['verdict']} {now['named']}"
+        out["better" if step > 0 else "worse" if step < 0 else "other"].append(said)
+    out["time"] = round(sum(r["seconds"] for r in after.values()) / sum(r["seconds"] for r in before.values()), 2)
+    return out
+
+
+def run(seed: int, file: Path, only: Sequence[str] = ("",)) -> None:
+    """Run the sample for every variation that a file does not hold yet, and write the file after each.
+
+    Args:
+        seed: Seed of the sample.
+        file: Result file.
+        only: Words of which a variation's name must have one.
+    """
+    known = {f.name for f in fields(SearchSettings)}
+    assert all(v.target in known for v in VARIATIONS if v.is_setting)
+    found = json.loads(file.read_text()) if file.exists() else {}
+    with tempfile.TemporaryDirectory() as folder:
+        cases = []
+        for suite, kind in SAMPLE:
+            place = Path(folder) / kind
+            place.mkdir()
+            job = diagnose.Job(suite, kind, kind, f"{kind}-{seed}", seed=seed)
+            files, answer, truth = diagnose.load(job, place)
+            cases.append((replace(job, answer=answer, truth=truth), files))
+
+        def sample(variation: Variation | None) -> dict[str, Any]:
+            out = {}
+            with varied(variation) as settings:
+                for job, files in cases:
+                    out[job.name] = diagnosed(job, files, settings)
+                    if variation is None:
+                        print(job.name, out[job.name], flush=True)
+            return out
+
+        diagnosed(*cases[0], SearchSettings(jobs=1))  # compiled functions are loaded
+        if found.get("state") != diagnose.code_state():
+            found = {"date": datetime.date.today().isoformat(), "state": diagnose.code_state(), "seed": seed}
+            found |= {"rigs": sample(None), "changes": []}
+            file.write_text(json.dumps(found, indent=1) + "\n")
+        there = {(c["rule"], c["variation"]) for c in found["changes"]}
+        for v in VARIATIONS:
+            if (v.target, v.label) in there or not any(word in v.target for word in only):
+                continue
+            c = change(v, found["rigs"], sample(v))
+            found["changes"].append(c)
+            file.write_text(json.dumps(found, indent=1) + "\n")
+            print(v.target, v.label, {k: c[k] for k in ("better", "worse", "other", "moved", "time")}, flush=True)
