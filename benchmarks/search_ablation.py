@@ -71,10 +71,6 @@ def _settings(**values: tuple[float, ...]) -> list[Variation]:
     return [Variation(name, f"{x:g}", x) for name, options in values.items() for x in options]
 
 
-def _keep_chosen(self: Any, scores: Any, chosen: Any) -> Any:
-    return chosen
-
-
 def _nothing(*args: Any, **more: Any) -> None:
     return None
 
@@ -87,28 +83,28 @@ def _no_structures(*args: Any, **more: Any) -> tuple[()]:
 VARIATIONS = [
     Variation("screening.SHAPES", "off", ()),
     Variation("screening.BEGINNING", "off", math.inf),
-    Variation("screening.LARGE", "off", ()),
     Variation("screening.OTHER_SIGN", "off", ()),
-    Variation("screening.AMPLITUDES", "1, 5", (1.0, 5.0)),
-    Variation("screening.BETTER_PERIOD", "off", math.inf),
-    *_settings(turns=(0,), nearest=(0,), wide_gap=(math.inf,)),
+    Variation("screening.LARGE", "off", ()),
     Variation("forward_backward.joint_structures", "off", _no_structures),
     Variation("forward_backward.equivalent_structures", "off", _no_structures),
-    Variation("forward_backward.Search._hint", "off", _nothing),
-    Variation("candidate_fitter.CandidateFitter.from_growing_windows", "off", _nothing),
     Variation("candidate_fitter.ASTRAY", "off", math.inf),
-    Variation("candidate_comparison.RIVALS", "3", 3),
+    Variation("candidate_fitter.CandidateFitter.from_growing_windows", "off", _nothing),
+    Variation("forward_backward.Search._hint", "off", _nothing),
     Variation("free_force.BOTH", "off", 0),
     Variation("free_force.RICHER", "off", 1.0),
     Variation("free_force.LENGTHS", "one", {"rate": (0.7,), "elongation": (0.7,), "both": (0.7,)}),
+    *_settings(nearest=(0,), turns=(0,), worst_equivalent=(math.inf,)),
+    Variation("screening.BETTER_PERIOD", "off", math.inf),
+    Variation("screening.AMPLITUDES", "1, 5", (1.0, 5.0)),
+    Variation("candidate_comparison.RIVALS", "3", 3),
+    *_settings(chance=(15, 60), sure=(0, 120)),
     Variation("held_out.BLOCKS", "10", 10),
     Variation("held_out.BLOCKS", "40", 40),
-    *_settings(worst_equivalent=(math.inf,), chance=(15, 60), sure=(0, 120)),
-    Variation("candidate.RETURNED", "off", 0.0),
-    Variation("candidate.HOPELESS", "off", math.inf),
     Variation("equivalent_laws.NEAR", "0.25", 0.25),
     Variation("equivalent_laws.MOST", "1", 1),
     *_settings(first_round=(4, 16), finals=(2, 8), window=(0.2, 0.8), lost_phase=(0.25, 1.0), depth=(2,)),
+    Variation("candidate.RETURNED", "off", 0.0),
+    Variation("candidate.HOPELESS", "off", math.inf),
     Variation("free_force.STRONG", "1.5", 1.5),
     Variation("free_force.STRONG", "6", 6.0),
     Variation("free_force.FINALS", "1", 1),
@@ -124,8 +120,9 @@ VARIATIONS = [
     Variation("held_out.SMALL", "0.01", 0.01),
     Variation("free_force.INSIDE", "0.98", 0.98),
     Variation("free_force.KEPT", "0.001", 1e-3),
-    *_settings(least_window=(1000, 4000), shortest=(40, 160), astray=(0.25, 1.0), segment=(8, 32), least_segment=(2, 8), segments=(15,)),
-]  # fmt: skip
+    *_settings(wide_gap=(0.05, 0.2), least_window=(1000, 4000), shortest=(40, 160), astray=(0.25, 1.0)),
+    *_settings(segment=(8, 32), least_segment=(2, 8), segments=(15, 60)),
+]
 
 
 @contextmanager
@@ -197,20 +194,23 @@ def change(variation: Variation, before: dict[str, Any], after: dict[str, Any]) 
     return out
 
 
-def run(seed: int, file: Path, only: Sequence[str] = ("",)) -> None:
+def run(
+    seed: int, file: Path, only: Sequence[str] = ("",), rigs: Sequence[tuple[str, str]] = SAMPLE
+) -> None:
     """Run the sample for every variation that a file does not hold yet, and write the file after each.
 
     Args:
         seed: Seed of the sample.
         file: Result file.
         only: Words of which a variation's name must have one.
+        rigs: Suite and kind of each rig.
     """
     known = {f.name for f in fields(SearchSettings)}
     assert all(v.target in known for v in VARIATIONS if v.is_setting)
     found = json.loads(file.read_text()) if file.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         cases = []
-        for suite, kind in SAMPLE:
+        for suite, kind in rigs:
             place = Path(folder) / kind
             place.mkdir()
             job = diagnose.Job(suite, kind, kind, f"{kind}-{seed}", seed=seed)
