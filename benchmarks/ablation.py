@@ -239,8 +239,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folders", nargs="*", type=Path, metavar="DIR")
-    parser.add_argument("--search", action="store_true", help="run a sample again with settings of the search varied")
-    parser.add_argument("--shares", action="store_true", help="stated and observed shares of doubtful statements")
+    parser.add_argument(
+        "--search", action="store_true", help="run a sample again with settings of the search varied"
+    )
+    parser.add_argument(
+        "--shares", action="store_true", help="stated and observed shares of doubtful statements"
+    )
     parser.add_argument("--seed", type=int, default=464)
     parser.add_argument("--rigs", nargs="*", default=[], metavar="SUITE:KIND")
     parser.add_argument("--only", nargs="*", default=[""], metavar="WORD")

@@ -12,8 +12,10 @@ import importlib
 import json
 import math
 import os
+import re
 import sys
 import tempfile
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -32,7 +34,7 @@ from isd_gym.discrepancy import workflow
 from isd_gym.discrepancy.selection.settings import SearchSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
 FILE = Path(__file__).with_name("ablation-search.json")
 SELECTION = "isd_gym.discrepancy.selection"
@@ -60,6 +62,13 @@ class Variation:
     target: str
     label: str
     value: Any
+    #: part of a line that runs only where the variation has an effect; by default the name of the target
+    line: str = ""
+
+    def is_used(self, lines: Collection[str]) -> bool:
+        """Return whether a diagnosis that executed the lines may depend on the target."""
+        name = self.target.rpartition(".")[2]
+        return any(self.line in x if self.line else re.search(rf"\b{name}\b", x) for x in lines)
 
     @property
     def is_setting(self) -> bool:
@@ -79,17 +88,18 @@ def _no_structures(*args: Any, **more: Any) -> tuple[()]:
     return ()
 
 
-#: variations, the most telling first
 VARIATIONS = [
     Variation("screening.SHAPES", "off", ()),
     Variation("screening.BEGINNING", "off", math.inf),
     Variation("screening.OTHER_SIGN", "off", ()),
     Variation("screening.LARGE", "off", ()),
-    Variation("forward_backward.joint_structures", "off", _no_structures),
-    Variation("forward_backward.equivalent_structures", "off", _no_structures),
+    Variation("forward_backward.joint_structures", "off", _no_structures, "laws = [candidate.elements[k]"),
+    Variation("forward_backward.equivalent_structures", "off", _no_structures, "in curves(problem, element)"),
     Variation("candidate_fitter.ASTRAY", "off", math.inf),
-    Variation("candidate_fitter.CandidateFitter.from_growing_windows", "off", _nothing),
-    Variation("forward_backward.Search._hint", "off", _nothing),
+    Variation(
+        "candidate_fitter.CandidateFitter.from_growing_windows", "off", _nothing, "self.from_growing_windows("
+    ),
+    Variation("forward_backward.Search._hint", "off", _nothing, "hint = self._hint("),
     Variation("free_force.BOTH", "off", 0),
     Variation("free_force.RICHER", "off", 1.0),
     Variation("free_force.LENGTHS", "one", {"rate": (0.7,), "elongation": (0.7,), "both": (0.7,)}),
@@ -113,7 +123,6 @@ VARIATIONS = [
     Variation("free_force.ENOUGH", "0.8", 0.8),
     Variation("candidate.CONVERGED", "10", 10.0),
     Variation("screening.GROWTH", "2", 2.0),
-    Variation("candidate_fitter.GROWTH", "2", 2.0),
     Variation("equivalent_laws.STARTS", "2", 2),
     Variation("equivalent_laws.POINTS", "120", 120),
     Variation("held_out.LEAST_BLOCK", "20", 20),
@@ -123,6 +132,44 @@ VARIATIONS = [
     *_settings(wide_gap=(0.05, 0.2), least_window=(1000, 4000), shortest=(40, 160), astray=(0.25, 1.0)),
     *_settings(segment=(8, 32), least_segment=(2, 8), segments=(15, 60)),
 ]
+
+
+#: what the targets do, for the table; the comments of `SearchSettings` explain its fields
+MEANING = {
+    "screening.SHAPES": "the best two candidates are fitted again from half and twice the parameter that shapes the law",
+    "screening.BEGINNING": "the window starts at the beginning where the residual there is nearly the largest",
+    "screening.OTHER_SIGN": "starts with the other sign, at multiples of the score test's amplitude",
+    "screening.LARGE": "starts at 80 times the score test's amplitude where that says little",
+    "screening.AMPLITUDES": "multiples of the score test's amplitude from which fits start",
+    "screening.BETTER_PERIOD": "a periodic law is fitted at neighbouring periods",
+    "screening.GROWTH": "growth of the window in a free decay, and in refits of the nominal model",
+    "forward_backward.joint_structures": "one law in place of several over one plane at one place",
+    "forward_backward.equivalent_structures": "other laws with nearly the same force are fitted beside the chosen law",
+    "forward_backward.Search._hint": "a model that errs by noise alone is searched for a small effect",
+    "candidate_fitter.ASTRAY": "refits with a larger error than the best refit are left out",
+    "candidate_fitter.CandidateFitter.from_growing_windows": "the nominal model is also refitted over growing windows",
+    "candidate_comparison.RIVALS": "candidates of a stage that are compared with the best",
+    "candidate.RETURNED": "a fit from another shape that comes back is given up",
+    "candidate.HOPELESS": "a fit from another shape with a larger error is given up",
+    "candidate.CONVERGED": "gain (2 log L) below which fits with new weights end",
+    "equivalent_laws.NEAR": "error of a match of two laws, as a share of the force, up to which the law is fitted",
+    "equivalent_laws.MOST": "matched laws per effect that are fitted",
+    "equivalent_laws.STARTS": "starts of a match",
+    "equivalent_laws.POINTS": "points of a match",
+    "free_force.BOTH": "places with a table over elongation and rate",
+    "free_force.RICHER": "a table with more freedom must err clearly less",
+    "free_force.LENGTHS": "correlation lengths of the free force",
+    "free_force.STRONG": "prior deviation of the free force, in typical forces",
+    "free_force.FINALS": "tables that are fitted",
+    "free_force.KNOTS": "knots of a table",
+    "free_force.MOST": "directions of a table",
+    "free_force.ENOUGH": "explained share above which no table over both arguments is fitted",
+    "free_force.INSIDE": "share of the motion that the knots span",
+    "free_force.KEPT": "smallest variance of a direction",
+    "held_out.BLOCKS": "blocks per record of the log predictive density",
+    "held_out.LEAST_BLOCK": "least samples of a block",
+    "held_out.SMALL": "size of the unmodelled effects that are simulated",
+}
 
 
 @contextmanager
@@ -146,7 +193,7 @@ def varied(variation: Variation | None) -> Iterator[SearchSettings]:
             for n, m in sys.modules.items()
             if n.startswith(SELECTION) and not path and getattr(m, name, None) is original and m is not owner
         ]
-        copies = [m for m in copies if name == "RIVALS"]
+        copies = [m for m in copies if name in ("RIVALS", "GROWTH")]
         for place in (owner, *copies):
             setattr(place, name, variation.value)
         try:
@@ -154,6 +201,35 @@ def varied(variation: Variation | None) -> Iterator[SearchSettings]:
         finally:
             for place in (owner, *copies):
                 setattr(place, name, original)
+
+
+@contextmanager
+def executed() -> Iterator[set[str]]:
+    """Collect the lines of the search and of the workflow that are executed."""
+    lines: set[str] = set()
+    sources: dict[str, list[str]] = {}
+
+    def local(frame: Any, event: str, arg: object) -> Callable[..., Any]:
+        if event == "line":
+            name = frame.f_code.co_filename
+            if name not in sources:
+                sources[name] = Path(name).read_text().splitlines()
+            lines.add(sources[name][frame.f_lineno - 1])
+        return local
+
+    def outer(frame: Any, event: str, arg: object) -> Callable[..., Any] | None:
+        name = frame.f_code.co_filename
+        return (
+            local if "/discrepancy/selection/" in name or name.endswith("discrepancy/workflow.py") else None
+        )
+
+    threading.settrace(outer)
+    sys.settrace(outer)
+    try:
+        yield lines
+    finally:
+        sys.settrace(None)
+        threading.settrace(None)  # type: ignore[arg-type]
 
 
 def diagnosed(job: diagnose.Job, files: diagnose.Case, settings: SearchSettings) -> dict[str, Any]:
@@ -180,6 +256,7 @@ def diagnosed(job: diagnose.Job, files: diagnose.Case, settings: SearchSettings)
 def change(variation: Variation, before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
     """Return the verdicts that a variation changes, by rig, and the ratio of the processor times."""
     out: dict[str, Any] = {"rule": variation.target, "variation": variation.label}
+    out["meaning"] = MEANING.get(variation.target, "")
     out |= {"better": [], "worse": [], "other": [], "moved": 0}
     worth = {"wrong": -1, "missed": 0, "right": 1}
     for name, then in before.items():
@@ -190,13 +267,13 @@ def change(variation: Variation, before: dict[str, Any], after: dict[str, Any]) 
         step = worth[now["grade"]] - worth[then["grade"]]
         said = f"{name}: {then['verdict']} {then['named']} -> {now['verdict']} {now['named']}"
         out["better" if step > 0 else "worse" if step < 0 else "other"].append(said)
-    out["time"] = round(sum(r["seconds"] for r in after.values()) / sum(r["seconds"] for r in before.values()), 2)
+    out["time"] = round(
+        sum(r["seconds"] for r in after.values()) / sum(r["seconds"] for r in before.values()), 2
+    )
     return out
 
 
-def run(
-    seed: int, file: Path, only: Sequence[str] = ("",), rigs: Sequence[tuple[str, str]] = SAMPLE
-) -> None:
+def run(seed: int, file: Path, only: Sequence[str] = ("",), rigs: Sequence[tuple[str, str]] = SAMPLE) -> None:
     """Run the sample for every variation that a file does not hold yet, and write the file after each.
 
     Args:
@@ -221,6 +298,10 @@ def run(
             out = {}
             with varied(variation) as settings:
                 for job, files in cases:
+                    used = found.get("used", {}).get(job.name)
+                    if variation is not None and used is not None and variation.target not in used:
+                        out[job.name] = found["rigs"][job.name]  # the diagnosis never reads the target
+                        continue
                     out[job.name] = diagnosed(job, files, settings)
                     if variation is None:
                         print(job.name, out[job.name], flush=True)
@@ -231,11 +312,31 @@ def run(
             found = {"date": datetime.date.today().isoformat(), "state": diagnose.code_state(), "seed": seed}
             found |= {"rigs": sample(None), "changes": []}
             file.write_text(json.dumps(found, indent=1) + "\n")
+        if "used" not in found:
+            found["used"] = {}
+            for job, files in cases:
+                with executed() as lines:
+                    diagnosed(job, files, SearchSettings(jobs=1))
+                used = sorted({v.target for v in VARIATIONS if v.is_used(lines)})
+                print(job.name, used, flush=True)
+                found["used"][job.name] = used
+            file.write_text(json.dumps(found, indent=1) + "\n")
         there = {(c["rule"], c["variation"]) for c in found["changes"]}
-        for v in VARIATIONS:
+
+        def cost(v: Variation) -> float:
+            return sum(r["seconds"] for name, r in found["rigs"].items() if v.target in found["used"][name])
+
+        for v in sorted(
+            VARIATIONS, key=cost
+        ):  # the cheapest first: where time is short, most of the table is there
             if (v.target, v.label) in there or not any(word in v.target for word in only):
                 continue
             c = change(v, found["rigs"], sample(v))
             found["changes"].append(c)
             file.write_text(json.dumps(found, indent=1) + "\n")
-            print(v.target, v.label, {k: c[k] for k in ("better", "worse", "other", "moved", "time")}, flush=True)
+            print(
+                v.target,
+                v.label,
+                {k: c[k] for k in ("better", "worse", "other", "moved", "time")},
+                flush=True,
+            )

@@ -48,13 +48,11 @@ if TYPE_CHECKING:
 AMPLITUDES = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0)
 #: further multiples where the score test says little, and where the sign is open
 LARGE, OTHER_SIGN = (80.0,), (-2.0, -12.0, -80.0)
-#: multiples where every hypothesis is tried
-COARSE = (1.0, 5.0, 30.0)
 #: multiples of the parameter that shapes a law from which the best candidates are fitted again
 SHAPES = (0.5, 2.0)
 #: decrease of the deviance (2 log L) by which a neighbouring period must be better
 BETTER_PERIOD = 5.0
-#: growth of the window in a free decay
+#: growth of the window in a free decay, and of the window in which the nominal model is refitted
 GROWTH = 1.4
 #: the window starts at the beginning where the residual there has this share of the largest energy: a start from rest is known
 BEGINNING = 0.7
@@ -220,7 +218,7 @@ class Screening:
             every.setdefault(s.hypothesis, []).append(s)
         scored = []
         for group in every.values():
-            scores = _misfit(self, [t for s in group for t in amplified(self, s, COARSE)])
+            scores = _misfit(self, [t for s in group for t in amplified(self, s, AMPLITUDES[1::2])])
             if scores is not None and len(scores):
                 scored.append((float(scores.min()), group))
         scored.sort(key=lambda t: t[0])
