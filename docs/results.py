@@ -357,6 +357,7 @@ def search() -> str:
         [
             f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else ""),
             c["variation"],
+            str(sum(c["rule"] in used for used in found["used"].values())),
             *(str(len(c[k])) for k in ("better", "worse", "other")),
             str(c["moved"]),
             f"{c['time']:.2f}",
@@ -365,8 +366,8 @@ def search() -> str:
     ]
     seconds = sum(r["seconds"] for r in found["rigs"].values())
     said = f"{found['date']}, seed {found['seed']}, {len(rigs)} rigs ({', '.join(rigs)}), {seconds:.0f} s of processor time unchanged."
-    heads = ["rule or setting", "variation", "better", "worse", "other", "numbers moved", "time"]
-    return f"{said}\n\n" + markdown(heads, body, "llrrrrr")
+    heads = ["rule or setting", "variation", "rigs", "better", "worse", "other", "moved", "time"]
+    return f"{said}\n\n" + markdown(heads, body, "llrrrrrr")
 
 
 def measurements() -> str:
