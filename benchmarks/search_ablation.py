@@ -57,7 +57,7 @@ SAMPLE = (
 
 @dataclass(frozen=True)
 class Variation:
-    """A change of the search: a field of `SearchSettings`, or an attribute of a module of `selection` ("screening.SHAPES")."""
+    """A change of the search: a field of `SearchSettings`, or an attribute of a module of `selection` ("shapes")."""
 
     target: str
     label: str
@@ -89,10 +89,10 @@ def _no_structures(*args: Any, **more: Any) -> tuple[()]:
 
 
 VARIATIONS = [
-    Variation("screening.SHAPES", "off", ()),
-    Variation("screening.BEGINNING", "off", math.inf),
-    Variation("screening.OTHER_SIGN", "off", ()),
-    Variation("screening.LARGE", "off", ()),
+    Variation("shapes", "off", ()),
+    Variation("beginning", "off", math.inf),
+    Variation("other_sign", "off", ()),
+    Variation("large", "off", ()),
     Variation("forward_backward.joint_structures", "off", _no_structures, "laws = [candidate.elements[k]"),
     Variation("forward_backward.equivalent_structures", "off", _no_structures, "in curves(problem, element)"),
     Variation("candidate_fitter.ASTRAY", "off", math.inf),
@@ -104,8 +104,8 @@ VARIATIONS = [
     Variation("free_force.RICHER", "off", 1.0),
     Variation("free_force.LENGTHS", "one", {"rate": (0.7,), "elongation": (0.7,), "both": (0.7,)}),
     *_settings(nearest=(0,), turns=(0,), worst_equivalent=(math.inf,)),
-    Variation("screening.BETTER_PERIOD", "off", math.inf),
-    Variation("screening.AMPLITUDES", "1, 5", (1.0, 5.0)),
+    Variation("better_period", "off", math.inf),
+    Variation("amplitudes", "1, 5", (1.0, 5.0)),
     Variation("candidate_comparison.RIVALS", "3", 3),
     *_settings(chance=(15, 60), sure=(0, 120)),
     Variation("held_out.BLOCKS", "10", 10),
@@ -136,12 +136,12 @@ VARIATIONS = [
 
 #: what the targets do, for the table; the comments of `SearchSettings` explain its fields
 MEANING = {
-    "screening.SHAPES": "the best two candidates are fitted again from half and twice the parameter that shapes the law",
-    "screening.BEGINNING": "the window starts at the beginning where the residual there is nearly the largest",
-    "screening.OTHER_SIGN": "starts with the other sign, at multiples of the score test's amplitude",
-    "screening.LARGE": "starts at 80 times the score test's amplitude where that says little",
-    "screening.AMPLITUDES": "multiples of the score test's amplitude from which fits start",
-    "screening.BETTER_PERIOD": "a periodic law is fitted at neighbouring periods",
+    "shapes": "the best two candidates are fitted again from half and twice the parameter that shapes the law",
+    "beginning": "the window starts at the beginning where the residual there is nearly the largest",
+    "other_sign": "starts with the other sign, at multiples of the score test's amplitude",
+    "large": "starts at 80 times the score test's amplitude where that says little",
+    "amplitudes": "multiples of the score test's amplitude from which fits start",
+    "better_period": "a periodic law is fitted at neighbouring periods",
     "screening.GROWTH": "growth of the window in a free decay, and in refits of the nominal model",
     "forward_backward.joint_structures": "one law in place of several over one plane at one place",
     "forward_backward.equivalent_structures": "other laws with nearly the same force are fitted beside the chosen law",
