@@ -353,17 +353,16 @@ def search() -> str:
     """Verdicts of a sample that change with a setting, a constant or a rule of the search varied."""
     found = json.loads((BENCHMARKS / "ablation-search.json").read_text(encoding="utf-8"))
     rigs = [name.rpartition("-")[0] for name in found["rigs"]]
-    body = [
-        [
-            f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else ""),
-            c["variation"],
-            str(sum(c["rule"] in used for used in found["used"].values())),
+    body = []
+    for c in found["changes"]:
+        count = sum(c["rule"] in used for used in found["used"].values())
+        figures = [
             *(str(len(c[k])) for k in ("better", "worse", "other")),
             str(c["moved"]),
             f"{c['time']:.2f}",
         ]
-        for c in found["changes"]
-    ]
+        rule = f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else "")
+        body.append([rule, c["variation"], str(count), *(figures if count else [""] * len(figures))])
     seconds = sum(r["seconds"] for r in found["rigs"].values())
     said = f"{found['date']}, seed {found['seed']}, {len(rigs)} rigs ({', '.join(rigs)}), {seconds:.0f} s of processor time unchanged."
     heads = ["rule or setting", "variation", "rigs", "better", "worse", "other", "moved", "time"]
