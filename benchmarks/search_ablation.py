@@ -273,6 +273,16 @@ def change(variation: Variation, before: dict[str, Any], after: dict[str, Any]) 
     return out
 
 
+def not_run(changes: Sequence[dict[str, Any]]) -> list[dict[str, str]]:
+    """Return the variations that are not among the changes of a run."""
+    there = {(c["rule"], c["variation"]) for c in changes}
+    return [
+        {"rule": v.target, "variation": v.label, "meaning": MEANING.get(v.target, "")}
+        for v in VARIATIONS
+        if (v.target, v.label) not in there
+    ]
+
+
 def run(seed: int, file: Path, only: Sequence[str] = ("",), rigs: Sequence[tuple[str, str]] = SAMPLE) -> None:
     """Run the sample for every variation that a file does not hold yet, and write the file after each.
 
@@ -333,6 +343,7 @@ def run(seed: int, file: Path, only: Sequence[str] = ("",), rigs: Sequence[tuple
                 continue
             c = change(v, found["rigs"], sample(v))
             found["changes"].append(c)
+            found["open"] = not_run(found["changes"])
             file.write_text(json.dumps(found, indent=1) + "\n")
             print(
                 v.target,

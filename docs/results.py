@@ -363,6 +363,9 @@ def search() -> str:
         ]
         rule = f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else "")
         body.append([rule, c["variation"], str(count), *(figures if count else [""] * len(figures))])
+    for c in found["open"]:
+        rule = f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else "")
+        body.append([rule, c["variation"], *["not run", "", "", "", "", ""]])
     seconds = sum(r["seconds"] for r in found["rigs"].values())
     said = f"{found['date']}, seed {found['seed']}, {len(rigs)} rigs ({', '.join(rigs)}), {seconds:.0f} s of processor time unchanged."
     heads = ["rule or setting", "variation", "rigs", "better", "worse", "other", "moved", "time"]
