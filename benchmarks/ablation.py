@@ -1,16 +1,27 @@
 """Replay finished diagnoses with each limit of the decision varied and each gate removed, and count the verdicts that change.
 
 python benchmarks/ablation.py DIR [DIR ...] [--json FILE] [--markdown FILE]
+python benchmarks/ablation.py --shares DIR [DIR ...] [--json FILE]
+python benchmarks/ablation.py --search [--seed N] [--json FILE] [--only WORD ...] [--rigs SUITE:KIND ...]
 
 DIR     results of `python benchmarks/diagnose.py … --out DIR`: each holds the evidence that its verdict follows from.
 
 `decide` is a pure function of evidence and limits, so a replay fits nothing and takes seconds. A limit that changes no verdict
-over hundreds of rigs, or that helps a single one, is a candidate for deletion. Rules of the search need a rerun and are not seen here.
+over hundreds of rigs, or that helps a single one, is a candidate for deletion.
+
+--shares        how often places and kinds are true that are stated with less confidence, and the probability stated with
+                `mistaken_weak` or `mistaken_extra` halved, as it is, and doubled
+--search        diagnose a sample of quick rigs again for each variation of `search_ablation.py`: a setting, a constant or a rule of
+                the search. The file is written after each variation; the same line again goes on with the variations that are not
+                there yet. A variation takes about a minute.
+--only WORD     variations with a word in their name
+--rigs          other rigs than those of the sample, such as families:cart.cogging
 """
 
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
 import math
 import sys
@@ -138,6 +149,52 @@ def ablate(replays: Sequence[Replay]) -> list[Change]:
     return out
 
 
+def shares_of(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Compare the share of true statements with the probability that is stated with `mistaken_weak` or `mistaken_extra` varied.
+
+    A stated probability is a sum of weights, times one minus the share of mistaken statements, so another share needs no replay.
+    `mistaken_weak`: places of the foremost candidate where the candidate explains less than `half`. `mistaken_extra`: kinds that did not
+    pass the inclusion test beside a candidate that explains more; the laws of such a kind have the probability of the kind in sum.
+
+    Args:
+        rows: Rows of cases.
+
+    Returns:
+        One entry for each limit: statements, share of true ones with its 95 % interval, and the mean stated probability with the limit
+        halved, as it is, and doubled (at most 1).
+    """
+    found: dict[str, list[tuple[float, bool]]] = {"mistaken_weak": [], "mistaken_extra": []}
+    for row in rows:
+        said = row.get("diagnosis", {})
+        evidence, c = said.get("evidence"), said.get("criteria")
+        if not evidence or not c or "mistaken_extra" not in c:
+            continue
+        is_weak = evidence["explained"] < c["half"]
+        own = {frozenset(where) for where in (said.get("best_candidate") or {}).get("where", [])}
+        counted = []
+        for f in said["findings"]:
+            laws = sum(law["probability"] for law in f["laws"])
+            is_extra = math.isclose(laws, f["kind_probability"], rel_tol=0.004)
+            is_free = any(law["effect"] == "free_force" for law in f["laws"])
+            if not is_free and (frozenset(f["place"]) in own if is_weak else is_extra):
+                counted.append(f)
+        limit, level = ("mistaken_weak", "place") if is_weak else ("mistaken_extra", "kind")
+        share = max(c.get(limit, 0.0), c[f"mistaken_{level}"])  # the first limit is newer than some results
+        statements = grading.statements({**row, "diagnosis": {"findings": counted}}, level)
+        found[limit] += [(p / (1.0 - share), is_true) for p, is_true in statements]
+    out = []
+    for limit, statements in found.items():
+        if not statements:
+            continue
+        count, right = len(statements), sum(is_true for _, is_true in statements)
+        low, high = grading.wilson(right, count)
+        weight, value = sum(w for w, _ in statements) / count, getattr(rules.CRITERIA, limit)
+        entry = {"limit": limit, "statements": count, "true": right / count, "least": low, "most": high}
+        factors = {"halved": 0.5, "stated": 1.0, "doubled": 2.0}
+        out.append(entry | {name: weight * (1.0 - min(k * value, 1.0)) for name, k in factors.items()})
+    return out
+
+
 def markdown(changes: Sequence[Change], count: int) -> str:
     """Return the table of changes as Markdown."""
     head = ["rule", "variation", "better", "worse", "neither"]
@@ -165,15 +222,44 @@ def replays_of(folders: Sequence[Path]) -> list[Replay]:
     return out
 
 
+def add_shares(folders: Sequence[Path], file: Path) -> None:
+    """Add the shares of true statements of result folders to a file, under the names of their suites and seeds."""
+    rows = [json.loads(p.read_text())["result"] for d in folders for p in sorted(d.glob("*.json"))]
+    seeds = sorted({r["name"].rpartition("-")[2] for r in rows if r["suite"] in ("home", "families")})
+    name = ", ".join([*sorted({r["suite"] for r in rows}), *seeds])
+    known = json.loads(file.read_text()) if file.exists() else {}
+    known[name] = {"date": datetime.date.today().isoformat(), "rigs": len(rows), "shares": shares_of(rows)}
+    file.write_text(json.dumps(known, indent=1) + "\n")
+    print(json.dumps({name: known[name]}, indent=1))
+
+
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR")
+    parser.add_argument("folders", nargs="*", type=Path, metavar="DIR")
+    parser.add_argument(
+        "--search", action="store_true", help="run a sample again with settings of the search varied"
+    )
+    parser.add_argument(
+        "--shares", action="store_true", help="stated and observed shares of doubtful statements"
+    )
+    parser.add_argument("--seed", type=int, default=464)
+    parser.add_argument("--rigs", nargs="*", default=[], metavar="SUITE:KIND")
+    parser.add_argument("--only", nargs="*", default=[""], metavar="WORD")
     parser.add_argument("--json", type=Path, help="write the changes with the names of the rigs")
     parser.add_argument("--markdown", type=Path, help="write the table")
     args = parser.parse_args()
+    if args.search:
+        import search_ablation
+
+        rigs = [tuple(r.split(":", 1)) for r in args.rigs] or search_ablation.SAMPLE
+        search_ablation.run(args.seed, args.json or search_ablation.FILE, args.only, rigs)
+        return
+    if args.shares:
+        add_shares(args.folders, args.json or Path(__file__).with_name("ablation-shares.json"))
+        return
     replays = replays_of(args.folders)
     if not replays:
         parser.error(f"no results in {', '.join(map(str, args.folders))}")

@@ -336,6 +336,42 @@ def gates() -> str:
     return markdown(["gate removed", "better", "worse"], body, "lrr")
 
 
+def shares() -> str:
+    """How often doubtful places and kinds are true, and the probability stated with the limit varied."""
+    found = json.loads((BENCHMARKS / "ablation-shares.json").read_text(encoding="utf-8"))
+    body = []
+    for name, run in found.items():
+        for row in run["shares"]:
+            observed = f"{row['true']:.2f} ({row['least']:.2f} to {row['most']:.2f})"
+            stated = [f"{row[k]:.2f}" for k in ("halved", "stated", "doubled")]
+            body.append([f"`{row['limit']}`", name, str(row["statements"]), observed, *stated])
+    heads = ["limit", "suites, seed", "statements", "true (95 % interval)", "stated, limit halved", "as it is", "doubled"]  # fmt: skip
+    return markdown(heads, body, "llrlrrr")
+
+
+def search() -> str:
+    """Verdicts of a sample that change with a setting, a constant or a rule of the search varied."""
+    found = json.loads((BENCHMARKS / "ablation-search.json").read_text(encoding="utf-8"))
+    rigs = [name.rpartition("-")[0] for name in found["rigs"]]
+    body = []
+    for c in found["changes"]:
+        count = sum(c["rule"] in used for used in found["used"].values())
+        figures = [
+            *(str(len(c[k])) for k in ("better", "worse", "other")),
+            str(c["moved"]),
+            f"{c['time']:.2f}",
+        ]
+        rule = f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else "")
+        body.append([rule, c["variation"], str(count), *(figures if count else [""] * len(figures))])
+    for c in found["open"]:
+        rule = f"`{c['rule']}`" + (f": {c['meaning']}" if c["meaning"] else "")
+        body.append([rule, c["variation"], *["not run", "", "", "", "", ""]])
+    seconds = sum(r["seconds"] for r in found["rigs"].values())
+    said = f"{found['date']}, seed {found['seed']}, {len(rigs)} rigs ({', '.join(rigs)}), {seconds:.0f} s of processor time unchanged."
+    heads = ["rule or setting", "variation", "rigs", "better", "worse", "other", "moved", "time"]
+    return f"{said}\n\n" + markdown(heads, body, "llrrrrrr")
+
+
 def measurements() -> str:
     """What is known of every public data set, what the diagnosis answers, and whether that is right."""
     body = []
@@ -462,7 +498,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),
-    "docs/reference/limits.md": (gates, limits),
+    "docs/reference/limits.md": (gates, limits, shares, search),
 }
 
 

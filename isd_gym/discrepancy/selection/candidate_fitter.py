@@ -16,7 +16,7 @@ from ..estimation.noise import white_filters, whitener
 from ..estimation.structure import Structure, base_structure
 from ..simulation.problem import BROKEN
 from .candidate import Candidate, deviance_with_noise_of, settle, transfer, white_noise
-from .screening import beginning
+from .screening import GROWTH, beginning
 
 if TYPE_CHECKING:
     from ..simulation.problem import Array
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 #: length of the first window of a fit over growing windows, in periods; least number of samples
 WINDOW_PERIODS, LEAST_WINDOW = 6.0, 80
-#: growth of that window
-GROWTH = 1.4
 #: a refit whose plain error is larger by this factor than the smallest of all refits is in another local optimum
 ASTRAY = 1.1
 

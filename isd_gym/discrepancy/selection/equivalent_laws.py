@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Effect = tuple[Hypothesis, dict[str, float]]
 
-POINTS = 240  # of the motion at which forces are compared
+POINTS = 240  # of the motion at which forces are compared: a resolution
 NEAR = 0.5  # largest error of a match, as a share of the force
 MOST = 3  # matches per effect
 STARTS = 6  # of a law at most

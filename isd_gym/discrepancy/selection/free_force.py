@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ..verdict.gates import Gate
     from .held_out import HeldOutEvaluator
 
+#: knots of a table: a resolution, finer than the shortest correlation length
 KNOTS = {"rate": 33, "elongation": 33, "both": 13}
 #: correlation lengths, as shares of half the motion's range, that are tried in turn
 LENGTHS = {"rate": (0.7, 0.35), "elongation": (0.7, 0.35), "both": (0.7,)}
@@ -56,9 +57,9 @@ ENOUGH = 0.9
 BOTH = 2
 #: factor by which a table over both arguments, or with a shorter length, must err less (mean whitened square)
 RICHER = 1.15
-#: points of the motion at which laws are compared
+#: points of the motion at which laws are compared: a resolution
 POINTS = 300
-#: points of the motion at which the arguments of a table are separated
+#: points of the motion at which the arguments of a table are separated: a resolution
 MARGINAL = 4000
 
 

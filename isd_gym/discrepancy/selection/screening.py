@@ -44,20 +44,8 @@ if TYPE_CHECKING:
     from ..simulation.problem import Array, Problem, Record
     from .settings import SearchSettings
 
-#: multiples of the amplitude of the score test from which fits start
-AMPLITUDES = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0)
-#: further multiples where the score test says little, and where the sign is open
-LARGE, OTHER_SIGN = (80.0,), (-2.0, -12.0, -80.0)
-#: multiples where every hypothesis is tried
-COARSE = (1.0, 5.0, 30.0)
-#: multiples of the parameter that shapes a law from which the best candidates are fitted again
-SHAPES = (0.5, 2.0)
-#: decrease of the deviance (2 log L) by which a neighbouring period must be better
-BETTER_PERIOD = 5.0
-#: growth of the window in a free decay
+#: growth of the window in a free decay, and of the window in which the nominal model is refitted
 GROWTH = 1.4
-#: the window starts at the beginning where the residual there has this share of the largest energy: a start from rest is known
-BEGINNING = 0.7
 
 
 @dataclass(frozen=True)
@@ -99,7 +87,7 @@ def widest_window(record: Record, residual: Array, settings: SearchSettings) -> 
     size = min(max(int(settings.window * len(record)), settings.least_window), len(record))
     energy = np.concatenate([[0.0], np.cumsum(np.sum(residual**2, axis=1))])
     gain = energy[size:] - energy[:-size]
-    return Window(0 if gain[0] > BEGINNING * gain.max() else int(np.argmax(gain)), size)
+    return Window(0 if gain[0] > settings.beginning * gain.max() else int(np.argmax(gain)), size)
 
 
 @dataclass(frozen=True)
@@ -221,7 +209,9 @@ class Screening:
             every.setdefault(s.hypothesis, []).append(s)
         scored = []
         for group in every.values():
-            scores = _misfit(self, [t for s in group for t in amplified(self, s, COARSE)])
+            scores = _misfit(
+                self, [t for s in group for t in amplified(self, s, self.settings.amplitudes[1::2])]
+            )
             if scores is not None and len(scores):
                 scored.append((float(scores.min()), group))
         scored.sort(key=lambda t: t[0])
@@ -283,7 +273,7 @@ class Screening:
                 filters = whitener(residuals(p, r.fit), noise)
                 f = try_neighbouring_periods(p, Fitter(p, filters), r.fit, r.fit.structure.names[-1])
                 again = settle(p, f.structure, f.x, self.least_noise, f, rounds=2, iterations=4, noise=noise)
-                if again.deviance > r.deviance - BETTER_PERIOD:
+                if again.deviance > r.deviance - self.settings.better_period:
                     break
                 r = again
         except BROKEN:
@@ -311,7 +301,7 @@ class Screening:
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
         with ThreadPoolExecutor(self.settings.jobs) as pool:
             ranked = _best_first(pool.map(lambda r: self.settle_noise(r, noise), ranked))
-            again = [(r, k) for r in ranked[:2] for k in SHAPES]
+            again = [(r, k) for r in ranked[:2] for k in self.settings.shapes]
 
             def refit(t: tuple[Candidate, float]) -> Candidate | None:
                 return refit_with_other_shape(
@@ -368,10 +358,10 @@ def starts(screening: Screening, group: list[ScoredStart]) -> list[tuple[Structu
         return [
             (t, np.array([known.get(f.path, v) for f, v in zip(t.free, t.start, strict=True)])) for t in near
         ]
-    tries = []
+    tries, c = [], screening.settings
     for s in group[:6]:
-        more = LARGE * (s.start.inverse or screening.has_lost_phase) + OTHER_SIGN * s.start.signed
-        tries += amplified(screening, s, AMPLITUDES + more)
+        more = c.large * (s.start.inverse or screening.has_lost_phase) + c.other_sign * s.start.signed
+        tries += amplified(screening, s, c.amplitudes + more)
     if not tries:
         return []
     scores = _misfit(screening, tries)

@@ -20,12 +20,25 @@ class SearchSettings:
     wide_gap: float = 0.1
     #: hypotheses that enter the first round above that gap because they come nearest to the records at large amplitudes
     nearest: int = 4
+    #: multiples of the score test's amplitude from which fits start: the test is local, and a large effect is found by trying
+    amplitudes: tuple[float, ...] = (0.5, 1.0, 2.0, 5.0, 12.0, 30.0)
+    #: further multiples for laws whose parameter falls with the force, such as a compliance, and where the phase is lost
+    large: tuple[float, ...] = (80.0,)
+    #: further multiples where the sign is open
+    other_sign: tuple[float, ...] = (-2.0, -12.0, -80.0)
+    #: multiples of the parameter that shapes a law from which the best two candidates are fitted again
+    shapes: tuple[float, ...] = (0.5, 2.0)
+    #: decrease of the deviance (2 log L) by which a fit at a neighbouring period must be better
+    better_period: float = 5.0
     #: largest number of effects
     depth: int = 3
     #: runners-up of the first stage from which the search starts again if the first start gives no name
     turns: int = 2
     #: share of a record that the window of the first round covers
     window: float = 0.4
+    #: residual energy at the beginning of a record, over the largest of a window, above which the window starts there: the state at rest
+    #: is known
+    beginning: float = 0.7
     #: smallest window [samples]
     least_window: int = 2000
     #: deviance (2 log L) that a law with more parameters gains by chance

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 #: quantile of a normal distribution for a 95 % interval
 Z95 = 1.96
-#: largest shift of a parameter by an unmodelled effect (transformed units)
+#: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
 LARGEST_SHIFT = 1e6
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .candidate_comparison import CandidateComparison
     from .forward_backward import Search
 
-#: draws of the Bayesian bootstrap
+#: draws of the Bayesian bootstrap: the standard error of a weight is at most 0.016
 DRAWS = 1000
 #: word for a force whose law is not in the library
 FREE_FORCE = "free_force"
