@@ -48,6 +48,10 @@ if TYPE_CHECKING:
 GROWTH = 1.4
 
 
+#: physics steps that cost as much as the rest of the work for a sample: outputs, filters and interpolation
+STEPS_PER_SAMPLE = 5
+
+
 @dataclass(frozen=True)
 class Window:
     """Samples first to first + size - 1 of a record."""
@@ -187,7 +191,7 @@ class Screening:
     def entries(self) -> int:
         """Number of hypotheses of the first round: more where the windows take few physics steps."""
         p = self.windowed
-        steps = sum(len(p.records[i]) * p.every(p.records[i]) for i in p.estimation)
+        steps = sum(len(p.records[i]) * max(p.every(p.records[i]), STEPS_PER_SAMPLE) for i in p.estimation)
         return max(self.settings.first_round, self.settings.cheap_steps // steps)
 
     def is_sensible(self, h: Hypothesis) -> bool:

@@ -15,7 +15,7 @@ class SearchSettings:
     #: hypotheses of the first round that are fitted to whole records
     finals: int = 4
     #: physics steps of a simulation of all windows up to which more hypotheses enter the first round
-    cheap_steps: int = 40_000
+    cheap_steps: int = 200_000
     #: gap (power of the error over the power of the signal) above which the score test, which is local, says too little
     wide_gap: float = 0.1
     #: hypotheses that enter the first round above that gap because they come nearest to the records at large amplitudes
