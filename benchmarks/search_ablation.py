@@ -187,13 +187,15 @@ def varied(variation: Variation | None) -> Iterator[SearchSettings]:
         for part in path:
             owner = getattr(owner, part)
         original = getattr(owner, name)
-        # a constant that other modules import has a copy there
+        # these two constants are imported by name into other modules
         copies = [
             m
             for n, m in sys.modules.items()
-            if n.startswith(SELECTION) and not path and getattr(m, name, None) is original and m is not owner
+            if name in ("RIVALS", "GROWTH")
+            and n.startswith(SELECTION)
+            and m is not owner
+            and hasattr(m, name)
         ]
-        copies = [m for m in copies if name in ("RIVALS", "GROWTH")]
         for place in (owner, *copies):
             setattr(place, name, variation.value)
         try:

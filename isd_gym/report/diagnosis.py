@@ -152,10 +152,6 @@ class View:
         # whether the new model differs from the given model
         self.changed = self.named or d.tabulated is not None or d.reason == "kind_certain"
         self.title = TITLES.get(d.verdict, d.verdict)
-        # whether several candidates cannot be told apart
-        self.tied = d.verdict == "ambiguous" and d.reason != "kind_certain"
-        if d.reason == "kind_certain":
-            self.title = "The kind of the missing effect is certain, its law is not"
         if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
             self.title = "An effect is missing that no parameter of the FMU explains"
         if self.named and all(e.channel for e in d.effects):
@@ -165,10 +161,9 @@ class View:
             self.title = f"{count} physical effects are missing"
         # whether several candidates cannot be told apart
         self.tied = d.verdict == "ambiguous" and d.reason != "kind_certain"
-        if d.reason == "kind_certain":
-            self.title = "The kind of the missing effect is certain, its law is not"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
         if d.reason == "kind_certain":
+            self.title = "The kind of the missing effect is certain, its law is not"
             self.labels["after"] = "with the likeliest law"
         elif not self.named:
             self.labels["after"] = "with the force"
