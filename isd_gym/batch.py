@@ -24,6 +24,7 @@ from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
 from .vehicle import CURRENT_LIMIT as CURRENT_LIMIT
 from .vehicle import SLEW_LIMIT as SLEW_LIMIT
+from .vehicle import SLEW_RATE
 from .vehicle import signal_channels as signal_channels
 from .vehicle import state_channels as state_channels
 from .vehicle import vehicle
@@ -81,10 +82,14 @@ class Batch:
             raise InputError(f"speed must be a positive number of m/s, not {speed!r}")
         self.control_step, self.speed, self.duration = control_step, float(speed), duration
         self.road = road(road_)
-        self.randomize = dict(randomize or {})
-        self._check_randomize()
+        self.randomize = ranges(network, randomize)
         self._spread = {k: v for k, v in self.randomize.items() if k not in ("speed", "road")}
-        self._roads = [road(r) for r in self.randomize.get("road", [])]
+        self._roads = list(self.randomize.get("road", []))
+        nominal = network.parameters
+        #: present value of each drawn parameter and name of the drawn road, by car
+        self.drawn: dict[str, np.ndarray] = {k: np.full(count, nominal[k]) for k in self._spread}
+        if self._roads:
+            self.drawn["road"] = np.full(count, self._roads[0].name, object)
         self.vehicle = car = vehicle(network)
         # the signals replace the network's own outputs
         bare = replace(
@@ -130,7 +135,7 @@ class Batch:
         self._history = aligned(self.groups, of.tracks, self._kept, WIDTH)
         self.table = np.zeros(0)
         self._settings = np.zeros(of.lifted + len(self.channels) * of.corners)
-        self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_LIMIT
+        self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_RATE * control_step
         self._settings[of.bounds : of.bounds + of.measured] = math.inf
         self.seen = np.zeros((count, of.measured + of.currents), np.float32)
         self._said = np.zeros((of.said, wide))
@@ -283,24 +288,6 @@ class Batch:
         self.seen, self.threads = np.zeros((self.count, width), np.float32), threads
         self._arguments()
 
-    def _check_randomize(self) -> None:
-        known = self.network.parameters
-        for key, value in self.randomize.items():
-            if key == "road":
-                if isinstance(value, str) or not len(value):
-                    raise InputError("randomize: 'road' must be a list of roads")
-                continue
-            if key != "speed" and key not in known:
-                raise InputError(
-                    f"randomize: no parameter '{key}' (there are speed, road, {', '.join(known)})"
-                )
-            try:
-                low, high = (float(v) for v in value)
-            except (TypeError, ValueError):
-                raise InputError(f"randomize: '{key}' must be a pair (low, high), not {value!r}") from None
-            if not 0 < low <= high < math.inf:
-                raise InputError(f"randomize: '{key}' needs 0 < low <= high, not ({low:g}, {high:g})")
-
     # ---------------------------------------------------------------------------------------- reset
 
     def reset(self, i: int, rng: np.random.Generator) -> None:
@@ -316,6 +303,8 @@ class Batch:
         if "speed" in self.randomize:
             speed = float(rng.uniform(*self.randomize["speed"]))
         ground = self._roads[int(rng.integers(len(self._roads)))] if self._roads else self.road
+        if self._roads:
+            self.drawn["road"][i] = ground.name
         self.speeds[i] = speed
         h, cars, of = self.plant.step, self._cars, self.of
         poles, gains = self._filters(ground, speed)
@@ -398,6 +387,8 @@ class Batch:
 
         nominal = self._bare.parameters
         values = {k: nominal[k] * float(rng.uniform(*v)) for k, v in self._spread.items() if k in nominal}
+        for name, value in values.items():
+            self.drawn[name][i] = value
         asm = assemble(self._bare.with_parameters(values), self.channels)
         part = discretise(asm, self.plant.step, self.plant.u_columns)
         self.plant.place(self._mats, i, part)
@@ -447,13 +438,20 @@ class Batch:
         """Return the results of the first car.
 
         Returns:
-            Reward, terms of the cost, dynamic tyre loads [N], and 1 for a broken car.
+            Minus the cost, terms of the cost, dynamic tyre loads [N], 1 for each exceeded limit, and 1 for a broken
+                car.
         """
         return self._first_said.tolist()
 
     @property
+    def said(self) -> np.ndarray:
+        """All rows of the last step's results, with the cars that complete the last group (`layout`)."""
+        return self._said
+
+    @property
     def judged(self) -> np.ndarray:
-        """Results of the last step (rows, count): reward, terms of the cost, dynamic tyre loads [N]."""
+        """Results of the last step (rows, count): minus the cost, terms of the cost, dynamic tyre loads [N], and
+        whether acceleration and travel are beyond the limits of Table 5."""
         return self._said[: self.of.broken, : self.count]
 
     def forget(self, which: np.ndarray | slice) -> None:
@@ -508,6 +506,42 @@ class Batch:
         begin = int(self._setup[place.NOW])
         ahead = self._ahead[: self.count].reshape(self.count, self.of.tracks, self.points)[:, track]
         return np.roll(ahead, -begin, axis=1)[:, :points] - self.track_heights[track][:, None]
+
+
+def ranges(network: Network, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return checked ranges of `randomize`.
+
+    Args:
+        network: The plant.
+        given: Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list
+            of roads; None for no ranges.
+
+    Returns:
+        The ranges, pairs of floats and a list of roads.
+
+    Raises:
+        InputError: A parameter does not exist, or a range is invalid.
+    """
+    known = network.parameters
+    out: dict[str, Any] = {}
+    for key, value in (given or {}).items():
+        if key == "road":
+            if not isinstance(value, list | tuple) or not value:
+                raise InputError("randomize: 'road' must be a list of roads")
+            out[key] = [road(one) for one in value]
+            continue
+        if key != "speed" and key not in known:
+            raise InputError(
+                f"randomize: no parameter '{key}' (there are speed, road, {', '.join(known)})"
+            )
+        try:
+            low, high = (float(v) for v in value)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"randomize: '{key}' must be a pair (low, high), not {value!r}") from None
+        if not 0 < low <= high < math.inf:
+            raise InputError(f"randomize: '{key}' needs 0 < low <= high, not ({low:g}, {high:g})")
+        out[key] = (low, high)
+    return out
 
 
 class Crew:

@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from math import isfinite
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -14,14 +16,17 @@ import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from .errors import InputError, plain
+from .errors import InputError, plain, shown
 from .network import Network
 from .pictures import Onlooker
+from .seeds import road_index, scoring_generator
 from .task import CONTROL_STEP as CONTROL_STEP
-from .task import Options, Task, info_maker
+from .task import EXCEEDS, Options, Task, info_maker
 from .vehicle import vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from .rendering import CarSnapshot, Renderer, Snapshot
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
@@ -29,8 +34,8 @@ _QUARTER_CAR = vehicle(Network.load("quarter-car-isd"))
 #: measured signals of a quarter car: name, unit, bound
 MEASURED = tuple((signal.name, signal.unit, signal.bound) for signal in _QUARTER_CAR.measured)
 N_MEASURED = len(MEASURED)
-#: names of the numbers in `info` of a quarter car's step after the speed
-STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads)
+#: names of the numbers in `info` of a quarter car's step after the speed and the cost
+STEP_INFO = (*_QUARTER_CAR.costs, *_QUARTER_CAR.tyre_loads, *EXCEEDS)
 
 
 class ISDSuspensionEnv(gym.Env):
@@ -131,11 +136,13 @@ class ISDSuspensionEnv(gym.Env):
         self.render_mode = render_mode
         self.metadata = {
             **self.metadata,
-            "render_fps": round(1 / chosen.control_step),
+            "render_fps": max(1, round(1 / self.task.decision)),
         }  # one picture per step: real time
         self._renderer: Renderer | None = None
         self._ready = False
-        self._steps = 0
+        self._steps, self._episode = 0, self.task.episode
+        self._is_plain, self._actions = self.task.is_plain, self.task.actions[:, 0]
+        self._drawn: dict[str, Any] = {}
         self._onlooker = Onlooker(self.task, 0) if render_mode is not None else None
 
     @property
@@ -147,9 +154,14 @@ class ISDSuspensionEnv(gym.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
+        options = dict(options or {})
+        if "scoring_road" in options:
+            self._np_random = scoring_generator(road_index(options.pop("scoring_road"), "scoring_road"))
+            self._np_random_seed = -1  # as Gymnasium says where the seed is not known
+        if options:
+            raise InputError(f"reset has the option scoring_road, not {', '.join(map(shown, options))}")
         batch = self.task.batch
-        batch.reset(0, self.np_random)
-        self.task.forget(0, self.np_random)
+        self.task.begin(0, self.np_random)
         self._ready = True
         self._steps = 0
         if self._onlooker is not None:
@@ -158,7 +170,9 @@ class ISDSuspensionEnv(gym.Env):
         if self.render_mode == "human":
             self.render()
         self._speed = float(batch.speeds[0])
-        return self.task.first()[0], {"speed": self._speed, **dict.fromkeys(self.task.step_info, 0.0)}
+        self._drawn = {name: values[0] for name, values in batch.drawn.items()}
+        numbers = dict.fromkeys(("cost", *self.task.step_info), 0.0)
+        return self.task.first()[0], {"speed": self._speed, **numbers, **self._drawn}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if not self._ready:
@@ -172,26 +186,34 @@ class ISDSuspensionEnv(gym.Env):
                 current = target if type(target) is float else _number(target)
                 if not isfinite(current):
                     raise InputError(f"the action must be finite, not {current}")
-                batch.first_targets[i] = current
+                self._actions[i] = current
         except InputError:
             raise
         except (TypeError, ValueError, OverflowError):
             count = self._n_currents
-            what = "a current in A" if count == 1 else "currents in A"
+            what = "a number" if count == 1 else "numbers"
             raise InputError(
                 f"the action must have shape ({count},), {what}, not {plain(repr(action), 60)}"
             ) from None
-        batch.step()
+        if self._is_plain:
+            batch.step()
+            told = batch.alone()
+            reward, broken = told[0], told[-1] != 0.0
+            obs = self.task.observe()[0] if broken or self.task.is_faulty else batch.first_seen.copy()
+        else:
+            reward = float(self.task.advance()[0])
+            told = batch.alone()
+            broken = told[-1] != 0.0
+            obs = self.task.observe()[0].copy()
         self._steps += 1
-        told = batch.alone()
-        reward, broken = told[0], told[-1] != 0.0
-        obs = self.task.observe()[0] if broken or self.task.is_faulty else batch.first_seen.copy()
         info = self._make_info(self._speed, told)
+        if self._drawn:
+            info.update(self._drawn)
         if self._onlooker is not None:
-            self._onlooker.see(self._steps, reward)
+            self._onlooker.see(self._steps, told[0])
             if self.render_mode == "human":
                 self.render()
-        return obs, reward, broken, False, info
+        return obs, reward, broken, self._steps >= self._episode and not broken, info
 
     def render(self) -> np.ndarray | None:
         if self.render_mode is None:
@@ -226,11 +248,12 @@ class ISDSuspensionEnv(gym.Env):
             self._renderer = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k != "_make_info"} | {"_renderer": None}
+        return {k: v for k, v in self.__dict__.items() if k not in ("_make_info", "_actions")} | {"_renderer": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._make_info = info_maker(self.task.step_info)
+        self._actions = self.task.actions[:, 0]
 
 
 def _listed(action: Any) -> list[Any]:
@@ -264,12 +287,15 @@ class ISDSuspensionVectorEnv(VectorEnv):
     """A vector environment of many cars: `gymnasium.make_vec("ISDSuspension-v0", 1024)`, and likewise half and full cars.
 
     Car i equals the single environment with the seed ``seed + i``. The results do not depend on the number of
-    threads.
+    threads. With groups (`cars_per_road`), car i has the seed ``seed + i // cars_per_road``: the cars of a group are
+    equal and on equal roads, and end their episodes together. One thread at a time may call an environment.
 
     Args:
         num_envs: Number of cars.
         network: As in `ISDSuspensionEnv`.
-        max_episode_steps: Length of an episode [control steps].
+        cars_per_road: Number of consecutive cars on one road. With ``reward="relative"``, the reward of a car of a
+            group is the mean cost of the group minus its own cost, times `isd_gym.task.RELATIVE_SCALE`.
+        max_episode_steps: Length of an episode [decisions]; None for the option `duration`.
         autoreset_mode: 'next_step' (Gymnasium's default), 'same_step' (`final_obs` and `final_info` in
             `info`) or 'disabled' (reset with ``options={"reset_mask": mask}``).
         render_mode: None, or 'rgb_array' for a picture of every car from `render`.
@@ -291,7 +317,8 @@ class ISDSuspensionVectorEnv(VectorEnv):
         num_envs: int = 1,
         network: Any = Options.network,
         *,
-        max_episode_steps: int = 4000,
+        cars_per_road: int = 1,
+        max_episode_steps: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         threads: int | None = None,
@@ -301,29 +328,39 @@ class ISDSuspensionVectorEnv(VectorEnv):
             raise InputError(
                 f"render_mode of a batch must be rgb_array, not {render_mode!r}: a window shows one car"
             )
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise InputError(f"num_envs must be a positive whole number, not {num_envs!r}")
+        for name, value in (
+            ("num_envs", num_envs),
+            ("cars_per_road", cars_per_road),
+            *([("max_episode_steps", max_episode_steps)] if max_episode_steps is not None else []),
+            *([("threads", threads)] if threads is not None else []),
+        ):
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+                raise InputError(f"{name} must be a positive whole number, not {shown(value)}")
+        if num_envs % cars_per_road:
+            raise InputError(f"{num_envs} cars cannot be shared out to roads of {cars_per_road} cars each")
         try:
             mode = autoreset_mode if isinstance(autoreset_mode, AutoresetMode) else _MODES[autoreset_mode]
-        except KeyError:
+        except (KeyError, TypeError):
             raise InputError(
                 f"autoreset_mode must be one of {', '.join(_MODES)}, not {autoreset_mode!r}"
             ) from None
         self.autoreset_mode = mode
         self.num_envs = num_envs
         self.render_mode = render_mode
-        self.max_episode_steps = max_episode_steps
         chosen = Options.of({"network": network, **options})
         self.task = Task(
             num_envs,
             chosen,
             picture=render_mode is not None,
             threads=_threads(num_envs) if threads is None else threads,
+            group=cars_per_road,
         )
+        self.cars_per_road = cars_per_road
+        self.max_episode_steps = self.task.episode if max_episode_steps is None else max_episode_steps
         self.metadata = {
             **self.metadata,
             "autoreset_mode": mode,
-            "render_fps": round(1 / chosen.control_step),
+            "render_fps": max(1, round(1 / self.task.decision)),
         }
         self.single_action_space = self.task.action_space
         self.single_observation_space = self.task.observation_space
@@ -338,6 +375,11 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._onlookers = [Onlooker(self.task, i) for i in range(num_envs if render_mode is not None else 0)]
         self._zeros = np.zeros(num_envs)
         self._renderers: list[Renderer] = []
+        everywhere = np.ones(num_envs, bool)
+        everywhere.setflags(write=False)
+        names = ("speed", "cost", *self.task.step_info, *self.task.batch.drawn)
+        self._masks = {f"_{name}": everywhere for name in names}  # every car has every number
+        self._lock = Lock()
 
     @property
     def network(self) -> Network:
@@ -347,42 +389,82 @@ class ISDSuspensionVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        mask = np.ones(self.num_envs, bool)
-        if options and "reset_mask" in options:
-            mask = np.asarray(options["reset_mask"])
-            if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-                raise InputError(f"reset_mask must be {self.num_envs} booleans, at least one of them true")
-        seeds: list[int | None]
+        with self._alone():
+            options = dict(options or {})
+            mask = self._mask(options.pop("reset_mask", None))
+            fresh = self._generators(seed, options.pop("scoring_road", None))
+            if options:
+                raise InputError(
+                    f"reset has the options reset_mask and scoring_road, not {', '.join(map(shown, options))}"
+                )
+            self._rngs = fresh
+            self._restart(np.flatnonzero(mask))
+            obs = self._last.copy()  # the other cars keep their observations
+            obs[mask] = self.task.first(np.flatnonzero(mask))
+            self._last = obs
+            return obs, self._info(self.task.batch.judged.copy())
+
+    def _mask(self, given: Any) -> np.ndarray:
+        """Return the mask of the cars that a reset restarts (num_envs,)."""
+        if given is None:
+            return np.ones(self.num_envs, bool)
+        mask = np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise InputError(f"reset_mask must be {self.num_envs} booleans, at least one of them true")
+        if not self._rngs and not mask.all():
+            raise InputError("the first reset must start all cars: call reset() without a reset_mask")
+        by_road = mask.reshape(-1, self.cars_per_road)
+        if (by_road.any(axis=1) != by_road.all(axis=1)).any():
+            raise InputError("reset_mask must restart all cars of a road or none: they are compared")
+        return mask
+
+    def _generators(self, seed: Any, scoring: Any) -> list[np.random.Generator]:
+        """Return the generators of all cars after a reset with these arguments."""
+        count, each = self.num_envs, self.cars_per_road
+        roads = count // each
+        if scoring is not None:
+            first = road_index(scoring, "scoring_road")
+            return [scoring_generator(first + i // each) for i in range(count)]
         if seed is None:
-            seeds = [None] * self.num_envs
+            if self._rngs:
+                return self._rngs
+            seeds: list[Any] = [int(s) for s in np.random.SeedSequence().generate_state(roads, np.uint64)]
+            seeds = [seeds[i // each] for i in range(count)]
         elif isinstance(seed, int | np.integer):
-            seeds = [int(seed) + i for i in range(self.num_envs)]
+            seeds = [int(seed) + i // each for i in range(count)]
         else:
             seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise InputError(f"{len(seeds)} seeds for {self.num_envs} environments")
-        if not self._rngs:
-            self._rngs = [seeding.np_random(s)[0] for s in seeds]
-        else:
-            for i, s in enumerate(seeds):
-                if s is not None:
-                    self._rngs[i] = seeding.np_random(s)[0]
-        self._restart(np.flatnonzero(mask))
-        obs = self._last.copy()  # the other cars keep their observations
-        obs[mask] = self.task.first(np.flatnonzero(mask))
-        self._last = obs
-        return obs, self._info()
+            if len(seeds) != count:
+                raise InputError(f"{len(seeds)} seeds for {count} environments")
+            for road in np.reshape(np.array(seeds, object), (roads, each)):
+                if any(s != road[0] for s in road):
+                    raise InputError("the cars of a road must have the same seed: they are compared")
+            if not self._rngs and each > 1 and None in seeds:
+                raise InputError("give all seeds of the first reset, or none")
+        return [
+            self._rngs[i] if s is None and self._rngs else seeding.np_random(s)[0] for i, s in enumerate(seeds)
+        ]
 
-    def _info(self) -> dict[str, Any]:
-        """Return the present `info` of all cars."""
-        told = self.task.batch.judged[1:].copy()
-        return {"speed": self._speeds, **dict(zip(self.task.step_info, told, strict=True))}
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Refuse a second thread while this one uses the cars."""
+        if not self._lock.acquire(blocking=False):
+            raise InputError("another thread is using this vector environment: one thread at a time may call it")
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    def _info(self, judged: np.ndarray) -> dict[str, Any]:
+        """Return the `info` of all cars from the rows of `Batch.judged`."""
+        told = dict(zip(self.task.step_info, judged[1:], strict=True))
+        drawn = {name: values.copy() for name, values in self.task.batch.drawn.items()}
+        return {"speed": self._speeds, "cost": -judged[0], **told, **drawn, **self._masks}
 
     def _restart(self, which: np.ndarray) -> None:
         batch = self.task.batch
         for i in which:
-            batch.reset(int(i), self._rngs[i])
-            self.task.forget(int(i), self._rngs[i])
+            self.task.begin(int(i), self._rngs[i])
         batch.forget(which)
         self._speeds = batch.speeds.copy()
         self._speeds.setflags(write=False)  # one array is handed out until a car restarts
@@ -396,20 +478,24 @@ class ISDSuspensionVectorEnv(VectorEnv):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        with self._alone():
+            return self._step(actions)
+
+    def _step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         if not self._rngs:
             raise gym.error.ResetNeeded("call reset() before step()")
         target = _currents(actions)
-        batch = self.task.batch
+        task, batch = self.task, self.task.batch
         if target.shape != self.action_space.shape:
-            raise InputError(
-                f"the actions must have shape {self.action_space.shape}, currents in A, not {target.shape}"
-            )
-        batch.target[:] = target.T
+            raise InputError(f"the actions must have shape {self.action_space.shape}, not {target.shape}")
+        task.actions[:] = target.T
         sums = [
-            row.dot(self._zeros) for row in batch.target
+            row.dot(self._zeros) for row in task.actions
         ]  # 0 times a number that is not finite is nan, which is cheaper than a mask
         if any(sums):
-            finite = np.isfinite(batch.target).all(axis=0)
+            finite = np.isfinite(task.actions).all(axis=0)
             raise InputError(f"action {int(np.argmin(finite))} is not finite")
         revived = (
             np.flatnonzero(self._done)
@@ -417,23 +503,32 @@ class ISDSuspensionVectorEnv(VectorEnv):
             else None
         )
         batch.renew()
-        batch.step()
+        if task.is_plain:
+            batch.step()
+            reward = batch.judged[0]
+        else:
+            reward = task.advance()
         self.steps += 1
         self._oldest += 1
-        obs = self.task.observe()
+        obs = task.observe()
         terminated = batch.gone if batch.broken else np.zeros(self.num_envs, bool)
         if revived is not None:
             self._restart(revived)
             obs[revived] = self.task.first(revived)
             terminated[revived] = False
-        reward, *terms = batch.judged
-        info = {"speed": self._speeds, **dict(zip(self.task.step_info, terms, strict=True))}
+            if not task.is_plain:
+                reward[revived] = 0.0
+        info = self._info(batch.judged)
         for i in (
             np.flatnonzero(self.steps) if self._onlookers else ()
         ):  # except for cars that have just restarted
-            self._onlookers[i].see(int(self.steps[i]), float(reward[i]))
+            self._onlookers[i].see(int(self.steps[i]), -float(info["cost"][i]))
         if self._oldest >= self.max_episode_steps or (batch.broken and terminated.any()):
-            truncated = (self.steps >= self.max_episode_steps) & ~terminated
+            over = self.steps >= self.max_episode_steps
+            if self.cars_per_road > 1:  # a road ends for all of its cars
+                ended = terminated.reshape(-1, self.cars_per_road).any(axis=1)
+                over = over | np.repeat(ended, self.cars_per_road)
+            truncated = over & ~terminated
             self._done = terminated | truncated
             self._any_done = bool(self._done.any())
             if self._any_done and self.autoreset_mode is AutoresetMode.SAME_STEP:
@@ -451,13 +546,15 @@ class ISDSuspensionVectorEnv(VectorEnv):
             final[i] = obs[i].copy()
         info["final_obs"], info["_final_obs"] = final, done
         info["final_info"] = {
-            k: v.copy() for k, v in info.items() if isinstance(v, np.ndarray) and v.dtype == float
-        }
+            k: v.copy() for k, v in info.items() if isinstance(v, np.ndarray) and not k.startswith("_")
+        } | self._masks
         info["_final_info"] = done
         self._restart(which)
         obs[which] = self.task.first(which)
         info["speed"] = self._speeds
-        for name in self.task.step_info:
+        for name, values in self.task.batch.drawn.items():
+            info[name] = values.copy()
+        for name in ("cost", *self.task.step_info):
             info[name][which] = 0.0
         return obs
 
@@ -485,7 +582,11 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._renderers = []
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderers": []}
+        return {k: v for k, v in self.__dict__.items() if k != "_lock"} | {"_renderers": []}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = Lock()
 
 
 def _threads(cars: int) -> int:

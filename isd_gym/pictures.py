@@ -35,11 +35,11 @@ class Onlooker:
     def __init__(self, task: Task, car: int) -> None:
         """Follow a car from its next start."""
         self.task, self.car = task, car
-        step = task.batch.control_step
+        step = task.decision
         window = PICTURE_WINDOW + max(task.vehicle.wheels.behind)
-        #: heights of the tracks under their first wheels [m], one row per control step
+        #: heights of the tracks under their first wheels [m], one row per decision
         self._trail: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(window / (task.slowest * step)))
-        #: time [s] and values of the curves [SI], one row per control step
+        #: time [s] and values of the curves [SI], one row per decision
         self._past: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(PAST / step))
         self._static = _static_tyre_loads(task.network, task.vehicle)
         self.start()
@@ -53,7 +53,7 @@ class Onlooker:
         self._past.clear()
 
     def see(self, steps: int, reward: float) -> None:
-        """Store a control step.
+        """Store a decision.
 
         Args:
             steps: Control steps since the start.
@@ -63,7 +63,7 @@ class Onlooker:
         self._steps = steps
         self._cost -= reward
         self._trail.append(tuple(batch.track_heights[:, self.car].tolist()))
-        self._past.append((steps * batch.control_step, *batch.out[: self._curves, self.car].tolist()))
+        self._past.append((steps * self.task.decision, *batch.out[: self._curves, self.car].tolist()))
 
     @property
     def _curves(self) -> int:
@@ -126,9 +126,9 @@ class Onlooker:
         places = self._places()
         shown = self._corner(0, corner, places, places[corner.body])
         speed = float(batch.speeds[self.car])
-        step = batch.control_step * speed
+        step = self.task.decision * speed
         return Snapshot(
-            time=self._steps * batch.control_step,
+            time=self._steps * self.task.decision,
             body=shown.body,
             wheel=shown.wheel,
             piston=shown.piston,
@@ -163,9 +163,9 @@ class Onlooker:
             above = heave - corner.x * angles.get("pitch", 0.0) + corner.y * angles.get("roll", 0.0)
             corners.append(self._corner(number, corner, places, above))
         speed = float(batch.speeds[self.car])
-        step = batch.control_step * speed
+        step = self.task.decision * speed
         return CarSnapshot(
-            time=self._steps * batch.control_step,
+            time=self._steps * self.task.decision,
             heave=heave,
             pitch=angles.get("pitch"),
             roll=angles.get("roll"),

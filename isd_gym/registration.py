@@ -25,7 +25,6 @@ def register() -> None:
                 id=name,
                 entry_point="isd_gym.env:ISDSuspensionEnv",
                 vector_entry_point="isd_gym.env:ISDSuspensionVectorEnv",
-                max_episode_steps=EPISODE_STEPS,
                 reward_threshold=REWARD_THRESHOLDS.get(name),
                 kwargs={"network": network},
             )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -10,24 +12,34 @@ import numpy as np
 from gymnasium import spaces
 
 from . import elements as el
-from .batch import CURRENT_LIMIT, Batch
+from .batch import CURRENT_LIMIT, Batch, ranges
 from .cost import StageCost
 from .errors import InputError, shown
+from .history import BOUND, Remembered, history_of
 from .network import Network
 from .road import Road, road
 from .sensors import Sensors, Sight
-from .vehicle import Vehicle, state_channels, vehicle
+from .vehicle import SLEW_RATE, Vehicle, state_channels, vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
 
 CONTROL_STEP = 5e-3  # s
+#: limits of options: control step [s], duration of an episode and preview [s], speed [m/s], control steps per action
+STEPS, LONGEST, FARTHEST, FASTEST, HELD = (1e-3, 1.0), 1e5, 10.0, 1e3, 1000
+PREVIEW = 0.25  # s, with observation preview
 STATE_BOUND = 1e3  # m or m/s, of the full observation
 ROAD_BOUND = 10.0  # m, of the preview
 PICTURE_WINDOW = 5.5  # road before the foremost and behind the rearmost wheel in a picture [m]
-OBSERVATIONS = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
+SHOWN = ("measured", "full", "preview")  # in the order of `layout`: MEASURED, WHOLE, AHEAD
+OBSERVATIONS = (*SHOWN, "history")
+EXCEEDS = ("exceeds_acceleration", "exceeds_travel")
+USUAL_SPEED = 20.0  # m/s
+REWARDS, ACTIONS = ("cost", "relative"), ("current", "increment")
+#: factor on the relative reward, which makes the standard deviation of its sum over a second about one
+RELATIVE_SCALE = 10.0
 
 
 @dataclass(frozen=True)
@@ -44,8 +56,19 @@ class Options:
     road: str | Road = "paper"
     # speed of the vehicle [m/s]
     speed: float = 20.0
-    # measured, full (adds the state) or preview (adds the road ahead)
+    # measured, full (adds the state), preview (adds the road ahead) or history (`isd_gym.history`: scaled signals,
+    # their changes, and velocities of the body)
     observation: str = "measured"
+    # cost: minus the stage cost; relative: the cost of a reference on the same road minus the own cost, times
+    # `RELATIVE_SCALE`. The reference is the same car without current, or the mean of a group (`cars_per_road`)
+    reward: str = "cost"
+    # current: commanded currents [A]; increment: their rates as shares of the drive's fastest rate (100 A/s)
+    action: str = "current"
+    # number of control steps for which an action is held; the reward is the mean over them
+    hold: int = 1
+    # whether the reward is divided by the level of the rough road (1 on the paper's road at 20 m/s), so that rough
+    # and smooth roads have equal weight
+    per_level: bool = False
     # stage cost, a `StageCost` or its weights, such as {"tyre_load": 0.1}
     cost: StageCost | Mapping[str, Any] | None = None
     # ranges drawn at every reset: factors on parameters of the network, speeds [m/s], roads, such as
@@ -53,24 +76,45 @@ class Options:
     randomize: Mapping[str, Any] | None = None
     # time between two actions [s]
     control_step: float = CONTROL_STEP
-    # road ahead of the first axle in an observation [s], with observation preview
-    preview: float = 0.25
-    # length of recorded and fixed roads [s]; the time limit is max_episode_steps
+    # road ahead of the first axle in an observation [s], for observation preview alone; None for 0.25 s there
+    preview: float | None = None
+    # length of an episode, and of recorded and fixed roads [s]
     duration: float = 20.0
     # imperfections of the sensors (`isd_gym.sensors.Sensors`), such as {"noise": 1.0, "road_error": 0.001}
     sensors: Sensors | Mapping[str, Any] | str | None = None
 
     def __post_init__(self) -> None:
-        if self.observation not in OBSERVATIONS:
-            raise InputError(
-                f"observation must be one of {', '.join(OBSERVATIONS)}, not {shown(self.observation)}"
-            )
-        if not (isinstance(self.speed, int | float) and math.isfinite(self.speed) and self.speed > 0):
-            raise InputError(f"speed must be a positive number of m/s, not {shown(self.speed)}")
-        network = Network.load(self.network)
         put = object.__setattr__
+        for name, known in (("observation", OBSERVATIONS), ("reward", REWARDS), ("action", ACTIONS)):
+            if getattr(self, name) not in known:
+                raise InputError(f"{name} must be one of {', '.join(known)}, not {shown(getattr(self, name))}")
+        if self.preview is not None and self.observation != "preview":
+            raise InputError('preview is for observation="preview" alone; leave it out')
+        if self.preview is None and self.observation == "preview":
+            put(self, "preview", PREVIEW)
+        for name, low, high, unit in (
+            ("speed", 1e-3, FASTEST, "m/s"),
+            ("control_step", *STEPS, "s"),
+            ("duration", STEPS[0], LONGEST, "s"),
+            *([("preview", 0.0, FARTHEST, "s")] if self.preview is not None else []),
+        ):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not low <= value <= high:
+                raise InputError(f"{name} must be a number from {low:g} to {high:g} {unit}, not {shown(value)}")
+            put(self, name, float(value))
+        if isinstance(self.hold, bool) or not isinstance(self.hold, int | np.integer) or not 1 <= self.hold <= HELD:
+            raise InputError(f"hold must be a whole number of control steps from 1 to {HELD}, not {shown(self.hold)}")
+        for name in ("cost", "sensors", "randomize"):
+            value = getattr(self, name)
+            own = {"cost": (StageCost, Mapping), "sensors": (Sensors, Mapping, str), "randomize": (Mapping,)}[name]
+            if value is not None and not isinstance(value, own):
+                raise InputError(f"{name} must be a mapping of names to values, not {shown(value)}")
+        if self.network is None or isinstance(self.network, list | tuple):
+            raise InputError(f"network must be a name, a file, its content or a Network, not {shown(self.network)}")
+        network = Network.load(self.network)
         put(self, "network", network)
         put(self, "road", road(self.road))
+        put(self, "randomize", ranges(network, self.randomize))
         car = vehicle(network)
         put(self, "cost", StageCost.of(self.cost, car.axes, len(car.corners)))
         put(self, "sensors", Sensors.of(self.sensors))
@@ -108,32 +152,44 @@ class Task:
         picture: Whether pictures of the cars will be drawn.
         threads: Number of threads that share the cars.
 
+        group: Number of consecutive cars on one road; with 1 the reference of a relative reward is a car without
+            current.
+
     Attributes:
         options: Options of the environment.
         network: Network of the cars.
         vehicle: The network as a car.
         batch: Cars on their roads.
+        actions: Actions of the next decision (currents, cars), to be written by the environment.
+        decision: Time between two actions [s].
+        episode: Length of an episode [decisions].
         labels: Name and unit of each number of an observation.
         slowest: Lowest speed of a car [m/s].
-        step_info: Names of the numbers in `info` of a step after the speed, in the order of `Batch.judged`.
+        step_info: Names of the numbers in `info` of a step after the speed and the cost, in the order of
+            `Batch.judged`.
         is_faulty: Whether a policy sees signals with errors.
+        is_plain: Whether a decision is one control step with commanded currents and minus its cost as reward.
 
     Raises:
         InputError: The network is no car, or an option is invalid.
     """
 
-    def __init__(self, count: int, options: Options, *, picture: bool = False, threads: int = 1) -> None:
+    def __init__(
+        self, count: int, options: Options, *, picture: bool = False, threads: int = 1, group: int = 1
+    ) -> None:
         """Create `count` cars."""
         assert isinstance(options.network, Network) and isinstance(options.cost, StageCost)
         assert isinstance(options.sensors, Sensors)
         self.options, self.network, self.cost = options, options.network, options.cost
         self.vehicle: Vehicle = vehicle(self.network)
         self.measured = self.vehicle.measured
-        self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads)
+        self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads, *EXCEEDS)
         speed, control_step = options.speed, options.control_step
         self.slowest = min(speed, *(options.randomize or {}).get("speed", (speed,)))
+        self.decision = control_step * options.hold
+        self.episode = max(1, round(options.duration / self.decision))
         extra = state_channels(self.network) if options.observation == "full" or picture else []
-        self.points = round(options.preview / control_step) if options.observation == "preview" else 0
+        self.points = round(options.preview / control_step) if options.preview else 0
         look = self.points * control_step
         if picture:  # a picture shows the road in front of the car
             look = max(look, PICTURE_WINDOW / self.slowest)
@@ -150,14 +206,39 @@ class Task:
             extra=extra,
         )
         of = self.batch.of
+        signals = len(self.measured)
+        self.history = history_of(self.vehicle, control_step) if options.observation == "history" else None
+        self._remembered = Remembered(self.history, count, signals) if self.history else None
         self._make_spaces(extra)
+        weights = self.cost.factors(self.vehicle.axes, of.corners, of.currents)
+        bounds = [signal.bound for signal in self.measured[: of.measured]]
         self.batch.judge(
-            self.cost.factors(self.vehicle.axes, of.corners, of.currents),
-            [signal.bound for signal in self.measured[: of.measured]],
-            width=self.width,
-            shows=OBSERVATIONS.index(options.observation),
+            weights,
+            bounds,
+            width=signals if self.history else self.width,
+            shows=SHOWN.index(options.observation) if options.observation in SHOWN else 0,
             lifted=[(0.0,) * of.corners] * of.signals + [self.vehicle.shares(c) for c in extra],
             threads=threads,
+        )
+        self.group = group
+        self._reference: Batch | None = None
+        if options.reward == "relative" and group == 1:
+            self._reference = Batch(
+                count, self.network, road_=options.road, speed=speed, control_step=control_step,
+                duration=options.duration, randomize=options.randomize,
+            )  # fmt: skip
+            self._reference.judge(weights, bounds, width=signals, threads=threads)
+        self._weights = np.ones(count)
+        self._usual = usual_level(self.batch) if options.per_level else 0.0
+        self._slew = SLEW_RATE * control_step
+        is_current = options.action == "current"
+        self.actions = self.batch.target if is_current else np.zeros((of.currents, count))
+        self.is_plain = (
+            options.hold == 1
+            and is_current
+            and options.reward == "cost"
+            and self.history is None
+            and not options.per_level
         )
         names = [signal.name for signal in self.measured]
         self._channel_faults = [
@@ -200,10 +281,15 @@ class Task:
             self.labels += [
                 f"{side}road ahead {(i + 1) * step:.3f} s [m]" for side in sides for i in range(self.points)
             ]
+        self._bounds = np.array(high, np.float32)  # of the signals
+        if self.history is not None:
+            self.labels = self.history.labels([signal.name for signal in self.measured])
+            high = [BOUND] * len(self.labels)
         self.high = np.array(high, np.float32)
         self.width = len(high)
         currents = self.batch.of.currents
-        self.action_space = spaces.Box(-CURRENT_LIMIT, CURRENT_LIMIT, (currents,), np.float32)
+        largest = CURRENT_LIMIT if self.options.action == "current" else 1.0
+        self.action_space = spaces.Box(-largest, largest, (currents,), np.float32)
         self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
 
     def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -215,12 +301,62 @@ class Task:
         Returns:
             Observations (cars, width).
         """
-        obs = np.zeros((self.batch.count, self.width), np.float32)[which]
+        obs = np.zeros(self.batch.seen.shape, np.float32)[which]
         if self.points:
             tracks = range(self.batch.of.tracks)
             ahead = [self.batch.road_ahead(self.points, track)[which] for track in tracks]
             obs[:, len(self.measured) :] = np.hstack(ahead)
-        return self._sense(obs, which, first=True) if self.is_faulty else obs
+        if self.is_faulty:
+            obs = self._sense(obs, which, first=True)
+        if self._remembered is not None:
+            self._remembered.begin(which, obs)
+            obs = np.clip(self._remembered.features[which], -BOUND, BOUND)
+        return obs
+
+    def advance(self) -> np.ndarray:
+        """Run one decision: `hold` control steps with the same action.
+
+        Afterwards `batch.judged` holds the mean terms of the cost over the control steps, the last tyre loads, and
+        whether a limit was exceeded. `observe` returns the observations.
+
+        Returns:
+            Rewards (count,).
+        """
+        batch, of, hold = self.batch, self.batch.of, self.options.hold
+        means = 1 + len(self.vehicle.costs)
+        watch = self.is_faulty or self._remembered is not None
+        reference = 0.0
+        for k in range(hold):
+            if self.options.action == "increment":
+                np.multiply(np.clip(self.actions, -1.0, 1.0), self._slew, out=batch.target)
+                np.add(batch.target, batch.currents, out=batch.target)
+            batch.step()
+            said = batch.said
+            if k == 0 and hold > 1:
+                sums, marks, broken = said[:means].copy(), said[of.exceeds :].copy(), batch.broken
+            elif k > 0:
+                sums += said[:means]
+                np.maximum(marks, said[of.exceeds :], out=marks)
+                broken = max(broken, batch.broken)
+            if watch and k + 1 < hold:
+                self.observe()
+            if self._reference is not None:
+                self._reference.step()
+                reference = reference + self._reference.judged[0]
+        if hold > 1:
+            said[:means], said[of.exceeds :] = sums / hold, marks
+            batch.broken = broken
+        reward = batch.judged[0]
+        if self.options.reward == "relative":
+            if self.group > 1:
+                by_road = reward.reshape(-1, self.group)
+                reward = (by_road - by_road.mean(axis=1, keepdims=True)).ravel()
+            else:
+                reward = reward - reference / hold
+            reward = RELATIVE_SCALE * reward
+        if self.options.per_level:
+            reward = reward * self._weights
+        return reward
 
     def observe(self) -> np.ndarray:
         """Return the observations after a step; observations of broken cars are clipped to their bounds.
@@ -232,7 +368,10 @@ class Task:
         if self.is_faulty:
             obs = self._sense(obs)
         if self.batch.broken:
-            obs = np.clip(np.nan_to_num(obs), -self.high, self.high)
+            obs = np.clip(np.nan_to_num(obs), -self._bounds, self._bounds)
+        if self._remembered is not None:
+            self._remembered.see(obs)
+            obs = np.clip(self._remembered.features, -BOUND, BOUND)
         return obs
 
     def _sense(
@@ -256,25 +395,46 @@ class Task:
                 obs[:, j] = e.apply(obs[:, j], step)
         if self._sight is not None:
             obs = self._sight.see(obs, self.batch.speeds[which], which, first=first)
-        return np.clip(obs, -self.high, self.high)
+        return np.clip(obs, -self._bounds, self._bounds)
 
-    def forget(self, i: int, rng: np.random.Generator) -> None:
-        """Start a car on a new road.
+    def begin(self, i: int, rng: np.random.Generator) -> None:
+        """Put a car, and its reference, at rest at the start of a new road.
 
         Args:
             i: Index of the car.
-            rng: Generator of the car, after the draw of the road.
+            rng: Generator of the car.
         """
+        if self._reference is not None:
+            self._reference.reset(i, copy.deepcopy(rng))
+        self.batch.reset(i, rng)
         if self._sight is not None:
             self._sight.begin(i, rng)
         for past in self._histories.values():
             past[:, i] = 0.0
+        if self.options.per_level:
+            level = float(self.batch.levels[i])
+            self._weights[i] = self._usual / level if level > 0.0 else 1.0  # a bump has weight 1
+
+
+def usual_level(batch: Batch) -> float:
+    """Return the level of the paper's road at the usual speed.
+
+    Args:
+        batch: Cars, for their tracks and physics step.
+
+    Returns:
+        Level in the sense of `Batch.levels` [m^2].
+    """
+    ground, step = road("paper"), batch.plant.step
+    if batch.of.tracks == 1:
+        return float(ground.noise(USUAL_SPEED, step)[0] ** 2)
+    return float(ground.track_filters(batch.vehicle.wheels.width, USUAL_SPEED, step)[1][0] ** 2)
 
 
 def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[str, float]]:
     """Return a function that makes `info` from the speed and the numbers of the kernel.
 
-    A dictionary display takes a third of the time of `dict` and `zip`.
+    The first number of the kernel is minus the cost. A dictionary display takes a third of the time of `dict` and `zip`.
 
     Args:
         names: Names of the numbers after the first number of the kernel.
@@ -283,4 +443,4 @@ def info_maker(names: Sequence[str]) -> Callable[[float, Sequence[float]], dict[
         ``info(speed [m/s], numbers) -> dict``.
     """
     pairs = ", ".join(f"{name!r}: told[{i}]" for i, name in enumerate(names, 1))
-    return eval(f"lambda speed, told: {{'speed': speed, {pairs}}}")
+    return eval(f"lambda speed, told: {{'speed': speed, 'cost': -told[0], {pairs}}}")

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
 CURRENT_LIMIT = 5.0  # A, Table 5
-SLEW_LIMIT = 0.5  # A per control step, Table 5
+SLEW_RATE = 100.0  # A/s: 0.5 A per control step of 5 ms, Table 5
+SLEW_LIMIT = SLEW_RATE * 5e-3  # A, largest change of a current in a control step of 5 ms
 AXES = ("pitch", "roll")
 ROAD = "road_"  # prefix of the road inputs of cars with several corners
 

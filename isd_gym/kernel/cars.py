@@ -10,6 +10,7 @@ import numpy as np
 from ..cost import square
 from .lanes import bits, load, noise, select, some, spread, store
 from .layout import (
+    ACCELERATION_LIMIT,
     AHEAD,
     ALL,
     COUNT,
@@ -26,6 +27,7 @@ from .layout import (
     SLEW_LIMIT,
     SUBSTEPS,
     TOGETHER,
+    TRAVEL_LIMIT,
     WHOLE,
     WIDTH,
     cars_layout,
@@ -338,16 +340,21 @@ def judge(at, state, cars, settings, said, wide, first, count):
         term = square(settings[weight + j], x)
         total = total + term
         store(said, (cost + j) * wide + first, term)
+        if j == 0:
+            beyond = select(spread(ACCELERATION_LIMIT) < abs(x), spread(1.0), spread(0.0))
+            store(said, CAR.exceeds * wide + first, beyond)
     weight, cost = weight + CAR.accelerations, cost + CAR.accelerations
-    term = spread(0.0)
+    term, beyond = spread(0.0), spread(0.0)
     for c in range(CAR.corners):
         j = CAR.accelerations + 4 * c
         x = load(state, (at.outcome + j) * WIDTH)
         if wrong:
             x = select(abs(x) <= settings[CAR.bounds + j], x, spread(settings[CAR.bounds + j]))
         term = term + square(settings[weight + c], x)
+        beyond = select(spread(TRAVEL_LIMIT) < abs(x), spread(1.0), beyond)
     total = total + term
     store(said, cost * wide + first, term)
+    store(said, (CAR.exceeds + 1) * wide + first, beyond)
     weight += CAR.corners
     term = spread(0.0)
     for c in range(CAR.corners):

@@ -50,6 +50,8 @@ TABLES = 10  # start of the tables of `CarsLayout`
 #: measured signals of a corner: travel, its rate, device travel, its rate
 CORNER_SIGNALS = 4
 CURRENT_LIMIT, SLEW_LIMIT = 0, 1  # first two of `settings`: [A], [A per control step]
+#: limits of Table 5 on the vertical acceleration of the body [m/s^2] and on the travel of a suspension [m]
+ACCELERATION_LIMIT, TRAVEL_LIMIT = 5.0, 0.08
 REWARD = 0  # first row of `said`
 
 
@@ -128,6 +130,7 @@ class CarsLayout(NamedTuple):
     # rows of `said`, one number per car
     cost: int  # one term per acceleration, then travel, tyre load, current
     tyre_load: int  # [N], finite also for a broken car
+    exceeds: int  # 1 where acceleration, then travel, is outside the limits of Table 5
     broken: int  # 1 for an observation outside its bounds or not finite
     said: int  # total number of rows
 
@@ -156,7 +159,7 @@ def cars_layout(size: CarSize) -> CarsLayout:
         gain, gain + filters, gain + 2 * filters, gain + 3 * filters,
         0, tracks, 2 * tracks,
         2, bounds, bounds + measured,
-        REWARD + 1, na + 4, na + 4 + corners, na + 5 + corners,
+        REWARD + 1, na + 4, na + 4 + corners, na + 6 + corners, na + 7 + corners,
     )  # fmt: skip
 
 

@@ -1,0 +1,187 @@
+"""Scaled signals with memory, the observation ``"history"``.
+
+One observation is not the state of the car. The change of a signal over a control step contains quantities
+without a sensor: the force of the tyre follows from the balance of forces, the deflection of the oil from the
+body's acceleration. The leaky integral of the body's acceleration is the velocity of the body. All scales are
+fixed, so that a policy has the same meaning in training, in a file and in a car.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba as nb
+import numpy as np
+
+from .errors import InputError, shown
+
+if TYPE_CHECKING:
+    from .vehicle import Vehicle
+
+#: limits of a history: signals, orders of change, magnitude of numbers
+SIGNALS, ORDERS, LARGEST = 1024, 8, 1e12
+#: bound of every number of a history
+BOUND = 10.0
+#: RMS of each kind of signal on the paper's road, rounded, and of its change in a control step of 5 ms, in SI units
+SCALES = {
+    "body_acceleration": (1.0, 0.25),
+    "pitch_acceleration": (0.5, 0.12),
+    "roll_acceleration": (0.8, 0.2),
+    "suspension_travel": (0.01, 0.001),
+    "suspension_travel_rate": (0.2, 0.06),
+    "device_travel": (0.01, 0.0005),
+    "device_travel_rate": (0.05, 0.012),
+    "current": (2.5, 0.45),
+}
+#: velocities of the body are leaky integrals of its accelerations: time constant [s], and scale over the scale of
+#: the acceleration
+LEAK = (1.0, 0.07)
+
+
+@dataclass(frozen=True)
+class History:
+    """Definition of the numbers of a history. Without scales, the signals are unchanged.
+
+    Attributes:
+        scale: Scale of each signal [SI unit of the signal].
+        change: Scale of each signal's change over a control step.
+        order: Highest order of change.
+        leak: Index of the signal, time constant [s] and scale of each leaky integral.
+        step: Control step [s].
+
+    Raises:
+        InputError: A value is outside its limits.
+    """
+
+    scale: tuple[float, ...] = ()
+    change: tuple[float, ...] = ()
+    order: int = 0
+    leak: tuple[tuple[int, float, float], ...] = ()
+    step: float = 5e-3
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.order <= ORDERS:
+            raise InputError(f"memory: order must be 0 to {ORDERS}, not {shown(self.order)}")
+        if max(len(self.scale), len(self.change), len(self.leak)) > SIGNALS:
+            raise InputError(f"memory: more than {SIGNALS} signals or leaks")
+        if self.order > 0 and len(self.change) != len(self.scale):
+            raise InputError("memory: change needs one scale for each signal")
+        if any(not 1 / LARGEST < s < LARGEST for s in (*self.scale, *self.change)):
+            raise InputError(f"memory: scales must be > 0, at most {LARGEST:g}")
+        if not 0 < self.step <= 10:
+            raise InputError(f"memory: step must be > 0 and at most 10 s, not {self.step:g}")
+        for signal, tau, scale in self.leak:
+            if not (
+                0 <= signal < len(self.scale) and self.step < tau < LARGEST and 1 / LARGEST < scale < LARGEST
+            ):
+                raise InputError(
+                    f"memory: leak ({signal}, {tau:g}, {scale:g}) is not (signal, seconds, scale)"
+                )
+
+    def numbers(self, signals: int) -> int:
+        """Return the number of scaled signals, changes and leaky integrals.
+
+        Args:
+            signals: Number of signals.
+
+        Returns:
+            Number of columns of a history.
+        """
+        return signals * (1 + self.order) + len(self.leak)
+
+    def labels(self, names: list[str]) -> list[str]:
+        """Return a name for each number.
+
+        Args:
+            names: Names of the signals.
+
+        Returns:
+            Names in the order of the columns.
+        """
+        changes = ["", "change of ", "second change of "]
+        of = [changes[k] if k < 3 else f"change of order {k} of " for k in range(self.order + 1)]
+        kept = [f"leaky integral of {names[i]} over {tau:g} s" for i, tau, _ in self.leak]
+        return [f"{what}{name} [-]" for what in of for name in names] + [f"{name} [-]" for name in kept]
+
+
+def history_of(car: Vehicle, step: float = 5e-3) -> History:
+    """Return the history of a car: its signals, their first and second changes, and the velocities of the body.
+
+    Args:
+        car: The car.
+        step: Control step [s]. The scales of the changes are proportional to the step.
+
+    Returns:
+        The history.
+    """
+    kinds = [signal.kind for signal in car.measured]
+    scale = tuple(SCALES[kind][0] for kind in kinds)
+    change = tuple(SCALES[kind][1] * (step / 5e-3) for kind in kinds)
+    tau, share = LEAK
+    leak = tuple((i, tau, share * scale[i]) for i in range(1 + len(car.axes)))
+    return History(scale, change, order=2, leak=leak, step=step)
+
+
+class Remembered:
+    """The histories of several cars.
+
+    Args:
+        history: Definition of the numbers.
+        count: Number of cars.
+        signals: Number of signals.
+        width: Number of columns of `features`; the history fills the first ones. None for the history alone.
+
+    Attributes:
+        features: Present histories (count, width) float32, not clipped.
+    """
+
+    def __init__(self, history: History, count: int, signals: int, width: int | None = None) -> None:
+        self.signals, self.order = signals, history.order
+        own = history.numbers(signals)
+        self.features = np.zeros((count, own if width is None else width), np.float32)
+        self.scale = np.array(history.scale or [1.0] * signals, np.float32)
+        #: factors that turn differences of scaled signals into scaled differences
+        self.ratio = self.scale / np.array(history.change or [1.0] * signals, np.float32)
+        self.leaks = np.array([i for i, _, _ in history.leak], np.int64)
+        self.keep = np.array([1 - history.step / tau for _, tau, _ in history.leak], np.float32)
+        self.gain = np.array([history.step / scale for _, _, scale in history.leak], np.float32)
+
+    def begin(self, which: np.ndarray | slice, observations: np.ndarray) -> None:
+        """Start the histories of some cars anew.
+
+        Args:
+            which: Indices or mask of the cars.
+            observations: Signals of these cars (cars, at least `signals`) [SI].
+        """
+        self.features[which] = 0.0
+        self.features[which, : self.signals] = observations[:, : self.signals] / self.scale
+
+    def see(self, observations: np.ndarray) -> None:
+        """Update the histories with the signals after one more control step.
+
+        Args:
+            observations: Signals of all cars (count, at least `signals`) float32 [SI].
+        """
+        _advance(
+            self.features, observations, self.scale, self.ratio, self.order, self.leaks, self.keep, self.gain
+        )
+
+
+@nb.njit(error_model="numpy", cache=True)
+def _advance(features, observations, scale, ratio, order, leaks, keep, gain):  # type: ignore[no-untyped-def]
+    """Write scaled signals, their changes and leaky integrals of the next observations into the features."""
+    n = scale.shape[0]
+    for i in range(features.shape[0]):
+        for j in range(n):
+            new = observations[i, j] / scale[j]
+            for k in range(order):
+                old = features[i, n * k + j]
+                features[i, n * k + j] = new
+                new = new - old
+                if k == 0:
+                    new = new * ratio[j]
+            features[i, n * order + j] = new
+        for l in range(leaks.shape[0]):
+            j = n * (order + 1) + l
+            features[i, j] = features[i, j] * keep[l] + observations[i, leaks[l]] * gain[l]

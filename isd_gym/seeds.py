@@ -1,0 +1,78 @@
+"""Random generators of episodes: one for each seed, and a separate stream for the roads of the score.
+
+Everybody's ``reset(seed=0)`` draws the road of seed 0. Scores on such roads would be scores on training roads.
+The roads of the score therefore come from a stream that no seed reaches.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .errors import InputError, shown
+
+#: key of the stream of scoring roads among the children of a seed (`numpy.random.SeedSequence`)
+_SCORING = 0x15D
+
+
+def scoring_generator(index: int) -> np.random.Generator:
+    """Return the generator of a scoring road.
+
+    No seed of ``reset(seed=)`` gives the same draws.
+
+    Args:
+        index: Index of the scoring road, from 0.
+
+    Returns:
+        The generator.
+    """
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(index, spawn_key=(_SCORING,))))
+
+
+def generators(seed: int | None, first: int, count: int) -> list[np.random.Generator]:
+    """Return the generators of consecutive episodes.
+
+    Args:
+        seed: Seed of episode 0, as in ``reset(seed=)``; None for the scoring roads.
+        first: Index of the first episode.
+        count: Number of episodes.
+
+    Returns:
+        One generator per episode.
+    """
+    from gymnasium.utils import seeding
+
+    if seed is None:
+        return [scoring_generator(first + i) for i in range(count)]
+    return [seeding.np_random(seed + first + i)[0] for i in range(count)]
+
+
+def named_roads(seed: int | None, episodes: int) -> str:
+    """Return the name of the roads of a score.
+
+    Args:
+        seed: Seed of the first road; None for the scoring roads.
+        episodes: Number of roads.
+
+    Returns:
+        A phrase such as 'scoring roads 0 to 31' or 'seeds 3000 to 3031'.
+    """
+    what, first = ("scoring roads", 0) if seed is None else ("seeds", seed)
+    return f"{what} {first} to {first + episodes - 1}"
+
+
+def road_index(given: object, name: str) -> int:
+    """Return a checked index of a road.
+
+    Args:
+        given: The value.
+        name: Name of the value in messages.
+
+    Returns:
+        The index.
+
+    Raises:
+        InputError: The value is no whole number >= 0.
+    """
+    if isinstance(given, bool) or not isinstance(given, int | np.integer) or given < 0:
+        raise InputError(f"{name} must be a whole number >= 0, not {shown(given)}")
+    return int(given)
