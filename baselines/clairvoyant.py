@@ -39,6 +39,7 @@ from isd_gym.files import write_text
 from isd_gym.network import Network
 from isd_gym.road import Road
 from isd_gym.road import road as find_road
+from isd_gym.seeds import generators
 from isd_gym.simulate import PHYSICS_STEP, Plant, discretise
 
 from . import relaxed
@@ -419,6 +420,7 @@ def clairvoyant(
     *,
     heights: np.ndarray | None = None,
     seed: int | None = None,
+    scoring: int | None = None,
     road: str | Road = "paper",
     speed: float = 20.0,
     duration: float = 20.0,
@@ -434,8 +436,9 @@ def clairvoyant(
     Args:
         network: The plant.
         heights: Heights of the road [m] at 0, 1 ms, ...; None for the road of `seed`.
-        seed: Seed of an environment's road; None for `heights`.
-        road: The road of `seed`.
+        seed: Seed of an environment's road; None for `heights` or `scoring`.
+        scoring: Index of a scoring road; None for `heights` or `seed`.
+        road: The road of `seed` or `scoring`.
         speed: Speed [m/s].
         duration: Length of the episode [s].
         cost: Stage cost; None for the environment's.
@@ -453,12 +456,11 @@ def clairvoyant(
             road and a start.
     """
     network = Network.load(network)
-    if (heights is None) == (seed is None):
-        raise InputError("give either heights or a seed")
+    if sum(given is not None for given in (heights, seed, scoring)) != 1:
+        raise InputError("give either heights, a seed or a scoring road")
     if heights is None:
-        from gymnasium.utils import seeding
-
-        heights = find_road(road).heights(duration, speed=speed, rng=seeding.np_random(seed)[0])
+        rng = generators(seed, scoring or 0, 1)[0]
+        heights = find_road(road).heights(duration, speed=speed, rng=rng)
     episode = Episode(
         network, heights, cost=cost or StageCost(), control_step=control_step, slew_limit=slew_limit
     )
@@ -564,7 +566,7 @@ def reference(
     road: str | Road = "paper",
     speed: float = 20.0,
     episodes: int = 32,
-    seed: int = 0,
+    seed: int | None = None,
     duration: float = 20.0,
     cost: StageCost | None = None,
     *,
@@ -580,7 +582,7 @@ def reference(
         road: The road.
         speed: Speed [m/s].
         episodes: Number of episodes.
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads.
         duration: Length of an episode [s].
         cost: Stage cost; None for the environment's.
         compute: Whether missing figures are computed (about 10 s per episode and start).
@@ -594,21 +596,35 @@ def reference(
             unknown.
     """
     network, ground, cost = Network.load(network), find_road(road), cost or StageCost()
-    key = episode_key(network, ground, speed, duration, cost)
+    stream = {"stream": "scoring"} if seed is None else {}
+    key = episode_key(network, ground, speed, duration, cost, **stream)
     known = read(key, FILE)
-    wanted = range(seed, seed + episodes)
+    begin = seed or 0
+    wanted = range(begin, begin + episodes)
     if not compute and any(s not in known for s in wanted):
         return None
     for i, s in enumerate(wanted):
         if s not in known:
             found = clairvoyant(
-                network, seed=s, road=ground, speed=speed, duration=duration, cost=cost, starts=starts
+                network,
+                seed=None if seed is None else s,
+                scoring=s if seed is None else None,
+                road=ground,
+                speed=speed,
+                duration=duration,
+                cost=cost,
+                starts=starts,
             )
             figures = (found.value, found.lower, *found.rms)
             known[s] = {
                 n: None if x is None else float(f"{x:.6g}") for n, x in zip(FIGURES, figures, strict=True)
             }
-            about = {"network": network.name, "road": ground.name, "speed": speed, "duration": duration}
+            about = {
+                "network": network.name,
+                "road": ground.name,
+                "speed": speed,
+                "duration": duration,
+            } | stream
             keep(store or FILE, store is not None, key, about, s, known[s])
         if progress is not None:
             progress((i + 1) / episodes)
@@ -623,7 +639,7 @@ def reachable(
     road: str | Road = "paper",
     speed: float = 20.0,
     episodes: int = 32,
-    seed: int = 0,
+    seed: int | None = None,
     duration: float = 20.0,
     cost: StageCost | None = None,
 ) -> dict[str, np.ndarray] | None:
@@ -634,7 +650,7 @@ def reachable(
         road: The road.
         speed: Speed [m/s].
         episodes: Number of episodes.
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads.
         duration: Length of an episode [s].
         cost: Stage cost; None for the environment's.
 

@@ -67,7 +67,12 @@ class BatchController(Controller):
     Args:
         name: Name in scores.
         model: The network that the controller assumes.
+
+    Attributes:
+        slew: Largest change of a current per control step [A].
     """
+
+    slew = SLEW_LIMIT
 
     def reset(self) -> None:
         """Clear the memory of a single car."""
@@ -103,7 +108,7 @@ class BatchController(Controller):
             Currents (n,) [A].
         """
         obs = clean(observations, self._last)
-        self._last = limit(self._command(obs), obs[CURRENT])
+        self._last = limit(self._command(obs), obs[CURRENT], self.slew)
         return self._last
 
     @abstractmethod
@@ -191,7 +196,7 @@ class WholeCarController(BatchController):
             Currents (cars, currents) [A].
         """
         obs = self.signals.clean(observations, self._last)
-        self._last = limit(self._command(obs), obs[self.signals.currents])
+        self._last = limit(self._command(obs), obs[self.signals.currents], self.slew)
         return self._last.T
 
 
@@ -263,16 +268,17 @@ def clean(
     return obs
 
 
-def limit(wanted: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Limit currents as in Table 5: |I| <= 5 A and |dI| <= 0.5 A; an invalid command holds the present current.
+def limit(wanted: np.ndarray, present: np.ndarray, slew: float = SLEW_LIMIT) -> np.ndarray:
+    """Limit currents as in Table 5: |I| <= 5 A and |dI| <= slew; an invalid command holds the present current.
 
     Args:
         wanted: Wanted currents (n,) [A].
         present: Present currents (n,) [A].
+        slew: Largest change of a current [A]; by default that of a control step of 5 ms.
 
     Returns:
         Commanded currents (n,) [A].
     """
     wanted = np.where(np.isfinite(wanted), wanted, present)
-    step = np.minimum(np.maximum(wanted - present, -SLEW_LIMIT), SLEW_LIMIT)
+    step = np.minimum(np.maximum(wanted - present, -slew), slew)
     return np.minimum(np.maximum(present + step, -CURRENT_LIMIT), CURRENT_LIMIT)

@@ -24,9 +24,10 @@ import numba as nb
 import numpy as np
 
 from isd_gym import elements as el
-from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.batch import CURRENT_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
+from isd_gym.vehicle import SLEW_RATE
 
 from .controller import CURRENT, BatchController, rises, steps_ahead
 from .estimator import Estimator
@@ -91,7 +92,7 @@ def _forces(free, dry, level, slope, clear, coupling, spread, f, d):
 @nb.njit(cache=True, error_model="numpy")
 def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds, ys):
     """Roll the plan forward, with the feedback of the sweep for alpha > 0; return its cost (half the stage costs)."""
-    A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, V = m
+    A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, V, slew = m
     n, N, nl = len(A), len(moves), len(dry)
     free = np.empty(nl)
     cost = 0.0
@@ -102,7 +103,7 @@ def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds,
             w += alpha * gain_k[k] + gains[k, n] * (cs[k] - nominal[k, n])
             for i in range(n):
                 w += gains[k, i] * (xs[k, i] - nominal[k, i])
-            w = min(max(w, -SLEW_LIMIT, -CURRENT_LIMIT - cs[k]), SLEW_LIMIT, CURRENT_LIMIT - cs[k])
+            w = min(max(w, -slew, -CURRENT_LIMIT - cs[k]), slew, CURRENT_LIMIT - cs[k])
             moves[k] = w
         c = cs[k] + w
         cs[k + 1] = c
@@ -140,7 +141,7 @@ def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds,
 @nb.njit(cache=True, error_model="numpy")
 def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
     """Run the backward sweep: gains (N, n+1) and open-loop changes gain_k (N,) of the moves, within their box."""
-    A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, Vend = m
+    A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, Vend, slew = m
     n, N, nl, ny = len(A), len(moves), len(dry), len(q)
     V = Vend.copy()
     p = np.empty(n + 1)
@@ -230,8 +231,8 @@ def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
         qww = H[n, n] + qm
         qw = g[n] + qm * moves[k]
         best = -qw / qww
-        low = max(-SLEW_LIMIT, -CURRENT_LIMIT - cs[k]) - moves[k]
-        high = min(SLEW_LIMIT, CURRENT_LIMIT - cs[k]) - moves[k]
+        low = max(-slew, -CURRENT_LIMIT - cs[k]) - moves[k]
+        high = min(slew, CURRENT_LIMIT - cs[k]) - moves[k]
         step = min(max(best, low), high)
         gain_k[k] = step
         if low < best < high:
@@ -272,13 +273,13 @@ def _plan(x, current, moves, road, m, iterations):
         np.zeros_like(ys),
     )
     gains, gain_k, nominal, trial = np.zeros((N, n + 1)), np.zeros(N), np.zeros((N, n + 1)), np.empty(N)
-    broken = 0
+    broken, slew = 0, m[-1]
     for e in range(cars):
         x0 = np.ascontiguousarray(x[:, e])
         w = moves[e]
         c = current[e]
         for k in range(N):  # the warm start must be feasible from the present current
-            w[k] = min(max(w[k], -SLEW_LIMIT, -CURRENT_LIMIT - c), SLEW_LIMIT, CURRENT_LIMIT - c)
+            w[k] = min(max(w[k], -slew, -CURRENT_LIMIT - c), slew, CURRENT_LIMIT - c)
             c += w[k]
         cost = _roll(x0, current[e], w, gains, nominal, gain_k, 0.0, road[e], m, xs, cs, fs, ds, ys)
         for _ in range(iterations):
@@ -398,6 +399,7 @@ class FrictionMpc(BatchController):
         name: str = "mpc-friction",
     ) -> None:
         super().__init__(name, model)
+        self.slew = SLEW_RATE * control_step
         self.settings = s = settings or FrictionMpcSettings()
         self.preview = s.preview
         self._points = steps_ahead(s.preview, control_step)
@@ -451,6 +453,7 @@ class FrictionMpc(BatchController):
             float(self.weights.current),
             float(self.weights.move),
             np.ascontiguousarray(V),
+            self.slew,
         )
 
     def _start(self, count: int) -> None:

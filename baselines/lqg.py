@@ -9,6 +9,7 @@ import numpy as np
 
 from isd_gym.batch import state_channels
 from isd_gym.cost import StageCost
+from isd_gym.vehicle import SLEW_RATE
 
 from .controller import BatchController, rises, steps_ahead
 from .estimator import Estimator
@@ -87,6 +88,7 @@ class Lqg(BatchController):
         name: str = "lqg",
     ) -> None:
         super().__init__(name, model)
+        self.slew = SLEW_RATE * control_step
         self.settings = s = settings or LqgSettings()
         cost = cost or StageCost()
         self.prediction = m = prediction_model(model, control_step, road_intensity=s.road_intensity)

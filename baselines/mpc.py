@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.batch import CURRENT_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
+from isd_gym.vehicle import SLEW_RATE
 
 from .controller import CURRENT, BatchController
 from .estimator import Estimator
@@ -124,6 +125,7 @@ class Mpc(BatchController):
         name: str = "mpc",
     ) -> None:
         super().__init__(name, model)
+        self.slew = SLEW_RATE * control_step
         self.settings = s = settings or MpcSettings()
         cost = cost or StageCost()
         self.weights = w = Weights(
@@ -200,7 +202,7 @@ class Mpc(BatchController):
         ends = np.cumsum(s.moves) - 1
         self._rows = np.vstack([np.eye(pieces), self._currents[ends]])
         self._high = np.repeat(
-            [SLEW_LIMIT, CURRENT_LIMIT], pieces
+            [self.slew, CURRENT_LIMIT], pieces
         )  # without the present current, the second half
         self._low = -self._high
         # one solver per car, created on demand: it starts from its last solution
@@ -286,7 +288,7 @@ class Mpc(BatchController):
             moves[:, lost] = guess[:, lost]
             fresh = lost & ~self._has_plan
             moves[:, fresh] = 0.0
-            moves[0, fresh] = -np.clip(present[fresh], -SLEW_LIMIT, SLEW_LIMIT)
+            moves[0, fresh] = -np.clip(present[fresh], -self.slew, self.slew)
         self._has_plan |= ~lost
         self._moves = moves
         if self._nf:

@@ -354,7 +354,9 @@ def export_c(controller: FrictionMpc, folder: str | Path) -> tuple[Path, Path]:
         raise InputError(f"no C for '{controller.name}': there is for mpc-friction, on a car with a motor")
     folder = make_folder(folder)
     name = re.sub(r"\W", "_", controller.name, flags=re.ASCII)
-    A, B, G, P, C, D, F, S, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, V = controller._problem
+    A, B, G, P, C, D, F, S, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, V, slew = (
+        controller._problem
+    )
     m, estimator, step = controller.prediction, controller.estimator, controller.prediction.step
     points, horizon, laws = controller._points, controller.settings.horizon, len(dry)
     if points > horizon:
@@ -390,7 +392,7 @@ def export_c(controller: FrictionMpc, folder: str | Path) -> tuple[Path, Path]:
         "laws": laws,
         "signals": len(q),
         "points": points,
-        "slew": repr(SLEW_LIMIT),
+        "slew": repr(slew),
         "limit": repr(CURRENT_LIMIT),
         "sweeps": controller.settings.iterations,
         "sensors": N_SENSORS,

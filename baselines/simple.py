@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym import elements as el
-from isd_gym.vehicle import require_quarter_car
+from isd_gym.vehicle import SLEW_RATE, require_quarter_car
 
 from .controller import BatchController
 from .model import SLIDING
@@ -137,6 +137,7 @@ class ForceControl(BatchController):
         **_: Any,
     ) -> None:
         super().__init__(name or type(self).__name__.lower(), model)
+        self.slew = SLEW_RATE * control_step
         self.settings = settings or self.default
         self.step, self.strut = control_step, Strut.of(model)
         self.reset()

@@ -24,10 +24,9 @@ from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
 from .vehicle import CURRENT_LIMIT as CURRENT_LIMIT
 from .vehicle import SLEW_LIMIT as SLEW_LIMIT
-from .vehicle import SLEW_RATE
+from .vehicle import SLEW_RATE, vehicle
 from .vehicle import signal_channels as signal_channels
 from .vehicle import state_channels as state_channels
-from .vehicle import vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -531,9 +530,7 @@ def ranges(network: Network, given: Mapping[str, Any] | None) -> dict[str, Any]:
             out[key] = [road(one) for one in value]
             continue
         if key != "speed" and key not in known:
-            raise InputError(
-                f"randomize: no parameter '{key}' (there are speed, road, {', '.join(known)})"
-            )
+            raise InputError(f"randomize: no parameter '{key}' (there are speed, road, {', '.join(known)})")
         try:
             low, high = (float(v) for v in value)
         except (TypeError, ValueError, OverflowError):

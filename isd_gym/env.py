@@ -248,7 +248,9 @@ class ISDSuspensionEnv(gym.Env):
             self._renderer = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k not in ("_make_info", "_actions")} | {"_renderer": None}
+        return {k: v for k, v in self.__dict__.items() if k not in ("_make_info", "_actions")} | {
+            "_renderer": None
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -442,14 +444,17 @@ class ISDSuspensionVectorEnv(VectorEnv):
             if not self._rngs and each > 1 and None in seeds:
                 raise InputError("give all seeds of the first reset, or none")
         return [
-            self._rngs[i] if s is None and self._rngs else seeding.np_random(s)[0] for i, s in enumerate(seeds)
+            self._rngs[i] if s is None and self._rngs else seeding.np_random(s)[0]
+            for i, s in enumerate(seeds)
         ]
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
         """Refuse a second thread while this one uses the cars."""
         if not self._lock.acquire(blocking=False):
-            raise InputError("another thread is using this vector environment: one thread at a time may call it")
+            raise InputError(
+                "another thread is using this vector environment: one thread at a time may call it"
+            )
         try:
             yield
         finally:

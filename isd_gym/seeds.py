@@ -60,6 +60,19 @@ def named_roads(seed: int | None, episodes: int) -> str:
     return f"{what} {first} to {first + episodes - 1}"
 
 
+def road_name(seed: int | None, index: int) -> str:
+    """Return the name of one road of a score.
+
+    Args:
+        seed: Seed of the first road; None for the scoring roads.
+        index: Index of the road.
+
+    Returns:
+        A phrase such as 'scoring road 3' or 'seed 3003'.
+    """
+    return f"scoring road {index}" if seed is None else f"seed {seed + index}"
+
+
 def road_index(given: object, name: str) -> int:
     """Return a checked index of a road.
 

@@ -66,7 +66,7 @@ def snapshots(
             speed=speed,
             duration=seconds,
             observation=getattr(controller, "observation", "measured"),
-            preview=getattr(controller, "preview", 0.0) or CONTROL_STEP,
+            preview=getattr(controller, "preview", 0.0) or None,
             render_mode="rgb_array",
         )
         controller.reset()

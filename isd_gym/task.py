@@ -87,7 +87,9 @@ class Options:
         put = object.__setattr__
         for name, known in (("observation", OBSERVATIONS), ("reward", REWARDS), ("action", ACTIONS)):
             if getattr(self, name) not in known:
-                raise InputError(f"{name} must be one of {', '.join(known)}, not {shown(getattr(self, name))}")
+                raise InputError(
+                    f"{name} must be one of {', '.join(known)}, not {shown(getattr(self, name))}"
+                )
         if self.preview is not None and self.observation != "preview":
             raise InputError('preview is for observation="preview" alone; leave it out')
         if self.preview is None and self.observation == "preview":
@@ -99,18 +101,34 @@ class Options:
             *([("preview", 0.0, FARTHEST, "s")] if self.preview is not None else []),
         ):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not low <= value <= high:
-                raise InputError(f"{name} must be a number from {low:g} to {high:g} {unit}, not {shown(value)}")
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | float | np.number)
+                or not low <= value <= high
+            ):
+                raise InputError(
+                    f"{name} must be a number from {low:g} to {high:g} {unit}, not {shown(value)}"
+                )
             put(self, name, float(value))
-        if isinstance(self.hold, bool) or not isinstance(self.hold, int | np.integer) or not 1 <= self.hold <= HELD:
-            raise InputError(f"hold must be a whole number of control steps from 1 to {HELD}, not {shown(self.hold)}")
+        if (
+            isinstance(self.hold, bool)
+            or not isinstance(self.hold, int | np.integer)
+            or not 1 <= self.hold <= HELD
+        ):
+            raise InputError(
+                f"hold must be a whole number of control steps from 1 to {HELD}, not {shown(self.hold)}"
+            )
         for name in ("cost", "sensors", "randomize"):
             value = getattr(self, name)
-            own = {"cost": (StageCost, Mapping), "sensors": (Sensors, Mapping, str), "randomize": (Mapping,)}[name]
+            own = {"cost": (StageCost, Mapping), "sensors": (Sensors, Mapping, str), "randomize": (Mapping,)}[
+                name
+            ]
             if value is not None and not isinstance(value, own):
                 raise InputError(f"{name} must be a mapping of names to values, not {shown(value)}")
         if self.network is None or isinstance(self.network, list | tuple):
-            raise InputError(f"network must be a name, a file, its content or a Network, not {shown(self.network)}")
+            raise InputError(
+                f"network must be a name, a file, its content or a Network, not {shown(self.network)}"
+            )
         network = Network.load(self.network)
         put(self, "network", network)
         put(self, "road", road(self.road))

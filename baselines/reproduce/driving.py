@@ -94,7 +94,7 @@ def score_rows(found: Score, label: str) -> list[Sequence[str]]:
 
 
 def still(duration: float) -> np.ndarray:
-    """Return cost [-], acceleration [m/s^2], travel [m] and tyre load [N] of the conventional passive car on the road of seed 0.
+    """Return cost [-], acceleration [m/s^2], travel [m] and tyre load [N] of the conventional passive car on the first scoring road.
 
     Args:
         duration: Length of the episode [s].

@@ -17,6 +17,7 @@ from isd_gym.report.plots import (
 )
 from isd_gym.report.plots import Picture as PagePicture
 from isd_gym.scoring import PAPER, Score
+from isd_gym.seeds import road_name
 
 from .. import CONTROLLERS
 from ..clairvoyant import clairvoyant
@@ -233,7 +234,7 @@ def _histories(study: Study, found: Score, name: str) -> PagePicture:
     fig.legend(handles, labels, loc="outside upper left", ncols=4)
     return study.picture(
         fig, "figure_10_time", "Figure 10, time", "Three signals over five seconds",
-        f"Figure 10 anew, in time: five seconds of a middling episode (seed {found.seed + episode}).",
+        f"Figure 10 anew, in time: five seconds of a middling episode ({road_name(found.seed, episode)}).",
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..errors import InputError, shown
 from ..inputs import read_json
+from ..seeds import named_roads
 from .scoring import compare
 
 if TYPE_CHECKING:
@@ -178,7 +179,7 @@ def match(score: Mapping[str, Any], card: Mapping[str, Any]) -> dict[str, Any]:
         if own.shape != other.shape or not np.allclose(
             own, other, rtol=CLOSE, atol=CLOSE * np.abs(other).max()
         ):
-            raise InputError(f"the score's roads are not those of {card['environment']}, whatever its seeds")
+            raise InputError(f"the score's roads are not those of {card['environment']}")
         return one
     raise InputError(f"the score is on no track of {card['environment']} ({'; '.join(whys)})")
 
@@ -290,7 +291,7 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
         lines.append("| " + " | ".join(cells) + " |")
     what = (
         f"`{card['environment']}`, {one['track']}: road `{one['road']}`, {one['speed']['value']:g} m/s, {one['episodes']} × "
-        f"{one['duration']['value']:g} s, seeds {one['seed']} to {one['seed'] + one['episodes'] - 1}. RMS; below each, the change "
+        f"{one['duration']['value']:g} s, {named_roads(one['seed'], one['episodes'])}. RMS; below each, the change "
         "against `passive` with its 95 % paired interval."
     )
     made = f"Made by `{one['command']}` on {card['date']}, version {card['version']}; card {card['digest'][:16]}."

@@ -188,17 +188,19 @@ def travel(
     env: ISDSuspensionVectorEnv,
     steps: int,
     *,
-    seed: int = 0,
+    seed: int | None = None,
+    first: int = 0,
     dtype: DTypeLike = float,
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[Leg]:
-    """Drive all cars from their start; episode i has the road of seed ``seed + i``.
+    """Drive all cars from their start; episode i has the road of seed ``seed + first + i``, or scoring road ``first + i``.
 
     Args:
         crew: The policy.
         env: Environment with one car per car of the crew.
         steps: Number of control steps.
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads, which no seed reaches.
+        first: Index of the first episode.
         dtype: Type of the commands, which are limited to the action space.
         progress: Called now and then with the finished share.
 
@@ -209,7 +211,7 @@ def travel(
         InputError: A car breaks, or the policy commands another number of currents.
     """
     crew.reset()
-    obs, _ = env.reset(seed=seed)
+    obs, _ = env.reset(options={"scoring_road": first}) if seed is None else env.reset(seed=seed + first)
     for k in range(steps):
         seen = obs
         actions = _commands(crew, seen, env, dtype)

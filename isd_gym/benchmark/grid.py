@@ -1,7 +1,7 @@
 """Grids of sweeps: policies x conditions x roads in one readable file (TOML or JSON).
 
     policies = ["isd-passive", "lqg", "mpc-friction", "runs/ppo/policy"]
-    episodes = 32          # roads per condition, seeds from `seed`
+    episodes = 32          # scoring roads per condition; seeds from `seed`, if given
     batch = 8              # roads per item: the loss when a worker dies
     duration = 20.0        # s
 
@@ -190,7 +190,7 @@ class Grid:
         policies: Names of policies.
         conditions: Conditions.
         episodes: Number of roads per condition.
-        seed: Seed of the first road.
+        seed: Seed of the first road; None for the scoring roads.
         batch: Number of roads per item.
         duration: Length of a road [s].
         random: Table [random] of the file.
@@ -199,13 +199,13 @@ class Grid:
     policies: tuple[str, ...]
     conditions: tuple[Condition, ...]
     episodes: int = 32
-    seed: int = 0
+    seed: int | None = None
     batch: int = 8
     duration: float = 20.0
     random: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, least in (("episodes", 1), ("seed", 0), ("batch", 1)):
+        for name, least in (("episodes", 1), *([("seed", 0)] if self.seed is not None else []), ("batch", 1)):
             if not _whole(value := getattr(self, name), least):
                 raise InputError(f"{name} must be a whole number from {least} on, not {shown(value)}")
         if not (_number(self.duration) and self.duration > 0):
@@ -316,10 +316,11 @@ class Grid:
         given = condition.to_dict()
         given.pop("episodes", None)
         files = belongings((policy, condition.network, condition.road, condition.model or ""))
-        out, stop = [], self.seed + (condition.episodes or self.episodes)
-        for first in range(self.seed, stop, self.batch):
+        out, stop = [], condition.episodes or self.episodes
+        for first in range(0, stop, self.batch):
             roads = {
-                "seed": first,
+                "seed": self.seed,
+                "first": first,
                 "episodes": min(self.batch, stop - first),
                 "duration": self.duration,
             }

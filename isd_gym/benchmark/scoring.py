@@ -14,6 +14,7 @@ from ..cost import StageCost, square
 from ..errors import InputError, shown
 from ..network import Network
 from ..road import road as find_road
+from ..seeds import generators, named_roads
 from ..sensors import Sensors
 from ..vehicle import Corner, Vehicle, vehicle
 from .driving import Controller, Crew, Entry, Idle, travel
@@ -219,7 +220,8 @@ def drive(
     road: Any = "paper",
     speed: float = 20.0,
     episodes: int = 32,
-    seed: int = 0,
+    seed: int | None = None,
+    first: int = 0,
     duration: float = 20.0,
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
@@ -227,7 +229,7 @@ def drive(
     timed: int = TIMED,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
-    """Drive one policy over all episodes; episode i has the road of the environment with seed ``seed + i``.
+    """Drive one policy over all episodes, on consecutive roads.
 
     Args:
         entry: The policy, on its own plant, if any.
@@ -235,7 +237,8 @@ def drive(
         road: The road.
         speed: Speed [m/s].
         episodes: Number of episodes.
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads.
+        first: Index of the first episode.
         duration: Length of an episode [s].
         cost: Stage cost of the reward; None for the usual one.
         randomize: Ranges of the environment.
@@ -259,7 +262,7 @@ def drive(
         road=road,
         speed=speed,
         observation=crew.observation,
-        preview=crew.preview or CONTROL_STEP,
+        preview=crew.preview or None,
         cost=cost,
         randomize=randomize,
         duration=duration,
@@ -272,7 +275,7 @@ def drive(
     width = len(car.channels)
     signals = np.empty((len(names), steps, episodes))
     seen = []
-    for leg in travel(crew, env, steps, seed=seed, progress=progress):
+    for leg in travel(crew, env, steps, seed=seed, first=first, progress=progress):
         k = leg.step
         signals[:width, k], signals[width:, k] = batch.out[:width], batch.currents
         if crew.batched and k < timed:
@@ -441,25 +444,25 @@ def compare(name: str, values: np.ndarray, ground: np.ndarray, unit: str) -> dic
     return quantity
 
 
-def fingerprints(road: Any, speed: float, duration: float, seed: int, episodes: int) -> list[list[float]]:
+def fingerprints(
+    road: Any, speed: float, duration: float, seed: int | None, episodes: int
+) -> list[list[float]]:
     """Return a fingerprint of each episode's road: its heights at every tenth of the episode.
 
     Args:
         road: The road.
         speed: Speed [m/s].
         duration: Length of an episode [s].
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads.
         episodes: Number of episodes.
 
     Returns:
         Heights [m] of each road.
     """
-    from gymnasium.utils import seeding
-
     ground = find_road(road)
     out = []
-    for i in range(seed, seed + episodes):
-        heights = ground.heights(duration, speed=speed, rng=seeding.np_random(i)[0])
+    for rng in generators(seed, 0, episodes):
+        heights = ground.heights(duration, speed=speed, rng=rng)
         rows = heights[np.linspace(0, len(heights) - 1, 11).astype(int)[1:]]
         out.append([float(f"{h:.9g}") for h in rows])
     return out
@@ -475,7 +478,7 @@ class Score:
         network: Name of the plant.
         episodes: Number of episodes.
         duration: Length of an episode [s].
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads.
         policies: One row per policy (`isd-score/1`).
         sensors: Imperfections of the sensors.
         raw: Values of `measures` by policy and name, one per episode.
@@ -494,7 +497,7 @@ class Score:
     network: str
     episodes: int
     duration: float
-    seed: int
+    seed: int | None
     policies: list[dict[str, Any]]
     sensors: Sensors = field(default_factory=Sensors)
     raw: dict[str, dict[str, list[float]]] = field(repr=False, default_factory=dict)
@@ -506,6 +509,11 @@ class Score:
     comparable: Comparable = field(default_factory=Comparable)
     cost: StageCost = field(default_factory=StageCost)
     point: str = ""
+
+    @property
+    def drives(self) -> str:
+        """Name of the roads, such as 'scoring roads 0 to 31'."""
+        return named_roads(self.seed, self.episodes)
 
     @property
     def comfort(self) -> str:
@@ -543,7 +551,7 @@ def unscored(
     speed: float,
     episodes: int,
     duration: float,
-    seed: int,
+    seed: int | None,
     sensors: Sensors | None = None,
 ) -> Score:
     """Return the conditions of a score before driving, without quantities and episodes.
@@ -555,7 +563,7 @@ def unscored(
         speed: Speed [m/s].
         episodes: Number of episodes.
         duration: Length of an episode [s].
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads.
         sensors: Imperfections of the sensors, if any.
 
     Returns:
@@ -583,7 +591,7 @@ def score(
     road: Any = "paper",
     speed: float = 20.0,
     episodes: int = 32,
-    seed: int = 0,
+    seed: int | None = None,
     duration: float = 20.0,
     cost: StageCost | None = None,
     randomize: dict[str, Any] | None = None,
@@ -605,7 +613,7 @@ def score(
         road: The road.
         speed: Speed [m/s].
         episodes: Number of episodes.
-        seed: Seed of the first episode.
+        seed: Seed of episode 0; None for the scoring roads.
         duration: Length of an episode [s].
         cost: Stage cost; None for the usual one of the car.
         randomize: Ranges of the environment.

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..files import claim_folder, write_text
 from ..inputs import is_number
 from ..network import Network
+from ..seeds import named_roads
 from .engine import Outcome, Task, shard, stored
 from .engine import run as run_tasks
 from .grid import SCHEMA, Condition, Grid, belongings
@@ -30,7 +31,8 @@ COMMANDS = ("given", "not_finite", "above_limit", "above_slew")
 
 def drive_item(
     policy: str,
-    seed: int,
+    seed: int | None,
+    first: int,
     episodes: int,
     duration: float,
     condition: dict[str, Any],
@@ -40,7 +42,8 @@ def drive_item(
 
     Args:
         policy: Name of the policy.
-        seed: Seed of the first road.
+        seed: Seed of road 0; None for the scoring roads.
+        first: Index of the first road.
         episodes: Number of roads.
         duration: Length of a road [s].
         condition: The condition, as plain data.
@@ -73,6 +76,7 @@ def drive_item(
         speed=c.speed,
         episodes=episodes,
         seed=seed,
+        first=first,
         duration=duration,
         sensors=c.sensors,
         timed=0,
@@ -353,7 +357,7 @@ def table(merged: Mapping[str, Any]) -> str:
         Text.
     """
     names, lines = rows(merged)
-    seeds = f"seeds {merged['seed']} to {merged['seed'] + merged['episodes'] - 1}"
+    seeds = named_roads(merged["seed"], merged["episodes"])
     text = [
         f"Change of J against the conventional passive car [%], 95 % paired intervals; {merged['episodes']} roads of "
         f"{merged['duration']['value']:g} s, {seeds}.",

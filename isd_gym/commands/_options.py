@@ -79,7 +79,13 @@ SpeedOption = Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)]
 
 DurationOption = Annotated[float, typer.Option(help="Length of an episode [s].", min=0.005)]
 
-SeedOption = Annotated[int, typer.Option(help="Seed of the first road. Episode i has seed + i.", min=0)]
+SeedOption = Annotated[
+    int | None,
+    typer.Option(
+        help="Seed of the first road, as in reset(seed=). Default: the scoring roads, which no seed reaches.",
+        min=0,
+    ),
+]
 
 PreviewOption = Annotated[
     float | None,

@@ -12,7 +12,7 @@ from ..plugins import REFERENCES, plugins
 
 
 def known_optimum(
-    plant: Any, road: Any, speed: float, episodes: int, seed: int, duration: float
+    plant: Any, road: Any, speed: float, episodes: int, seed: int | None, duration: float
 ) -> dict[str, Any] | None:
     """Return the least known cost of these episodes, its proven bound and the RMS of the signals, or None."""
     for point in plugins(REFERENCES, "clairvoyant"):

@@ -69,7 +69,7 @@ def print_score(result: Any) -> None:
     interval = ", 95 % interval" if result.episodes > 1 else "; one episode has no interval"
     title = (
         f"{plain(result.network)}, road {shown(result.road)}, {result.speed:g} m/s, {result.episodes} x {result.duration:g} s, "
-        f"seeds {result.seed} to {result.seed + result.episodes - 1}{sight}; RMS, change against passive{interval}"
+        f"{result.drives}{sight}; RMS, change against passive{interval}"
     )
     console.print(title)
     names = {"policy": [Text(plain(row["policy"], 40)) for row in result.policies]}

@@ -12,7 +12,6 @@ from ._options import (
     NetworkOption,
     PolicyArgument,
     RoadOption,
-    SeedOption,
     SpeedOption,
     TrustOption,
 )
@@ -24,7 +23,7 @@ def command(
         str, typer.Option("--out", help="New folder, or a Minari id such as isd/mpc-v0.", metavar="DIR|ID")
     ],
     episodes: Annotated[int, typer.Option(help="Number of roads.", min=1)] = 32,
-    seed: SeedOption = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the first road. Episode i has seed + i.", min=0)] = 0,
     duration: DurationOption = 20.0,
     road: RoadOption = "paper",
     speed: SpeedOption = 20.0,

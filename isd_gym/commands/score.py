@@ -41,7 +41,7 @@ def command(
     episodes: Annotated[
         int, typer.Option(help="Number of roads. All policies drive the same roads.", min=1)
     ] = 32,
-    seed: SeedOption = 0,
+    seed: SeedOption = None,
     duration: DurationOption = 20.0,
     preview: PreviewOption = None,
     against: Annotated[

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..files import check_folder, whole_folder, write_text
+from ..seeds import road_name
 from .charts import Axis, Chart, Item, Line, Marks, Panel, Rule, decades, picture
 from .plots import INK, LOOKS, MUTED, Look, density, looks, page, percent, style
 
@@ -309,17 +310,17 @@ def histories(shown: Shown) -> Chart:
             )
         return out
 
-    seed = shown.score.seed
     stride = f" One sample in {every} is drawn." if every > 1 else ""
     choices, captions = {}, {}
     for episode, words in (
         (middle, f"the median by the cost of {shown.reference}"),
         (hardest, f"the hardest for {shown.reference}"),
     )[: 1 + (hardest != middle)]:
-        name = f"seed {seed + episode}: {words}"
+        road = road_name(shown.score.seed, episode)
+        name = f"{road}: {words}"
         choices[name] = panels(episode)
         captions[name] = (
-            f"Episode with seed {seed + episode}, {words}: the {width * shown.step:g} s around the largest tyre load. Travel is "
+            f"Episode on {road}, {words}: the {width * shown.step:g} s around the largest tyre load. Travel is "
             f"positive in extension, tyre load in compression.{stride}{left_out}"
         )
     return Chart(
@@ -575,7 +576,7 @@ def distribution(shown: Shown) -> Chart | None:
             look, q = shown.looks[name], shown.rows[name][key]
             values = 100 * shown.change(name, key)
             notes = [
-                f"{name}, seed {shown.score.seed + k}: {title} {percent(v / 100)}"
+                f"{name}, {road_name(shown.score.seed, k)}: {title} {percent(v / 100)}"
                 for k, v in enumerate(values)
             ]
             dot = Look(look.colour, "-", "o")
