@@ -279,6 +279,7 @@ class Run:
         preview = max(s.ahead, critic)
         inner = make_vec_env(
             cars,
+            env_id="ISDSuspension-v0",
             rescale=False,
             stagger=True,
             network=self.plant,
@@ -287,7 +288,7 @@ class Run:
             randomize=self.spread,
             sensors=self.sensors,
             observation="preview" if preview else "measured",
-            preview=preview or 0.25,
+            preview=preview or None,
         )
         group = s.group if cars == s.cars else 1
         points = round(critic / self.memory.step)

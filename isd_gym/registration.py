@@ -8,6 +8,14 @@ ENVIRONMENTS = {
     "ISDHalfCar-v0": "half-car-isd",
     "ISDFullCar-v0": "full-car-isd",
 }
+#: environments with the options that learning algorithms need: scaled signals with memory, the effect of a car's own
+#: currents as the reward, changes of the currents as actions, each held for a while. The cars are those of the others.
+LEARNING = {
+    "ISDSuspensionLearning-v0": "quarter-car-isd",
+    "ISDHalfCarLearning-v0": "half-car-isd",
+    "ISDFullCarLearning-v0": "full-car-isd",
+}
+LEARNING_OPTIONS = {"observation": "history", "reward": "relative", "action": "increment", "hold": 2}
 EPISODE_STEPS = 4000  # 20 s at 5 ms
 #: Mean return from which on an environment counts as solved: the level of the best classical controllers on the 32 roads of
 #: the score (`mpc-friction` -2627, `lqg` -2629; `mpc` -2645 and the passive car -3427 stay below). None where no card exists.
@@ -19,12 +27,14 @@ def register() -> None:
     from gymnasium.envs.registration import register as add
     from gymnasium.envs.registration import registry
 
-    for name, network in ENVIRONMENTS.items():
+    all_ids = [(name, network, {}) for name, network in ENVIRONMENTS.items()]
+    all_ids += [(name, network, LEARNING_OPTIONS) for name, network in LEARNING.items()]
+    for name, network, options in all_ids:
         if name not in registry:
             add(
                 id=name,
                 entry_point="isd_gym.env:ISDSuspensionEnv",
                 vector_entry_point="isd_gym.env:ISDSuspensionVectorEnv",
                 reward_threshold=REWARD_THRESHOLDS.get(name),
-                kwargs={"network": network},
+                kwargs={"network": network, **options},
             )

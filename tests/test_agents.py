@@ -338,7 +338,7 @@ def sb3():
 def test_the_adapter_is_the_single_environment(sb3):
     from isd_gym.sb3 import make_vec_env
 
-    env = make_vec_env(3)
+    env = make_vec_env(3, env_id="ISDSuspension-v0")
     env.seed(11)
     obs = env.reset()
     single = gymnasium.make("ISDSuspension-v0")
@@ -360,7 +360,9 @@ def test_the_end_of_an_episode_is_told_as_sb3_wants_it(sb3):
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
-        make_vec_env(2, rescale=False, max_episode_steps=4, stagger=True), MEMORY, Head("increment")
+        make_vec_env(2, env_id="ISDSuspension-v0", rescale=False, max_episode_steps=4, stagger=True),
+        MEMORY,
+        Head("increment"),
     )
     env.seed(0)
     start = env.reset()
@@ -391,7 +393,7 @@ def test_numpy_does_what_sb3_would(sb3, kind, rescale, tmp_path):
 
     from isd_gym.sb3 import make_vec_env
 
-    env = VecNormalize(make_vec_env(4, rescale=rescale), clip_obs=5.0)
+    env = VecNormalize(make_vec_env(4, env_id="ISDSuspension-v0", rescale=rescale), clip_obs=5.0)
     model = trained(sb3, kind, env)
     model.save(tmp_path / "m.zip")
     env.save(str(tmp_path / "n.pkl"))
@@ -777,7 +779,7 @@ def test_on_a_spread_every_road_counts_the_same(sb3):
     from isd_gym.sb3 import make_vec_env
 
     def cost(even, **options):
-        cars = make_vec_env(16, rescale=False, max_episode_steps=300, **options)
+        cars = make_vec_env(16, env_id="ISDSuspension-v0", rescale=False, max_episode_steps=300, **options)
         env = Remember(cars, MEMORY, Head("increment"), even=even)
         env.seed(0)
         env.reset()
@@ -805,7 +807,10 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
     from isd_gym.sb3 import make_vec_env
 
     env = Remember(
-        make_vec_env(4, rescale=False, stagger=True, max_episode_steps=8), MEMORY, Head("increment"), group=2
+        make_vec_env(4, env_id="ISDSuspension-v0", rescale=False, stagger=True, max_episode_steps=8),
+        MEMORY,
+        Head("increment"),
+        group=2,
     )
     env.seed(3)
     env.reset()
