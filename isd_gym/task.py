@@ -252,11 +252,11 @@ class Task:
         self._weights = np.ones(count)
         self._usual = usual_level(self.batch) if options.per_level else 0.0
         self._slew = SLEW_RATE * control_step
-        is_current = options.action == "current"
-        self.actions = self.batch.target if is_current else np.zeros((of.currents, count))
+        self.actions = np.zeros((of.currents, count))
+        self._bind()
         self.is_plain = (
             options.hold == 1
-            and is_current
+            and options.action == "current"
             and options.reward == "cost"
             and self.history is None
             and not options.per_level
@@ -285,6 +285,15 @@ class Task:
             )
         )
         self.is_faulty = bool(self._channel_faults) or self._sight is not None
+
+    def _bind(self) -> None:
+        """Let commanded currents be written where the cars read them."""
+        if self.options.action == "current":
+            self.actions = self.batch.target
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
 
     def _make_spaces(self, extra: list[Any]) -> None:
         high = [signal.bound for signal in self.measured]

@@ -78,9 +78,9 @@ def test_spaces_follow_from_the_network(name):
     motions = env.task.vehicle.costs
     _, info = env.reset(seed=0)
     loads = [f"tyre_load_{corner}" for corner in CORNERS[name]]
-    assert set(info) == {"speed", *motions, *loads}
+    assert set(info) == {"speed", "cost", *motions, *loads, "exceeds_acceleration", "exceeds_travel"}
     _, reward, _, _, info = env.step(np.ones(corners, np.float32))
-    assert set(info) == {"speed", *motions, *loads}
+    assert set(info) == {"speed", "cost", *motions, *loads, "exceeds_acceleration", "exceeds_travel"}
     assert reward == pytest.approx(-sum(info[k] for k in motions), rel=1e-12)
     wide = gym.make(name, observation="full").unwrapped
     # position and velocity of the body's motions, and of wheel, piston and joint at each corner
@@ -176,7 +176,7 @@ def test_networks_that_are_no_cars(message):
         ({"cost": {"roll": 0.1}}, "does not roll"),
         ({"cost": {"yaw": 0.1}}, "no 'yaw'"),
         ({"cost": StageCost(travel_reference=(1e-3, 2e-3, 3e-3))}, "3 values for 2 corners"),
-        ({"cost": {"travel_reference": (1e-3, 0.0)}}, "must be > 0"),
+        ({"cost": {"travel_reference": (1e-3, 0.0)}}, "must be from 1e-12"),
         ({"randomize": {"wheel.mass": (0.8, 1.2)}}, "no parameter 'wheel.mass'"),
     ],
 )

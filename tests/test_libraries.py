@@ -14,7 +14,8 @@ from isd_gym.env import STEP_INFO
 
 NAME = "ISDSuspension-v0"
 CARS, STEPS = 3, 30
-KEYS = {"speed", *STEP_INFO}
+KEYS = {"speed", "cost", *STEP_INFO}
+MASKS = {f"_{key}" for key in KEYS}  # which cars of a batch have a number: all
 #: what these libraries warn of is theirs
 theirs = pytest.mark.filterwarnings("ignore")
 
@@ -75,10 +76,11 @@ def test_reset_and_step_tell_the_same(mode):
     env = cars(autoreset_mode=mode, cost={"tyre_load": 0.1, "current": 0.1})
     assert env.autoreset_mode is env.metadata["autoreset_mode"]
     _, info = env.reset(seed=0)
-    assert set(info) == KEYS and all(v.shape == (CARS,) for v in info.values())
+    assert set(info) == KEYS | MASKS and all(v.shape == (CARS,) for v in info.values())
+    assert all(info[mask].all() for mask in MASKS)
     assert not any(info[k].any() for k in STEP_INFO)  # a car at rest
     _, reward, *_, info = env.step(currents(1)[0])
-    assert set(info) == KEYS
+    assert set(info) == KEYS | MASKS
     np.testing.assert_allclose(reward, -sum(v for k, v in info.items() if k.startswith("cost_")))
     one = gym.make(NAME)
     _, first = one.reset(seed=0)

@@ -64,7 +64,7 @@ def test_same_roads_for_all_and_the_cost_is_the_reward():
     np.testing.assert_array_equal(runs[0].tyre_load, runs[1].tyre_load)
     env = gym.make("ISDSuspension-v0")
     for i in range(3):
-        env.reset(seed=i)
+        env.reset(options={"scoring_road": i})
         rewards = [env.step(np.zeros(1, np.float32))[1] for _ in range(400)]
         assert runs[0].cost(StageCost())[i] == pytest.approx(-np.mean(rewards), rel=1e-12)
 
