@@ -176,6 +176,34 @@ def wheelbase() -> str:
     return markdown(heads, body, "lrrrrrrr")
 
 
+def pulling() -> str:
+    """Share of the control steps in which the linear tyre pulls, by road and speed."""
+    found = json.loads((BENCHMARKS / "rough-roads.json").read_text(encoding="utf-8"))["shares"]
+    speeds = sorted({row["speed"] for row in found})
+    body = []
+    for name in ("quarter-car-passive", "quarter-car-isd", "half-car-isd", "full-car-isd"):
+        for road in ("C", "D", "E"):
+            share = {r["speed"]: r["share"] for r in found if (r["network"], r["road"]) == (name, road)}
+            body.append([f"`{name}`", road, *(f"{100 * share[speed]:.2f}" for speed in speeds)])
+    return markdown(["car", "class", *(f"{v:g} m/s" for v in speeds)], body, "ll" + "r" * len(speeds))
+
+
+def lift_off() -> str:
+    """Figures of the linear tyre over the figures of a tyre that lifts off."""
+    found = json.loads((BENCHMARKS / "rough-roads.json").read_text(encoding="utf-8"))
+    body = []
+    for row in found["effects"]:
+        change = {k: v / row["lifts_off"][k] - 1 for k, v in row["linear"].items() if k != "share"}
+        body.append(
+            [
+                f"`{row['network']}`",
+                row["road"],
+                *(percent(round(change[k], 4) + 0.0, 2) for k in ("cost", "acceleration", "tyre_load")),
+            ]
+        )
+    return markdown(["car", "road, 20 m/s", "J", "acceleration", "tyre load"], body, "llrrr")
+
+
 # --------------------------------------------------------------------------------------------------- learning
 
 
@@ -492,6 +520,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/tutorials/half-car.md": (half_car,),
     "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
+    "docs/explanation/road.md": (pulling, lift_off),
     "docs/explanation/study.md": (study_table, learned_preview, learned_half_car),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview, learned_half_car),

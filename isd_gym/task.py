@@ -16,6 +16,7 @@ from .errors import InputError, shown
 from .network import Network
 from .road import Road, road
 from .sensors import Sensors, Sight
+from .tyre_contact import warn_of_pulling_tyres
 from .vehicle import Vehicle, state_channels, vehicle
 
 if TYPE_CHECKING:
@@ -130,8 +131,9 @@ class Task:
         self.vehicle: Vehicle = vehicle(self.network)
         self.measured = self.vehicle.measured
         self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads)
-        speed, control_step = options.speed, options.control_step
-        self.slowest = min(speed, *(options.randomize or {}).get("speed", (speed,)))
+        control_step, varied = options.control_step, options.randomize or {}
+        speed, speeds = options.speed, varied.get("speed", (options.speed,))
+        self.slowest = min(speed, *speeds)
         extra = state_channels(self.network) if options.observation == "full" or picture else []
         self.points = round(options.preview / control_step) if options.observation == "preview" else 0
         look = self.points * control_step
@@ -183,6 +185,9 @@ class Task:
             )
         )
         self.is_faulty = bool(self._channel_faults) or self._sight is not None
+        warn_of_pulling_tyres(
+            self.vehicle, [road(r) for r in varied.get("road", (options.road,))], max(map(float, speeds))
+        )
 
     def _make_spaces(self, extra: list[Any]) -> None:
         high = [signal.bound for signal in self.measured]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
 CURRENT_LIMIT = 5.0  # A, Table 5
+GRAVITY = 9.81  # m/s^2
 SLEW_LIMIT = 0.5  # A per control step, Table 5
 AXES = ("pitch", "roll")
 ROAD = "road_"  # prefix of the road inputs of cars with several corners
@@ -198,6 +199,20 @@ class Vehicle:
                 "centre of gravity"
             )
         return tuple(mass * round(float(part), 12) for part in parts)
+
+    @cached_property
+    def static_tyre_loads(self) -> tuple[float | None, ...]:
+        """Static load of each tyre [N]; None for a body that does not rest on its wheels."""
+        if not self.network.bodies:
+            return (GRAVITY * sum(self.network.masses.values()),)
+        try:
+            resting = self.resting_masses
+        except InputError:
+            return (None,) * len(self.corners)
+        return tuple(
+            GRAVITY * (mass + self.network.masses[corner.wheel])
+            for mass, corner in zip(resting, self.corners, strict=True)
+        )
 
     def quarter_car(self, corner: Corner) -> Network:
         """Return a corner as a quarter car: the elements of the corner, and the share of the body's mass that
