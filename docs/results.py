@@ -10,8 +10,10 @@ A table stands between the comments ``<!-- NAME: python docs/results.py -->`` an
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import datetime
 import importlib.metadata
+import inspect
 import json
 import re
 import sys
@@ -28,6 +30,8 @@ import study
 from isd_gym.baselines.ceiling import known
 from isd_gym.benchmark import cards
 from isd_gym.discrepancy.selection import criteria
+from isd_gym.registration import ENVIRONMENTS
+from isd_gym.task import Options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -202,6 +206,56 @@ def lift_off() -> str:
             ]
         )
     return markdown(["car", "road, 20 m/s", "J", "acceleration", "tyre load"], body, "llrrr")
+
+
+# ------------------------------------------------------------------------------------------------ environment
+
+SECTION = re.compile(r"^(Args|Raises):\n((?:    .*\n|\n)*)", re.MULTILINE)
+FIELD = re.compile(r"^    (\w+): ((?:.|\n {5,})*)", re.MULTILINE)
+
+
+def environment() -> str:
+    """Docstring of the environments as Markdown, with tables of the arguments and of the options."""
+    from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
+
+    names = ", ".join(f"`{name}`" for name in ENVIRONMENTS)
+    parts = [
+        f"## One car\n\n`gymnasium.make(name, **options)` with one of the names {names}.",
+        told(ISDSuspensionEnv, 3),
+    ]
+    parts += ["## Options", told(Options, 3), options(Options)]
+    parts += ["## Many cars", told(ISDSuspensionVectorEnv, 3)]
+    return "\n\n".join(parts)
+
+
+def told(of: type, level: int) -> str:
+    """A docstring as Markdown: headings from `level` on, sections as tables."""
+    text = inspect.cleandoc(of.__doc__ or "") + "\n"
+    text = re.sub(r"^## ", "#" * level + " ", text, flags=re.MULTILINE)
+
+    def table_of(section: re.Match[str]) -> str:
+        title, body = section.groups()
+        rows = [[f"`{name}`", " ".join(words.split())] for name, words in FIELD.findall(body)]
+        head = {"Args": ["argument", "meaning"], "Raises": ["error", "reason"]}[title]
+        return f"{markdown(head, rows, 'll')}\n\n"
+
+    return SECTION.sub(table_of, text).strip()
+
+
+def options(of: type) -> str:
+    """Fields of a dataclass as a table, with the comments above the fields."""
+    rows, comment = [], []
+    defaults = {f.name: f.default for f in dataclasses.fields(of)}
+    for line in map(str.strip, inspect.getsource(of).splitlines()):
+        if line.startswith("# "):
+            comment.append(line[2:])
+            continue
+        name = line.partition(":")[0]
+        if name in defaults and comment:
+            rows.append([f"`{name}`", f"`{defaults.pop(name)!r}`", " ".join(comment)])
+        comment = []
+    assert not defaults, f"options without a comment: {', '.join(defaults)}"
+    return markdown(["option", "default", "meaning"], rows, "lll")
 
 
 # --------------------------------------------------------------------------------------------------- learning
@@ -527,6 +581,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),
+    "docs/reference/environment.md": (environment,),
     "docs/reference/limits.md": (gates, limits, shares, search),
 }
 
