@@ -151,6 +151,36 @@ def test_videos(tmp_path):
         assert about["size"][0] * about["size"][1] == tiles * 960 * 600
 
 
+@theirs
+def test_videos_of_50_pictures_per_second(tmp_path):
+    pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
+    pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
+    import imageio.v3 as iio
+
+    from isd_gym.rendering import RecordVectorVideo, RecordVideo
+
+    one, twin = (gym.make(NAME, render_mode="rgb_array", max_episode_steps=40) for _ in range(2))
+    env = RecordVideo(one, str(tmp_path / "one"))
+    many = RecordVectorVideo(cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=8)
+    env.reset(seed=0), many.reset(seed=0), twin.reset(seed=0)
+    drawn = [twin.render()]
+    for k, a in enumerate(currents(40), 1):
+        over = env.step(a[0])[3]
+        twin.step(a[0])
+        if k <= 8:
+            many.step(a)
+        if k % 4 == 0:
+            drawn.append(twin.render())
+    assert over
+    np.testing.assert_array_equal(env.recorded_frames, drawn)
+    env.close(), many.close()
+    for folder, seconds in (("one", 0.2), ("many", 0.04)):
+        (film,) = (tmp_path / folder).glob("*.mp4")
+        about = iio.immeta(film, plugin="FFMPEG")
+        assert about["fps"] == 50
+        assert about["duration"] == pytest.approx(seconds, abs=0.021)  # real time
+
+
 # ----------------------------------------------------------------------------------------- others
 
 

@@ -47,7 +47,7 @@ def command(
     against: Annotated[
         str | None,
         typer.Option(
-            help="Compare with a benchmark card: ISDSuspension-v0, or a file. Its references are not driven again.",
+            help="Compare with a benchmark card: ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0, or a file. Its references are not driven again.",
             metavar="CARD",
         ),
     ] = None,
