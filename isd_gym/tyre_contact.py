@@ -47,6 +47,8 @@ def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
     """
     if ground.roughness == 0.0:
         return 0.0
+    from scipy.integrate import trapezoid
+
     loads = tuple(Channel(c.named("tyre_load"), "force", "N", at=c.road) for c in car.corners)
     response = transfer(replace(car.network, outputs=loads), FREQUENCIES)
     inputs = [channel.name for channel in car.network.inputs]
@@ -56,7 +58,7 @@ def pulling_share(car: Vehicle, ground: Road, speed: float) -> float:
         if static is None or _lifts_off(car, corner):
             continue
         gain = np.abs(response[:, i, inputs.index(corner.road_input)])
-        deviation = math.sqrt(float(np.trapezoid(gain**2 * density, FREQUENCIES)))
+        deviation = math.sqrt(float(trapezoid(gain**2 * density, FREQUENCIES)))
         share = max(share, 0.5 * math.erfc(static / (math.sqrt(2.0) * deviation)))
     return share
 
