@@ -37,7 +37,7 @@ def write_dataset(
     """Drive a policy and write observations, actions and rewards as a Minari data set.
 
     Episode i is the environment with the seed ``seed + i``. Observations are float32 (steps + 1, n). Actions
-    are float32 (steps, 1), the commanded current [A]. The data set stores its environment with the complete
+    are float32 (steps, currents), the commanded current of each motor [A]. The data set stores its environment with the complete
     network; `recover_environment()` creates the environment. An error leaves no files behind.
 
     Args:
@@ -89,9 +89,9 @@ def write_dataset(
         **({"preview": crew.preview} if crew.preview else {}),
     }
     env = ISDSuspensionVectorEnv(episodes, **kwargs, max_episode_steps=steps, autoreset_mode="disabled")
-    width = env.single_observation_space.shape[0]  # type: ignore[index]
-    observations = np.empty((episodes, steps + 1, width), np.float32)
-    actions = np.empty((episodes, steps, 1), np.float32)
+    seen, acted = env.single_observation_space, env.single_action_space
+    observations = np.empty((episodes, steps + 1, *seen.shape), np.float32)  # type: ignore[misc]
+    actions = np.empty((episodes, steps, *acted.shape), np.float32)  # type: ignore[misc]
     rewards = np.empty((episodes, steps))
     for leg in travel(crew, env, steps, seed=seed, dtype=np.float32, progress=progress):
         k = leg.step
@@ -114,8 +114,8 @@ def write_dataset(
         reserve(temporary, int(1.1 * size) + episodes * EPISODE_ROOM + DATASET_ROOM)
         storage = MinariStorage.new(
             temporary / data.relative_to(folder),
-            env.single_observation_space,
-            env.single_action_space,
+            seen,
+            acted,
             env_spec=spec,
         )
         storage.update_metadata(
