@@ -27,6 +27,7 @@ from isd_gym.files import claim_folder, held, write_text
 from isd_gym.inputs import read_json
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
+from isd_gym.registration import BY_CORNERS
 from isd_gym.road import road as find_road
 from isd_gym.scoring import Entry, drive, score
 from isd_gym.sensors import Sensors
@@ -48,8 +49,8 @@ FOLDER = (
     "run.json",
     ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"),
 )
-#: environment, and ending of the names of policies, by number of corners
-CARS = {1: ("ISDSuspension-v0", ""), 2: ("ISDHalfCar-v0", "-half-car"), 4: ("ISDFullCar-v0", "-full-car")}
+#: ending of the names of policies by number of corners
+ENDINGS = {1: "", 2: "-half-car", 4: "-full-car"}
 #: validation roads, used neither in training (seeds from 2e6) nor in scores (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
@@ -108,7 +109,7 @@ def train(
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
     plant = Network.load(network)
     corners = len(vehicle(plant).corners)
-    if corners not in CARS:
+    if corners not in ENDINGS:
         raise InputError(f"network '{plant.name}' has {corners} corners: policies are trained for 1, 2 or 4")
     if preview and corners > 1:
         raise InputError(
@@ -208,7 +209,7 @@ class Run:
         """Name of the policy."""
         ahead = self.settings.ahead
         name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
-        name += CARS[len(self.car.corners)][1]
+        name += ENDINGS[len(self.car.corners)]
         return f"{name}-robust" if self.spread else name
 
     @property
@@ -566,7 +567,7 @@ class Run:
         policy.info = {
             "algorithm": self.algorithm,
             "env": {
-                "id": CARS[len(self.car.corners)][0],
+                "id": BY_CORNERS[len(self.car.corners)],
                 "road": self.road,
                 "speed": {"value": self.speed, "unit": "m/s"},
                 "randomize": self.asked["randomize"],

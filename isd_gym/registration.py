@@ -8,6 +8,8 @@ ENVIRONMENTS = {
     "ISDHalfCar-v0": "half-car-isd",
     "ISDFullCar-v0": "full-car-isd",
 }
+#: environment by number of corners
+BY_CORNERS = {1: "ISDSuspension-v0", 2: "ISDHalfCar-v0", 4: "ISDFullCar-v0"}
 EPISODE_STEPS = 4000  # 20 s at 5 ms
 #: Mean return from which on an environment counts as solved: the level of the best classical controllers on the 32 roads of
 #: the score (`mpc-friction` -2627, `lqg` -2629; `mpc` -2645 and the passive car -3427 stay below). None where no card exists.

@@ -70,6 +70,7 @@ def write_dataset(
 
     from ..env import CONTROL_STEP, ISDSuspensionVectorEnv
     from ..network import builtin_networks
+    from ..registration import BY_CORNERS
     from .driving import Crew, travel
 
     if episodes < 1:
@@ -97,7 +98,8 @@ def write_dataset(
         k = leg.step
         observations[:, k], observations[:, k + 1] = leg.seen, leg.ahead
         actions[:, k], rewards[:, k] = leg.actions, leg.rewards
-    spec = gym.make("ISDSuspension-v0", **kwargs, max_episode_steps=steps).spec
+    name = BY_CORNERS.get(len(env.task.vehicle.corners), BY_CORNERS[1])
+    spec = gym.make(name, **kwargs, max_episode_steps=steps).spec
     last = np.zeros(steps, bool)
     last[-1] = True
     data = folder
