@@ -26,7 +26,7 @@ import numpy as np
 
 from ..elements import SensorDelay
 from ..errors import InputError, how_to_install
-from ..files import check_file, whole
+from ..files import check_file, whole, writing
 from ..network import Network
 from ..simulate import PHYSICS_STEP, Plant, effective_current, sense
 from ..units import TABLE, convert
@@ -382,10 +382,11 @@ def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = P
     )
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder) / f"fmu_{name.lower()}.py"
-        script.write_text(text, encoding="utf-8")
         paths = list(sys.path)
         try:
-            made = FmuBuilder.build_FMU(script, dest=folder)
+            with writing(folder, folder):
+                script.write_text(text, encoding="utf-8")
+                made = FmuBuilder.build_FMU(script, dest=folder)
         finally:
             sys.path[:] = paths
             sys.modules.pop(script.stem, None)
