@@ -22,6 +22,7 @@ from .task import Options, Task, info_maker
 from .vehicle import vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from .rendering import CarSnapshot, Renderer, Snapshot
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step
@@ -280,6 +281,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         InputError: An argument or option is invalid.
     """
 
+    _renderers: Sequence[Renderer] = ()  # Gymnasium closes an environment whose arguments were refused
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
         "render_fps": 200,
@@ -337,7 +339,6 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._oldest = 0
         self._onlookers = [Onlooker(self.task, i) for i in range(num_envs if render_mode is not None else 0)]
         self._zeros = np.zeros(num_envs)
-        self._renderers: list[Renderer] = []
 
     @property
     def network(self) -> Network:
@@ -482,10 +483,10 @@ class ISDSuspensionVectorEnv(VectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         for renderer in self._renderers:
             renderer.close()
-        self._renderers = []
+        self._renderers = ()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderers": []}
+        return {**self.__dict__, "_renderers": ()}
 
 
 def _threads(cars: int) -> int:

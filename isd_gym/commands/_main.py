@@ -17,7 +17,9 @@ from ._streams import prepare_streams
 def main() -> None:
     """Run the command line. Bad input gives one line on stderr and exit status 2, Ctrl-C gives 130."""
     prepare_streams()
-    os.environ["MPLBACKEND"] = "Agg"  # pages need no window; a notebook's own backend may not be installed here
+    os.environ["MPLBACKEND"] = (
+        "Agg"  # pages need no window; a notebook's own backend may not be installed here
+    )
     stopped = _listen()
     try:
         add_plugins()

@@ -63,4 +63,4 @@ def _closed(number: int) -> TextIO:
         os.dup2(handle, number)
     if handle != number:
         os.close(handle)
-    return open(os.devnull, "w" if number else "r", encoding="utf-8")  # noqa: SIM115
+    return open(os.devnull, "w" if number else "r", encoding="utf-8")
