@@ -23,6 +23,7 @@ from .vehicle import vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
     from .rendering import CarSnapshot, Renderer, Snapshot
 
 PICTURES = 50.0  # pictures per simulated second in a window; `render` may be called at every step

@@ -49,7 +49,8 @@ def writing(path: str | Path, place: str | Path) -> Iterator[None]:
     except BrokenPipeError:  # the reader of stdout has gone
         raise
     except OSError as error:
-        if error.filename is not None and Path(place) not in Path(os.fsdecode(error.filename)).parents:
+        named = [Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if name is not None]
+        if named and not any(Path(place) in file.parents for file in named):
             raise  # a file that is read meanwhile
         raise _cannot(Path(path), error) from None
 

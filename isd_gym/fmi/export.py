@@ -403,7 +403,7 @@ def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = P
         script = Path(folder) / f"fmu_{name.lower()}_{hashlib.sha256(text.encode()).hexdigest()[:12]}.py"
         paths = list(sys.path)
         try:
-            with writing(folder, folder):
+            with writing(folder, tempfile.gettempdir()):  # PythonFMU has a folder of its own there
                 script.write_text(text, encoding="utf-8")
                 made = FmuBuilder.build_FMU(script, dest=folder)
         finally:
