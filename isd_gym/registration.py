@@ -16,6 +16,8 @@ LEARNING = {
     "ISDFullCarLearning-v0": "full-car-isd",
 }
 LEARNING_OPTIONS = {"observation": "history", "reward": "relative", "action": "increment", "hold": 2}
+#: environment by number of corners
+BY_CORNERS = {1: "ISDSuspension-v0", 2: "ISDHalfCar-v0", 4: "ISDFullCar-v0"}
 EPISODE_STEPS = 4000  # 20 s at 5 ms
 #: Mean return from which on an environment counts as solved: the best classical controller of the card, rounded down to a
 #: multiple of 5 (`benchmarks/tracks.py` prints them). None where no card exists.

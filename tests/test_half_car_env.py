@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from scipy.integrate import trapezoid
 
 from isd_gym.cost import FULL_CAR, HALF_CAR, StageCost
 from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
@@ -382,7 +383,7 @@ def stationary_rms(name):
     if car.wheels.tracks == 2:
         power += 2 * ground.coherence(f / 20.0, car.wheels.width)[:, None] * np.real(left * right.conj())
     power *= ground.psd(f / 20.0)[:, None] / 20.0
-    return dict(zip([c.name for c in car.channels], np.sqrt(np.trapezoid(power, f, axis=0)), strict=True))
+    return dict(zip([c.name for c in car.channels], np.sqrt(trapezoid(power, f, axis=0)), strict=True))
 
 
 @pytest.mark.parametrize(("name", "cost"), [("half-car-passive", HALF_CAR), ("full-car-passive", FULL_CAR)])

@@ -12,10 +12,15 @@ import typer
 from ..errors import InputError, TyreContactWarning, plain
 from ._app import app
 from ._plugins import add_plugins
+from ._streams import prepare_streams
 
 
 def main() -> None:
     """Run the command line. Bad input gives one line on stderr and exit status 2, Ctrl-C gives 130."""
+    prepare_streams()
+    os.environ["MPLBACKEND"] = (
+        "Agg"  # pages need no window; a notebook's own backend may not be installed here
+    )
     stopped = _listen()
     warnings.showwarning = _warn
     try:

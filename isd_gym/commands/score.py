@@ -82,7 +82,7 @@ def command(
 
     Example: isd-gym score passive isd-passive mpc
     """
-    from ..benchmark.policies import find, passive
+    from ..benchmark.policies import find_all, passive
     from ..benchmark.scoring import score as run
     from ..benchmark.scoring import unscored
     from ..loggers import ChannelMap
@@ -101,9 +101,7 @@ def command(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    entries = [
-        find(name, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead) for name in policies
-    ]
+    entries = find_all(policies, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead)
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,
