@@ -185,7 +185,10 @@ def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kerne
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
         twin.__qualname__ = f"{plain.__name__}_{flavour}_{of:x}"
         name = _INSTEAD.get(plain, plain.__name__)
-        options = {"forceinline": plain in _CLOSE, "inline": "always" if plain in _INLINE else "never"}
+        options: dict[str, Any] = {
+            "forceinline": plain in _CLOSE,
+            "inline": "always" if plain in _INLINE else "never",
+        }
         if plain in _ENTRIES:
             names[name] = jit.compiled(**_ENTRY, **options)(twin)
         else:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-class _Files(IndexDataCacheFile):  # type: ignore[misc]
+class _Files(IndexDataCacheFile):
     """Index and data files of a function, the data with a digest."""
 
     def _load_index(self) -> Any:
@@ -46,7 +46,7 @@ class _Files(IndexDataCacheFile):  # type: ignore[misc]
             file.write(hashlib.sha256(dumped).digest() + dumped)
 
 
-class _Kept(FunctionCache):  # type: ignore[misc]
+class _Kept(FunctionCache):
     """Compiled versions of a function on disk."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -99,7 +99,7 @@ def check_compiler() -> None:
     Raises:
         InputError: The environment variable NUMBA_DISABLE_JIT is set.
     """
-    if nb.config.DISABLE_JIT:
+    if nb.config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise InputError(
             "NUMBA_DISABLE_JIT is set, but the kernel runs only compiled: unset NUMBA_DISABLE_JIT"
         )
