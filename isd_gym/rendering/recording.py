@@ -24,8 +24,8 @@ class _EveryNthStep:
     """
 
     metadata: Any
-    frames_per_sec: float
-    video_length: float
+    frames_per_sec: Any
+    video_length: Any
 
     def _set_pace(self, fps: float) -> None:
         """Choose n for the wanted pictures per second, and n times as short a film for a length in steps."""
