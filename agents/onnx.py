@@ -113,7 +113,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         change = node("Sub", [blocks[-1], part("memory", n * k, n * (k + 1), f"old{k}")], f"change{k}")
         scaled = node("Mul", [change, constant(f"ratio{k}", ratio)], f"scaled{k}")
         blocks.append(node("Mul", [scaled, keep], f"x{k + 1}"))
-    for j, (i, decay, gain) in enumerate(recall.leaks):
+    for j, (i, decay, gain) in enumerate(zip(recall.leaks, recall.keep, recall.gain, strict=True)):
         at = n * (memory.order + 1) + j
         old = node("Mul", [part("memory", at, at + 1, f"leak{j}"), constant(f"decay{j}", decay)], f"kept{j}")
         new = node(

@@ -152,7 +152,7 @@ def _source(policy: Policy, name: str) -> str:
         )
     see.append(f"    for (int i = 0; i < {n}; i++) f[{n * memory.order} + i] = now[i];")
     at = n * (memory.order + 1)
-    for j, (i, keep, gain) in enumerate(recall.leaks, at):
+    for j, (i, keep, gain) in enumerate(zip(recall.leaks, recall.keep, recall.gain, strict=True), at):
         see.append(f"    f[{j}] = f[{j}] * {_number(keep)} + y[{i}] * {_number(gain)};")
     road = at + len(recall.leaks)
     rises = ""

@@ -33,13 +33,13 @@ from isd_gym.sensors import Sensors
 from isd_gym.vehicle import vehicle
 
 from . import checkpoint
+from .memory import Memory
 from .policy import Head, Policy
-from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, memory_of, robust, tuned
+from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, robust, tuned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from .memory import Memory
 
 SCHEMA = "isd-training/1"
 #: kind, mark and parts of the folder of a run
@@ -220,7 +220,7 @@ class Run:
     def _memory(self) -> Memory:
         """Return the memory of the settings, with the filter of this network on request and if possible."""
         s = self.settings
-        memory = s.memory or memory_of(self.car)
+        memory = s.memory or Memory.of(self.car)
         memory = replace(memory, ahead=steps_ahead(s.ahead, memory.step))
         if not s.filter:
             return memory
