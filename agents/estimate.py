@@ -79,7 +79,7 @@ def _spread(controller: Lqg, network: Network, control_step: float) -> np.ndarra
         network=network,
         control_step=control_step,
         observation=controller.observation,
-        preview=controller.preview or control_step,
+        preview=controller.preview or None,
         autoreset_mode="disabled",
     )
     obs, _ = env.reset(seed=SEED)

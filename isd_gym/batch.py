@@ -129,9 +129,9 @@ class Batch:
         self._ahead = np.zeros((wide, of.tracks * self.points))
         slowest = min(self.speed, *self.randomize.get("speed", (self.speed,)))
         longest = max(car.wheels.delays(slowest, physics_step))
-        self._kept = math.ceil(longest) + self.substeps + 2 if longest else 0
-        self._setup[place.KEPT] = self._kept
-        self._history = aligned(self.groups, of.tracks, self._kept, WIDTH)
+        self.kept = math.ceil(longest) + self.substeps + 2 if longest else 0
+        self._setup[place.KEPT] = self.kept
+        self._history = aligned(self.groups, of.tracks, self.kept, WIDTH)
         self.table = np.zeros(0)
         self._settings = np.zeros(of.lifted + len(self.channels) * of.corners)
         self._settings[[place.CURRENT_LIMIT, place.SLEW_LIMIT]] = CURRENT_LIMIT, SLEW_RATE * control_step
@@ -230,9 +230,14 @@ class Batch:
         self._first_said, self.first_seen = said[:, 0], seen[0]
         self._calls = [(*self._drive_arguments, said.reshape(-1), seen, *share) for share in self._shares]
 
-    def renew(self) -> None:
-        """Release the results of the last step to the caller; the next step writes to new arrays."""
-        self._write_to(np.empty(self._said.shape), np.empty(self.seen.shape, np.float32))
+    def renew(self, seen: np.ndarray | None = None) -> None:
+        """Release the results of the last step to the caller; the next step writes to new arrays.
+
+        Args:
+            seen: Array (count, width) float32 for the next observations; None for a new one.
+        """
+        fresh = np.empty(self.seen.shape, np.float32) if seen is None else seen
+        self._write_to(np.empty(self._said.shape), fresh)
 
     def __getstate__(self) -> dict[str, Any]:
         views = ("cars", "out", "counters", "target", "first_targets", "_setup")
@@ -382,15 +387,87 @@ class Batch:
             ways[:, t, i] = at, at + length
 
     def _redraw(self, i: int, rng: np.random.Generator) -> None:
-        from .network import assemble
-
         nominal = self._bare.parameters
         values = {k: nominal[k] * float(rng.uniform(*v)) for k, v in self._spread.items() if k in nominal}
         for name, value in values.items():
             self.drawn[name][i] = value
+        self._build(i, values)
+
+    def _build(self, i: int, values: Mapping[str, float]) -> None:
+        """Give car i these values of the drawn parameters."""
+        from .network import assemble
+
         asm = assemble(self._bare.with_parameters(values), self.channels)
         part = discretise(asm, self.plant.step, self.plant.u_columns)
         self.plant.place(self._mats, i, part)
+
+    def get_state(self, i: int) -> dict[str, Any]:
+        """Return the state of a car and of the road that is drawn for it.
+
+        Args:
+            i: Index of the car.
+
+        Returns:
+            Arrays and numbers by name, for `set_state` of any batch with the same network and options.
+        """
+        (group, lane), of, tracks = divmod(i, WIDTH), self.of, self.of.tracks
+        slot = len(self.table) // (self.count * tracks)
+        ways = self._ways[:, i].copy()
+        begin = slot * (i * tracks + np.arange(tracks))
+        ends = ways[of.profile_end : of.profile_end + tracks]
+        profile = [self.table[a:b].copy() for a, b in zip(begin, ends, strict=True) if b > 0]
+        if profile:
+            ways[of.profile : of.profile_end] -= begin
+        now, kept = int(self._setup[place.NOW]), int(self._setup[place.KEPT_NOW])
+        return {
+            "states": self._states[group, :, lane].copy(),
+            "cars": self._cars[:, i].copy(),
+            "ways": ways,
+            "profile": np.array(profile) if profile else np.empty((tracks, 0)),
+            "past": self._past[:, :, i].copy(),
+            "rings": np.roll(self._rings[:, :, :, i], -now, axis=2),
+            "ahead": np.roll(self._ahead[i].reshape(tracks, self.points), -now, axis=1),
+            "history": np.roll(self._history[group, :, :, lane], -kept, axis=1),
+            "said": self._said[:, i].copy(),
+            "seen": self.seen[i].copy(),
+            "speed": float(self.speeds[i]),
+            "drawn": {name: values[i] for name, values in self.drawn.items()},
+        }
+
+    def set_state(self, i: int, state: Mapping[str, Any]) -> None:
+        """Put a car into a state of `get_state`.
+
+        Args:
+            i: Index of the car.
+            state: State of a car with the same network and options.
+        """
+        (group, lane), of, tracks = divmod(i, WIDTH), self.of, self.of.tracks
+        if self._spread:
+            self._build(i, {name: state["drawn"][name] for name in self._spread})
+        for name, value in state["drawn"].items():
+            self.drawn[name][i] = value
+        self._give(i, state["profile"])
+        begin = self._ways[of.profile : of.profile_end, i].copy()
+        ways = state["ways"].copy()
+        if state["profile"].shape[1]:
+            ways[of.profile : of.profile_end] += begin
+            ways[of.profile_end : of.profile_end + tracks] = self._ways[
+                of.profile_end : of.profile_end + tracks, i
+            ]
+        now, kept = int(self._setup[place.NOW]), int(self._setup[place.KEPT_NOW])
+        self._states[group, :, lane], self._cars[:, i], self._ways[:, i] = (
+            state["states"],
+            state["cars"],
+            ways,
+        )
+        self._past[:, :, i] = state["past"]
+        self._rings[:, :, :, i] = np.roll(state["rings"], now, axis=2)
+        self._ahead[i] = np.roll(state["ahead"], now, axis=1).ravel()
+        self._history[group, :, :, lane] = np.roll(state["history"], kept, axis=1)
+        said, seen = self._said.copy(), self.seen.copy()  # arrays that were handed out stay unchanged
+        said[:, i], seen[i] = state["said"], state["seen"]
+        self.speeds[i] = state["speed"]
+        self._write_to(said, seen)
 
     # ----------------------------------------------------------------------------------------- step
 
@@ -409,8 +486,8 @@ class Batch:
             self.broken = sum(self._crew.do(drive, self._calls))
         if self.points:
             self._setup[place.NOW] = (self._setup[place.NOW] + 1) % self.points
-        if self._kept:
-            self._setup[place.KEPT_NOW] = (self._setup[place.KEPT_NOW] + self.substeps) % self._kept
+        if self.kept:
+            self._setup[place.KEPT_NOW] = (self._setup[place.KEPT_NOW] + self.substeps) % self.kept
         return self.out
 
     def _compiled(self) -> Callable[..., int]:

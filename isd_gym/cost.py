@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 Signal = TypeVar("Signal", float, np.ndarray)
 MOTIONS = ("acceleration", "pitch", "roll")
 TERMS = (*MOTIONS, "travel", "tyre_load", "current")
+LARGEST = 1e12  # of weights and references, and of one over a reference
 
 
 def _is_number(value: Any) -> bool:
@@ -83,14 +84,18 @@ class StageCost:
     def __post_init__(self) -> None:
         for name in TERMS:
             weight, reference = getattr(self, name), getattr(self, f"{name}_reference")
-            if not (_is_number(weight) and weight >= 0.0):
-                raise InputError(f"the weight of {name} must be >= 0, not {shown(weight)}")
+            if not (_is_number(weight) and 0.0 <= weight <= LARGEST):
+                raise InputError(f"the weight of {name} must be from 0 to {LARGEST:g}, not {shown(weight)}")
             if name in ("travel", "tyre_load") and isinstance(reference, list | tuple):
                 reference = tuple(reference)
                 object.__setattr__(self, f"{name}_reference", reference)
             values = reference if isinstance(reference, tuple) else (reference,)
-            if not (values and all(_is_number(value) and value > 0.0 for value in values)):
-                raise InputError(f"the reference of {name} must be > 0, not {shown(reference)}")
+            if not (
+                values and all(_is_number(value) and 1 / LARGEST <= value <= LARGEST for value in values)
+            ):
+                raise InputError(
+                    f"the reference of {name} must be from {1 / LARGEST:g} to {LARGEST:g}, not {shown(reference)}"
+                )
 
     @classmethod
     def of(

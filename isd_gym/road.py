@@ -45,6 +45,11 @@ REFERENCE_FREQUENCY = 0.1  # n0 [cycle/m]
 ISO_CLASSES = {letter: 16e-6 * 4.0**i for i, letter in enumerate("ABCDEFGH")}
 PAPER_KAPPA = 5e-7  # m^3/cycle: Table 7's passive acceleration and tyre load within 1 %, travel 6 % less; Table 6 prints 5e-6
 PRINTED_KAPPA = 5e-6
+ROUGHEST, LARGEST_CUTOFF, HIGHEST = (
+    1e3,
+    1e3,
+    1e5,
+)  # limits of G(n0) [m^3], of n_c [cycle/m] and of heights [m]
 STEEPEST = 1.0  # median slope of a recorded profile [m/m]: no road is that steep, a forgotten unit is
 
 
@@ -68,11 +73,27 @@ class Road:
     shift: bool = False
 
     def __post_init__(self) -> None:
-        """Check the shape of the profile.
+        """Check the numbers, and the shape of the profile.
 
         Raises:
-            InputError: Profile and abscissa do not fit, or the profile has more than two tracks.
+            InputError: A number is not finite or implausible, profile and abscissa do not fit, or the profile has
+                more than two tracks.
         """
+        for name, value, most in (
+            ("roughness", self.roughness, ROUGHEST),
+            ("cutoff", self.cutoff, LARGEST_CUTOFF),
+        ):
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | float | np.number)
+                or not 0 <= value <= most
+            ):
+                raise InputError(
+                    f"road {shown(self.name)}: {name} must be a number from 0 to {most:g}, not {shown(value)}"
+                )
+        for name in ("abscissa", "profile"):
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _numbers(given, f"road {shown(self.name)}: {name}"))
         if (self.abscissa is None) != (self.profile is None):
             raise InputError(f"road {shown(self.name)}: give both abscissa and profile, or neither")
         if self.abscissa is None or self.profile is None:
@@ -82,6 +103,12 @@ class Road:
             raise InputError(
                 f"road {shown(self.name)}: a profile over {count} places has the shape ({count},) or "
                 f"(2, {count}) for left and right, not {shape}"
+            )
+        if not (np.diff(self.abscissa) >= 0).all():
+            raise InputError(f"road {shown(self.name)}: the places of a profile must not go back")
+        if np.abs(self.profile).max() > HIGHEST:
+            raise InputError(
+                f"road {shown(self.name)}: a height of {np.abs(self.profile).max():g} m is no road"
             )
 
     @property
@@ -277,6 +304,20 @@ class Road:
             gamma(n) [-], in the shape of `n`; the ordinary coherence is its square.
         """
         return coherence(n, width, self.cutoff)
+
+
+def _numbers(given: object, name: str) -> np.ndarray:
+    """Return finite numbers as an array of at least one element."""
+    try:
+        found = np.asarray(given)
+        if found.dtype.kind not in "fiu":
+            raise ValueError
+        found = found.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} must be an array of numbers") from None
+    if found.ndim == 0 or not found.size or not np.isfinite(found).all():
+        raise InputError(f"{name} must be finite numbers, at least one")
+    return found
 
 
 def _seed(rng: np.random.Generator) -> np.uint64:
