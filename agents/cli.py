@@ -13,6 +13,8 @@ from typing import Annotated, Any
 
 import typer
 
+from isd_gym.commands._options import TrainedOption
+
 
 class Algorithm(StrEnum):
     """Learning algorithms by name."""
@@ -144,8 +146,13 @@ def convert(
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
     normalize: Annotated[
         Path | None,
-        typer.Option("--normalize", help="The saved VecNormalize of the archive.", metavar="FILE"),
+        typer.Option(
+            "--normalize",
+            help="The saved VecNormalize of the archive. Default: <name>_vecnormalize.pkl or vecnormalize.pkl beside it.",
+            metavar="FILE",
+        ),
     ] = None,
+    trained_with: TrainedOption = None,
     network: Annotated[str, typer.Option(help="The network it was trained on.")] = "quarter-car-isd",
     onnx: Annotated[Path | None, typer.Option("--onnx", help="Write an ONNX file.", metavar="FILE")] = None,
     plain_c: Annotated[
@@ -158,7 +165,7 @@ def convert(
         ),
     ] = None,
 ) -> None:
-    """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX, plain C or a
+    """Turn a Stable-Baselines3 PPO, A2C, SAC, TD3, DDPG or TQC archive into a policy folder, or a policy into ONNX, plain C or a
     folder for a hub.
 
     The controllers mpc-friction, mpc-friction-preview and mpc-robust, with --network as their model, can be
@@ -168,18 +175,21 @@ def convert(
     """
     from isd_gym.errors import InputError
 
-    from .convert import WARNING
     from .convert import convert as run
+    from .convert import trained_options
     from .policy import Policy
 
     if out is None and onnx is None and plain_c is None and hub is None:
         raise InputError("nothing to write: give --out DIR, --onnx FILE, --c DIR or --hub DIR")
     if not os.path.exists(archive) and _controller(str(archive), out or hub, onnx, plain_c, network):
         return
-    if archive.suffix == ".zip":
-        if os.path.isfile(archive):
-            typer.echo(f"{archive}: {WARNING}", err=True)
-        policy = run(archive, normalize=normalize, network=network)
+    if archive.suffix.lower() == ".zip":
+        given: dict[str, Any] = dict(trained_options(trained_with) if trained_with else {})
+        if normalize is not None:
+            given["normalize"] = normalize
+        policy = run(archive, network=network, **given)
+        if "normalisation" in policy.info and "normalize" not in given:
+            typer.echo(f"{archive}: normalised by '{policy.info['normalisation']}' beside it", err=True)
     else:
         policy = Policy.load(archive)
     if out is not None:

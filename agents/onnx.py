@@ -125,7 +125,10 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         blocks += estimate(recall.filter, n * (memory.order + 1) + len(recall.leaks))
         offset = blocks[-1]
     features = node("Concat", blocks, "features", axis=1)
-    x = node("Sub", [features, constant("mean", policy.mean)], "centred")
+    x = features
+    if np.isfinite(policy.bound):
+        x = node("Clip", [x, constant("least", -policy.bound), constant("most", policy.bound)], "bounded")
+    x = node("Sub", [x, constant("mean", policy.mean)], "centred")
     x = node("Div", [x, constant("spread", policy.scale)], "normal")
     if np.isfinite(policy.clip):
         x = node("Clip", [x, constant("low", -policy.clip), constant("high", policy.clip)], "clipped")
