@@ -422,6 +422,10 @@ def convert(
     """
     path, where = Path(archive), shown(str(archive), 200)
     file = _Zip(read_bytes(path, ARCHIVE_LIMIT), where)
+    if "data" not in file.parts:
+        raise InputError(
+            f"{where} is not an archive of Stable-Baselines3, or not a whole one: it has no part 'data'"
+        )
     data = parse_json(file.read("data"), where)
     if not isinstance(data, Mapping):
         raise InputError(f"{where} is not an archive of Stable-Baselines3: its data is {shown(data)}")
