@@ -57,6 +57,13 @@ def train(
             help="Road ahead that the policy of a quarter car sees [s], e.g. 0.1; none unless given.", min=0.0
         ),
     ] = 0.0,
+    unaided: Annotated[
+        bool,
+        typer.Option(
+            "--from-nothing",
+            help="Train without a teacher and without the estimate of a Kalman filter among the features.",
+        ),
+    ] = False,
     sensors: Annotated[
         str,
         typer.Option(
@@ -69,7 +76,8 @@ def train(
 ) -> None:
     """Train a policy; a repeated call with the same folder continues an unfinished run.
 
-    The policy first imitates the friction-aware MPC, then PPO or SAC trains it. A policy of a half or full
+    The policy first imitates the friction-aware MPC, then PPO or SAC trains it; with --from-nothing it learns from
+    its own experience alone. A policy of a half or full
     car commands one current per motor, and knows the road ahead of the rear wheels from the front wheels.
     Ctrl-C saves the run and prints the command that continues it. Shows the cost J on validation roads, after
     the costs of the passive car and the baselines. The best policy is in DIR/policy, for `isd-gym score
@@ -95,6 +103,7 @@ def train(
             randomize=randomize,
             preview=preview,
             sensors=sensors,
+            unaided=unaided,
             say=say,
             progress=progress,
         )

@@ -306,6 +306,18 @@ def with_preview(settings: PPOSettings | SACSettings, preview: float) -> PPOSett
     return _far(settings) if preview else settings
 
 
+def from_nothing(settings: PPOSettings | SACSettings) -> PPOSettings | SACSettings:
+    """Return the settings without knowledge of a model: no teacher, and no estimate among the features.
+
+    Args:
+        settings: Settings of an algorithm.
+
+    Returns:
+        The changed settings.
+    """
+    return replace(settings, teacher=None, filter=False)
+
+
 def _far(settings: PPOSettings | SACSettings) -> PPOSettings | SACSettings:
     if isinstance(settings, PPOSettings):
         return replace(settings, gamma=0.995, tail=192, horizon=384)

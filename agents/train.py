@@ -35,7 +35,7 @@ from isd_gym.vehicle import vehicle
 from . import checkpoint
 from .memory import Memory
 from .policy import Head, Policy
-from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, robust, tuned
+from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, from_nothing, robust, tuned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -74,6 +74,7 @@ def train(
     preview: float = 0.0,
     sensors: Sensors | Mapping[str, Any] | str | None = None,
     settings: PPOSettings | SACSettings | None = None,
+    unaided: bool = False,
     say: Callable[[str], None] = print,
     progress: Callable[[str, float], None] = lambda task, share: None,
 ) -> dict[str, Any]:
@@ -93,6 +94,7 @@ def train(
         preview: Road ahead that the policy of a quarter car sees [s].
         sensors: Imperfections of the sensors.
         settings: Settings of the algorithm; the tuned ones unless given.
+        unaided: Whether to train without a teacher and without an estimate among the features.
         say: Function that is given lines of progress.
         progress: Function that is given a task and the finished share of that task.
 
@@ -119,6 +121,8 @@ def train(
         settings = tuned(algorithm, vehicle(plant), preview)
     elif preview:
         settings = replace(settings, ahead=preview)
+    if unaided:
+        settings = from_nothing(settings)
     steps_ahead(preview, CONTROL_STEP)
     if steps is not None:
         if steps < 1:
@@ -539,9 +543,14 @@ class Run:
             One line.
         """
         s, usual = self.settings, tuned(self.algorithm, self.car, self.settings.ahead)
+        is_unaided = s.teacher is None and not s.filter
+        if is_unaided:
+            usual = from_nothing(usual)
         if describe(replace(s, steps=usual.steps)) != describe(usual):
             return "isd_gym.agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
+        if is_unaided:
+            words.append("--from-nothing")
         if s.steps != usual.steps:
             words.append(f"--steps {s.steps}")
         if self.plant != Network.load("quarter-car-isd"):
