@@ -11,23 +11,31 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
+import zipfile
+from contextlib import suppress
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym.errors import InputError, shown
-from isd_gym.inputs import read_json
+from isd_gym.files import writing
+from isd_gym.inputs import is_number, read_json
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 SCHEMA = "isd-checkpoint/1"
-NAME = re.compile(r"checkpoint-(\d{12})")
+NAME = re.compile(r"(\.?)checkpoint-(\d{12})")  # with a dot while it is written
 LEARNER, AVERAGE, STATE = "learner.safetensors", "average.npz", "state.json"
 BUFFER = ("explored", "observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+FILES = (LEARNER, AVERAGE, STATE, *(f"{key}.npy" for key in BUFFER))
 STEPS = 10**12  # above the number of steps of any run
+#: above every number of a learner; larger numbers overflow in a network of single precision
+LARGEST = 1e12
+#: parts of the actor, whose running mean a checkpoint holds
+ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
 
 
 def newest(folder: Path) -> Path | None:
@@ -39,10 +47,26 @@ def newest(folder: Path) -> Path | None:
     Returns:
         Folder of the checkpoint; None without a checkpoint.
     """
-    for stale in folder.glob(".checkpoint-*"):
-        shutil.rmtree(stale)
-    found = sorted(p for p in folder.glob("checkpoint-*") if NAME.fullmatch(p.name))
+    for stale in _written(folder, hidden=True):
+        _remove(stale)
+    found = [p for p in _written(folder) if (p / STATE).exists()]
     return found[-1] if found else None
+
+
+def _written(folder: Path, hidden: bool = False) -> list[Path]:
+    """Return the folders with the names that `write` gives, oldest first: complete ones, or those of a killed `write`."""
+    found = ((p, NAME.fullmatch(p.name)) for p in folder.iterdir())
+    own = [p for p, named in found if named and bool(named[1]) == hidden]
+    return sorted(p for p in own if p.is_dir() and not p.is_symlink())
+
+
+def _remove(checkpoint: Path) -> None:
+    """Delete the files that `write` wrote, and their folder unless somebody put more into it."""
+    for name in FILES:
+        with suppress(FileNotFoundError):
+            (checkpoint / name).unlink()
+    with suppress(OSError):
+        checkpoint.rmdir()
 
 
 def steps(checkpoint: Path) -> int:
@@ -72,25 +96,26 @@ def write(folder: Path, model: Any, average: dict[str, np.ndarray], state: dict[
     if place.exists():
         return
     temporary = folder / f".{place.name}"
-    temporary.mkdir()
-    # the library's own file writer raises other errors
-    (temporary / LEARNER).write_bytes(save(_tensors(model)))
-    arrays: dict[str, Any] = average
-    np.savez(temporary / AVERAGE, **arrays)
     held = {"updates": int(model._n_updates), "episodes": int(model._episode_num)}
-    if getattr(model, "replay_buffer", None) is not None:
-        buffer = model.replay_buffer
-        for key in BUFFER:
-            np.save(temporary / f"{key}.npy", getattr(buffer, key)[: _filled(buffer)])
-        held |= {"position": int(buffer.pos), "full": bool(buffer.full)}
-    (temporary / STATE).write_text(json.dumps({"schema": SCHEMA, "learner": held, **state}))
-    for file in temporary.iterdir():
-        with file.open("rb") as handle:
-            os.fsync(handle.fileno())
-    older = list(folder.glob("checkpoint-*"))
-    temporary.rename(place)
+    with writing(place, temporary):
+        temporary.mkdir(exist_ok=True)
+        # the library's own file writer raises other errors
+        (temporary / LEARNER).write_bytes(save(_tensors(model)))
+        arrays: dict[str, Any] = average
+        np.savez(temporary / AVERAGE, **arrays)
+        if getattr(model, "replay_buffer", None) is not None:
+            buffer = model.replay_buffer
+            for key in BUFFER:
+                np.save(temporary / f"{key}.npy", getattr(buffer, key)[: _filled(buffer)])
+            held |= {"position": int(buffer.pos), "full": bool(buffer.full)}
+        (temporary / STATE).write_text(json.dumps({"schema": SCHEMA, "learner": held, **state}))
+        for file in temporary.iterdir():
+            with file.open("rb") as handle:
+                os.fsync(handle.fileno())
+        older = _written(folder)
+        temporary.rename(place)
     for old in older:
-        shutil.rmtree(old)
+        _remove(old)
 
 
 def read(checkpoint: Path, model: Any) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -114,11 +139,11 @@ def read(checkpoint: Path, model: Any) -> tuple[dict[str, np.ndarray], dict[str,
         held = {k: int(v) for k, v in state.pop("learner").items()}
         if not all(0 <= v < STEPS for v in held.values()):
             raise InputError("its counts cannot be")
-        if not (_numbers(state) and isinstance(state["curve"], list) and len(state["references"]) > 0):
+        if not _sound(state):
             raise InputError(f"{STATE} says something else")
         _restore(model, checkpoint / LEARNER)
-        with np.load(checkpoint / AVERAGE, allow_pickle=False) as arrays:
-            average = {k: _like(k, arrays[k], model.policy.state_dict()[k]) for k in arrays.files}
+        wanted = {k: v for k, v in model.policy.state_dict().items() if k.startswith(ACTOR)}
+        average = dict(_averages(checkpoint / AVERAGE, wanted))
         model._n_updates, model._episode_num = held["updates"], held["episodes"]
         model.num_timesteps = steps(checkpoint)
         if getattr(model, "replay_buffer", None) is not None:
@@ -135,11 +160,35 @@ def read(checkpoint: Path, model: Any) -> tuple[dict[str, np.ndarray], dict[str,
     return average, state
 
 
-def _numbers(state: dict[str, Any]) -> bool:
+def _sound(state: dict[str, Any]) -> bool:
     """Return whether the times, costs and learning curve of a state have the form that a run writes."""
-    numbers = [state["seconds"], state["environment_seconds"], *state["references"].values()]
-    numbers += [row[key] for row in state["curve"] for key in ("steps", "seconds", "cost")]
-    return all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
+    times = [state["seconds"], state["environment_seconds"]]
+    rows = [[row[key] for key in ("steps", "seconds", "cost")] for row in state["curve"]]
+    costs = list(state["references"].values())
+    return (
+        isinstance(state["curve"], list)
+        and all(is_number(v) and 0 <= v < STEPS for v in (*times, *(v for row in rows for v in row)))
+        and len(costs) > 0
+        and all(is_number(v) and v > 0 for v in costs)  # changes are shares of the first one
+    )
+
+
+def _averages(path: Path, wanted: dict[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the arrays of an archive of `numpy.savez`, of known names and shapes; others are not unpacked."""
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+        if names and sorted(names) != sorted(f"{k}.npy" for k in wanted):
+            raise InputError(f"{path.name} does not hold the actor's arrays")
+        for name in names:
+            key = name.removesuffix(".npy")
+            with archive.open(name) as stream:
+                if np.lib.format.read_magic(stream) != (1, 0):
+                    raise InputError(f"{shown(name)} is of another version of numpy's format")
+                shape, _, kind = np.lib.format.read_array_header_1_0(stream)
+            _check(key, shape, kind, wanted[key])
+            with archive.open(name) as stream:
+                found = np.lib.format.read_array(stream, allow_pickle=False)
+            yield key, _like(key, found, wanted[key])
 
 
 def _filled(buffer: Any) -> int:
@@ -149,10 +198,17 @@ def _filled(buffer: Any) -> int:
     return int(buffer.buffer_size if buffer.full else buffer.pos)
 
 
+def _check(name: str, shape: tuple[int, ...], kind: np.dtype[Any], wanted: Any) -> None:
+    """Raise `InputError` for an array that holds no numbers, or has another shape than `wanted`."""
+    if kind.kind not in "fiub" or tuple(shape) != tuple(wanted.shape):
+        raise InputError(f"{shown(name)} is {kind} of shape {tuple(shape)}, not {tuple(wanted.shape)}")
+
+
 def _like(name: str, value: np.ndarray, wanted: Any) -> np.ndarray:
     """Return an array of numbers with the shape of `wanted`; raise `InputError` for other arrays."""
-    if value.dtype.kind not in "fiub" or value.shape != tuple(wanted.shape):
-        raise InputError(f"{shown(name)} is {value.dtype} of shape {value.shape}, not {tuple(wanted.shape)}")
+    _check(name, value.shape, value.dtype, wanted)
+    if value.size and not (np.abs(value, dtype=float) <= LARGEST).all():
+        raise InputError(f"{shown(name)} holds a number that is not finite, or beyond {LARGEST:g}")
     return value
 
 
@@ -181,36 +237,48 @@ def _tensors(model: Any) -> dict[str, np.ndarray]:
 
 def _restore(model: Any, path: Path) -> None:
     import torch
-    from safetensors.numpy import load_file
+    from safetensors import safe_open
 
-    found = load_file(path)
-    modules, variables = model._get_torch_save_params()
-    for name in modules:
-        if name.endswith("optimizer"):
-            continue
-        module = attrgetter(name)(model)
-        own = module.state_dict()
-        values = {k: _like(k, found.pop(f"{name}/{k}"), v) for k, v in own.items()}
-        module.load_state_dict({k: torch.from_numpy(np.array(v)) for k, v in values.items()})
-    with torch.no_grad():
-        for name in variables:
-            value = attrgetter(name)(model)
-            value.copy_(torch.from_numpy(_like(name, found.pop(name), value)))
-    for name, optimizer in _optimizers(model).items():
-        parameters = [p for group in optimizer.param_groups for p in group["params"]]
-        state: dict[int, dict[str, Any]] = {}
-        for full in [k for k in found if k.startswith(f"{name}/")]:
-            i, key = full.removeprefix(f"{name}/").split("/")
-            number = int(i)
-            wanted = np.empty(()) if key == "step" else parameters[number]
-            state.setdefault(number, {})[key] = torch.from_numpy(
-                np.array(_like(full, found.pop(full), wanted))
+    with safe_open(path, framework="numpy") as file:
+        left = set(file.keys())
+
+        def take(name: str, wanted: Any) -> Any:
+            if name not in left:
+                raise InputError(f"its learner lacks {shown(name)}")
+            left.discard(name)
+            shape = tuple(file.get_slice(name).get_shape())
+            if shape != tuple(wanted.shape):  # before it is read
+                raise InputError(f"{shown(name)} is of shape {shape}, not {tuple(wanted.shape)}")
+            return torch.from_numpy(np.array(_like(name, file.get_tensor(name), wanted)))
+
+        modules, variables = model._get_torch_save_params()
+        for name in modules:
+            if not name.endswith("optimizer"):
+                module = attrgetter(name)(model)
+                module.load_state_dict({k: take(f"{name}/{k}", v) for k, v in module.state_dict().items()})
+        with torch.no_grad():
+            for name in variables:
+                value = attrgetter(name)(model)
+                value.copy_(take(name, value))
+        for name, optimizer in _optimizers(model).items():
+            state = _moments(name, optimizer, [k for k in left if k.startswith(f"{name}/")], take)
+            optimizer.load_state_dict(
+                {"state": state, "param_groups": optimizer.state_dict()["param_groups"]}
             )
-        if any(
-            number < 0 or set(moments) != {"step", "exp_avg", "exp_avg_sq"}
-            for number, moments in state.items()
-        ):
-            raise InputError(f"its {shown(name)} is not Adam's")
-        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-    if found:
-        raise InputError(f"its learner holds {shown(min(found))}, which this one has not")
+    if left:
+        raise InputError(f"its learner holds {shown(min(left))}, which this one has not")
+
+
+def _moments(
+    optimizer_name: str, optimizer: Any, names: list[str], take: Callable[[str, Any], Any]
+) -> dict[int, dict[str, Any]]:
+    """Return the moments of an Adam optimiser by the number of the parameter."""
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    state: dict[int, dict[str, Any]] = {}
+    for full in names:
+        i, key = full.removeprefix(f"{optimizer_name}/").split("/")
+        number = int(i)
+        state.setdefault(number, {})[key] = take(full, np.empty(()) if key == "step" else parameters[number])
+    if any(n < 0 or set(moments) != {"step", "exp_avg", "exp_avg_sq"} for n, moments in state.items()):
+        raise InputError(f"its {shown(optimizer_name)} is not Adam's")
+    return state

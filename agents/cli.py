@@ -129,7 +129,6 @@ def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not sys.stderr.isatty(),
     )
     tasks: dict[str, Any] = {}
 
@@ -140,9 +139,14 @@ def _bar() -> Iterator[tuple[Callable[[str], None], Callable[[str, float], None]
             tasks[name] = bar.add_task(name, total=1.0)
         bar.update(tasks[name], completed=min(share, 1.0))
 
+    def say(line: str) -> None:  # wrapped at words, except for a command to be typed again
+        console.print(line, soft_wrap="isd-gym train" in line)
+
+    if not sys.stderr.isatty():  # a disabled bar prints an empty line
+        yield say, lambda name, share: None
+        return
     with bar:
-        # wrapped at words, except for a command to be typed again
-        yield (lambda line: console.print(line, soft_wrap="isd-gym train" in line)), progress
+        yield say, progress
 
 
 def convert(

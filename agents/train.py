@@ -13,6 +13,7 @@ import platform
 import shlex
 import time
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -23,10 +24,11 @@ import numpy as np
 
 from isd_gym.baselines.controller import steps_ahead
 from isd_gym.errors import InputError, how_to_install, shown
-from isd_gym.files import claim_folder, held, write_text
+from isd_gym.files import claim_folder, held, write_text, writing
 from isd_gym.inputs import read_json
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
+from isd_gym.registration import BY_CORNERS
 from isd_gym.road import road as find_road
 from isd_gym.scoring import Entry, drive, score
 from isd_gym.sensors import Sensors
@@ -48,12 +50,11 @@ FOLDER = (
     "run.json",
     ("run.json", "checkpoint-*", ".checkpoint-*", "tensorboard", "policy"),
 )
-#: environment, and ending of the names of policies, by number of corners
-CARS = {1: ("ISDSuspension-v0", ""), 2: ("ISDHalfCar-v0", "-half-car"), 4: ("ISDFullCar-v0", "-full-car")}
+#: ending of the names of policies by number of corners
+ENDINGS = {1: "", 2: "-half-car", 4: "-full-car"}
 #: validation roads, used neither in training (seeds from 2e6) nor in scores (seeds from 0)
 VALIDATION_SEED, VALIDATION_EPISODES = 900_000, 64
 SCORE_EPISODES = 32
-ACTOR = ("mlp_extractor.policy_net", "action_net", "actor.latent_pi", "actor.mu")
 #: shown beside the progress, where they exist: for quarter cars, and for cars with several corners
 BASELINES = ("lqg", "mpc-friction")
 CAR_BASELINES = ("lqg", "lqg-wheelbase")
@@ -110,7 +111,7 @@ def train(
         raise InputError(f"algorithm must be one of {', '.join(SETTINGS)}, not {algorithm!r}")
     plant = Network.load(network)
     corners = len(vehicle(plant).corners)
-    if corners not in CARS:
+    if corners not in ENDINGS:
         raise InputError(f"network '{plant.name}' has {corners} corners: policies are trained for 1, 2 or 4")
     if preview and corners > 1:
         raise InputError(
@@ -212,7 +213,7 @@ class Run:
         """Name of the policy."""
         ahead = self.settings.ahead
         name = f"{self.algorithm}-preview-{ahead:g}" if ahead else self.algorithm
-        name += CARS[len(self.car.corners)][1]
+        name += ENDINGS[len(self.car.corners)]
         return f"{name}-robust" if self.spread else name
 
     @property
@@ -346,23 +347,28 @@ class Run:
         if there is not None:
             self.average, self.state = checkpoint.read(there, model)
             self.say(f"resuming '{self.out}' at {done / 1e6:.2f} of {s.steps / 1e6:.2f} million steps")
-        elif s.teacher is not None:
-            self._imitate(model)
+            _check_finite(model)
         if "references" not in self.state:
             self.state["references"] = self._references()
+        if there is None and s.teacher is not None:
+            self._imitate(model)
         self.progress("preparing", 1.0)
         known = ", ".join(f"{name} {j:.4f}" for name, j in self.state["references"].items())
         self.say(f"J on the validation roads: {known}")
         if model.num_timesteps < s.steps:
             try:
-                model.learn(
-                    s.steps - model.num_timesteps,
-                    callback=_callback(self, env),
-                    reset_num_timesteps=False,
-                    tb_log_name=self.algorithm,
-                    log_interval=1 if self.algorithm == "ppo" else 50,
-                )
+                with writing(self.out / "tensorboard", self.out):
+                    model.learn(
+                        s.steps - model.num_timesteps,
+                        callback=_callback(self, env),
+                        reset_num_timesteps=False,
+                        tb_log_name=self.algorithm,
+                        log_interval=1 if self.algorithm == "ppo" else 50,
+                    )
                 self.progress("training", 1.0)
+            except ValueError:  # torch refuses what is not finite
+                _check_finite(model)
+                raise
             except KeyboardInterrupt:
                 self.save(model)
                 done = min(model.num_timesteps / s.steps, 1.0)
@@ -428,7 +434,7 @@ class Run:
             keep: Factor on the mean [-].
         """
         for name, value in model.policy.state_dict().items():
-            if name.startswith(ACTOR):
+            if name.startswith(checkpoint.ACTOR):
                 now = value.detach().numpy()
                 old = self.average.get(name)
                 self.average[name] = now.copy() if old is None else keep * old + np.float32(1 - keep) * now
@@ -496,6 +502,8 @@ class Run:
         # for varied cars, the same cars without current: the conventional car has no such parameters
         idle = find("isd-passive", self.plant) if self.spread else passive(self.plant)
         out = {idle.name: self.cost(idle)}
+        if not out[idle.name] > 0:
+            raise InputError(f"road {shown(self.road)} does not move the car: there is nothing to learn")
         for name in names:
             try:
                 rival = self._rival(name)
@@ -576,7 +584,7 @@ class Run:
         policy.info = {
             "algorithm": self.algorithm,
             "env": {
-                "id": CARS[len(self.car.corners)][0],
+                "id": BY_CORNERS[len(self.car.corners)],
                 "road": self.road,
                 "speed": {"value": self.speed, "unit": "m/s"},
                 "randomize": self.asked["randomize"],
@@ -629,6 +637,20 @@ class Run:
         }
 
 
+def _check_finite(model: Any) -> None:
+    """Raise `InputError` for a learner that diverged: its weights, or its actions at rest, are not finite."""
+    import torch
+
+    told = list(model.policy.parameters())
+    with torch.no_grad(), suppress(ValueError):  # torch refuses a distribution that is not finite
+        told.append(model.policy(torch.zeros(1, *model.observation_space.shape))[0])
+        if all(bool(torch.isfinite(numbers).all()) for numbers in told):
+            return
+    raise InputError(
+        f"the learner's numbers are not finite after {model.num_timesteps} steps: train into another folder"
+    )
+
+
 SHOW_EVERY = 0.2  # interval between progress reports [s]
 
 
@@ -655,6 +677,7 @@ def _callback(run: Run, env: Any) -> Any:
             self.clock, self.env_clock = now, env.seconds
 
         def _on_rollout_start(self) -> None:
+            _check_finite(self.model)
             # the first updates have less weight, so that the start does not dominate the mean
             self.rounds += 1
             run.follow(self.model, min(run.settings.averaging, self.rounds / (self.rounds + 9)))

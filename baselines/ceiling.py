@@ -594,12 +594,8 @@ def command(
     Example: isd-gym ceiling --preview 0 --preview 0.1
     """
     import json
-    import sys
 
-    from rich.console import Console
-    from rich.progress import track
-
-    from isd_gym.console import tell
+    from isd_gym.console import progress, tell
     from isd_gym.files import check_file, write_text
 
     if json_file is not None:
@@ -607,32 +603,17 @@ def command(
     found = []
     plant, ground = Network.load(network), find_road(road)
     for s in preview or [0.0]:
-        steps = iter(
-            track(
-                range(1000),
-                f"{s:g} s ahead",
-                console=Console(stderr=True),
-                transient=True,
-                disable=not sys.stderr.isatty(),
+        with progress() as update:
+            bound = ceiling(
+                plant,
+                preview=s,
+                road=ground,
+                speed=speed,
+                duration=duration,
+                episodes=episodes,
+                store=store,
+                progress=lambda share, s=s: update(f"{s:g} s ahead", share),  # type: ignore[misc]
             )
-        )
-        shown = 0
-
-        def advance(share: float) -> None:
-            nonlocal shown
-            while shown < 1000 * share and next(steps, None) is not None:  # noqa: B023
-                shown += 1
-
-        bound = ceiling(
-            plant,
-            preview=s,
-            road=ground,
-            speed=speed,
-            duration=duration,
-            episodes=episodes,
-            store=store,
-            progress=advance,
-        )
         assert bound is not None
         row = bound.to_dict()
         found.append(row)

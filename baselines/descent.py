@@ -13,9 +13,9 @@ import math
 import types
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numba as nb
 import numpy as np
 
+from isd_gym.kernel import jit
 from isd_gym.kernel.compiled import Kernel, kernel_of
 
 if TYPE_CHECKING:
@@ -248,7 +248,7 @@ def jacobian(car, path, delta, slopes):
                 slopes.outputs[k, i, l] = (y[i, l] - y[i, nz + 1]) / delta
 
 
-@nb.njit(error_model="numpy", cache=True)
+@jit.compiled(error_model="numpy")
 def backward(slopes, path, objective, duals, caution, plan):
     """Run one Riccati sweep about a trajectory, and fill the plan and its value function.
 
@@ -370,7 +370,7 @@ def _bind(own: Kernel) -> Compiled:
     for plain in (rollout, jacobian):
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
         twin.__qualname__ = f"{plain.__name__}_{flavour}"
-        made.append(nb.njit(twin, nogil=True, error_model="numpy", cache=True))
+        made.append(jit.compiled(nogil=True, error_model="numpy")(twin))
     return Compiled(*made)
 
 

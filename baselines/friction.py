@@ -20,13 +20,13 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-import numba as nb
 import numpy as np
 
 from isd_gym import elements as el
 from isd_gym.batch import CURRENT_LIMIT
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
+from isd_gym.kernel import jit
 from isd_gym.vehicle import SLEW_RATE
 
 from .controller import CURRENT, BatchController, rises, steps_ahead
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from isd_gym.network import Network
 
 
-@nb.njit(cache=True, error_model="numpy")
+@jit.compiled(error_model="numpy")
 def _forces(free, dry, level, slope, clear, coupling, spread, f, d):
     """Compute the forces f (nl,) of the laws at the end of a step, and their derivatives d (nl,) by their own rate or elongation.
 
@@ -89,7 +89,7 @@ def _forces(free, dry, level, slope, clear, coupling, spread, f, d):
                     f[j] = d[j] = 0.0
 
 
-@nb.njit(cache=True, error_model="numpy")
+@jit.compiled(error_model="numpy")
 def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds, ys):
     """Roll the plan forward, with the feedback of the sweep for alpha > 0; return its cost (half the stage costs)."""
     A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, V, slew = m
@@ -138,7 +138,7 @@ def _roll(x0, i0, moves, gains, nominal, gain_k, alpha, road, m, xs, cs, fs, ds,
     return cost + 0.5 * V[n, n] * cs[N] ** 2
 
 
-@nb.njit(cache=True, error_model="numpy")
+@jit.compiled(error_model="numpy")
 def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
     """Run the backward sweep: gains (N, n+1) and open-loop changes gain_k (N,) of the moves, within their box."""
     A, B, G, P, C, D, F, Sc, SI, coupling, dry, level, slope, clear, spread, q, qc, qm, Vend, slew = m
@@ -251,7 +251,7 @@ def _sweep(moves, m, xs, cs, ds, ys, gains, gain_k):
                     V[i, r] = H[i, r]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@jit.compiled(error_model="numpy")
 def _plan(x, current, moves, road, m, iterations):
     """Improve the plans of all cars in place, and return the number of discarded plans (not finite).
 

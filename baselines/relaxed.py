@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
+
+from isd_gym.kernel import jit
 
 
 class LinearCar(NamedTuple):
@@ -75,7 +76,7 @@ class Choice(NamedTuple):
     current: np.ndarray
 
 
-@nb.njit(error_model="numpy", cache=True)
+@jit.compiled(error_model="numpy")
 def least(car, on_friction, on_change, on_current, choice):
     """Minimise the cost of the linear car over free friction and changes of current, and fill `choice`.
 

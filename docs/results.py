@@ -10,8 +10,10 @@ A table stands between the comments ``<!-- NAME: python docs/results.py -->`` an
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import datetime
 import importlib.metadata
+import inspect
 import json
 import re
 import sys
@@ -24,10 +26,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import grading
 import study
+import tracks as tracks_of
 
 from isd_gym.baselines.ceiling import known
 from isd_gym.benchmark import cards
 from isd_gym.discrepancy.selection import criteria
+from isd_gym.registration import ENVIRONMENTS
+from isd_gym.task import Options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -174,6 +179,193 @@ def wheelbase() -> str:
         )
     heads = ["speed", "preview", "`mpc-friction`", "`lqg-wheelbase`", "`mpc-wheelbase`", "`mpc-wheelbase` against `mpc-friction`", "LQ bound without the rear road", "with it"]  # fmt: skip
     return markdown(heads, body, "lrrrrrrr")
+
+
+def pulling() -> str:
+    """Share of the control steps in which the linear tyre pulls, by road and speed."""
+    found = json.loads((BENCHMARKS / "rough-roads.json").read_text(encoding="utf-8"))["shares"]
+    speeds = sorted({row["speed"] for row in found})
+    body = []
+    for name in ("quarter-car-passive", "quarter-car-isd", "half-car-isd", "full-car-isd"):
+        for road in ("C", "D", "E"):
+            share = {r["speed"]: r["share"] for r in found if (r["network"], r["road"]) == (name, road)}
+            body.append([f"`{name}`", road, *(f"{100 * share[speed]:.2f}" for speed in speeds)])
+    return markdown(["car", "class", *(f"{v:g} m/s" for v in speeds)], body, "ll" + "r" * len(speeds))
+
+
+def lift_off() -> str:
+    """Figures of the linear tyre over the figures of a tyre that lifts off."""
+    found = json.loads((BENCHMARKS / "rough-roads.json").read_text(encoding="utf-8"))
+    body = []
+    for row in found["effects"]:
+        change = {k: v / row["lifts_off"][k] - 1 for k, v in row["linear"].items() if k != "share"}
+        body.append(
+            [
+                f"`{row['network']}`",
+                row["road"],
+                *(percent(round(change[k], 4) + 0.0, 2) for k in ("cost", "acceleration", "tyre_load")),
+            ]
+        )
+    return markdown(["car", "road, 20 m/s", "J", "acceleration", "tyre load"], body, "llrrr")
+
+
+# ----------------------------------------------------------------------------------------------------- tracks
+
+#: track -> what separates policies there
+DISCRIMINATES = {
+    f"{tracks_of.QUARTER}, preview-0.2": "use of 4 m of road ahead",
+    f"{tracks_of.QUARTER}, preview-0.1": "use of 2 m of road ahead",
+    "ISDHalfCar-v0, standard": "memory: the rear wheels meet the road of the front wheels 0.135 s later; two currents for heave and pitch",
+    "ISDFullCar-v0, standard": "memory: the rear wheels meet the road of the front wheels 0.135 s later; four currents for heave, pitch and roll",
+    "robust": "one policy for 64 combinations of car, road, speed and sensors",
+    f"{tracks_of.QUARTER}, standard": "estimation, friction of the seal and saturation: the last points beyond a skyhook",
+}
+
+
+def bound_of(track: tracks_of.Track) -> str:
+    """Bound of the change of J on a track."""
+    if track.environment == tracks_of.QUARTER:
+        found = known("quarter-car-isd", preview=track.preview or 0.0)
+        if found is not None:
+            return f"{percent(found['change'])} searched, {percent(found['proven_without_stops'])} proven without end stops"
+    if track.environment == "ISDHalfCar-v0":
+        speeds = json.loads((BENCHMARKS / "wheelbase.json").read_text(encoding="utf-8"))["speeds"]
+        (found,) = (s["lq_bound"] for s in speeds if s["speed"]["value"] == 20.0)
+        return f"{percent(found['change'])} linear-quadratic, without friction and limits"
+    return "not known"
+
+
+def budget_of(policy: str) -> str:
+    """Steps and time of the training of a shipped policy."""
+    file = ROOT / "agents" / "policies" / policy / "policy.json"
+    training = json.loads(file.read_text(encoding="utf-8"))["training"]
+    return f"{training['settings']['steps'] / 1e6:g} M steps, {training['seconds'] / 60:.0f} min of one core"
+
+
+def tracks() -> str:
+    """Every track with an id of its own, the most discriminating first."""
+    body = []
+    for track in tracks_of.TRACKS:
+        if track.environment not in cards.built_in():
+            continue
+        card = cards.load(track.environment)
+        rows = cards.ranking(card, track.name)
+        by = {row["policy"]: row["cost"]["change"] for row in cards.ranking(card, "standard")}
+        by |= {row["policy"]: row["cost"]["change"] for row in rows}
+        pair = [tracks_of.best(rows, learned=learned) for learned in (True, False)]
+        cells = ["none" if row is None else f"`{row['policy']}` {change_of(row['cost'])}" for row in pair]
+        held = next(t for t in card["tracks"] if t["track"] == track.name)
+        learned = pair[0]
+        body.append(
+            (
+                by["skyhook"] - rows[0]["cost"]["change"],
+                f"{track.environment}, {track.name}",
+                percent(by["skyhook"]),
+                *cells,
+                bound_of(track),
+                "" if learned is None else budget_of(learned["policy"]),
+                f"`{track.environment}`, {held['episodes']} roads, {card['date']}",
+            )
+        )
+    if tracks_of.ROBUST.exists():
+        body.append(robust_row())
+    lines = []
+    for spread, name, *cells in sorted(body, reverse=True):
+        lines.append([name, DISCRIMINATES[name], f"{100 * spread:.1f}", *cells])
+    heads = ["track", "what separates policies", "from `skyhook` to the best [points of J]", "`skyhook`", "best learned", "best classical", "ceiling or bound", "training of the best learned", "card"]  # fmt: skip
+    return markdown(heads, lines, "llrrrrlll")
+
+
+def robust_row() -> tuple[float, *tuple[str, ...]]:
+    """Row of the robust track: the mean change of J over the conditions."""
+    found = json.loads(tracks_of.ROBUST.read_text(encoding="utf-8"))
+    rows = sorted(found["overall"], key=lambda row: row["change"]["value"])
+    by = {row["policy"]: row["change"]["value"] for row in rows}
+    cells = []
+    for learned in (True, False):
+        row = tracks_of.best(rows, learned=learned)
+        assert row is not None
+        change = row["change"]
+        cells.append(
+            f"`{row['policy']}` {percent(change['value'])} {interval(change['low'], change['high'])}"
+        )
+    spread = by["skyhook"] - rows[0]["change"]["value"]
+    sweep = f"`isd-gym sweep robust`, {found['conditions']} conditions"
+    return spread, "robust", percent(by["skyhook"]), *cells, "not known", "policy of the nominal car", sweep
+
+
+def card_table(environment: str) -> str:
+    """Track `standard` of an environment."""
+    return cards.table(cards.load(environment), "standard")
+
+
+def half_car_card() -> str:
+    """Track of the half car."""
+    return card_table("ISDHalfCar-v0")
+
+
+def full_car_card() -> str:
+    """Track of the full car."""
+    return card_table("ISDFullCar-v0")
+
+
+def regeneration() -> str:
+    """Processor time of each card."""
+    body = []
+    for name, found in json.loads(tracks_of.TIMES.read_text(encoding="utf-8")).items():
+        for track, seconds in found["processor_seconds"].items():
+            body.append([name, track, str(found["episodes"] or ""), f"{seconds:.0f} s"])
+    return markdown(["card", "track", "roads", "processor time"], body, "llrr")
+
+
+# ------------------------------------------------------------------------------------------------ environment
+
+SECTION = re.compile(r"^(Args|Raises):\n((?:    .*\n|\n)*)", re.MULTILINE)
+FIELD = re.compile(r"^    (\w+): ((?:.|\n {5,})*)", re.MULTILINE)
+
+
+def environment() -> str:
+    """Docstring of the environments as Markdown, with tables of the arguments and of the options."""
+    from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
+
+    names = ", ".join(f"`{name}`" for name in ENVIRONMENTS)
+    parts = [
+        f"## One car\n\n`gymnasium.make(name, **options)` with one of the names {names}.",
+        told(ISDSuspensionEnv, 3),
+    ]
+    parts += ["## Options", told(Options, 3), options(Options)]
+    parts += ["## Many cars", told(ISDSuspensionVectorEnv, 3)]
+    return "\n\n".join(parts)
+
+
+def told(of: type, level: int) -> str:
+    """A docstring as Markdown: headings from `level` on, sections as tables."""
+    text = inspect.cleandoc(of.__doc__ or "") + "\n"
+    text = re.sub(r"^## ", "#" * level + " ", text, flags=re.MULTILINE)
+
+    def table_of(section: re.Match[str]) -> str:
+        title, body = section.groups()
+        rows = [[f"`{name}`", " ".join(words.split())] for name, words in FIELD.findall(body)]
+        head = {"Args": ["argument", "meaning"], "Raises": ["error", "reason"]}[title]
+        return f"{markdown(head, rows, 'll')}\n\n"
+
+    return SECTION.sub(table_of, text).strip()
+
+
+def options(of: type) -> str:
+    """Fields of a dataclass as a table, with the comments above the fields."""
+    rows, comment = [], []
+    defaults = {f.name: f.default for f in dataclasses.fields(of)}
+    for line in map(str.strip, inspect.getsource(of).splitlines()):
+        if line.startswith("# "):
+            comment.append(line[2:])
+            continue
+        name = line.partition(":")[0]
+        if name in defaults and comment:
+            rows.append([f"`{name}`", f"`{defaults.pop(name)!r}`", " ".join(comment)])
+        comment = []
+    assert not defaults, f"options without a comment: {', '.join(defaults)}"
+    return markdown(["option", "default", "meaning"], rows, "lll")
 
 
 # --------------------------------------------------------------------------------------------------- learning
@@ -492,12 +684,15 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/tutorials/half-car.md": (half_car,),
     "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
+    "docs/explanation/road.md": (pulling, lift_off),
     "docs/explanation/study.md": (study_table, learned_preview, learned_half_car),
     "docs/validation/controllers.md": (scores, ceilings, steps),
     "docs/validation/learning.md": (learned, learned_preview, learned_half_car),
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),
+    "docs/reference/environment.md": (environment,),
+    "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
     "docs/reference/limits.md": (gates, limits, shares, search),
 }
 

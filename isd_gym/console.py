@@ -102,6 +102,9 @@ def progress() -> Iterator[Callable[[str, float], None]]:
     Yields:
         ``update(name, share)`` with a share from 0 to 1.
     """
+    if not sys.stderr.isatty():  # a disabled bar prints an empty line
+        yield lambda name, share: None
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -112,7 +115,6 @@ def progress() -> Iterator[Callable[[str, float], None]]:
         TimeElapsedColumn(),
         console=Console(stderr=True),
         transient=True,
-        disable=not sys.stderr.isatty(),
     )
     tasks: dict[str, Any] = {}
 

@@ -26,7 +26,7 @@ from .task import EXCEEDS, Options, Task, info_maker
 from .vehicle import vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from .rendering import CarSnapshot, Renderer, Snapshot
 
@@ -338,6 +338,7 @@ class ISDSuspensionVectorEnv(VectorEnv):
         InputError: An argument or option is invalid.
     """
 
+    _renderers: Sequence[Renderer] = ()  # Gymnasium closes an environment whose arguments were refused
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
         "render_fps": 200,
@@ -406,7 +407,6 @@ class ISDSuspensionVectorEnv(VectorEnv):
         self._oldest = 0
         self._onlookers = [Onlooker(self.task, i) for i in range(num_envs if render_mode is not None else 0)]
         self._zeros = np.zeros(num_envs)
-        self._renderers: list[Renderer] = []
         everywhere = np.ones(num_envs, bool)
         everywhere.setflags(write=False)
         names = ("speed", "cost", *self.task.step_info, *self.task.batch.drawn)
@@ -697,10 +697,10 @@ class ISDSuspensionVectorEnv(VectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         for renderer in self._renderers:
             renderer.close()
-        self._renderers = []
+        self._renderers = ()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k != "_lock"} | {"_renderers": []}
+        return {k: v for k, v in self.__dict__.items() if k != "_lock"} | {"_renderers": ()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

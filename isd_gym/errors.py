@@ -124,6 +124,10 @@ class ReportError(Exception):
         super().__init__(plain(f"{what} could not be drawn ({line}); {where}", MESSAGE_LIMIT))
 
 
+class TyreContactWarning(UserWarning):
+    """Warning of a road on which the linear tyres of a car would pull for more than 1 % of the time."""
+
+
 class MissingColumn(InputError):
     """Error for a table that lacks a column.
 

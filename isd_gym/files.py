@@ -31,6 +31,31 @@ _EARLIER = "earlier"
 
 
 @contextmanager
+def writing(path: str | Path, place: str | Path) -> Iterator[None]:
+    """Name the result in errors of the system: those of a full disk name no file.
+
+    Args:
+        path: File or folder to name.
+        place: Folder in which the result is written meanwhile.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        InputError: The system could not write.
+    """
+    try:
+        yield
+    except BrokenPipeError:  # the reader of stdout has gone
+        raise
+    except OSError as error:
+        named = [Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if name is not None]
+        if named and not any(Path(place) in file.parents for file in named):
+            raise  # a file that is read meanwhile
+        raise _cannot(Path(path), error) from None
+
+
+@contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
     """Give a temporary path that replaces `path` when the block succeeds, and is deleted when the block fails.
 
@@ -53,11 +78,13 @@ def whole(path: str | Path) -> Iterator[Path]:
     elif os.path.exists(path) and not (os.path.isfile(path) and not os.path.islink(path)):
         with tempfile.TemporaryDirectory() as folder:
             temporary = Path(folder) / f"out{path.suffix}"
-            yield temporary
+            with writing(folder, folder):
+                yield temporary
             _pour(temporary, path)
         return
     with _workshop(path) as shop:
-        yield shop / path.name
+        with writing(path, shop):
+            yield shop / path.name
         try:
             os.replace(shop / path.name, path)
         except OSError as error:
@@ -103,8 +130,9 @@ def whole_folder(path: str | Path, kind: str, mark: str = "", parts: Sequence[st
     make_folder(path.parent)
     with _workshop(path) as shop:
         made = shop / path.name
-        made.mkdir()
-        yield made
+        with writing(path, shop):
+            made.mkdir()
+            yield made
         check_folder(path, kind, mark, parts)  # the folder may have changed during a long computation
         try:
             if not path.exists():

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba as nb
 import numpy as np
 
 from .errors import InputError, shown
+from .kernel import jit
 
 if TYPE_CHECKING:
     from .vehicle import Vehicle
@@ -172,7 +172,7 @@ class Remembered:
         return self.features
 
 
-@nb.njit(error_model="numpy", cache=True)
+@jit.compiled(error_model="numpy")
 def _advance(features, observations, scale, ratio, order, leaks, keep, gain):  # type: ignore[no-untyped-def]
     """Write scaled signals, their changes and leaky integrals of the next observations into the features."""
     n = scale.shape[0]

@@ -9,18 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import elements as el
-from .errors import InputError
 from .network import GROUND
 from .task import PICTURE_WINDOW
 from .vehicle import CURRENT_LIMIT
 
 if TYPE_CHECKING:
-    from .network import Network
     from .rendering import CarSnapshot, CornerSnapshot, Snapshot
     from .task import Task
-    from .vehicle import Corner, Vehicle
+    from .vehicle import Corner
 
-GRAVITY = 9.81  # m/s^2
 PAST = 4.0  # length of the curves [s]
 
 
@@ -41,7 +38,7 @@ class Onlooker:
         self._trail: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(window / (task.slowest * step)))
         #: time [s] and values of the curves [SI], one row per decision
         self._past: deque[tuple[float, ...]] = deque(maxlen=1 + math.ceil(PAST / step))
-        self._static = _static_tyre_loads(task.network, task.vehicle)
+        self._static = task.vehicle.static_tyre_loads
         self.start()
 
     def start(self) -> None:
@@ -182,17 +179,3 @@ class Onlooker:
             cost=self._cost / max(self._steps, 1),
             past=tuple(self._past),
         )
-
-
-def _static_tyre_loads(network: Network, car: Vehicle) -> list[float | None]:
-    """Return the static tyre load of each corner [N]; None for a body without support by the wheels."""
-    if not network.bodies:
-        return [GRAVITY * sum(network.masses.values())]
-    try:
-        resting = car.resting_masses
-    except InputError:
-        return [None] * len(car.corners)
-    return [
-        GRAVITY * (mass + network.masses[corner.wheel])
-        for mass, corner in zip(resting, car.corners, strict=True)
-    ]

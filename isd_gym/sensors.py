@@ -10,11 +10,11 @@ import math
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-import numba as nb
 import numpy as np
 
 from .errors import InputError, shown
 from .inputs import is_number
+from .kernel.jit import compiled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -131,7 +131,7 @@ def _parse(text: str) -> dict[str, Any]:
     return out
 
 
-@nb.njit(cache=True)
+@compiled()
 def _add_noise(seen: np.ndarray, keys: np.ndarray, steps: np.ndarray, first: int, sigma: np.ndarray) -> None:
     """Add Gaussian noise sigma (cars, n) to the columns from `first` of seen (cars, width): two numbers per pair
     of hashes (splitmix64)."""

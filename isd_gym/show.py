@@ -152,7 +152,7 @@ def check_window() -> None:
     """Check before long work that `live` can open a window.
 
     Raises:
-        InputError: There is no display, or pygame is missing.
+        InputError: There is no display, or pygame-ce is missing.
     """
     from .rendering import check_display
 

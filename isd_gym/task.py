@@ -22,6 +22,7 @@ from .history import BOUND, Remembered, history_of
 from .network import Network
 from .road import Road, road
 from .sensors import Sensors, Sight
+from .tyre_contact import warn_of_pulling_tyres
 from .vehicle import SLEW_RATE, Vehicle, state_channels, vehicle
 
 if TYPE_CHECKING:
@@ -205,8 +206,9 @@ class Task:
         self.vehicle: Vehicle = vehicle(self.network)
         self.measured = self.vehicle.measured
         self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads, *EXCEEDS)
-        speed, control_step = options.speed, options.control_step
-        self.slowest = min(speed, *(options.randomize or {}).get("speed", (speed,)))
+        control_step, varied = options.control_step, options.randomize or {}
+        speed, speeds = options.speed, varied.get("speed", (options.speed,))
+        self.slowest = min(speed, *speeds)
         self.decision = control_step * options.hold
         self.episode = max(1, round(options.duration / self.decision))
         extra = state_channels(self.network) if options.observation == "full" or picture else []
@@ -252,11 +254,11 @@ class Task:
         self._weights = np.ones(count)
         self._usual = usual_level(self.batch) if options.per_level else 0.0
         self._slew = SLEW_RATE * control_step
-        is_current = options.action == "current"
-        self.actions = self.batch.target if is_current else np.zeros((of.currents, count))
+        self.actions = np.zeros((of.currents, count))
+        self._bind()
         self.is_plain = (
             options.hold == 1
-            and is_current
+            and options.action == "current"
             and options.reward == "cost"
             and self.history is None
             and not options.per_level
@@ -285,6 +287,18 @@ class Task:
             )
         )
         self.is_faulty = bool(self._channel_faults) or self._sight is not None
+        warn_of_pulling_tyres(
+            self.vehicle, [road(r) for r in varied.get("road", (options.road,))], max(map(float, speeds))
+        )
+
+    def _bind(self) -> None:
+        """Let commanded currents be written where the cars read them."""
+        if self.options.action == "current":
+            self.actions = self.batch.target
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
 
     def _make_spaces(self, extra: list[Any]) -> None:
         high = [signal.bound for signal in self.measured]

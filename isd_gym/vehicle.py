@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 CURRENT_LIMIT = 5.0  # A, Table 5
 SLEW_RATE = 100.0  # A/s: 0.5 A per control step of 5 ms, Table 5
 SLEW_LIMIT = SLEW_RATE * 5e-3  # A, largest change of a current in a control step of 5 ms
+GRAVITY = 9.81  # m/s^2
 AXES = ("pitch", "roll")
 ROAD = "road_"  # prefix of the road inputs of cars with several corners
 
@@ -199,6 +200,20 @@ class Vehicle:
                 "centre of gravity"
             )
         return tuple(mass * round(float(part), 12) for part in parts)
+
+    @cached_property
+    def static_tyre_loads(self) -> tuple[float | None, ...]:
+        """Static load of each tyre [N]; None for a body that does not rest on its wheels."""
+        if not self.network.bodies:
+            return (GRAVITY * sum(self.network.masses.values()),)
+        try:
+            resting = self.resting_masses
+        except InputError:
+            return (None,) * len(self.corners)
+        return tuple(
+            GRAVITY * (mass + self.network.masses[corner.wheel])
+            for mass, corner in zip(resting, self.corners, strict=True)
+        )
 
     def quarter_car(self, corner: Corner) -> Network:
         """Return a corner as a quarter car: the elements of the corner, and the share of the body's mass that

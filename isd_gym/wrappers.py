@@ -1,8 +1,7 @@
-"""The vector environment in a form for learning algorithms of any library: cars on shared roads, scaled
-features, increments as actions.
+"""The options for learning as Gymnasium wrappers, for environments of other packages.
 
-env = SharedRoads(gymnasium.make_vec("ISDSuspension-v0", 512, autoreset_mode="same_step"), each=8,
-seed=1_000_000)
+The environments of this package have the same as options, in compiled form and for batches: ``hold=``,
+``reward="relative"`` and ``observation="history"``.
 """
 
 from __future__ import annotations
@@ -12,169 +11,202 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 
-from .batch import SLEW_LIMIT
-from .env import CONTROL_STEP, MEASURED
-from .errors import InputError
+from .errors import InputError, shown
+from .history import BOUND, History, Remembered
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-#: RMS of each kind of measured signal on the paper's road, rounded, and RMS of its change in one control
-#: step, in SI units
-SIZES = {
-    "body_acceleration": (1.0, 0.25),
-    "pitch_acceleration": (0.4, 0.1),
-    "roll_acceleration": (0.75, 0.25),
-    "suspension_travel": (0.01, 0.001),
-    "suspension_travel_rate": (0.2, 0.06),
-    "device_travel": (0.01, 0.0005),
-    "device_travel_rate": (0.05, 0.012),
-    "current": (2.5, 0.45),
-}
-#: sizes for the signals of a quarter car
-SCALE, CHANGE = (np.array([SIZES[name][i] for name, _, _ in MEASURED], np.float32) for i in (0, 1))
-#: RMS of the body's vertical velocity [m/s], pitch rate and roll rate [rad/s]
-VELOCITIES = {"vertical": 0.07, "pitch": 0.025, "roll": 0.027}
-FADES = 1.0  # time constant of the leaky integrals [s]
-REWARD = 0.1  # reward per advantage over the group
 
-
-class SharedRoads(VectorWrapper):
-    """Groups of cars on shared roads; the reward of a car is its advantage over its group.
-
-    The common effect of the road on a group cancels: a single action changes only a thousandth of that
-    effect. Group k drives on the road of seed ``seed + k``, and then on the next roads of that seed.
-
-    Observations (cars, `features`) are the measured signals over their sizes, their changes over the sizes of
-    the changes, and the velocities of the body, as leaky integrals of its accelerations: 13 numbers for a
-    quarter car, 26 for a half car, 49 for a full car. Actions (cars, `increments`) in [-1, 1] are the change
-    of each current as a share of the drive's largest change per step. `cost` is the mean stage cost of the
-    last step; its mean over time is J.
+class Hold(gym.Wrapper[Any, Any, Any, Any]):
+    """Hold each action for several steps; the reward is the mean over these steps.
 
     Args:
-        env: Vector environment with the measured observation and automatic reset in the same step.
-        each: Number of cars per group.
-        seed: Seed of the first group.
+        env: The environment.
+        steps: Number of steps.
 
     Raises:
-        InputError: The cars are no multiple of `each`, or the observation is not the measured one.
+        InputError: `steps` is no whole number >= 1.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], *, each: int = 8, seed: int = 1_000_000) -> None:
-        """Wrap a vector environment."""
+    def __init__(self, env: gym.Env[Any, Any], steps: int) -> None:
+        """Wrap an environment."""
         super().__init__(env)
-        if env.num_envs % each:
-            raise InputError(f"{env.num_envs} cars are no groups of {each}")
-        task: Any = env.unwrapped.task  # type: ignore[attr-defined]
-        signals = [signal.kind for signal in task.measured]
-        if env.single_observation_space.shape != (len(signals),):
-            raise InputError(f"SharedRoads wants the measured observation, {len(signals)} signals")
-        self._motions, self._currents = task.batch.of.accelerations, task.batch.of.currents
-        self._scale, self._change = (
-            np.array([SIZES[kind][i] for kind in signals], np.float32) for i in (0, 1)
-        )
-        motions = ("vertical", *task.vehicle.axes)
-        self._velocity_scale = np.array([VELOCITIES[motion] for motion in motions], np.float32)
-        width = 2 * len(signals) + self._motions
-        self.features = spaces.Box(-np.inf, np.inf, (width,), np.float32)
-        self.increments = spaces.Box(-1.0, 1.0, (self._currents,), np.float32)
-        self.single_observation_space, self.single_action_space = self.features, self.increments
-        self.observation_space = batch_space(self.features, env.num_envs)
-        self.action_space = batch_space(self.increments, env.num_envs)
-        self.autoreset_mode = env.metadata["autoreset_mode"]  # attribute that TorchRL reads
-        self.each = each
-        self.seeds: Any = np.repeat(seed + np.arange(env.num_envs // each), each).tolist()
-        self.cost = 0.0
+        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+            raise InputError(f"hold must be a whole number of steps from 1 on, not {shown(steps)}")
+        self.steps = steps
 
-    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
-        """Put all groups at the start of their first roads.
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Run the steps with one action; an episode may end within them.
 
         Args:
-            seed: Without effect; the groups have fixed seeds.
-            options: Options of the environment's `reset`.
+            action: Action of the environment.
 
         Returns:
-            Observations (cars, features) and information.
+            Last observation, mean reward, whether the episode ended, and the last `info`.
         """
-        self._seen, info = self.env.reset(seed=self.seeds, options=options)
-        self._velocity = np.zeros((self.num_envs, self._motions), np.float32)
-        self._ended = np.zeros(self.num_envs, bool)
-        return self._told(self._seen), info
+        rewards = []
+        for _ in range(self.steps):
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            rewards.append(float(reward))
+            if terminated or truncated:
+                break
+        return observation, float(np.mean(rewards)), terminated, truncated, info
 
-    def _told(self, last: np.ndarray) -> np.ndarray:
-        return self._features(self._seen, last, self._velocity)
 
-    def _features(self, seen: np.ndarray, last: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        parts = [seen / self._scale, (seen - last) / self._change, velocity / self._velocity_scale]
-        return np.hstack(parts).astype(np.float32)
+class RelativeReward(gym.Wrapper[Any, Any, Any, Any]):
+    """Reward minus the reward of a reference that meets the same disturbances.
 
-    def step(
-        self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Run one control step.
+    The reference is a second environment with the same seed and a constant action. Its reward does not depend on the
+    actions, so that the optimal policy stays the same, while the common effect of the disturbance cancels (Mao,
+    Venkatakrishnan, Schwarzkopf, Alizadeh, "Variance reduction for reinforcement learning in input-driven
+    environments", ICLR 2019). `info["reward"]` is the reward of the environment.
+
+    Args:
+        env: The environment.
+        reference: A second environment with equal options.
+        action: Action of the reference.
+        scale: Factor on the difference.
+
+    Raises:
+        InputError: The action is none of the reference, or the spaces differ.
+    """
+
+    def __init__(
+        self, env: gym.Env[Any, Any], reference: gym.Env[Any, Any], action: Any, scale: float = 1.0
+    ) -> None:
+        """Wrap an environment."""
+        super().__init__(env)
+        if reference is env or reference.unwrapped is env.unwrapped:
+            raise InputError("the reference must be an environment of its own")
+        if reference.action_space != env.action_space or not reference.action_space.contains(action):
+            raise InputError(
+                f"the reference cannot do {shown(action)}: it needs an action of the environment"
+            )
+        self.reference, self.action, self.scale = reference, action, scale
+        self._draws: np.random.Generator | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start both environments with the same seed.
 
         Args:
-            actions: Actions (cars, increments) in [-1, 1].
+            seed: Seed of the episode; None for a new one.
+            options: Options of both environments.
 
         Returns:
-            Observations (cars, features), rewards (cars,) of sum zero in every group, `terminated` (cars,),
-                `truncated` (cars,) and information.
+            Observation and `info`.
         """
-        last = self._seen
-        currents = last[:, -self._currents :] + SLEW_LIMIT * np.clip(actions, -1.0, 1.0)
-        self._seen, reward, terminated, truncated, info = self.env.step(currents)
-        ended = np.flatnonzero(info.get("_final_obs", np.zeros(0)))
-        for i in ended:  # the last observation of a road, in terms of the features
-            final = info["final_obs"][i][None]
-            info["final_obs"][i] = self._features(final, last[i][None], _faded(self._velocity[i], final))[0]
-        self._velocity = _faded(self._velocity, self._seen)
-        end = terminated | truncated
-        begin = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else end
-        self._ended = end
-        if begin.any():  # a new road: all memory of the preceding road is cleared
-            last = np.where(begin[:, None], self._seen, last)
-            self._velocity[begin] = 0.0
-        self.cost = -float(reward.mean())
-        by_road = reward.reshape(-1, self.each)
-        better = REWARD * (by_road - by_road.mean(axis=1, keepdims=True)).ravel()
-        return self._told(last), better, terminated, truncated, info
+        if seed is not None or self._draws is None:
+            self._draws = np.random.default_rng(seed)
+        if seed is None:
+            seed = int(self._draws.integers(2**31))
+        self.reference.reset(seed=seed, options=options)
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Run a step of both environments.
+
+        Args:
+            action: Action of the environment.
+
+        Returns:
+            Observation, relative reward, whether the episode ended, and `info`.
+
+        Raises:
+            InputError: The reference ended before the environment.
+        """
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        _, other, gone, over, _ = self.reference.step(self.action)
+        if (gone or over) and not (terminated or truncated):
+            raise InputError("the reference cannot go on: its episode ended before that of the environment")
+        relative = self.scale * (float(reward) - float(other))
+        return observation, relative, terminated, truncated, {**info, "reward": float(reward)}
 
 
-def _faded(velocity: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return the body's velocities (cars, motions) a control step later: leaky integrals of its accelerations,
-    the first signals."""
-    motions = velocity.shape[-1]
-    faded: np.ndarray = velocity + CONTROL_STEP * (seen[:, :motions] - velocity / FADES)
-    return faded
+class HistoryObservation(gym.Wrapper[Any, Any, Any, Any]):
+    """Scaled signals, their changes and leaky integrals, each within ±10 (`isd_gym.history`).
+
+    Args:
+        env: Environment whose observation is a vector of signals.
+        history: Definition of the numbers; its `step` is the time between two observations.
+
+    Raises:
+        InputError: The observation is no vector with a scale for each signal.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], history: History) -> None:
+        """Wrap an environment."""
+        super().__init__(env)
+        shape = env.observation_space.shape
+        if shape != (len(history.scale),):
+            raise InputError(
+                f"the history is one of {len(history.scale)} signals, the observation has the shape {shape}"
+            )
+        self._remembered = Remembered(history, 1, len(history.scale))
+        width = self._remembered.features.shape[1]
+        self.observation_space = spaces.Box(-BOUND, BOUND, (width,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode without a past.
+
+        Args:
+            seed: Seed of the episode.
+            options: Options of the environment.
+
+        Returns:
+            Observation and `info`.
+        """
+        signals, info = self.env.reset(seed=seed, options=options)
+        self._remembered.begin(np.array([0]), np.asarray(signals, np.float32)[None])
+        return self._present(), info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Run a step.
+
+        Args:
+            action: Action of the environment.
+
+        Returns:
+            Observation, reward, whether the episode ended, and `info`.
+        """
+        signals, reward, terminated, truncated, info = self.env.step(action)
+        self._remembered.see(np.asarray(signals, np.float32)[None])
+        return self._present(), reward, terminated, truncated, info
+
+    def _present(self) -> np.ndarray:
+        return np.clip(self._remembered.features[0], -BOUND, BOUND)
 
 
 def cost_of(
     act: Callable[[np.ndarray], np.ndarray],
     *,
     roads: int = 32,
-    steps: int = 4000,
-    name: str = "ISDSuspension-v0",
+    duration: float = 20.0,
+    name: str = "ISDSuspensionLearning-v0",
+    hold: int = 1,
 ) -> float:
-    """Return J of a policy on the roads of the score.
-
-    These roads should not be used for training.
+    """Return J of a policy of the environment for learning, on the roads of the score.
 
     Args:
-        act: ``act(features (roads, n)) -> actions (roads, currents)``, see `SharedRoads`.
+        act: ``act(observations (roads, n)) -> actions (roads, currents)``.
         roads: Number of roads.
-        steps: Number of control steps per road; 20 s by default.
+        duration: Length of each road [s].
         name: Name of the environment.
+        hold: Number of control steps per action; a policy that was trained with a hold may drive without one.
 
     Returns:
         Mean stage cost J [-].
     """
-    env = SharedRoads(gym.make_vec(name, roads, autoreset_mode="disabled"), each=1, seed=0)
-    features, _ = env.reset()
-    costs = []
-    for _ in range(steps):
-        features, *_ = env.step(act(features))
-        costs.append(env.cost)
+    env = gym.make_vec(name, roads, hold=hold, duration=duration, reward="cost", autoreset_mode="disabled")
+    observations, _ = env.reset(options={"scoring_road": 0})
+    costs, over = [], False
+    while not over:
+        observations, _, _, truncated, info = env.step(act(observations))
+        costs.append(info["cost"].mean())
+        over = bool(truncated.any())
     return float(np.mean(costs))

@@ -7,6 +7,7 @@ import io
 import json
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -637,7 +638,22 @@ def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
         assert old.replay_buffer.pos == new.replay_buffer.pos
     whole = {p.name: p.read_bytes() for p in kept.iterdir()}
     state = json.loads(whole["state.json"])
+
+    def spoilt(number):
+        tensors = load(whole["learner.safetensors"])
+        key = max(k for k in tensors if "policy/act" in k and k.endswith("weight"))
+        tensors[key] = tensors[key].copy()
+        tensors[key].flat[3] = number
+        return save(tensors)
+
     for name, data, says in (
+        ("state.json", json.dumps(state | {"references": {"passive": 0.0}}).encode(), "something else"),
+        ("state.json", json.dumps(state | {"seconds": -1}).encode(), "something else"),
+        ("learner.safetensors", spoilt(np.nan), "not finite"),
+        ("learner.safetensors", spoilt(3e38), "not finite, or beyond"),
+        ("learner.safetensors", save(load(whole["learner.safetensors"]) | {"a": np.ones(2)}), "holds 'a'"),
+        ("average.npz", bomb(whole["average.npz"]), "does not hold the actor's arrays"),
+        ("average.npz", bomb(whole["average.npz"], replace=True), "of shape .1000000000,., not"),
         (
             "state.json",
             json.dumps({k: v for k, v in state.items() if k != "schema"}).encode(),
@@ -655,6 +671,72 @@ def test_a_checkpoint_is_numbers_alone_and_brings_the_learner_back_whole(
             module.train(algorithm, out, settings=longer, say=lambda line: None)
         assert str(error.value).isprintable()
         (kept / name).write_bytes(whole[name])
+    large = load(whole["learner.safetensors"])  # finite numbers, and a network whose answers are not
+    for key in large:
+        if key.startswith("policy/") and key.endswith(("weight", "log_std")):
+            large[key] = np.full_like(large[key], 9e11)
+    (kept / "learner.safetensors").write_bytes(save(large))
+    with pytest.raises(InputError, match="not finite"):
+        module.train(algorithm, out, settings=longer, say=lambda line: None)
+
+
+def load(blob: bytes) -> dict[str, np.ndarray]:
+    from safetensors.numpy import load
+
+    return load(blob)
+
+
+def save(tensors: dict[str, np.ndarray]) -> bytes:
+    from safetensors.numpy import save
+
+    return save(tensors)
+
+
+def bomb(archive: bytes, replace: bool = False) -> bytes:
+    """An archive of numpy with 4 GB of zeros in one more array, or in the place of the first; only their header is there."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(archive)) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
+        names = old.namelist()
+        for name in names[replace:]:
+            new.writestr(name, old.read(name))
+        with new.open(names[0] if replace else "aaa.npy", "w") as part:
+            head = {"descr": "<f4", "fortran_order": False, "shape": (1_000_000_000,)}
+            np.lib.format.write_array_header_1_0(part, head)
+    return out.getvalue()
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")
+def test_training_deletes_nothing_but_its_own_checkpoints(sb3, brief, tmp_path):
+    """Copies and notes of the user stay, also within a checkpoint that is replaced by the next."""
+    from isd_gym.agents.train import train
+
+    settings, out = replace(brief["ppo"], teacher=None), tmp_path / "run"
+    train("ppo", out, settings=settings, say=lambda line: None)
+    (kept,) = out.glob("checkpoint-*")
+    mine = [out / "checkpoint-best", out / f"{kept.name}-mine", out / ".checkpoint-tmp"]
+    shutil.copytree(kept, mine[1])
+    for folder in (mine[0], mine[2], kept):
+        folder.mkdir(exist_ok=True)
+        (folder / "note.txt").write_text("precious")
+    before = {p: p.read_bytes() for folder in mine for p in folder.iterdir()}
+    for _ in range(2):
+        train("ppo", out, settings=replace(settings, steps=2 * settings.steps), say=lambda line: None)
+        assert {p: p.read_bytes() for folder in mine for p in folder.iterdir()} == before
+        assert [p.name for p in kept.iterdir()] == ["note.txt"]
+        assert [p.name for p in out.glob("*/state.json") if p.parent not in mine] == ["state.json"]
+
+
+@needs_sb3
+@pytest.mark.filterwarnings("ignore")
+def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(sb3, brief, tmp_path):
+    from isd_gym.agents.train import train
+
+    settings = replace(brief["ppo"], teacher=None)
+    with pytest.raises(InputError, match="does not move the car"):
+        train("ppo", tmp_path / "flat", settings=settings, road="flat")
+    with pytest.raises(InputError, match="not finite after"):
+        train("ppo", tmp_path / "run", settings=replace(settings, learning_rate=1e30), say=lambda line: None)
 
 
 @needs_sb3

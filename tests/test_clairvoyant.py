@@ -58,7 +58,7 @@ def test_cache_keeps_what_was_computed(tmp_path, monkeypatch):
 def test_bad_input_is_one_line():
     with pytest.raises(InputError, match="no motor"):
         oracle.clairvoyant("quarter-car-passive", seed=0)
-    with pytest.raises(InputError, match="either heights or a seed"):
+    with pytest.raises(InputError, match="either heights, a seed or a scoring road"):
         oracle.clairvoyant()
     with pytest.raises(InputError, match="heights must be finite"):
         oracle.clairvoyant(heights=np.zeros(5003))

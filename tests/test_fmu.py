@@ -46,6 +46,30 @@ def simulated(unit, **settings):
     return np.load(found)
 
 
+def test_units_are_loaded_again_and_beside_one_another(tmp_path):
+    """In one process: the same unit three times, and a unit of the same name with another model between them."""
+    pytest.importorskip("pythonfmu")
+    pytest.importorskip("fmpy")
+    car = Network.load("quarter-car-passive")
+    heavy = car.with_parameters({"body.mass": 600.0})
+    for number, network in enumerate((car, heavy)):
+        (tmp_path / str(number)).mkdir()
+        export_fmu(network, tmp_path / str(number) / "car.fmu")
+    run = (
+        "import fmpy, numpy, os, sys\n"
+        "inputs = numpy.array([(0.0, 0.01), (1.0, 0.01)], [('time', float), ('road', float)])\n"
+        "for k in (0, 1, 0, 1, 0):\n"
+        "    found = fmpy.simulate_fmu(f'{k}/car.fmu', stop_time=0.1, output_interval=0.01, input=inputs)\n"
+        "    print(k, found[found.dtype.names[1]].tolist(), flush=True)\n"
+        "os._exit(0)"
+    )
+    done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, cwd=tmp_path)
+    lines = done.stdout.splitlines()
+    assert len(lines) == 5, done.stdout + done.stderr
+    assert lines[0] == lines[2] == lines[4] and lines[1] == lines[3]
+    assert lines[0][1:] != lines[1][1:]
+
+
 def stepped(network, **inputs):
     """Outputs of a `Running` network at the times of the samples, as a master would gather them."""
     running = Running(network)

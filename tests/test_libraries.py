@@ -14,7 +14,8 @@ from isd_gym.env import STEP_INFO
 
 NAME = "ISDSuspension-v0"
 CARS, STEPS = 3, 30
-KEYS = {"speed", *STEP_INFO}
+KEYS = {"speed", "cost", *STEP_INFO}
+MASKS = {f"_{key}" for key in KEYS}  # which cars of a batch have a number: all
 #: what these libraries warn of is theirs
 theirs = pytest.mark.filterwarnings("ignore")
 
@@ -75,10 +76,11 @@ def test_reset_and_step_tell_the_same(mode):
     env = cars(autoreset_mode=mode, cost={"tyre_load": 0.1, "current": 0.1})
     assert env.autoreset_mode is env.metadata["autoreset_mode"]
     _, info = env.reset(seed=0)
-    assert set(info) == KEYS and all(v.shape == (CARS,) for v in info.values())
+    assert set(info) == KEYS | MASKS and all(v.shape == (CARS,) for v in info.values())
+    assert all(info[mask].all() for mask in MASKS)
     assert not any(info[k].any() for k in STEP_INFO)  # a car at rest
     _, reward, *_, info = env.step(currents(1)[0])
-    assert set(info) == KEYS
+    assert set(info) == KEYS | MASKS
     np.testing.assert_allclose(reward, -sum(v for k, v in info.items() if k.startswith("cost_")))
     one = gym.make(NAME)
     _, first = one.reset(seed=0)
@@ -147,6 +149,36 @@ def test_videos(tmp_path):
         about = iio.immeta(film, plugin="FFMPEG")
         assert about["fps"] == 200  # one picture a control step of 5 ms: real time
         assert about["size"][0] * about["size"][1] == tiles * 960 * 600
+
+
+@theirs
+def test_videos_of_50_pictures_per_second(tmp_path):
+    pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
+    pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
+    import imageio.v3 as iio
+
+    from isd_gym.rendering import RecordVectorVideo, RecordVideo
+
+    one, twin = (gym.make(NAME, render_mode="rgb_array", max_episode_steps=40) for _ in range(2))
+    env = RecordVideo(one, str(tmp_path / "one"))
+    many = RecordVectorVideo(cars(render_mode="rgb_array"), str(tmp_path / "many"), video_length=8)
+    env.reset(seed=0), many.reset(seed=0), twin.reset(seed=0)
+    drawn = [twin.render()]
+    for k, a in enumerate(currents(40), 1):
+        over = env.step(a[0])[3]
+        twin.step(a[0])
+        if k <= 8:
+            many.step(a)
+        if k % 4 == 0:
+            drawn.append(twin.render())
+    assert over
+    np.testing.assert_array_equal(env.recorded_frames, drawn)
+    env.close(), many.close()
+    for folder, seconds in (("one", 0.2), ("many", 0.04)):
+        (film,) = (tmp_path / folder).glob("*.mp4")
+        about = iio.immeta(film, plugin="FFMPEG")
+        assert about["fps"] == 50
+        assert about["duration"] == pytest.approx(seconds, abs=0.021)  # real time
 
 
 # ----------------------------------------------------------------------------------------- others

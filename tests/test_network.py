@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import solve_ivp, trapezoid
 
 from isd_gym import elements as el
 from isd_gym.errors import InputError
@@ -20,7 +20,7 @@ def rms_on_the_papers_road(space):
     f = np.logspace(-3, 4, 60_000)
     H = space.response(f)[:, :, space.inputs.index("road")]
     psd = 2 * (2 * np.pi) ** 2 * KAPPA * SPEED * np.abs(H) ** 2 / (2 * np.pi * f[:, None]) ** 2
-    return dict(zip(space.outputs, np.sqrt(np.trapezoid(psd, f, axis=0)), strict=True))
+    return dict(zip(space.outputs, np.sqrt(trapezoid(psd, f, axis=0)), strict=True))
 
 
 def car(name="quarter-car-isd"):

@@ -9,6 +9,7 @@ from isd_gym.network import Network
 from isd_gym.policies import Idle, find, passive
 from isd_gym.record import write_dataset
 from isd_gym.scoring import Entry
+from isd_gym.vehicle import vehicle
 
 pytest.importorskip("h5py")
 minari = pytest.importorskip("minari")
@@ -18,29 +19,37 @@ SHORT = {"episodes": 2, "seed": 5, "duration": 0.5}
 
 
 class Push:
-    """A current that grows with the acceleration; one car at a time."""
+    """Currents that grow with the acceleration, another one for every motor; one car at a time."""
 
     name, fallbacks = "push", 0
+
+    def __init__(self, motors):
+        self.shares = 20.0 / np.arange(1, motors + 1)
 
     def reset(self):
         pass
 
     def act(self, observation):
-        return 20.0 * float(
-            observation[0]
-        )  # beyond 5 A at times: the data hold what was commanded, within the limits
+        # beyond 5 A at times: the data hold what was commanded, within the limits
+        return 5.0 * self.shares * float(observation[0])
 
 
-def test_the_data_are_the_environments(tmp_path):
-    folder = write_dataset(Entry("push", Push), tmp_path / "set", CAR, **SHORT)
+@pytest.mark.parametrize("name", ["quarter-car-isd", "half-car-isd", "full-car-passive", "full-car-isd"])
+def test_the_data_are_the_environments(name, tmp_path):
+    """The environment of a data set gives its observations and rewards for its actions, whatever the number of motors."""
+    car = Network.load(name)
+    motors = len(vehicle(car).driven)
+    folder = write_dataset(Entry("push", lambda: Push(motors)), tmp_path / "set", car, **SHORT)
     data = minari.MinariDataset(folder)
     assert data.total_episodes == 2 and data.total_steps == 200
     env = data.recover_environment()
-    assert env.unwrapped.network == CAR
-    for i, episode in enumerate(data.iterate_episodes()):
-        obs, _ = env.reset(seed=5 + i)
+    assert env.unwrapped.network == car and env.action_space == data.action_space
+    seeds = [about["seed"] for about in data.storage.get_episode_metadata(data.episode_indices)]
+    assert seeds == [5, 6]
+    for seed, episode in zip(seeds, data.iterate_episodes(), strict=True):
+        obs, _ = env.reset(seed=int(seed))
         np.testing.assert_array_equal(episode.observations[0], obs)
-        assert np.abs(episode.actions).max() == 5.0
+        assert episode.actions.shape == (100, motors) and (np.abs(episode.actions).max(axis=0) == 5.0).all()
         for k, action in enumerate(episode.actions):
             obs, reward, terminated, truncated, _ = env.step(action)
             np.testing.assert_array_equal(episode.observations[k + 1], obs)

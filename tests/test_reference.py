@@ -11,6 +11,7 @@ import pytest
 import reference
 from numpy.typing import NDArray
 from reference import simulate, simulate_events, trajectories
+from scipy.integrate import trapezoid
 
 Array = NDArray[Any]
 
@@ -211,7 +212,7 @@ def test_lag_delay_saturation_and_sensors() -> None:
     np.testing.assert_allclose(y["late"], 1.1 * thrust(t - 0.0143) + 5.0, atol=1e-6)
     np.testing.assert_allclose(y["acceleration"], -thrust(t) / 10.0, atol=1e-6)
     fine = np.linspace(0, t[-1], 40001)
-    assert y["velocity"][-1] == pytest.approx(-np.trapezoid(thrust(fine), fine) / 10.0, rel=1e-6)
+    assert y["velocity"][-1] == pytest.approx(-trapezoid(thrust(fine), fine) / 10.0, rel=1e-6)
 
 
 def test_order_is_two_where_all_is_smooth() -> None:
@@ -301,7 +302,7 @@ def test_energy_put_in_is_stored_or_dissipated() -> None:
         return what[first] - what[second]
 
     def work(power: Array) -> float:
-        return float(np.trapezoid(power, t))
+        return float(trapezoid(power, t))
 
     def absorbed(name: str) -> float:
         return work(run.force[name] * across(name, run.velocity))

@@ -280,7 +280,7 @@ def test_without_pygame_the_answer_is_one_line(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(InputError) as caught:
         Renderer("rgb_array")
-    assert str(caught.value) == f"drawing needs pygame: {how_to_install('render')}"
+    assert str(caught.value) == f"drawing needs pygame-ce: {how_to_install('render')}"
 
 
 @pytest.mark.skipif(

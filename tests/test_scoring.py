@@ -1,10 +1,12 @@
 """The score: paired roads, the standard's weighting, intervals that mean what they say."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
+from isd_gym.agents.policy import SHIPPED
 from isd_gym.benchmark import scoring
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
@@ -64,7 +66,7 @@ def test_same_roads_for_all_and_the_cost_is_the_reward():
     np.testing.assert_array_equal(runs[0].tyre_load, runs[1].tyre_load)
     env = gym.make("ISDSuspension-v0")
     for i in range(3):
-        env.reset(seed=i)
+        env.reset(options={"scoring_road": i})
         rewards = [env.step(np.zeros(1, np.float32))[1] for _ in range(400)]
         assert runs[0].cost(StageCost())[i] == pytest.approx(-np.mean(rewards), rel=1e-12)
 
@@ -127,6 +129,30 @@ def test_interval_covers_the_truth():
         low, high = np.quantile(ratio, [0.025, 0.975])
         hits += low <= np.sqrt(0.81) - 1 <= high
     assert 0.88 < hits / 200 < 0.99
+
+
+def test_policies_of_the_same_name_are_called_by_their_paths(tmp_path):
+    """A copy of a shipped policy brings the name of the shipped one along, and a policy may be called like the reference."""
+    shipped, copies = SHIPPED / "ppo", [tmp_path / "one", tmp_path / "other"]
+    for copy in copies:
+        shutil.copytree(shipped, copy)
+    paths = [str(copy) for copy in copies]
+    found = score(["ppo", *paths], CAR, episodes=1, duration=0.5)
+    assert [r["policy"] for r in found.policies] == ["passive", "ppo", *paths]
+    assert len({json.dumps(r["cost"]) for r in found.policies[1:]}) == 1
+    assert [r["policy"] for r in score(paths[:1], CAR, episodes=1, duration=0.5).policies] == [
+        "passive",
+        "ppo",
+    ]
+    (copies[0] / "policy.json").write_text(
+        (shipped / "policy.json").read_text().replace('"name": "ppo"', '"name": "passive"')
+    )
+    found = score(paths[:1], CAR, episodes=1, duration=0.5)
+    assert [r["policy"] for r in found.policies] == ["passive", paths[0]]
+    assert found.policies[0]["cost"]["value"] != found.policies[1]["cost"]["value"]
+    for twice in (["ppo", "ppo"], [paths[1], paths[1], "ppo"], [Entry("a", lambda: Idle("a"))] * 2):
+        with pytest.raises(InputError, match="is named twice"):
+            score(twice, CAR, episodes=1, duration=0.5)
 
 
 def test_the_conventional_car_keeps_the_networks_own_masses():

@@ -329,7 +329,7 @@ def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path, capsys, m
 
 
 def test_an_item_is_small():
-    text = json.dumps(drive_item("skyhook", 0, 8, 0.5, {}))
+    text = json.dumps(drive_item("skyhook", None, 0, 8, 0.5, {}))
     assert len(text) < 3000
 
 

@@ -1,103 +1,71 @@
-"""Cars that share roads, as any library learns on them."""
+"""Wrappers for environments of other packages do what the options of this package do."""
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 from isd_gym.errors import InputError
+from isd_gym.history import history_of
 from isd_gym.scoring import score
-from isd_gym.wrappers import CHANGE, SCALE, SharedRoads, cost_of
+from isd_gym.task import RELATIVE_SCALE
+from isd_gym.wrappers import HistoryObservation, Hold, RelativeReward, cost_of
 
 
-def made(count=8, **options):
-    return gymnasium.make_vec("ISDSuspension-v0", count, **options)
+def made(**options):
+    return gymnasium.make("ISDSuspension-v0", disable_env_checker=True, **options)
 
 
-def test_what_is_seen_done_and_rewarded():
-    wrapped, bare = SharedRoads(made(autoreset_mode="same_step"), each=4, seed=5), made()
-    features, _ = wrapped.reset()
-    seen, _ = bare.reset(seed=[5] * 4 + [6] * 4)
-    np.testing.assert_array_equal(features[:, :6], seen / SCALE)
-    assert not features[:, 6:].any()
+def test_a_wrapped_environment_equals_the_options():
+    own = made(hold=3, duration=1.0)
+    other = Hold(made(duration=1.0), 3)
+    own.reset(seed=2), other.reset(seed=2)
     rng = np.random.default_rng(0)
-    velocity = np.zeros(8)
+    for _ in range(60):
+        action = rng.uniform(-5, 5, 1)
+        a, b = own.step(action), other.step(action)
+        np.testing.assert_array_equal(a[0], b[0])
+        assert a[1] == pytest.approx(b[1], rel=1e-12)
+    car = own.unwrapped.task.vehicle
+    own, other = made(observation="history"), HistoryObservation(made(), history_of(car))
+    np.testing.assert_array_equal(own.reset(seed=4)[0], other.reset(seed=4)[0])
     for _ in range(50):
-        actions = rng.uniform(-1.5, 1.5, (8, 1)).astype(np.float32)
-        features, reward, *_ = wrapped.step(actions)
-        last = seen
-        seen, own, *_ = bare.step(last[:, 5:] + 0.5 * np.clip(actions, -1, 1))
-        np.testing.assert_allclose(features[:, :6], seen / SCALE, rtol=1e-6)
-        np.testing.assert_allclose(features[:, 6:12], (seen - last) / CHANGE, rtol=1e-4, atol=1e-6)
-        velocity += 5e-3 * (seen[:, 0] - velocity)
-        np.testing.assert_allclose(features[:, 12], velocity / 0.07, rtol=1e-3, atol=1e-6)
-        for group in (slice(0, 4), slice(4, 8)):
-            np.testing.assert_allclose(reward[group], 0.1 * (own[group] - own[group].mean()), atol=1e-7)
-        assert wrapped.cost == pytest.approx(-own.mean(), rel=1e-5)
-    assert np.abs(reward).max() > 0.0
+        action = rng.uniform(-5, 5, 1)
+        np.testing.assert_array_equal(own.step(action)[0], other.step(action)[0])
+    own = made(reward="relative")
+    other = RelativeReward(made(), made(), np.zeros(1, np.float32), RELATIVE_SCALE)
+    own.reset(seed=4), other.reset(seed=4)
+    for _ in range(50):
+        action = rng.uniform(-5, 5, 1)
+        assert own.step(action)[1] == pytest.approx(other.step(action)[1], abs=1e-12)
 
 
-@pytest.mark.parametrize("mode", ["same_step", "next_step"])
-def test_a_new_road_begins_without_a_past(mode):
-    env = SharedRoads(made(4, autoreset_mode=mode, max_episode_steps=10), each=2)
-    assert env.autoreset_mode is AutoresetMode(env.env.metadata["autoreset_mode"])
-    env.reset()
-    begun = []
-    for k in range(1, 24):
-        features, reward, _, truncated, _ = env.step(np.ones((4, 1), np.float32))
-        np.testing.assert_array_equal(features[0::2], features[1::2])  # a pair does the same on the same road
-        np.testing.assert_allclose(reward, 0.0, atol=1e-9)
-        if not features.any():  # at rest, nothing remembered
-            begun.append(k)
-        assert truncated.all() == truncated.any() == (k % 10 == 0 if mode == "same_step" else k % 11 == 10)
-    assert begun == ([10, 20] if mode == "same_step" else [11, 22])
-
-
-def test_the_last_of_a_road_is_told_in_the_features_terms():
-    ends, goes_on = (
-        SharedRoads(made(4, autoreset_mode=mode, max_episode_steps=10 if mode == "same_step" else 99), each=2)
-        for mode in ("same_step", "disabled")
-    )
-    ends.reset()
-    goes_on.reset()
-    for _ in range(10):
-        *_, info = ends.step(np.ones((4, 1), np.float32))
-        there, *_ = goes_on.step(np.ones((4, 1), np.float32))
-    np.testing.assert_allclose(np.stack(info["final_obs"]), there, rtol=1e-5, atol=1e-6)
+def test_a_pendulum_of_gymnasium():
+    one, two = (gymnasium.make("Pendulum-v1", max_episode_steps=40) for _ in range(2))
+    env = Hold(RelativeReward(one, two, np.zeros(1, np.float32)), 4)
+    env.reset(seed=0)
+    for k in range(10):
+        _, reward, _, truncated, _ = env.step(np.zeros(1, np.float32))
+        assert reward == 0.0 and truncated == (k == 9)  # it does what its reference does
 
 
 def test_the_cost_is_the_score_s():
-    idle = cost_of(lambda features: np.zeros((len(features), 1)), roads=2, steps=400)
+    idle = cost_of(lambda features: np.zeros((len(features), 1)), roads=2, duration=2.0)
     found = score(["isd-passive"], episodes=2, duration=2.0)
     assert idle == pytest.approx(found.policies[-1]["cost"]["value"], rel=1e-4)
 
 
 def test_refusals():
-    with pytest.raises(InputError, match="8 cars are no groups of 3"):
-        SharedRoads(made(), each=3)
-    with pytest.raises(InputError, match="measured observation"):
-        SharedRoads(made(observation="full"), each=4)
-
-
-@pytest.mark.parametrize(("name", "motions", "currents"), [("ISDHalfCar-v0", 2, 2), ("ISDFullCar-v0", 3, 4)])
-def test_cars_with_several_corners(name, motions, currents):
-    cars = gymnasium.make_vec(name, 4, autoreset_mode="same_step", max_episode_steps=30)
-    wrapped, bare = SharedRoads(cars, each=2, seed=5), gymnasium.make_vec(name, 4)
-    features, _ = wrapped.reset()
-    signals = motions + 5 * currents
-    assert features.shape == (4, 2 * signals + motions) and wrapped.increments.shape == (currents,)
-    seen, _ = bare.reset(seed=[5, 5, 6, 6])
-    rng = np.random.default_rng(0)
-    velocity = np.zeros((4, motions))
-    for _ in range(29):
-        actions = rng.uniform(-1, 1, (4, currents)).astype(np.float32)
-        features, reward, *_ = wrapped.step(actions)
-        seen, own, *_ = bare.step(seen[:, -currents:] + 0.5 * actions)
-        velocity += 5e-3 * (seen[:, :motions] - velocity)
-        sizes = np.array([0.07, 0.025, 0.027])[:motions]
-        np.testing.assert_allclose(features[:, -motions:], velocity / sizes, rtol=1e-3, atol=1e-6)
-        np.testing.assert_allclose(features[:, 0], seen[:, 0], rtol=1e-6)
-        assert reward[0] == pytest.approx(0.05 * (own[0] - own[1]), rel=1e-4, abs=1e-9)
-    *_, info = wrapped.step(actions)  # the last of a road, in the features' terms
-    final = bare.step(seen[:, -currents:] + 0.5 * actions)[0]
-    np.testing.assert_allclose(np.stack(info["final_obs"])[:, 1], final[:, 1] / 0.4, rtol=1e-5)
+    with pytest.raises(InputError, match="hold must be a whole number"):
+        Hold(made(), 0)
+    env = made()
+    with pytest.raises(InputError, match="of its own"):
+        RelativeReward(env, env, np.zeros(1, np.float32))
+    with pytest.raises(InputError, match="cannot do"):
+        RelativeReward(env, made(), np.full(1, 9.0, np.float32))
+    with pytest.raises(InputError, match="one of 6 signals"):
+        HistoryObservation(made(observation="full"), history_of(env.unwrapped.task.vehicle))
+    short = RelativeReward(env, made(duration=0.01), np.zeros(1, np.float32))
+    short.reset(seed=0)
+    short.step(np.zeros(1, np.float32))
+    with pytest.raises(InputError, match="cannot go on"):
+        short.step(np.zeros(1, np.float32))

@@ -6,9 +6,10 @@ an unknown name.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..cost import StageCost
 from ..errors import InputError, shown
@@ -19,9 +20,13 @@ from ..vehicle import kind, vehicle
 from .driving import Entry, Idle
 from .own_controller import entry_of_file
 
-__all__ = ["Entry", "Idle", "conventional", "find", "passive"]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
+__all__ = ["Entry", "Idle", "conventional", "find", "find_all", "passive"]
 
+#: name of the reference of every score
+REFERENCE = "passive"
 #: built-in conventional passive cars by number of corners
 CONVENTIONAL = {1: "quarter-car-passive", 2: "half-car-passive", 4: "full-car-passive"}
 
@@ -81,7 +86,7 @@ def passive(network: Network) -> Entry:
         InputError: The network is no car, or has another number of corners than 1, 2 or 4.
     """
     car = conventional(network)
-    return Entry("passive", lambda: Idle("passive", car), car)
+    return Entry(REFERENCE, lambda: Idle(REFERENCE, car), car)
 
 
 def find(
@@ -123,7 +128,7 @@ def find(
     if trained is not None and name.lower().endswith(".zip"):
         options["trained"] = trained
     car = vehicle(network)
-    if name == "passive":
+    if name == REFERENCE:
         return passive(network)
     if name == "isd-passive":
         return Entry(name, lambda: Idle(name, network))
@@ -134,7 +139,7 @@ def find(
         )
     if speed is not None and len(car.corners) > 1:
         options["speed"] = speed
-    known = ["passive", "isd-passive"]
+    known = [REFERENCE, "isd-passive"]
     for point in plugins(POLICIES):
         opener = point.load()
         entry = opener(name, belief, cost, control_step, options)
@@ -149,6 +154,32 @@ def find(
     )
 
 
+def find_all(policies: Sequence[str | Entry], network: Network, **how: Any) -> list[Entry]:
+    """Return policies by their names, each under a name of its own where that is possible.
+
+    A trained policy brings its name along. Where two policies have the same name, or a trained policy has the
+    name of the reference ("passive"), the path is the name of the trained policy.
+
+    Args:
+        policies: Names as in `find`, or entries, which keep their names.
+        network: The plant.
+        how: Further arguments of `find`.
+
+    Returns:
+        The policies, in the given order.
+
+    Raises:
+        InputError: A name is unknown, or a policy does not fit the plant.
+    """
+    asked = [p if isinstance(p, str) else p.name for p in policies]
+    entries = [find(p, network, **how) if isinstance(p, str) else p for p in policies]
+    count = Counter([REFERENCE, *(e.name for e in entries)])
+    return [
+        entry if count[entry.name] == 1 or entry.name == name else replace(entry, name=name)
+        for name, entry in zip(asked, entries, strict=True)
+    ]
+
+
 def available() -> dict[str, str]:
     """Return the names that need no path: built-in policies, baselines, shipped policies and those of other packages.
 
@@ -159,7 +190,7 @@ def available() -> dict[str, str]:
         One-line description by name.
     """
     known = {
-        "passive": "the conventional passive car: spring and damper in parallel; what all are compared with",
+        REFERENCE: "the conventional passive car: spring and damper in parallel; what all are compared with",
         "isd-passive": "the plant without current",
     }
     for point in plugins(POLICIES):

@@ -37,7 +37,7 @@ def write_dataset(
     """Drive a policy and write observations, actions and rewards as a Minari data set.
 
     Episode i is the environment with the seed ``seed + i``. Observations are float32 (steps + 1, n). Actions
-    are float32 (steps, 1), the commanded current [A]. The data set stores its environment with the complete
+    are float32 (steps, currents), the commanded current of each motor [A]. The data set stores its environment with the complete
     network; `recover_environment()` creates the environment. An error leaves no files behind.
 
     Args:
@@ -70,6 +70,7 @@ def write_dataset(
 
     from ..env import CONTROL_STEP, ISDSuspensionVectorEnv
     from ..network import builtin_networks
+    from ..registration import BY_CORNERS
     from .driving import Crew, travel
 
     if episodes < 1:
@@ -89,15 +90,16 @@ def write_dataset(
         **({"preview": crew.preview} if crew.preview else {}),
     }
     env = ISDSuspensionVectorEnv(episodes, **kwargs, max_episode_steps=steps, autoreset_mode="disabled")
-    width = env.single_observation_space.shape[0]  # type: ignore[index]
-    observations = np.empty((episodes, steps + 1, width), np.float32)
-    actions = np.empty((episodes, steps, 1), np.float32)
+    seen, acted = env.single_observation_space, env.single_action_space
+    observations = np.empty((episodes, steps + 1, *seen.shape), np.float32)  # type: ignore[misc]
+    actions = np.empty((episodes, steps, *acted.shape), np.float32)  # type: ignore[misc]
     rewards = np.empty((episodes, steps))
     for leg in travel(crew, env, steps, seed=seed, dtype=np.float32, progress=progress):
         k = leg.step
         observations[:, k], observations[:, k + 1] = leg.seen, leg.ahead
         actions[:, k], rewards[:, k] = leg.actions, leg.rewards
-    spec = gym.make("ISDSuspension-v0", **kwargs, max_episode_steps=steps).spec
+    name = BY_CORNERS.get(len(env.task.vehicle.corners), BY_CORNERS[1])
+    spec = gym.make(name, **kwargs, max_episode_steps=steps).spec
     last = np.zeros(steps, bool)
     last[-1] = True
     data = folder
@@ -114,8 +116,8 @@ def write_dataset(
         reserve(temporary, int(1.1 * size) + episodes * EPISODE_ROOM + DATASET_ROOM)
         storage = MinariStorage.new(
             temporary / data.relative_to(folder),
-            env.single_observation_space,
-            env.single_action_space,
+            seen,
+            acted,
             env_spec=spec,
         )
         storage.update_metadata(

@@ -18,7 +18,7 @@ from ..seeds import generators, named_roads
 from ..sensors import Sensors
 from ..vehicle import Corner, Vehicle, vehicle
 from .driving import Controller, Crew, Entry, Idle, travel
-from .policies import find, passive
+from .policies import find_all, passive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -643,7 +643,7 @@ def score(
             f"no point {shown(point)} on the body of network '{network.name}': there are {', '.join(car.points)}"
         )
     named = [policies] if isinstance(policies, str | Entry) else policies
-    entries = [find(p, network, cost=cost, speed=speed) if isinstance(p, str) else p for p in named]
+    entries = find_all(named, network, cost=cost, speed=speed)
     reference = reference or passive(network)
     ground = find_road(road)
     allowed = comparable(
@@ -659,8 +659,8 @@ def score(
     if allowed.ceiling:
         ceiling = None
     names = [e.name for e in entries]
-    if len(set(names)) != len(names):
-        raise InputError("a policy is named twice")
+    if twice := next((n for n in names if names.count(n) > 1), None):
+        raise InputError(f"policy {shown(twice, 200)} is named twice")
     todo = list(entries) if reference.name in names else [reference, *entries]
     runs: dict[str, Run] = {}
     for entry in todo:

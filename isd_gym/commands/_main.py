@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from typing import Any
 
 import typer
 
-from ..errors import InputError, plain
+from ..errors import InputError, TyreContactWarning, plain
 from ._app import app
 from ._plugins import add_plugins
+from ._streams import prepare_streams
 
 
 def main() -> None:
     """Run the command line. Bad input gives one line on stderr and exit status 2, Ctrl-C gives 130."""
+    prepare_streams()
+    os.environ["MPLBACKEND"] = (
+        "Agg"  # pages need no window; a notebook's own backend may not be installed here
+    )
     stopped = _listen()
+    warnings.showwarning = _warn
     try:
         add_plugins()
         code = app(prog_name="isd-gym", standalone_mode=False)
@@ -43,6 +50,14 @@ def main() -> None:
     if code == 130:
         typer.echo("isd-gym: stopped", err=True)
     sys.exit(code)
+
+
+def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
+    """Print a warning on stderr: a warning of this package as one line, others as Python prints them."""
+    if issubclass(category, TyreContactWarning):
+        typer.echo(f"isd-gym: {message}", err=True)
+    else:
+        sys.stderr.write(warnings.formatwarning(message, category, filename, lineno))
 
 
 def _broken(error: OSError) -> int:

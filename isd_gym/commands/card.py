@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, plain
+from ..registration import ENVIRONMENTS
 from ._card_table import print_track
 
 
@@ -17,7 +19,13 @@ def command(
         list[Path] | None,
         typer.Argument(help="Scores to compare with the card: files of isd-gym score --json."),
     ] = None,
-    card: Annotated[str, typer.Option("--card", help="Built-in card or a file.")] = "ISDSuspension-v0",
+    card: Annotated[
+        str | None,
+        typer.Option(
+            "--card",
+            help="Built-in card (ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0) or a file. Default: the card of the scores' car.",
+        ),
+    ] = None,
     write: Annotated[
         Path | None,
         typer.Option(
@@ -44,21 +52,39 @@ def command(
         if not found:
             raise InputError("--write wants scores to make a card of")
         tracks = [
-            cards.track(score, path.stem, str(score.get("command", "")))
+            cards.track(score, path.stem, _command(score))
             for score, path in zip(found, scores or (), strict=True)
         ]
-        made = cards.make("ISDSuspension-v0", tracks, datetime.date.today().isoformat())
+        made = cards.make(_environment(found), tracks, datetime.date.today().isoformat())
         write_text(write, json.dumps(made) + "\n")
         typer.echo(
             f"{len(tracks)} track{'' if len(tracks) == 1 else 's'} in {write}, digest {made['digest'][:16]}"
         )
         return
-    held = cards.load(card)
+    own = _environment(found) if card is None else card
+    held = cards.load(own if card is not None or own in cards.built_in() else "ISDSuspension-v0")
     names = [cards.match(score, held)["track"] for score in found]
     for one in held["tracks"]:
         if names and one["track"] not in names:
             continue
         print_track(held, one["track"], [s for s, n in zip(found, names, strict=True) if n == one["track"]])
+
+
+def _environment(scores: list[dict[str, Any]]) -> str:
+    """Return the environment of the scores' car; the quarter car's without scores or for another car.
+
+    Raises `InputError` for scores of different cars.
+    """
+    names = dict.fromkeys(str(score.get("network")) for score in scores)
+    if len(names) > 1:
+        raise InputError(f"the scores are of different cars: {', '.join(map(plain, names))}")
+    known = {network: name for name, network in ENVIRONMENTS.items()}
+    return known.get(next(iter(names), ""), "ISDSuspension-v0")
+
+
+def _command(score: dict[str, Any]) -> str:
+    """Return the command of a score without its file of results."""
+    return re.sub(r" --json[ =]\S+", "", str(score.get("command", "")))
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def command(
     against: Annotated[
         str | None,
         typer.Option(
-            help="Compare with a benchmark card: ISDSuspension-v0, or a file. Its references are not driven again.",
+            help="Compare with a benchmark card: ISDSuspension-v0, ISDHalfCar-v0, ISDFullCar-v0, or a file. Its references are not driven again.",
             metavar="CARD",
         ),
     ] = None,
@@ -83,7 +83,7 @@ def command(
 
     Example: isd-gym score passive isd-passive mpc
     """
-    from ..benchmark.policies import find, passive
+    from ..benchmark.policies import find_all, passive
     from ..benchmark.scoring import score as run
     from ..benchmark.scoring import unscored
     from ..loggers import ChannelMap
@@ -102,9 +102,7 @@ def command(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    entries = [
-        find(name, plant, model=belief, speed=speed, trained=trained_with, **ahead) for name in policies
-    ]
+    entries = find_all(policies, plant, model=belief, speed=speed, trained=trained_with, **ahead)
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,

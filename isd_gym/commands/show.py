@@ -37,7 +37,7 @@ def command(
 
     Example: isd-gym show mpc --against passive --out mpc.mp4
     """
-    from ..benchmark.policies import find
+    from ..benchmark.policies import find_all
     from ..network import Network
     from ..road import road as find_road
     from ..show import check_window, film, live
@@ -48,7 +48,7 @@ def command(
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     names = [name for name in (policy, against) if name is not None]
-    entries = [find(name, plant, speed=speed, trained=trained_with, **ahead) for name in names]
+    entries = find_all(names, plant, speed=speed, trained=trained_with, **ahead)
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()

@@ -11,6 +11,7 @@ one step late, as in any co-simulation without look-ahead.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import keyword
 import math
@@ -26,7 +27,7 @@ import numpy as np
 
 from ..elements import SensorDelay
 from ..errors import InputError, how_to_install
-from ..files import check_file, whole
+from ..files import check_file, whole, writing
 from ..network import Network
 from ..simulate import PHYSICS_STEP, Plant, effective_current, sense
 from ..units import TABLE, convert
@@ -235,6 +236,10 @@ class Running:
         return {name: float(v[-1]) for name, v in sense(self.network, rows, seconds).items()}
 
 
+#: namespaces of the scripts of all units that this process has loaded, see `NetworkSlave.__init_subclass__`
+_NAMESPACES: list[dict[str, Any]] = []
+
+
 class NetworkSlave(Slave):  # type: ignore[misc]
     """The class that PythonFMU runs: a `Running` network whose channels and parameters are variables of the unit.
 
@@ -244,6 +249,19 @@ class NetworkSlave(Slave):  # type: ignore[misc]
 
     MODEL = ""
     STEP = PHYSICS_STEP
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Keep the namespace of the unit's script alive.
+
+        PythonFMU releases it once per load without owning it, so that a second load in the same process would read freed
+        memory. It runs the script at every load, and hence this method.
+
+        Args:
+            options: Arguments of the class.
+        """
+        super().__init_subclass__(**options)
+        if cls.__module__ in sys.modules:
+            _NAMESPACES.append(vars(sys.modules[cls.__module__]))
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -381,11 +399,13 @@ def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = P
         f"    MODEL = {json.dumps(network.to_dict())!r}\n    STEP = {float(step)!r}\n"
     )
     with tempfile.TemporaryDirectory() as folder:
-        script = Path(folder) / f"fmu_{name.lower()}.py"
-        script.write_text(text, encoding="utf-8")
+        # Python loads a module once per process: other content needs another name
+        script = Path(folder) / f"fmu_{name.lower()}_{hashlib.sha256(text.encode()).hexdigest()[:12]}.py"
         paths = list(sys.path)
         try:
-            made = FmuBuilder.build_FMU(script, dest=folder)
+            with writing(folder, tempfile.gettempdir()):  # PythonFMU has a folder of its own there
+                script.write_text(text, encoding="utf-8")
+                made = FmuBuilder.build_FMU(script, dest=folder)
         finally:
             sys.path[:] = paths
             sys.modules.pop(script.stem, None)

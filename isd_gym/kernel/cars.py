@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 
 from ..cost import square
+from .jit import compiled
 from .lanes import bits, load, noise, select, some, spread, store
 from .layout import (
     ACCELERATION_LIMIT,
@@ -405,7 +405,7 @@ def driven(cars, past, depth, row, wide, e):
     return i
 
 
-@nb.njit(error_model="numpy", cache=True)
+@compiled(error_model="numpy")
 def road_noise(seed, gain, pole, start, out):
     """Fill `out` with the rough road of one car [m], continuing from counter `seed` and height `start`."""
     r = start

@@ -14,7 +14,7 @@ from numba.core.options import DefaultOptions
 
 from .. import cost
 from .. import elements as el
-from . import cars, contact, lanes, law_forces, layout, linear, newton, solve, steps
+from . import cars, contact, jit, lanes, law_forces, layout, linear, newton, solve, steps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -161,7 +161,7 @@ _CLOSE = (
 _INNER: dict[str, Any] = {
     "nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True
 }  # fmt: skip
-_ENTRY: dict[str, Any] = {"nogil": True, "error_model": "numpy", "cache": True}
+_ENTRY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 if hasattr(
     DefaultOptions, "_nrt"
 ):  # no function allocates an array, and calls without reference counts are inlined
@@ -170,6 +170,7 @@ if hasattr(
 
 @functools.cache
 def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kernel:
+    jit.check_compiler()
     smooth, dry = _laws() if with_laws else ([], [])
     names: dict[str, Any] = {k: v for module in _MODULES for k, v in vars(module).items()}
     names["CAR"] = layout.cars_layout(car)
@@ -184,8 +185,11 @@ def _bind(of: int, with_laws: bool, several: bool, car: layout.CarSize) -> Kerne
         twin = types.FunctionType(plain.__code__, names, plain.__name__)
         twin.__qualname__ = f"{plain.__name__}_{flavour}_{of:x}"
         name = _INSTEAD.get(plain, plain.__name__)
-        options = {**(_ENTRY if plain in _ENTRIES else _INNER), "forceinline": plain in _CLOSE}
-        names[name] = nb.njit(twin, **options, inline="always" if plain in _INLINE else "never")
+        options = {"forceinline": plain in _CLOSE, "inline": "always" if plain in _INLINE else "never"}
+        if plain in _ENTRIES:
+            names[name] = jit.compiled(**_ENTRY, **options)(twin)
+        else:
+            names[name] = nb.njit(twin, **_INNER, **options)
     return Kernel(names["advance"], names["measure"], names["record"], names["drive"])
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from .cars import road_noise
+from .jit import compiled
 
 
-@nb.njit(error_model="numpy", cache=True)
+@compiled(error_model="numpy")
 def track_noise(seed_sum, seed_difference, poles, gains, split, states, out):
     """Fill `out` with the rough road of two tracks, continuing from the counters and the states of its sections.
 

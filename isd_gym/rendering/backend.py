@@ -1,4 +1,4 @@
-"""The drawing library pygame and its display; a missing library or display is an `InputError` of one line."""
+"""The drawing library pygame-ce, imported as `pygame`, and its display; a missing library or display is an `InputError` of one line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def check_display() -> None:
     """Check, before long work, that a window can be opened.
 
     Raises:
-        InputError: No window can be opened, or pygame is missing.
+        InputError: No window can be opened, or pygame-ce is missing.
     """
     pg = pygame()
     start_display(pg)
@@ -80,9 +80,9 @@ def pygame() -> Any:
         The module.
 
     Raises:
-        InputError: pygame is not installed.
+        InputError: pygame-ce is not installed.
     """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pygame 2.6 warns of pkg_resources on import
-        return extra("pygame", "drawing", "pygame")
+        warnings.simplefilter("ignore")  # pygame, where it stands in for pygame-ce, warns on import
+        return extra("pygame", "drawing", "pygame-ce")

@@ -47,7 +47,7 @@ class Renderer:
         closed: Whether the viewer has closed the window (its button, Escape or q).
 
     Raises:
-        InputError: An argument is invalid, pygame is missing, or there is no display for a window.
+        InputError: An argument is invalid, pygame-ce is missing, or there is no display for a window.
     """
 
     def __init__(

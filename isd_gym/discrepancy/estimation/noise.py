@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numba as nb
 import numpy as np
 from scipy.signal import welch
 
+from ...kernel.jit import compiled
 from .input_noise import propagate_input_noise
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Whitener:
         return out.reshape(residual.shape)
 
 
-@nb.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _filter(taps: Array, x: Array, out: Array) -> None:
     """out[t] = sum over k of taps[k] x[t - k], for every column of x (n, columns)."""
     for t in range(len(x)):

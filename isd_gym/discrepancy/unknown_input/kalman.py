@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numba as nb
 import numpy as np
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from ...errors import InputError
+from ...kernel.jit import compiled
 from ...network import Network, linearise
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ ROUND_OFF = 1e-9
 IMPOSSIBLE = 1e12
 
 
-@nb.njit(cache=True)
+@compiled()
 def _compute_innovations(A: Array, B: Array, C: Array, D: Array, K: Array, u: Array, y: Array) -> Array:
     """Return prediction errors e (samples, outputs) of ``x+ = A x + B u + K e``, ``e = y - C x - D u``."""
     n, p, m = A.shape[0], C.shape[0], B.shape[1]

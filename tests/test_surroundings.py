@@ -1,0 +1,158 @@
+"""The program where its surroundings are not those of a developer: closed streams, other encodings, damaged files, full disks."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from isd_gym.commands._streams import ALIKE, PLAINER, prepare_streams
+from isd_gym.errors import InputError
+from isd_gym.kernel import jit
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
+SCORE = f"{sys.executable} -m isd_gym.cli score passive --episodes 1 --duration 0.1"
+
+
+def shell(command, cwd, **variables):
+    return subprocess.run(
+        ["bash", "-c", command], capture_output=True, cwd=cwd, env={**os.environ, **variables}, check=False
+    )
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_lose_nothing(closed, tmp_path):
+    done = shell(f"{SCORE} --json s.json {closed}", tmp_path)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert bool(done.stdout) == (closed == "2>&-")
+    assert json.loads((tmp_path / "s.json").read_text())["schema"] == "isd-score/1"
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        {"PYTHONIOENCODING": "cp932"},
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    ],
+)
+def test_a_table_is_printed_in_every_encoding(variables, tmp_path):
+    done = shell(f"{SCORE} --report page", tmp_path, **variables)
+    text = done.stdout.decode(variables.get("PYTHONIOENCODING", "ascii"))
+    assert done.returncode == 0 and "m/s2" in text and "?" not in text
+    assert (tmp_path / "page" / "index.html").exists()
+
+
+def test_what_an_encoding_lacks_keeps_its_width(monkeypatch):
+    prepare_streams()
+    for text in ("m/s²", "─━", "".join(ALIKE), "日本", "café"):
+        assert len(text.encode("ascii", PLAINER)) == len(text)
+    assert "m/s²".encode("ascii", PLAINER) == b"m/s2"
+    assert b"\xff.csv".decode("utf-8", "surrogateescape").encode("utf-8", PLAINER) == b"\\udcff.csv"
+
+
+def test_a_notebooks_backend_of_matplotlib_does_no_harm(tmp_path):
+    backend = "module://matplotlib_inline.backend_of_another_environment"
+    done = shell(f"{SCORE} --report page", tmp_path, MPLBACKEND=backend)
+    assert done.returncode == 0, done.stderr
+
+
+def test_without_the_compiler_is_one_line(tmp_path):
+    done = shell(SCORE, tmp_path, NUMBA_DISABLE_JIT="1")
+    assert done.returncode == 2
+    assert done.stderr.decode().count("\n") == 1 and b"unset NUMBA_DISABLE_JIT" in done.stderr
+
+
+FUNCTION = """
+    import sys, warnings
+    from isd_gym.kernel.jit import compiled
+
+    @compiled()
+    def twice(x):
+        return 2.0 * x
+
+    print(twice(21.0), *twice._cache_hits.values())
+    """
+
+
+def damaged(data: bytes, how: str) -> bytes:
+    k = len(data) // 3
+    flipped = bytes(b ^ 0x55 * (i == k) for i, b in enumerate(data))
+    return {"empty": b"", "half": data[: len(data) // 2], "flipped": flipped}[how]
+
+
+def test_a_damaged_kernel_is_compiled_again(tmp_path):
+    """Whatever happened to the files; the result is right, the files are mended, and the next call reads them."""
+    (tmp_path / "own.py").write_text(textwrap.dedent(FUNCTION))
+
+    def run():
+        done = shell(f"{sys.executable} own.py", tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
+        assert done.returncode == 0, done.stderr.decode()
+        return done.stdout.split()
+
+    assert run() == [b"42.0"] and run() == [b"42.0", b"1"]
+    for how in ("flipped .nbi", "empty .nbi", "half .nbc", "flipped .nbc"):
+        for file in (tmp_path / "kept").rglob(f"own.twice*{how.split()[1]}"):
+            file.write_bytes(damaged(file.read_bytes(), how.split()[0]))
+        assert run()[0] == b"42.0", how
+        assert run() == [b"42.0", b"1"], how
+
+
+def test_a_kernel_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
+    def full(self, name, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(jit._Files, "_save_data", full)
+    twice = jit.compiled()(lambda x: 2.0 * x)
+    with pytest.warns(RuntimeWarning, match=r"cannot be kept in '.+' \(No space left on device\)"):
+        assert twice(21.0) == 42.0
+
+
+def limited():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("score passive --episodes 1 --duration 0.1 --json s.json", "s.json"),
+        ("score passive --episodes 1 --duration 0.1 --report page", "page"),
+        ("networks full-car-isd --draw n.svg", "n.svg"),
+        ("simulate quarter-car-passive d.csv --out o.csv", "o.csv"),
+        ("show passive --seconds 0.1 --out a.gif", "a.gif"),
+        ("export quarter-car-passive --fmu a.fmu", ""),
+        ("record passive --episodes 1 --duration 0.5 --out set", "in '"),
+    ],
+)
+def test_a_full_disk_names_the_file(words, named, tmp_path):
+    """A limit on the size of a file stands for the full disk: the error of the system names no file either."""
+    for module in {"show": ("pygame",), "export": ("pythonfmu",), "record": ("minari", "h5py")}.get(
+        words.split()[0], ()
+    ):
+        pytest.importorskip(module)
+    (tmp_path / "d.csv").write_text("time,road\n" + "".join(f"{k / 1000},0.0\n" for k in range(400)))
+    before = sorted(tmp_path.iterdir())
+    done = subprocess.run(
+        [sys.executable, "-m", "isd_gym.cli", *words.split()],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        preexec_fn=limited,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1 and "cannot " in lines[0] and named in lines[0], done.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_errors_of_files_that_are_read_stay_what_they_are(tmp_path):
+    from isd_gym.files import whole
+
+    with pytest.raises(FileNotFoundError), whole(tmp_path / "out.txt"):
+        (tmp_path / "missing.csv").read_text()
+    with pytest.raises(InputError, match=r"out.txt' \(No space"), whole(tmp_path / "out.txt"):
+        raise OSError(28, "No space left on device")

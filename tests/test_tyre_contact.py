@@ -1,0 +1,104 @@
+"""The warning of roads on which linear tyres would pull, and the share of the time in which they do."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from isd_gym.errors import TyreContactWarning
+from isd_gym.network import Network
+from isd_gym.road import road
+from isd_gym.tyre_contact import pulling_share
+from isd_gym.vehicle import vehicle
+
+QUARTER = "ISDSuspension-v0"
+
+
+def with_lift_off(name: str) -> dict:
+    """A quarter car whose wheel lifts off."""
+    car = Network.load(name)
+    content = car.to_dict()
+    (load,) = vehicle(car).static_tyre_loads
+    values = {"stiffness": 192000.0, "load": load}
+    content["elements"].append(
+        {"name": "lift_off", "type": "tyre_lift_off", "between": ["wheel", "road"], **values}
+    )
+    return content
+
+
+@pytest.mark.parametrize(("name", "ground"), [("quarter-car-passive", "D"), ("half-car-isd", "E")])
+def test_the_share_is_the_share_of_a_drive(name, ground):
+    car = vehicle(Network.load(name))
+    cars = gym.make_vec(QUARTER, 16, network=car.network, road=ground, max_episode_steps=2001)
+    cars.reset(seed=0)
+    idle, loads = np.zeros(cars.action_space.shape, np.float32), []
+    for _ in range(2000):
+        info = cars.step(idle)[-1]
+        loads.append([info[n] + w for n, w in zip(car.tyre_loads, car.static_tyre_loads, strict=True)])
+    share = float(np.mean(np.array(loads) < 0))
+    assert share > 0.005
+    assert pulling_share(car, road(ground), 20.0) == pytest.approx(share, rel=0.15)
+
+
+def test_the_share_grows_with_road_and_speed():
+    car = vehicle(Network.load("quarter-car-isd"))
+    by_road = [pulling_share(car, road(name), 20.0) for name in ("flat", "A", "C", "D", "E", "F")]
+    by_speed = [pulling_share(car, road("D"), speed) for speed in (10.0, 20.0, 40.0)]
+    assert by_road == sorted(by_road) and by_road[0] == 0.0
+    assert by_speed == sorted(by_speed)
+    assert pulling_share(vehicle(Network.load(with_lift_off("quarter-car-isd"))), road("E"), 20.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"road": "E"},
+        {"road": "D+bump", "speed": 25.0},
+        {"randomize": {"road": ["A", "E"]}},
+        {"road": "D", "speed": 10.0, "randomize": {"speed": (10.0, 30.0)}},
+    ],
+)
+def test_rough_roads_are_warned_of(options):
+    for make in (gym.make, lambda name, **given: gym.make_vec(name, 3, **given)):
+        with pytest.warns(TyreContactWarning, match="tyre_lift_off") as seen:
+            make(QUARTER, **options)
+        assert len(seen) == 1
+        assert "\n" not in str(seen[0].message)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"road": "C", "speed": 40.0},
+        {"road": "paper+pothole"},
+        {"road": "E", "network": with_lift_off("quarter-car-isd")},
+    ],
+)
+def test_other_roads_are_not(options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gym.make(QUARTER, **options)
+
+
+def test_a_program_warns_once():
+    code = (
+        "import gymnasium as gym\n"
+        "for road in ('paper', 'E', 'E', 'C', 'E'):\n"
+        f"    gym.make({QUARTER!r}, road=road)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stderr.count("TyreContactWarning") == 1
+
+
+def test_the_command_says_it_in_one_line():
+    command = [sys.executable, "-m", "isd_gym.cli", "score", "passive", "--road", "E", "--episodes", "2"]
+    run = subprocess.run([*command, "--duration", "1"], capture_output=True, text=True, check=False)
+    lines = [line for line in run.stderr.splitlines() if "tyre_lift_off" in line]
+    assert len(lines) == 1, run.stderr
+    assert lines[0].startswith("isd-gym: on road E")
