@@ -308,7 +308,7 @@ def _features(
     """
     noted = seen.get("isd_gym")
     noted = noted if isinstance(noted, Mapping) else {}
-    asked = {k: given.get(k) or noted.get(k) for k in TRAINED}
+    asked: dict[str, Any] = {k: given.get(k) or noted.get(k) for k in TRAINED}
     step = number(noted.get("control_step", 5e-3), f"{where}: its control step")
     if not 1e-3 <= step <= 1.0:
         raise InputError(f"{where}: its control step is {step:g} s")

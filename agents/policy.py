@@ -24,11 +24,12 @@ import numpy as np
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.errors import InputError, plain, shown
 from isd_gym.files import whole_folder
+from isd_gym.history import LARGEST
 from isd_gym.inputs import number, parse_json, read_bytes
 from isd_gym.network import Network
 from isd_gym.vehicle import vehicle
 
-from .memory import LARGEST, Memory, Recall
+from .memory import Memory, Recall
 from .pickles import sizes
 
 if TYPE_CHECKING:

@@ -13,23 +13,23 @@ from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.tune.registry import register_env
 
-from isd_gym.wrappers import SharedRoads, cost_of
+from isd_gym.wrappers import cost_of
 
 CARS, HORIZON = 256, 128
 
 
-def roads(config: dict[str, Any]) -> SharedRoads:
-    return SharedRoads(gymnasium.make_vec("ISDSuspension-v0", config["num_envs"]), each=8)
+def roads(config: dict[str, Any]) -> gymnasium.vector.VectorEnv:
+    return gymnasium.make_vec("ISDSuspensionLearning-v0", config["num_envs"], cars_per_road=8)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--updates", type=int, default=60)
     given = parser.parse_args()
-    register_env("shared-roads", roads)
+    register_env("cars-on-roads", roads)
     config = (
         PPOConfig()
-        .environment("shared-roads")
+        .environment("cars-on-roads")
         .env_runners(
             num_env_runners=0,  # in this process
             num_envs_per_env_runner=CARS,
@@ -38,8 +38,8 @@ def main() -> None:
             batch_mode="truncate_episodes",
         )
         .training(
-            gamma=0.997,
-            lambda_=0.97,
+            gamma=0.98,
+            lambda_=1.0,
             lr=1e-3,
             train_batch_size_per_learner=CARS * HORIZON,
             minibatch_size=CARS * HORIZON // 16,
@@ -71,7 +71,7 @@ def main() -> None:
 
     steps = given.updates * CARS * HORIZON / 1e6
     print(
-        f"J {cost_of(act):.3f} after {steps:.1f} million steps, {seconds:.0f} s of processor time (passive: 0.857)"
+        f"J {cost_of(act):.3f} after {steps:.1f} million steps, {seconds:.0f} s of processor time (passive: 0.869)"
     )
 
 

@@ -34,9 +34,9 @@ SCALES = {
     "device_travel_rate": (0.05, 0.012),
     "current": (2.5, 0.45),
 }
-#: velocities of the body are leaky integrals of its accelerations: time constant [s], and scale over the scale of
-#: the acceleration
-LEAK = (1.0, 0.07)
+#: velocities of the body are leaky integrals of its accelerations: time constants [s], and scales over the scale of the
+#: acceleration. A combination of several is closer to the velocity than any one of them
+LEAKS = ((0.3, 0.042), (1.0, 0.07), (3.0, 0.091))
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,7 @@ def history_of(car: Vehicle, step: float = 5e-3) -> History:
     kinds = [signal.kind for signal in car.measured]
     scale = tuple(SCALES[kind][0] for kind in kinds)
     change = tuple(SCALES[kind][1] * (step / 5e-3) for kind in kinds)
-    tau, share = LEAK
-    leak = tuple((i, tau, share * scale[i]) for i in range(1 + len(car.axes)))
+    leak = tuple((i, tau, share * scale[i]) for i in range(1 + len(car.axes)) for tau, share in LEAKS)
     return History(scale, change, order=2, leak=leak, step=step)
 
 

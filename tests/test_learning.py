@@ -55,16 +55,18 @@ def test_a_history_is_scaled_signals_their_changes_and_velocities(name):
     kinds = [signal.kind for signal in plain.task.measured]
     scale, change = (np.array([SCALES[kind][i] for kind in kinds]) for i in (0, 1))
     n, motions = len(kinds), 1 + len(plain.task.vehicle.axes)
-    assert not first.any() and first.shape == (3 * n + motions,) == own.observation_space.shape
+    assert not first.any() and first.shape == (3 * n + 3 * motions,) == own.observation_space.shape
     assert len(own.task.labels) == len(first)
-    rng, velocity, step = np.random.default_rng(0), np.zeros(motions), np.zeros(n)
+    rng, velocity, step = np.random.default_rng(0), np.zeros((motions, 3)), np.zeros(n)
+    taus, shares = np.array([0.3, 1.0, 3.0]), np.array([0.042, 0.07, 0.091])
     for _ in range(60):
         action = rng.uniform(-5, 5, plain.action_space.shape)
         obs, last, last_step = own.step(action)[0], seen, step
         seen = plain.step(action)[0]
         step = (seen - last) / change
-        velocity += 5e-3 * (seen[:motions] - velocity)
-        expected = np.concatenate([seen / scale, step, step - last_step, velocity / (0.07 * scale[:motions])])
+        velocity += 5e-3 * (seen[:motions, None] - velocity / taus)
+        velocities = velocity / (shares * scale[:motions, None])
+        expected = np.concatenate([seen / scale, step, step - last_step, velocities.ravel()])
         np.testing.assert_allclose(obs, np.clip(expected, -10, 10), rtol=2e-3, atol=2e-3)
     assert own.observation_space.contains(obs)
 

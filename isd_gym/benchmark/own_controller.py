@@ -98,7 +98,7 @@ class OwnController:
 
     def __init__(self, made: Callable[..., Any], file: Path, attribute: str) -> None:
         self._file, self._label = file, f"{file}:{attribute}"
-        self._own = _call(file, made) if isinstance(made, type) else None
+        self._own: Any = _call(file, made) if isinstance(made, type) else None
         act = getattr(self._own, "act", None) if isinstance(made, type) else made
         if not callable(act):
             raise InputError(f"{self._label} has no method act(observation)")
