@@ -13,6 +13,8 @@ from typing import Annotated, Any
 
 import typer
 
+from isd_gym.commands._options import TrainedOption
+
 
 class Algorithm(StrEnum):
     """Learning algorithms by name."""
@@ -55,6 +57,13 @@ def train(
             help="Road ahead that the policy of a quarter car sees [s], e.g. 0.1; none unless given.", min=0.0
         ),
     ] = 0.0,
+    unaided: Annotated[
+        bool,
+        typer.Option(
+            "--from-nothing",
+            help="Train without a teacher and without the estimate of a Kalman filter among the features.",
+        ),
+    ] = False,
     sensors: Annotated[
         str,
         typer.Option(
@@ -67,7 +76,8 @@ def train(
 ) -> None:
     """Train a policy; a repeated call with the same folder continues an unfinished run.
 
-    The policy first imitates the friction-aware MPC, then PPO or SAC trains it. A policy of a half or full
+    The policy first imitates the friction-aware MPC, then PPO or SAC trains it; with --from-nothing it learns from
+    its own experience alone. A policy of a half or full
     car commands one current per motor, and knows the road ahead of the rear wheels from the front wheels.
     Ctrl-C saves the run and prints the command that continues it. Shows the cost J on validation roads, after
     the costs of the passive car and the baselines. The best policy is in DIR/policy, for `isd-gym score
@@ -93,6 +103,7 @@ def train(
             randomize=randomize,
             preview=preview,
             sensors=sensors,
+            unaided=unaided,
             say=say,
             progress=progress,
         )
@@ -148,8 +159,13 @@ def convert(
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the policy.", metavar="DIR")] = None,
     normalize: Annotated[
         Path | None,
-        typer.Option("--normalize", help="The saved VecNormalize of the archive.", metavar="FILE"),
+        typer.Option(
+            "--normalize",
+            help="The saved VecNormalize of the archive. Default: <name>_vecnormalize.pkl or vecnormalize.pkl beside it.",
+            metavar="FILE",
+        ),
     ] = None,
+    trained_with: TrainedOption = None,
     network: Annotated[str, typer.Option(help="The network it was trained on.")] = "quarter-car-isd",
     onnx: Annotated[Path | None, typer.Option("--onnx", help="Write an ONNX file.", metavar="FILE")] = None,
     plain_c: Annotated[
@@ -162,7 +178,7 @@ def convert(
         ),
     ] = None,
 ) -> None:
-    """Turn a Stable-Baselines3 PPO, SAC or TD3 archive into a policy folder, or a policy into ONNX, plain C or a
+    """Turn a Stable-Baselines3 PPO, A2C, SAC, TD3, DDPG or TQC archive into a policy folder, or a policy into ONNX, plain C or a
     folder for a hub.
 
     The controllers mpc-friction, mpc-friction-preview and mpc-robust, with --network as their model, can be
@@ -172,18 +188,21 @@ def convert(
     """
     from isd_gym.errors import InputError
 
-    from .convert import WARNING
     from .convert import convert as run
+    from .convert import trained_options
     from .policy import Policy
 
     if out is None and onnx is None and plain_c is None and hub is None:
         raise InputError("nothing to write: give --out DIR, --onnx FILE, --c DIR or --hub DIR")
     if not os.path.exists(archive) and _controller(str(archive), out or hub, onnx, plain_c, network):
         return
-    if archive.suffix == ".zip":
-        if os.path.isfile(archive):
-            typer.echo(f"{archive}: {WARNING}", err=True)
-        policy = run(archive, normalize=normalize, network=network)
+    if archive.suffix.lower() == ".zip":
+        given: dict[str, Any] = dict(trained_options(trained_with) if trained_with else {})
+        if normalize is not None:
+            given["normalize"] = normalize
+        policy = run(archive, network=network, **given)
+        if "normalisation" in policy.info and "normalize" not in given:
+            typer.echo(f"{archive}: normalised by '{policy.info['normalisation']}' beside it", err=True)
     else:
         policy = Policy.load(archive)
     if out is not None:

@@ -1,36 +1,37 @@
 """Conversion of Stable-Baselines3 policies (.zip, with or without VecNormalize) to policies that need only numpy.
 
-An archive of Stable-Baselines3 holds pickles, and loading a pickle executes code from the archive. No code is
-executed here: `pickles` reads the content of a pickle without calling anything. Even so, convert an archive
-once and keep the folder, which documents its content and is safe for other programs.
+An archive of Stable-Baselines3 holds pickles, and other programs execute code from the archive when they load
+a pickle. No code is executed here: `pickles` reads the content of a pickle without calling anything. An archive
+from a stranger is therefore as safe as a policy folder. `torch.load(weights_only=True)` is no replacement: it
+needs torch, executed code before torch 2.6 (CVE-2025-32434), and reads no VecNormalize.
 """
 
 from __future__ import annotations
 
 import io
 import math
+import os
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from isd_gym.batch import CURRENT_LIMIT
 from isd_gym.errors import InputError, shown
+from isd_gym.history import BOUND
 from isd_gym.inputs import number, parse_json, read_bytes, too_large
 from isd_gym.network import Network
-from isd_gym.vehicle import vehicle
+from isd_gym.vehicle import SLEW_RATE, vehicle
 
 from .memory import Memory
 from .pickles import STORAGES, Name, Stored, Thing, array, mapping, read_pickle, tensor
 from .policy import Head, Policy
 
-WARNING = (
-    "an SB3 archive holds pickles, which run code wherever they are loaded as usual; only its weights are read here, "
-    "and nothing of it is run"
-)
-
+if TYPE_CHECKING:
+    from isd_gym.vehicle import Vehicle
 
 #: limit of the total unpacked size of an archive's parts [bytes]
 ARCHIVE_LIMIT = 512 * 2**20
@@ -184,6 +185,12 @@ def actor_layers(state: Mapping[str, np.ndarray]) -> tuple[str, list[tuple[np.nd
         raise InputError(
             "its features extractor has weights of its own; only the flat MlpPolicy can be converted"
         )
+    if any("lstm" in key for key in state):
+        raise InputError("its policy is recurrent; only the flat MlpPolicy can be converted")
+    if kind == "td3" and any(key.startswith("actor.latent_pi.") for key in state):
+        raise InputError(
+            "its SAC explores with gSDE, whose clipped mean is not supported; train without use_sde"
+        )
     inner = [
         k.removeprefix(hidden).removesuffix(".weight")
         for k in state
@@ -252,25 +259,159 @@ def _shape(space: Mapping[str, Any]) -> str:
     return str(shape) if short else shown(shape)
 
 
+def _bounds(space: Mapping[str, Any]) -> set[float]:
+    """Return the different upper bounds of a space; raise `ValueError` for other text than numbers."""
+    return {float(word) for word in str(space.get("high", "[1.]"))[:20_000].strip("[] ").split()}
+
+
+#: options of the training that decide how a policy is run, with their values
+TRAINED = {"observation": ("measured", "history"), "action": ("current", "increment")}
+#: built-in cars, to tell which of them an archive was trained on
+CARS = ("quarter-car-isd", "half-car-isd", "full-car-isd")
+
+
+def trained_options(text: str) -> dict[str, str]:
+    """Return the options of a training from a text such as ``observation=history,action=increment``.
+
+    Args:
+        text: Pairs NAME=VALUE, joined by commas; names are those of `TRAINED`, and `normalize`.
+
+    Returns:
+        Value by name.
+
+    Raises:
+        InputError: A name or a value is unknown.
+    """
+    out = {}
+    for pair in text.split(","):
+        name, _, value = (word.strip() for word in pair.partition("="))
+        if name not in (*TRAINED, "normalize") or not value:
+            raise InputError(
+                f"{shown(pair)} is no option of a training: there are observation=measured or history, "
+                "action=current or increment, normalize=FILE or none"
+            )
+        out[name] = value
+    return out
+
+
+def _features(
+    where: str,
+    car: Vehicle,
+    seen: Mapping[str, Any],
+    acts: Mapping[str, Any],
+    given: Mapping[str, str | None],
+) -> tuple[Memory, Head, float]:
+    """Return features, conversion of the output, and bound of the action space, of an archive for a car.
+
+    The options of the training are the given ones, else those that the environment left in the archive, else
+    those that the spaces of the archive show.
+    """
+    noted = seen.get("isd_gym")
+    noted = noted if isinstance(noted, Mapping) else {}
+    asked: dict[str, Any] = {k: given.get(k) or noted.get(k) for k in TRAINED}
+    step = number(noted.get("control_step", 5e-3), f"{where}: its control step")
+    if not 1e-3 <= step <= 1.0:
+        raise InputError(f"{where}: its control step is {step:g} s")
+    shape = seen.get("_shape")
+    try:
+        high = _bounds(acts)
+        (limit,) = high
+    except ValueError:
+        raise InputError(f"{where}: the bound of its actions is {shown(acts.get('high'))}") from None
+    if asked["observation"] is None:
+        try:
+            is_scaled = _bounds(seen) == {BOUND}
+        except ValueError:
+            is_scaled = False
+        asked["observation"] = (
+            "history" if is_scaled and shape == [_width("history", car, step)] else "measured"
+        )
+    if asked["action"] is None:
+        is_increment = asked["observation"] == "history" and limit == 1.0
+        asked["action"] = "increment" if is_increment else "current"
+    for name, known in TRAINED.items():
+        if asked[name] not in known:
+            raise InputError(
+                f"{where} was trained with {name} {shown(asked[name])}; archives are driven with "
+                f"{' or '.join(known)}"
+            )
+    wanted, currents = _width(asked["observation"], car, step), len(car.driven)
+    if shape != [wanted]:
+        others = [
+            f"{asked['observation']} of {name}"
+            for name in CARS
+            if name != car.network.name
+            and shape == [_width(asked["observation"], vehicle(Network.load(name)), step)]
+        ]
+        others += [
+            f"history of {n}" for n in CARS if shape == [_width("history", vehicle(Network.load(n)), step)]
+        ]
+        fits = f"; it fits {others[0]}, see --network and --trained-with" if others else ""
+        raise InputError(
+            f"{where} was trained on observations of shape {_shape(seen)}, this car gives [{wanted}]{fits}"
+        )
+    if acts.get("_shape") != [currents]:
+        raise InputError(
+            f"{where} was trained for actions of shape {_shape(acts)}, network '{car.network.name}' takes [{currents}]"
+        )
+    if limit not in (1.0, CURRENT_LIMIT):
+        raise InputError(
+            f"{where} was trained for actions up to {limit:g}, neither 1 nor {CURRENT_LIMIT:g} A"
+        )
+    memory = Memory.of(car, step) if asked["observation"] == "history" else Memory(step=step)
+    is_increment = asked["action"] == "increment"
+    return (
+        memory,
+        Head("increment", slew=min(SLEW_RATE * step, CURRENT_LIMIT)) if is_increment else Head(),
+        limit,
+    )
+
+
+def _width(observation: str, car: Vehicle, step: float) -> int:
+    signals = len(car.measured)
+    return Memory.of(car, step).width(signals) if observation == "history" else signals
+
+
+def normalize_beside(archive: Path) -> Path | None:
+    """Return the saved VecNormalize beside an archive.
+
+    Args:
+        archive: The .zip file.
+
+    Returns:
+        The first existing file of: <stem>_vecnormalize.pkl, <stem>.pkl, the name that the `CheckpointCallback` of
+            Stable-Baselines3 gives, vecnormalize.pkl. None without such a file.
+    """
+    stem = archive.stem
+    names = [f"{stem}_vecnormalize.pkl", f"{stem}.pkl"]
+    if parts := re.fullmatch(r"(.*)_(\d+)_steps", stem):
+        names.append(f"{parts[1]}_vecnormalize_{parts[2]}_steps.pkl")
+    found = (archive.with_name(name) for name in (*names, "vecnormalize.pkl"))
+    return next((path for path in found if os.path.isfile(path)), None)
+
+
 def convert(
     archive: str | Path,
     *,
     normalize: str | Path | None = None,
     network: str | Path | Network | None = "quarter-car-isd",
-    memory: Memory | None = None,
-    head: Head | None = None,
+    observation: str | None = None,
+    action: str | None = None,
     name: str | None = None,
 ) -> Policy:
-    """Return the deterministic policy of a PPO, SAC or TD3 archive of Stable-Baselines3.
+    """Return the deterministic policy of a PPO, A2C, SAC, TD3, DDPG or TQC archive of Stable-Baselines3.
 
-    Actions in [-1, 1] are shares of the current's limit.
+    Nothing of the archive is executed. The environments of this package leave their options in the archive. Without
+    them, observations within ±10 of the right width are a history, whose actions in [-1, 1] are increments;
+    other actions in [-1, 1] are shares of the current's limit.
 
     Args:
         archive: The .zip file.
-        normalize: File of its saved VecNormalize; None without normalisation.
+        normalize: File of its saved VecNormalize; None for a file beside the archive (`normalize_beside`), "none"
+            for no normalisation.
         network: Network of the training; None if unknown.
-        memory: Features of the observations; None for unchanged signals.
-        head: Conversion of the output to a current; None for the usual one.
+        observation: Observation of the training, 'measured' or 'history'; None to find it.
+        action: Action of the training, 'current' or 'increment'; None to find it.
         name: Name of the policy; None for the stem of the file.
 
     Returns:
@@ -281,28 +422,21 @@ def convert(
     """
     path, where = Path(archive), shown(str(archive), 200)
     file = _Zip(read_bytes(path, ARCHIVE_LIMIT), where)
+    if "data" not in file.parts:
+        raise InputError(
+            f"{where} is not an archive of Stable-Baselines3, or not a whole one: it has no part 'data'"
+        )
     data = parse_json(file.read("data"), where)
     if not isinstance(data, Mapping):
         raise InputError(f"{where} is not an archive of Stable-Baselines3: its data is {shown(data)}")
     seen = _space(data, "observation_space", where)
     acts = _space(data, "action_space", where)
-    memory = memory or Memory()
     car = vehicle(Network.load(network if network is not None else "quarter-car-isd"))
-    wanted, currents = memory.width(len(car.measured)), len(car.driven)
-    if seen.get("_shape") != [wanted]:
-        raise InputError(
-            f"{where} was trained on observations of shape {_shape(seen)}, this car gives [{wanted}]"
-        )
-    if acts.get("_shape") != [currents]:
-        raise InputError(
-            f"{where} was trained for actions of shape {_shape(acts)}, network '{car.network.name}' takes [{currents}]"
-        )
-    try:
-        (high,) = {float(word) for word in str(acts.get("high", "[1.]"))[:200].strip("[] ").split()}
-    except ValueError:
-        raise InputError(f"{where}: the bound of its actions is {shown(acts.get('high'))}") from None
-    if high not in (1.0, CURRENT_LIMIT):
-        raise InputError(f"{where} was trained for actions up to {high:g}, neither 1 nor {CURRENT_LIMIT:g} A")
+    memory, head, high = _features(where, car, seen, acts, {"observation": observation, "action": action})
+    if normalize is None:
+        normalize = normalize_beside(path)
+    elif str(normalize) == "none":
+        normalize = None
     state = read_torch(file.read("policy.pth"), where)
     try:
         kind, _ = actor_layers(state)
@@ -314,19 +448,30 @@ def convert(
         )
         if activation is None:
             raise InputError(f"activation {shown(text)} is not supported (Tanh, ReLU)")
+        if given.get("squash_output") is True and kind == "ppo":
+            raise InputError("squash_output of PPO is not supported")
+        extractor = str(given.get("features_extractor_class", "FlattenExtractor"))
+        if "FlattenExtractor" not in extractor:
+            raise InputError(f"features extractor {shown(extractor)} is not supported")
+        bound = BOUND if memory.scale else math.inf  # the environment clips its histories
         mean, scale, clip = read_normalize(normalize) if normalize else (None, None, math.inf)
         return build(
             state,
             activation=activation,
             memory=memory,
-            head=head or Head(),
+            head=head,
             high=high,
             mean=mean,
             scale=scale,
             clip=clip,
+            bound=bound,
             name=name or path.stem,
             network=Network.load(network) if network is not None else None,
-            info={"algorithm": kind, "origin": f"converted from {path.name}"},
+            info={
+                "algorithm": kind,
+                "origin": f"converted from {path.name}",
+                **({"normalisation": Path(normalize).name} if normalize else {}),
+            },
         )
     except InputError as error:
         text = str(error)

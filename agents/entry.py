@@ -27,7 +27,8 @@ def open_policy(
         model: Network of the score.
         cost: Without effect.
         control_step: Control step [s].
-        options: `preview` [s], which must agree with the policy's.
+        options: `preview` [s], which must agree with the policy's; `trained`, options of the training of an
+            archive (`convert.trained_options`).
 
     Returns:
         The entry; None for other names.
@@ -36,12 +37,13 @@ def open_policy(
         InputError: The policy cannot be read, or does not fit the network, the control step or the preview.
     """
     path = Path(name)
-    if path.suffix == ".zip":
-        from .convert import WARNING, convert
+    if path.suffix.lower() == ".zip":
+        from .convert import convert, trained_options
 
-        if os.path.isfile(path):
-            print(f"{name}: {WARNING}", file=sys.stderr)
-        first = convert(path, name=path.stem)
+        given: dict[str, Any] = dict(trained_options(options["trained"]) if options.get("trained") else {})
+        first = convert(path, network=model, **given)
+        if "normalisation" in first.info and "normalize" not in given:
+            print(f"{name}: normalised by '{first.info['normalisation']}' beside it", file=sys.stderr)
     elif name in names() or os.path.isdir(path) or path.name == "policy.json":
         first = Policy.load(path.parent if path.name == "policy.json" else path)
     else:

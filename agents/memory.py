@@ -19,13 +19,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym.errors import InputError, shown
+from isd_gym.history import LARGEST, SIGNALS, History, Remembered, history_of
 from isd_gym.inputs import number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-#: limits of a policy's file: states of a filter, signals, orders of change, magnitude of numbers
-STATES, SIGNALS, ORDERS, LARGEST = 64, 1024, 8, 1e12
+    from isd_gym.vehicle import Vehicle
+
+#: limit of a policy's file: states of a filter
+STATES = 64
 LONGEST, LEADERS = 1024, 8  # control steps of a delay, and wheels that lead
 
 
@@ -299,15 +302,10 @@ def tuples(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Memory:
-    """Definition of the features of observations. Without scales, the signals are unchanged.
+class Memory(History):
+    """Definition of the features of observations: a history, the road ahead, and an estimate.
 
     Attributes:
-        scale: Scale of each signal [SI unit of the signal].
-        change: Scale of each signal's change over a control step.
-        order: Highest order of change among the features.
-        leak: Index of the signal, time constant [s] and scale of each leaky integral.
-        step: Control step [s].
         filter: Estimate among the features; None without an estimate.
         ahead: Number of heights of the road ahead after the signals in an observation, one per control step.
         rise: Scale of the rises of the road ahead [m]; RMS of the paper's road over a control step by
@@ -319,21 +317,13 @@ class Memory:
         InputError: A value is outside its limits.
     """
 
-    scale: tuple[float, ...] = ()
-    change: tuple[float, ...] = ()
-    order: int = 0
-    leak: tuple[tuple[int, float, float], ...] = ()
-    step: float = 5e-3
     filter: Filter | None = None
     ahead: int = 0
     rise: float = 1.4e-3
     echo: Echo | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.order <= ORDERS:
-            raise InputError(f"memory: order must be 0 to {ORDERS}, not {shown(self.order)}")
-        if max(len(self.scale), len(self.change), len(self.leak)) > SIGNALS:
-            raise InputError(f"memory: more than {SIGNALS} signals or leaks")
+        super().__post_init__()
         if not 0 <= self.ahead <= SIGNALS or not 1 / LARGEST < self.rise < LARGEST:
             raise InputError(f"memory: ahead must be 0 to {SIGNALS} points and rise > 0")
         if self.echo is not None:
@@ -352,19 +342,19 @@ class Memory:
             raise InputError("memory: its filter knows the road under several wheels, and no echo tells it")
         if self.filter and self.filter.points > (self.echo.width if self.echo else self.ahead):
             raise InputError("memory: its filter looks farther ahead than the observation")
-        if self.order > 0 and len(self.change) != len(self.scale):
-            raise InputError("memory: change needs one scale for each signal")
-        if any(not 1 / LARGEST < s < LARGEST for s in (*self.scale, *self.change)):
-            raise InputError(f"memory: scales must be > 0, at most {LARGEST:g}")
-        if not 0 < self.step <= 10:
-            raise InputError(f"memory: step must be > 0 and at most 10 s, not {self.step:g}")
-        for signal, tau, scale in self.leak:
-            if not (
-                0 <= signal < len(self.scale) and self.step < tau < LARGEST and 1 / LARGEST < scale < LARGEST
-            ):
-                raise InputError(
-                    f"memory: leak ({signal}, {tau:g}, {scale:g}) is not (signal, seconds, scale)"
-                )
+
+    @classmethod
+    def of(cls, car: Vehicle, step: float = 5e-3) -> Memory:
+        """Return the memory whose features are the history of a car, the observation ``"history"``.
+
+        Args:
+            car: The car.
+            step: Control step [s].
+
+        Returns:
+            The memory.
+        """
+        return cls(**vars(history_of(car, step)))
 
     def width(self, signals: int) -> int:
         """Return the number of features.
@@ -380,7 +370,7 @@ class Memory:
         """
         if self.scale and signals != len(self.scale):
             raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
-        return signals * (1 + self.order) + self.extra
+        return self.numbers(signals) + self.extra - len(self.leak)
 
     @property
     def extra(self) -> int:
@@ -438,7 +428,7 @@ class Memory:
         return Recall(self, observations)
 
 
-class Recall:
+class Recall(Remembered):
     """The memory of several cars; `features` (count, width) float32 are the present features.
 
     Args:
@@ -447,20 +437,11 @@ class Recall:
     """
 
     def __init__(self, memory: Memory, observations: np.ndarray) -> None:
-        self.memory = memory
         count, columns = observations.shape
         signals = columns - memory.ahead
-        self.features = np.empty((count, memory.width(signals)), np.float32)
-        self._signals = signals
-        self.scale = np.array(memory.scale or [1.0] * signals, np.float32)
-        # factors that turn differences of scaled signals into features
-        ratio = self.scale / np.array(memory.change or [1.0] * signals, np.float32)
-        self.ratios = [ratio if k == 0 else np.float32(1.0) for k in range(memory.order)]
-        self.leaks = [
-            (i, np.float32(1 - memory.step / tau), np.float32(memory.step / scale))
-            for i, tau, scale in memory.leak
-        ]
-        first = memory.width(signals) - memory.extra + len(memory.leak)
+        super().__init__(memory, count, signals, memory.width(signals))
+        self.memory = memory
+        first = memory.numbers(signals)
         self.echo = _Echo(memory.echo, memory.step, count) if memory.echo else None
         # columns of the rises, and of those which the first step of each road ahead begins with
         width = memory.echo.width if memory.echo else memory.ahead
@@ -468,20 +449,24 @@ class Recall:
         self._next = slice(first, first + width, memory.echo.points if memory.echo else max(width, 1))
         self._rise = np.float32(memory.echo.rise if memory.echo else memory.rise)
         self.filter = _Filter(memory.filter, count) if memory.filter else None
-        self.begin(np.ones(count, bool), observations)
+        self.begin(slice(None), observations)
 
-    def begin(self, which: np.ndarray, observations: np.ndarray) -> None:
+    @property
+    def ratios(self) -> list[np.ndarray]:
+        """Factors on the differences of each order of change, from the first (signals,) [-]."""
+        ones = np.ones_like(self.ratio)
+        return [ones if k else self.ratio for k in range(self.order)]
+
+    def begin(self, which: np.ndarray | slice, observations: np.ndarray) -> None:
         """Restart the memory of some cars.
 
         Args:
-            which: Mask of the cars (count,).
-            observations: Observations of all cars (count, signals, then the road ahead).
+            which: Indices or mask of the cars.
+            observations: Observations of these cars (cars, signals, then the road ahead).
         """
-        f, n = self.features, self._signals
-        f[which] = 0.0
-        f[which, :n] = observations[which, :n] / self.scale
+        super().begin(which, observations)
         if self.memory.ahead:
-            f[which, self._road] = self._rises(observations[which])
+            self.features[which, self._road] = self._rises(observations)
         if self.echo:
             self.echo.met[which] = 0.0
         if self.filter:
@@ -489,7 +474,7 @@ class Recall:
 
     def _rises(self, observations: np.ndarray) -> np.ndarray:
         """Return the scaled rises of the road in the next control steps (count, ahead)."""
-        heights = observations[:, self._signals :]
+        heights = observations[:, self.signals :]
         out = heights / self._rise
         out[:, 1:] -= heights[:, :-1] / self._rise
         return out
@@ -503,18 +488,11 @@ class Recall:
         Returns:
             Features (count, width), valid until the next call.
         """
-        f, n = self.features, self._signals
-        new: np.ndarray = observations[:, :n] / self.scale
-        for k, ratio in enumerate(self.ratios):
-            old = f[:, n * k : n * (k + 1)].copy()
-            f[:, n * k : n * (k + 1)] = new
-            new = (new - old) * ratio
-        f[:, n * self.memory.order : n * (self.memory.order + 1)] = new
-        for j, (i, keep, gain) in enumerate(self.leaks, n * (self.memory.order + 1)):
-            f[:, j] = f[:, j] * keep + observations[:, i] * gain
+        f = self.features
         risen = ahead = None
         if self.memory.ahead or self.echo:
             risen = f[:, self._next] * self._rise
+        super().see(observations)
         if self.memory.ahead:
             f[:, self._road] = self._rises(observations)
         if self.filter:

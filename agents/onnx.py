@@ -113,7 +113,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         change = node("Sub", [blocks[-1], part("memory", n * k, n * (k + 1), f"old{k}")], f"change{k}")
         scaled = node("Mul", [change, constant(f"ratio{k}", ratio)], f"scaled{k}")
         blocks.append(node("Mul", [scaled, keep], f"x{k + 1}"))
-    for j, (i, decay, gain) in enumerate(recall.leaks):
+    for j, (i, decay, gain) in enumerate(zip(recall.leaks, recall.keep, recall.gain, strict=True)):
         at = n * (memory.order + 1) + j
         old = node("Mul", [part("memory", at, at + 1, f"leak{j}"), constant(f"decay{j}", decay)], f"kept{j}")
         new = node(
@@ -125,7 +125,10 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         blocks += estimate(recall.filter, n * (memory.order + 1) + len(recall.leaks))
         offset = blocks[-1]
     features = node("Concat", blocks, "features", axis=1)
-    x = node("Sub", [features, constant("mean", policy.mean)], "centred")
+    x = features
+    if np.isfinite(policy.bound):
+        x = node("Clip", [x, constant("least", -policy.bound), constant("most", policy.bound)], "bounded")
+    x = node("Sub", [x, constant("mean", policy.mean)], "centred")
     x = node("Div", [x, constant("spread", policy.scale)], "normal")
     if np.isfinite(policy.clip):
         x = node("Clip", [x, constant("low", -policy.clip), constant("high", policy.clip)], "clipped")

@@ -152,7 +152,7 @@ def _source(policy: Policy, name: str) -> str:
         )
     see.append(f"    for (int i = 0; i < {n}; i++) f[{n * memory.order} + i] = now[i];")
     at = n * (memory.order + 1)
-    for j, (i, keep, gain) in enumerate(recall.leaks, at):
+    for j, (i, keep, gain) in enumerate(zip(recall.leaks, recall.keep, recall.gain, strict=True), at):
         see.append(f"    f[{j}] = f[{j}] * {_number(keep)} + y[{i}] * {_number(gain)};")
     road = at + len(recall.leaks)
     rises = ""
@@ -338,10 +338,12 @@ def _network(policy: Policy) -> list[str]:
     inputs = policy.weights[0][0].shape[1]
     widest = max(inputs, *(w.shape[0] for w, _ in policy.weights))
     squash = {"tanh": "tanhf(t)", "relu": "t > 0.0f ? t : 0.0f"}[policy.activation]
+    bound = _number(policy.bound) if np.isfinite(policy.bound) else ""
+    feature = f"limited(f[i], -{bound}, {bound})" if bound else "f[i]"
     lines = [
         "static void network(const float *f, float *share) {",
         f"    float a[{widest}], b[{widest}];",
-        f"    for (int i = 0; i < {inputs}; i++) {{\n        const float x = (f[i] - mean[i]) / spread[i];",
+        f"    for (int i = 0; i < {inputs}; i++) {{\n        const float x = ({feature} - mean[i]) / spread[i];",
     ]
     clip = _number(policy.clip) if np.isfinite(policy.clip) else ""
     lines.append(f"        a[i] = {f'limited(x, -{clip}, {clip})' if clip else 'x'};\n    }}")

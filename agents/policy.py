@@ -24,11 +24,12 @@ import numpy as np
 from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
 from isd_gym.errors import InputError, plain, shown
 from isd_gym.files import whole_folder
+from isd_gym.history import LARGEST
 from isd_gym.inputs import number, parse_json, read_bytes
 from isd_gym.network import Network
 from isd_gym.vehicle import vehicle
 
-from .memory import LARGEST, Memory, Recall
+from .memory import Memory, Recall
 from .pickles import sizes
 
 if TYPE_CHECKING:
@@ -208,6 +209,7 @@ class Policy:
         mean: Mean of the features (features,); None for zero.
         scale: Scale of the features (features,); None for one.
         clip: Bound of the normalised features.
+        bound: Bound of the features before the normalisation.
         name: Name in scores.
         network: Network of the training; None if unknown.
         info: Further content of policy.json (origin, training, score).
@@ -232,6 +234,7 @@ class Policy:
         mean: np.ndarray | None = None,
         scale: np.ndarray | None = None,
         clip: float = FEATURE_LIMIT,
+        bound: float = math.inf,
         name: str = "policy",
         network: Network | None = None,
         info: Mapping[str, Any] | None = None,
@@ -247,7 +250,10 @@ class Policy:
             raise InputError("a residual action needs a memory with a filter")
         if not (isinstance(clip, int | float) and clip > 0):
             raise InputError(f"clip must be > 0, not {shown(clip)}")
-        self.activation, self.output, self.clip, self.name = activation, output, float(clip), name
+        if not (isinstance(bound, int | float) and bound > 0):
+            raise InputError(f"bound must be > 0, not {shown(bound)}")
+        self.activation, self.output, self.name = activation, output, name
+        self.clip, self.bound = float(clip), float(bound)
         #: network of the training
         self.model = network
         self.info = dict(info or {})
@@ -375,6 +381,8 @@ class Policy:
             Output (count, currents) in [-1, 1].
         """
         with np.errstate(over="ignore", invalid="ignore"):
+            if self.bound < math.inf:
+                features = np.clip(features, -self.bound, self.bound)
             x = np.clip((features - self.mean) / self.scale, -self.clip, self.clip)
             for w, b in self._transposed[:-1]:
                 x = self._act(x @ w + b)
@@ -463,6 +471,7 @@ class Policy:
                 "activation": self.activation,
                 "output": self.output,
                 "clip": self.clip if math.isfinite(self.clip) else None,
+                **({"bound": self.bound} if math.isfinite(self.bound) else {}),
             },
             "memory": self.memory.to_dict(),
             "action": asdict(self.head),
@@ -518,6 +527,7 @@ class Policy:
                 activation=actor["activation"],
                 output=actor["output"],
                 clip=math.inf if actor["clip"] is None else actor["clip"],
+                bound=actor.get("bound", math.inf),
                 mean=tensors["normalisation.mean"],
                 scale=tensors["normalisation.scale"],
                 name=plain(str(head["name"])),

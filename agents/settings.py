@@ -21,40 +21,8 @@ from .memory import Memory
 from .policy import Head
 
 CONTROL_STEP = 5e-3  # s, between the actions of a policy
-#: RMS of each kind of signal on the paper's road, rounded, and of its change in one step, in SI units
-SCALE = {
-    "body_acceleration": (1.0, 0.25),
-    "pitch_acceleration": (0.5, 0.12),
-    "roll_acceleration": (0.8, 0.2),
-    "suspension_travel": (0.01, 0.001),
-    "suspension_travel_rate": (0.2, 0.06),
-    "device_travel": (0.01, 0.0005),
-    "device_travel_rate": (0.05, 0.012),
-    "current": (2.5, 0.45),
-}
-#: velocities of the body are leaky integrals of its accelerations: time constant [s], and scale over that of
-#: the acceleration
-LEAK = (1.0, 0.07)
-
-
-def memory_of(car: Vehicle) -> Memory:
-    """Return the memory of a car's signals: first and second changes, and velocities of the body.
-
-    Args:
-        car: The car.
-
-    Returns:
-        The memory.
-    """
-    kinds = [signal.kind for signal in car.measured]
-    scale, change = (tuple(SCALE[kind][k] for kind in kinds) for k in (0, 1))
-    tau, share = LEAK
-    leak = tuple((i, tau, share * scale[i]) for i in range(1 + len(car.axes)))
-    return Memory(scale, change, order=2, leak=leak, step=CONTROL_STEP)
-
-
 #: memory of a quarter car
-MEMORY = memory_of(vehicle(Network.load("quarter-car-isd")))
+MEMORY = Memory.of(vehicle(Network.load("quarter-car-isd")))
 
 
 def robust() -> tuple[dict[str, Any], Sensors]:
@@ -79,7 +47,7 @@ class Settings:
     Attributes:
         steps: Control steps of all cars.
         cars: Number of cars.
-        memory: Features of the observations; None for `memory_of` the car.
+        memory: Features of the observations; None for the history of the car.
         filter: Whether the LQG's estimate and law are among the features.
         ahead: Preview of the policy [s].
         head: Conversion of an output to a current.
@@ -336,6 +304,18 @@ def with_preview(settings: PPOSettings | SACSettings, preview: float) -> PPOSett
     """
     settings = replace(settings, ahead=preview)
     return _far(settings) if preview else settings
+
+
+def from_nothing(settings: PPOSettings | SACSettings) -> PPOSettings | SACSettings:
+    """Return the settings without knowledge of a model: no teacher, and no estimate among the features.
+
+    Args:
+        settings: Settings of an algorithm.
+
+    Returns:
+        The changed settings.
+    """
+    return replace(settings, teacher=None, filter=False)
 
 
 def _far(settings: PPOSettings | SACSettings) -> PPOSettings | SACSettings:

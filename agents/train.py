@@ -35,13 +35,13 @@ from isd_gym.sensors import Sensors
 from isd_gym.vehicle import vehicle
 
 from . import checkpoint
+from .memory import Memory
 from .policy import Head, Policy
-from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, memory_of, robust, tuned
+from .settings import CONTROL_STEP, SETTINGS, PPOSettings, SACSettings, from_nothing, robust, tuned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from .memory import Memory
 
 SCHEMA = "isd-training/1"
 #: kind, mark and parts of the folder of a run
@@ -75,6 +75,7 @@ def train(
     preview: float = 0.0,
     sensors: Sensors | Mapping[str, Any] | str | None = None,
     settings: PPOSettings | SACSettings | None = None,
+    unaided: bool = False,
     say: Callable[[str], None] = print,
     progress: Callable[[str, float], None] = lambda task, share: None,
 ) -> dict[str, Any]:
@@ -94,6 +95,7 @@ def train(
         preview: Road ahead that the policy of a quarter car sees [s].
         sensors: Imperfections of the sensors.
         settings: Settings of the algorithm; the tuned ones unless given.
+        unaided: Whether to train without a teacher and without an estimate among the features.
         say: Function that is given lines of progress.
         progress: Function that is given a task and the finished share of that task.
 
@@ -120,6 +122,8 @@ def train(
         settings = tuned(algorithm, vehicle(plant), preview)
     elif preview:
         settings = replace(settings, ahead=preview)
+    if unaided:
+        settings = from_nothing(settings)
     steps_ahead(preview, CONTROL_STEP)
     if steps is not None:
         if steps < 1:
@@ -221,7 +225,7 @@ class Run:
     def _memory(self) -> Memory:
         """Return the memory of the settings, with the filter of this network on request and if possible."""
         s = self.settings
-        memory = s.memory or memory_of(self.car)
+        memory = s.memory or Memory.of(self.car)
         memory = replace(memory, ahead=steps_ahead(s.ahead, memory.step))
         if not s.filter:
             return memory
@@ -547,9 +551,14 @@ class Run:
             One line.
         """
         s, usual = self.settings, tuned(self.algorithm, self.car, self.settings.ahead)
+        is_unaided = s.teacher is None and not s.filter
+        if is_unaided:
+            usual = from_nothing(usual)
         if describe(replace(s, steps=usual.steps)) != describe(usual):
             return "isd_gym.agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
+        if is_unaided:
+            words.append("--from-nothing")
         if s.steps != usual.steps:
             words.append(f"--steps {s.steps}")
         if self.plant != Network.load("quarter-car-isd"):

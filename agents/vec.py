@@ -170,7 +170,7 @@ class Remember(VecEnvWrapper):
             final = self._features(last)
             for i in which:
                 infos[i]["terminal_observation"] = final[i]
-            self._recall.begin(done, obs[:, : self._width])
+            self._recall.begin(done, obs[done, : self._width])
         else:
             self._recall.see(obs[:, : self._width])
         self._obs = obs

@@ -29,9 +29,7 @@ def train(updates: int) -> nn.Module:
     """The actor (21 numbers to mean and spread of the action) after so many updates."""
     torch.manual_seed(0)
     torch.set_num_threads(1)
-    cars = gymnasium.make_vec(
-        "ISDSuspensionLearning-v0", CARS, cars_per_road=8, autoreset_mode="same_step"
-    )
+    cars = gymnasium.make_vec("ISDSuspensionLearning-v0", CARS, cars_per_road=8, autoreset_mode="same_step")
     env = GymWrapper(cars)
     body = network(2)
     with torch.no_grad():  # begin with next to no action but the exploration

@@ -156,15 +156,19 @@ class Remembered:
         self.features[which] = 0.0
         self.features[which, : self.signals] = observations[:, : self.signals] / self.scale
 
-    def see(self, observations: np.ndarray) -> None:
+    def see(self, observations: np.ndarray) -> np.ndarray:
         """Update the histories with the signals after one more control step.
 
         Args:
             observations: Signals of all cars (count, at least `signals`) float32 [SI].
+
+        Returns:
+            Histories (count, width), valid until the next call.
         """
         _advance(
             self.features, observations, self.scale, self.ratio, self.order, self.leaks, self.keep, self.gain
         )
+        return self.features
 
 
 @jit.compiled(error_model="numpy")

@@ -1,9 +1,10 @@
 """The batched environment as a `VecEnv` of Stable-Baselines3, without a wrapper or a loop over single environments.
 
 from stable_baselines3 import PPO
-from isd_gym.sb3 import make_vec_env
+from isd_gym.sb3 import ScoreCallback, make_vec_env
 
-PPO("MlpPolicy", make_vec_env(1024, cars_per_road=8), n_steps=128, batch_size=4096).learn(20_000_000)
+model = PPO("MlpPolicy", make_vec_env(1024, cars_per_road=8), n_steps=128, batch_size=4096)
+model.learn(20_000_000, callback=ScoreCallback())
 """
 
 from __future__ import annotations
@@ -14,15 +15,27 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from .env import ISDSuspensionVectorEnv
+from .batch import CURRENT_LIMIT
+from .benchmark.driving import Entry
+from .benchmark.policies import find, passive
+from .benchmark.scoring import drive
+from .env import CONTROL_STEP, ISDSuspensionVectorEnv
 from .errors import InputError
+from .files import check_file, whole
+from .history import history_of
+from .vehicle import SLEW_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
+    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+    from .task import Task
 
 
 class BatchedVecEnv(VecEnv):
@@ -231,3 +244,202 @@ def make_vec_env(
         InputError: The name is no environment of this package, or an option is invalid.
     """
     return BatchedVecEnv(env_id, count, **options)
+
+
+#: seed of the first validation road, far from the seeds of trainings; scoring roads have no seed
+VALIDATION_SEED = 4_100_000_000
+#: time of the training per time of its evaluations, where no interval is given
+PATIENCE = 20.0
+
+
+class ScoreCallback(BaseCallback):
+    """Score of the policy on validation roads, while a model of Stable-Baselines3 is in training.
+
+    The policy drives deterministically and decides at every control step, without a hold. Vehicle, road, speed, stage
+    cost and sensors are those of the training; nothing of `randomize` is drawn. The cost J and the change
+    against `passive` appear on the terminal, and in TensorBoard as ``score/J`` and ``score/change_percent``. The
+    same roads and the same policies are the scale: ``score/mpc_percent``, ... The training is not influenced: with and
+    without the callback, a seed gives the same weights.
+
+    Args:
+        every: Number of transitions between evaluations; None for as often as costs a twentieth of the time.
+        references: Policies to compare with, which drive once; names for `isd_gym.policies.find`.
+        roads: Number of validation roads.
+        duration: Length of a validation road [s].
+        save: File (.zip) of the best model on the validation roads, replaced at every improvement; a VecNormalize
+            is saved beside it as <name>_vecnormalize.pkl. None to save nothing.
+        verbose: Whether evaluations are printed, 1 or 0.
+
+    Attributes:
+        history: Number of transitions, J and change against `passive` [%] of each evaluation.
+        references: Change of each reference against `passive` [%].
+        seconds: Wall-clock time of all evaluations, without the references [s].
+
+    Raises:
+        InputError: An argument is invalid.
+    """
+
+    def __init__(
+        self,
+        every: int | None = None,
+        *,
+        references: Sequence[str] = ("mpc", "skyhook"),
+        roads: int = 32,
+        duration: float = 5.0,
+        save: str | Path | None = None,
+        verbose: int = 1,
+    ) -> None:
+        super().__init__(verbose)
+        for name, value in (("every", every), ("roads", roads)):
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+                raise InputError(f"{name} must be a whole number >= 1, not {value!r}")
+        if not 0.1 <= duration <= 1e3:
+            raise InputError(f"duration must be 0.1 to 1000 s, not {duration!r}")
+        if isinstance(references, str):
+            raise InputError(f"references must be a list of names, such as ['{references}']")
+        self._save = None if save is None else str(save).removesuffix(".zip") + ".zip"
+        if self._save is not None:
+            check_file(self._save)
+        self.every, self.roads, self.duration = every, roads, float(duration)
+        self._wanted = tuple(references)
+        self.references: dict[str, float] = {}
+        self.history: list[tuple[int, float, float]] = []
+        self.seconds = 0.0
+
+    def _on_training_start(self) -> None:
+        try:
+            task: Task = self.training_env.get_attr("task", [0])[0]
+            self._task, options = task, task.options
+        except AttributeError:
+            raise InputError("ScoreCallback is for the environments of isd_gym") from None
+        space = self.model.observation_space
+        if space.shape != (task.width,):
+            raise InputError(
+                f"ScoreCallback: the model has observations of shape {space.shape}, the environment gives ({task.width},)"
+            )
+        if abs(options.control_step - CONTROL_STEP) > 1e-9:
+            raise InputError(f"ScoreCallback is for a control step of {CONTROL_STEP:g} s")
+        begin = time.perf_counter()
+        self._passive = self._cost(passive(task.network))
+        found = [find(name, task.network, cost=task.cost, speed=options.speed) for name in self._wanted]
+        self.references = {entry.name: self._change(self._cost(entry)) for entry in found}
+        if self.verbose:
+            beside = "".join(f", {name} {change:+.1f} %" for name, change in self.references.items())
+            print(
+                f"score: {self.roads} validation roads of {self.duration:g} s, passive J {self._passive:.4f}{beside}"
+                f" ({time.perf_counter() - begin:.1f} s)"
+            )
+        self._evaluated = self.num_timesteps
+        self._free, self._last = 0.0, time.perf_counter()
+
+    def _cost(self, entry: Entry) -> float:
+        """Return J of a policy on the validation roads."""
+        task, options = self._task, self._task.options
+        run = drive(
+            entry,
+            task.network,
+            road=options.road,
+            speed=options.speed,
+            episodes=self.roads,
+            seed=VALIDATION_SEED,
+            duration=self.duration,
+            cost=task.cost,
+            sensors=task.sensors,
+            timed=0,
+        )
+        return float(run.cost(task.cost).mean())
+
+    def _change(self, cost: float) -> float:
+        return 100.0 * (cost / self._passive - 1.0)
+
+    def _on_step(self) -> bool:
+        if self.every is not None:
+            due = self.num_timesteps - self._evaluated >= self.every
+        else:
+            due = time.perf_counter() - self._last >= max(PATIENCE * self._free, 2.0)
+        if due:
+            self._evaluate()
+        return True
+
+    def _on_training_end(self) -> None:
+        if not self.history or self.history[-1][0] != self.num_timesteps:
+            self._evaluate()
+
+    def _evaluate(self) -> None:
+        begin = time.perf_counter()
+        cost = self._cost(Entry("policy", lambda: _Learner(self.model, self._task)))
+        change = self._change(cost)
+        best = min((before for _, before, _ in self.history), default=np.inf)
+        self.history.append((self.num_timesteps, cost, change))
+        self.logger.record("score/J", cost)
+        self.logger.record("score/change_percent", change)
+        for name, reference in self.references.items():
+            self.logger.record(f"score/{name}_percent", reference)
+        self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
+        self.logger.dump(self.num_timesteps)
+        if self.verbose:
+            print(
+                f"score: {self.num_timesteps:>11,} transitions, J {cost:.4f}, {change:+.2f} % against passive"
+            )
+        if self._save is not None and cost < best:
+            save_model(self.model, self._save)
+        self._last, self._evaluated = time.perf_counter(), self.num_timesteps
+        self._free = self._last - begin
+        self.seconds += self._free
+
+
+def save_model(model: BaseAlgorithm, path: str | Path) -> None:
+    """Save a model and its VecNormalize, each as a whole file or not at all.
+
+    Args:
+        model: The model.
+        path: The .zip file; a VecNormalize is saved beside it as <name>_vecnormalize.pkl, where `isd-gym score`
+            finds it.
+
+    Raises:
+        InputError: A file cannot be written.
+    """
+    normalize = model.get_vec_normalize_env()
+    if normalize is not None:
+        with whole(str(path).removesuffix(".zip") + "_vecnormalize.pkl") as part:
+            normalize.save(str(part))
+    with whole(path) as part:
+        model.save(part)
+
+
+class _Learner:
+    """A model in training as a controller: observations as the environment gives them, actions to currents [A]."""
+
+    name, fallbacks = "policy", 0
+
+    def __init__(self, model: BaseAlgorithm, task: Task) -> None:
+        self.model, self.observation = model, task.options.observation
+        self.preview = task.options.preview
+        self._normalize = model.get_vec_normalize_env()
+        box = model.action_space
+        assert isinstance(box, spaces.Box)
+        self._share = 1.0 / box.high  # of the largest action
+        signals, currents = len(task.measured), len(task.vehicle.driven)
+        self._present = slice(signals - currents, signals)
+        scales = history_of(task.vehicle).scale[self._present]
+        self._unit = np.array(scales) if self.observation == "history" else np.ones(currents)
+        self._is_increment = task.options.action == "increment"
+
+    def reset(self) -> None:
+        """Do nothing: the environment has the memory."""
+
+    def reset_batch(self, count: int) -> None:
+        """Do nothing: the environment has the memory."""
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Return the currents [A] (currents,) for an observation (width,)."""
+        return self.act_batch(observation[None])[0]
+
+    def act_batch(self, observations: np.ndarray) -> np.ndarray:
+        """Return the currents [A] (cars, currents) for observations (cars, width)."""
+        seen: Any = observations if self._normalize is None else self._normalize.normalize_obs(observations)
+        actions, _ = self.model.predict(seen, deterministic=True)
+        shares = np.asarray(actions, float) * self._share
+        if not self._is_increment:
+            return shares * CURRENT_LIMIT
+        return observations[:, self._present] * self._unit + shares * (SLEW_RATE * CONTROL_STEP)

@@ -326,6 +326,14 @@ class Task:
         largest = CURRENT_LIMIT if self.options.action == "current" else 1.0
         self.action_space = spaces.Box(-largest, largest, (currents,), np.float32)
         self.observation_space = spaces.Box(-self.high, self.high, dtype=np.float32)
+        # Stable-Baselines3 stores the attributes of the spaces in its archives
+        self.observation_space.isd_gym = {  # type: ignore[attr-defined]
+            "network": self.network.name,
+            **{
+                k: getattr(self.options, k)
+                for k in ("observation", "action", "hold", "control_step", "preview")
+            },
+        }
 
     def first(self, which: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Return the observations of cars at rest at the start of their roads.

@@ -101,7 +101,7 @@ def test_each_car_has_a_memory_of_its_own(rng):
         many.see(row)
         alone.see(row[1:2])
         if k == 1:
-            many.begin(np.array([True, False, False]), row)
+            many.begin(np.array([True, False, False]), row[:1])
             np.testing.assert_array_equal(many.features[0], MEMORY.start(row).features[0])
     np.testing.assert_array_equal(many.features[1], alone.features[0])
 

@@ -17,7 +17,7 @@ import pytest
 from isd_gym.agents.entry import open_policy
 from isd_gym.agents.memory import Echo, Memory, _Echo
 from isd_gym.agents.policy import Head, Policy
-from isd_gym.agents.settings import PPOSettings, SACSettings, memory_of, tuned
+from isd_gym.agents.settings import PPOSettings, SACSettings, tuned
 from isd_gym.agents.wheelbase import car_filter, road_model
 from isd_gym.cost import StageCost
 from isd_gym.env import ISDSuspensionVectorEnv
@@ -38,7 +38,7 @@ ROUNDING = 5e-3  # A, of float32 in an estimate that remembers seconds, in anoth
 def memory(network: str, speed: float = 20.0) -> Memory:
     """The memory of a trained policy: signals, rear road and estimate."""
     known, echo = car_filter(Network.load(network), speed)
-    return replace(memory_of(vehicle(Network.load(network))), filter=known, echo=echo)
+    return replace(Memory.of(vehicle(Network.load(network))), filter=known, echo=echo)
 
 
 def renamed(x_front: float = 1.35, x_rear: float = -1.35) -> Network:
@@ -350,7 +350,7 @@ def test_onnx_commands_several_currents(tmp_path):
     with pytest.raises(InputError, match="--c DIR"):
         export_onnx(policy_of("half-car-isd"), tmp_path / "p.onnx")
     network = Network.load("half-car-isd")
-    own, rng = memory_of(vehicle(network)), np.random.default_rng(1)
+    own, rng = Memory.of(vehicle(network)), np.random.default_rng(1)
     sizes = [own.width(12), 8, 2]
     layers = [(rng.normal(size=(b, a)) / a, rng.normal(size=b)) for a, b in pairwise(sizes)]
     policy = Policy(layers, memory=own, head=Head("increment"), network=network)

@@ -6,7 +6,6 @@ an unknown name.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from dataclasses import replace
 from difflib import get_close_matches
@@ -19,6 +18,7 @@ from ..network.bodies import Point
 from ..plugins import POLICIES, plugins
 from ..vehicle import kind, vehicle
 from .driving import Entry, Idle
+from .own_controller import entry_of_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,22 +97,24 @@ def find(
     cost: StageCost | None = None,
     control_step: float = 5e-3,
     speed: float | None = None,
-    trust_zip: bool = False,
+    trained: str | None = None,
     **options: Any,
 ) -> Entry:
-    """Return a policy by its name: passive, isd-passive, a baseline, or a trained policy.
+    """Return a policy by its name: passive, isd-passive, a baseline, a trained policy, or an own controller.
 
-    A .zip file holds pickles and is opened only with `trust_zip`.
+    Of a .zip file only the weights are read; nothing of the file is executed. The Python file of an own controller
+    is executed.
 
     Args:
-        name: A name in `available`, or the path of a policy folder or .zip file.
+        name: A name in `available`, the path of a policy folder or .zip file, or ``file.py:Class`` or
+            ``file.py:function``.
         network: The plant.
         model: Model of a controller; None for the plant.
         cost: Stage cost that a controller minimises; None for the usual one.
         control_step: Control step [s].
         speed: Speed of the car [m/s], the option `speed` of controllers of a car with two axles; None if
             unknown.
-        trust_zip: Whether a .zip file may be opened.
+        trained: Options of the training of a .zip file, such as "observation=history"; None to find them.
         options: Settings of a controller.
 
     Returns:
@@ -121,11 +123,10 @@ def find(
     Raises:
         InputError: The name is unknown, or the policy does not fit the plant.
     """
-    if not trust_zip and name.lower().endswith(".zip") and os.path.isfile(name):
-        raise InputError(
-            f"{shown(name, 200)} is an archive with pickles in it: convert it once with `isd-gym convert`, "
-            "or say --trust-zip if it is your own"
-        )
+    if (own := entry_of_file(name)) is not None:
+        return own
+    if trained is not None and name.lower().endswith(".zip"):
+        options["trained"] = trained
     car = vehicle(network)
     if name == REFERENCE:
         return passive(network)
@@ -149,7 +150,7 @@ def find(
     near = get_close_matches(name[:80], known, 1)
     asked = f" (did you mean '{near[0]}'?)" if near else ""
     raise InputError(
-        f"no policy {shown(name, 200)}{asked}: neither a policy folder nor one of {', '.join(known)}"
+        f"no policy {shown(name, 200)}{asked}: neither a policy folder, a file.py:Class, nor one of {', '.join(known)}"
     )
 
 

@@ -45,10 +45,15 @@ def _option(usage: str, help: str) -> Any:
     return typer.Option(flag, help=help, metavar=metavar)
 
 
+POLICIES = (
+    "passive, mpc, ... (isd-gym policies lists them), a policy's folder, a .zip of Stable-Baselines3 (only its weights are "
+    "read), or your own file.py:Class or file.py:function (the program runs the file)."
+)
+
 PolicyArgument = Annotated[
     str,
     typer.Argument(
-        help="A policy: passive, mpc, ... (isd-gym policies lists them), or a policy's folder or .zip.",
+        help=POLICIES,
         autocompletion=complete(policy_names),
     ),
 ]
@@ -94,11 +99,13 @@ PreviewOption = Annotated[
 
 JsonOption = Annotated[Path | None, _option("--json FILE", "Write the results to this file.")]
 
-TrustOption = Annotated[
-    bool,
+TrainedOption = Annotated[
+    str | None,
     typer.Option(
-        "--trust-zip",
-        help="Open a Stable-Baselines3 .zip without converting it. The .zip can run code with your rights.",
+        "--trained-with",
+        help="Options of the training of a .zip that was saved without them: observation=measured or history, "
+        "action=current or increment, normalize=FILE or none, joined by commas.",
+        metavar="NAME=VALUE,...",
     ),
 ]
 

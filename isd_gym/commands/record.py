@@ -13,7 +13,7 @@ from ._options import (
     PolicyArgument,
     RoadOption,
     SpeedOption,
-    TrustOption,
+    TrainedOption,
 )
 
 
@@ -28,7 +28,7 @@ def command(
     road: RoadOption = "paper",
     speed: SpeedOption = 20.0,
     network: NetworkOption = "quarter-car-isd",
-    trust_zip: TrustOption = False,
+    trained_with: TrainedOption = None,
 ) -> None:
     """Save a policy's rollouts as a Minari data set, for offline reinforcement learning.
 
@@ -39,7 +39,7 @@ def command(
     from ..network import Network
 
     plant = Network.load(network)
-    entry = find(policy, plant, speed=speed, trust_zip=trust_zip)
+    entry = find(policy, plant, speed=speed, trained=trained_with)
     with progress() as update:
         warm_up(update)
         write_dataset(

@@ -11,6 +11,7 @@ import typer
 from ..console import check_file, progress, warm_up, write_json
 from ._card_table import print_track
 from ._options import (
+    POLICIES,
     DurationOption,
     JsonOption,
     MapOption,
@@ -19,7 +20,7 @@ from ._options import (
     RoadOption,
     SeedOption,
     SpeedOption,
-    TrustOption,
+    TrainedOption,
     complete,
     policy_names,
 )
@@ -31,7 +32,7 @@ def command(
     policies: Annotated[
         list[str],
         typer.Argument(
-            help="Policies: passive, mpc, ... (isd-gym policies lists them), or a policy's folder or .zip.",
+            help=POLICIES,
             autocompletion=complete(policy_names),
         ),
     ],
@@ -70,7 +71,7 @@ def command(
     report: Annotated[
         Path | None, typer.Option("--report", help="Write a page with plots to this folder.", metavar="DIR")
     ] = None,
-    trust_zip: TrustOption = False,
+    trained_with: TrainedOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Score policies on the same roads and compare them with the conventional passive car.
@@ -101,7 +102,7 @@ def command(
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
-    entries = find_all(policies, plant, model=belief, speed=speed, trust_zip=trust_zip, **ahead)
+    entries = find_all(policies, plant, model=belief, speed=speed, trained=trained_with, **ahead)
     drives: dict[str, Any] = {
         "road": ground,
         "speed": speed,

@@ -9,7 +9,7 @@ import typer
 
 from ..console import check_file, progress, warm_up
 from ..errors import InputError
-from ._options import NetworkOption, PolicyArgument, PreviewOption, RoadOption, SpeedOption, TrustOption
+from ._options import NetworkOption, PolicyArgument, PreviewOption, RoadOption, SpeedOption, TrainedOption
 
 
 def command(
@@ -29,7 +29,7 @@ def command(
     seed: Annotated[int, typer.Option(help="Seed of the road, as in reset(seed=).", min=0)] = 0,
     preview: PreviewOption = None,
     network: NetworkOption = "quarter-car-isd",
-    trust_zip: TrustOption = False,
+    trained_with: TrainedOption = None,
 ) -> None:
     """Show a policy that drives, alone or beside another, in a window or as a film.
 
@@ -48,7 +48,7 @@ def command(
     plant = Network.load(network)
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}
     names = [name for name in (policy, against) if name is not None]
-    entries = find_all(names, plant, speed=speed, trust_zip=trust_zip, **ahead)
+    entries = find_all(names, plant, speed=speed, trained=trained_with, **ahead)
     drive: dict[str, Any] = {"road": find_road(road), "speed": speed, "seconds": seconds, "seed": seed}
     if out is None:
         check_window()

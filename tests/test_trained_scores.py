@@ -1,0 +1,417 @@
+"""Archives of stock Stable-Baselines3 in scores, own controllers by file and name, and scores during a training."""
+
+import base64
+import json
+import pickle
+import sys
+import zipfile
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from isd_gym.agents.convert import convert, trained_options
+from isd_gym.benchmark.policies import find
+from isd_gym.benchmark.scoring import drive
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+
+sb3 = pytest.importorskip("stable_baselines3")
+from isd_gym.sb3 import ScoreCallback, make_vec_env, save_model  # noqa: E402
+
+CAR = "quarter-car-isd"
+
+
+def algorithm(kind: str):
+    if hasattr(sb3, kind):
+        return getattr(sb3, kind)
+    return getattr(pytest.importorskip("sb3_contrib"), kind)
+
+
+def learner(kind: str, env, **options):
+    small = dict(policy_kwargs=dict(net_arch=[16, 8]), seed=1, device="cpu") | options
+    if kind in ("PPO", "A2C"):
+        small |= dict(n_steps=16) | (dict(batch_size=16) if kind == "PPO" else {})
+    else:
+        small |= dict(learning_starts=16, batch_size=8, buffer_size=1000)
+    return algorithm(kind)("MlpPolicy", env, **small)
+
+
+def run(monkeypatch, capsys, *words):
+    """Exit status, stdout and stderr of a command."""
+    from isd_gym.cli import main
+
+    monkeypatch.setattr(sys, "argv", ["isd-gym", *map(str, words)])
+    with pytest.raises(SystemExit) as done:
+        main()
+    told = capsys.readouterr()
+    return done.value.code or 0, told.out, told.err
+
+
+def rewritten(path, change):
+    """Apply `change` to the description in an archive."""
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    data = json.loads(parts["data"])
+    change(data)
+    parts["data"] = json.dumps(data).encode()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    return path
+
+
+def without_options(path):
+    return rewritten(path, lambda data: data["observation_space"].pop("isd_gym"))
+
+
+# ------------------------------------------------------------------------------------------- archives
+
+
+def assert_drives_as_predicted(policy, model, network, *, steps=400):
+    """The policy on measured signals commands what `model.predict` does on histories, step by step."""
+    drives = dict(network=network, autoreset_mode="disabled")
+    histories = gym.make_vec("ISDSuspension-v0", 2, observation="history", action="increment", **drives)
+    signals = gym.make_vec("ISDSuspension-v0", 2, **drives)
+    seen, _ = histories.reset(seed=5)
+    measured, _ = signals.reset(seed=5)
+    normalize = model.get_vec_normalize_env()
+    policy.reset_batch(2)
+    currents = policy.currents
+    largest = 0.0
+    for _ in range(steps):
+        shares, _ = model.predict(
+            seen if normalize is None else normalize.normalize_obs(seen), deterministic=True
+        )
+        wanted = np.clip(measured[:, -currents:] + 0.5 * shares, -5.0, 5.0)
+        commanded = np.reshape(policy.act_batch(measured), wanted.shape)
+        np.testing.assert_allclose(commanded, wanted, atol=2e-4)
+        largest = max(largest, np.abs(wanted).max())
+        seen, *_ = histories.step(shares)
+        measured, *_ = signals.step(wanted.astype(np.float32))
+    assert largest > 0.05  # the policy does something
+
+
+@pytest.mark.parametrize(
+    ("kind", "network", "is_stored", "is_normalized"),
+    [
+        ("PPO", CAR, True, False),
+        ("PPO", CAR, False, True),
+        ("SAC", CAR, False, False),
+        ("SAC", CAR, True, True),
+        ("PPO", "half-car-isd", False, False),
+        ("A2C", CAR, True, False),
+        ("TD3", CAR, True, False),
+        ("DDPG", CAR, False, False),
+        ("TQC", CAR, False, True),
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_a_stock_model_is_scored_as_it_predicts(
+    kind, network, is_stored, is_normalized, tmp_path, monkeypatch, capsys
+):
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    env = make_vec_env(4, cars_per_road=2, network=network)
+    if is_normalized:
+        env = VecNormalize(env, clip_obs=5.0)
+    model = learner(kind, env).learn(400)
+    save_model(model, tmp_path / "m.zip")
+    if not is_stored:
+        without_options(tmp_path / "m.zip")
+    assert_drives_as_predicted(convert(tmp_path / "m.zip", network=network), model, network)
+    drive_ = ["--episodes", 1, "--duration", 1, "--network", network, "--json", tmp_path / "s.json"]
+    code, out, err = run(monkeypatch, capsys, "score", tmp_path / "m.zip", *drive_)
+    assert code == 0 and "m " in out, err
+    assert ("m_vecnormalize.pkl" in err) == is_normalized
+    held = json.loads((tmp_path / "s.json").read_text())
+    assert [row["policy"] for row in held["policies"]] == ["passive", "m"]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_converted_history_is_bounded_before_it_is_normalised(tmp_path):
+    """An environment clips its histories to ±10; the policy, its folder and its C do so as well."""
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from isd_gym.agents.policy import Policy
+
+    env = VecNormalize(make_vec_env(4, cars_per_road=2), clip_obs=100.0)
+    model = learner("PPO", env).learn(64)
+    save_model(model, tmp_path / "m.zip")
+    policy = convert(tmp_path / "m.zip")
+    loaded = Policy.load(policy.save(tmp_path / "folder"))
+    features = (
+        np.random.default_rng(0).uniform(-40, 40, (50, env.observation_space.shape[0])).astype(np.float32)
+    )
+    wanted, _ = model.predict(env.normalize_obs(np.clip(features, -10, 10)), deterministic=True)
+    for own in (policy, loaded):
+        np.testing.assert_allclose(own.share(features), wanted, atol=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_environment_leaves_its_options_in_the_archive(tmp_path):
+    """Measured signals with increments cannot be told from their spaces: the archive says it, or the user."""
+    env = make_vec_env(4, env_id="ISDSuspension-v0", action="increment")
+    learner("PPO", env).learn(64).save(tmp_path / "m.zip")
+    assert convert(tmp_path / "m.zip").head.mode == "increment"
+    without_options(tmp_path / "m.zip")
+    assert convert(tmp_path / "m.zip").head.mode == "target"
+    entry = find(str(tmp_path / "m.zip"), Network.load(CAR), trained="action=increment")
+    assert entry.make().head.mode == "increment"
+    # the single environment, made by Stable-Baselines3 itself, leaves them as well
+    learner("PPO", "ISDSuspensionLearning-v0").learn(32).save(tmp_path / "n.zip")
+    held = json.loads(zipfile.ZipFile(tmp_path / "n.zip").read("data"))["observation_space"]["isd_gym"]
+    assert held == {
+        "network": CAR, "observation": "history", "action": "increment", "hold": 2, "control_step": 0.005, "preview": None,
+    }  # fmt: skip
+
+
+class Bomb:
+    def __reduce__(self):
+        return exec, ("raise SystemExit('code of the archive was run')",)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_nothing_of_an_archive_is_run(tmp_path, monkeypatch, capsys):
+    learner("PPO", make_vec_env(2)).learn(32).save(tmp_path / "m.zip")
+
+    def plant(data):
+        for held in data.values():
+            if isinstance(held, dict) and ":serialized:" in held:
+                held[":serialized:"] = base64.b64encode(pickle.dumps(Bomb())).decode()
+
+    rewritten(tmp_path / "m.zip", plant)
+    drive_ = ["--episodes", 1, "--duration", 0.1]
+    assert run(monkeypatch, capsys, "score", tmp_path / "m.zip", *drive_)[0] == 0
+    (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps(Bomb()))
+    code, _, err = run(monkeypatch, capsys, "score", tmp_path / "m.zip", *drive_)
+    assert code == 2 and "not a saved VecNormalize" in err
+    none = ["--trained-with", "normalize=none"]
+    assert run(monkeypatch, capsys, "score", tmp_path / "m.zip", *none, *drive_)[0] == 0
+
+
+class Pictures(gym.Env):
+    observation_space = gym.spaces.Box(0, 255, (36, 36, 3), np.uint8)
+    action_space = gym.spaces.Box(-1, 1, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        return self.observation_space.sample(), 0.0, False, False, {}
+
+
+class Named(Pictures):
+    observation_space = gym.spaces.Dict({"a": gym.spaces.Box(-1, 1, (2,))})
+
+
+def other_archives(folder):
+    """Archives that are no flat policies, and what is said of them."""
+    env = make_vec_env(2)
+    usual = learner("PPO", env).learn(32)
+    usual.save(folder / "usual.zip")
+    whole = (folder / "usual.zip").read_bytes()
+    (folder / "short.zip").write_bytes(whole[: len(whole) // 2])
+    sb3.PPO("CnnPolicy", Pictures(), n_steps=8, batch_size=8).save(folder / "cnn.zip")
+    sb3.PPO("MultiInputPolicy", Named(), n_steps=8, batch_size=8).save(folder / "dict.zip")
+    learner("PPO", env, use_sde=True).save(folder / "sde.zip")
+    learner("SAC", env, use_sde=True).save(folder / "sac-sde.zip")
+    learner("PPO", make_vec_env(2, observation="full")).save(folder / "full.zip")
+    learner("PPO", make_vec_env(2, network="half-car-isd")).save(folder / "half.zip")
+    contrib = pytest.importorskip("sb3_contrib")
+    contrib.RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8).save(folder / "lstm.zip")
+    return {
+        "short": "not a whole one", "cnn": "observations of shape", "dict": "not a Box", "sac-sde": "gSDE",
+        "full": "observation 'full'", "half": "history of half-car-isd", "lstm": "recurrent", "sde": None,
+    }  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_other_archives_are_one_line(tmp_path, monkeypatch, capsys):
+    for name, says in other_archives(tmp_path).items():
+        code, _, err = run(
+            monkeypatch, capsys, "score", tmp_path / f"{name}.zip", "--episodes", 1, "--duration", 0.1
+        )
+        assert code == (0 if says is None else 2), (name, err)
+        if says is not None:
+            assert says in err and len(err.splitlines()) == 1, (name, err)
+
+
+@pytest.mark.parametrize("text", ["hold=2", "observation", "observation=full,action=current", ""])
+def test_options_of_a_training_are_checked(text, tmp_path):
+    if "full" in text:
+        assert trained_options(text)["observation"] == "full"  # refused with the archive, by name
+        return
+    with pytest.raises(InputError, match="no option of a training"):
+        trained_options(text)
+
+
+# ------------------------------------------------------------------------------------------- own controllers
+
+OWN = """
+import numpy as np
+import helper_of_mine
+
+
+class Sky:
+    name = "my sky"
+
+    def reset(self):
+        self.velocity = 0.0
+
+    def act(self, observation):
+        self.velocity = 0.995 * self.velocity + 5e-3 * observation[0]
+        return helper_of_mine.GAIN * self.velocity
+
+
+class Many:
+    observation = "history"
+
+    def reset(self):
+        pass
+
+    def act(self, observation):
+        return 0.1
+
+    def act_batch(self, observations):
+        assert observations.shape[1] > 12 and np.abs(observations).max() <= 10
+        return np.full(len(observations), 0.1)
+
+
+def zero(observation):
+    return 0.0
+
+
+def nothing(observation):
+    return None
+
+
+def fails(observation):
+    return observation.nonsense
+
+
+class Wants:
+    def __init__(self, gain):
+        pass
+
+
+class Empty:
+    pass
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(OWN)
+    (tmp_path / "helper_of_mine.py").write_text("GAIN = 8.0\n")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    return tmp_path / "mine.py"
+
+
+def test_own_controllers_are_scored_by_file_and_name(own, monkeypatch, capsys):
+    drive_ = ["--episodes", 2, "--duration", 1, "--json", own.with_name("s.json")]
+    names = [f"{own}:{name}" for name in ("Sky", "Many", "zero")]
+    code, out, err = run(monkeypatch, capsys, "score", "isd-passive", *names, *drive_)
+    assert code == 0, err
+    rows = {row["policy"]: row for row in json.loads(own.with_name("s.json").read_text())["policies"]}
+    assert list(rows) == ["passive", "isd-passive", "my sky", "Many", "zero"]
+    assert rows["zero"]["cost"]["value"] == rows["isd-passive"]["cost"]["value"]
+    assert rows["my sky"]["current_rms"]["value"] > 0.01 > rows["zero"]["current_rms"]["value"]
+    assert "my sky" in out
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("", "needs the name of a class or function after a colon: there are Sky, Many"),
+        (":Skye", "did you mean 'Sky'?"),
+        (":nothing", "act returned None, not a current"),
+        (":fails", "AttributeError"),
+        (":Wants", "TypeError"),
+        (":Empty", "no method act"),
+    ],
+)
+def test_a_wrong_controller_is_one_line(own, name, says, monkeypatch, capsys):
+    code, _, err = run(monkeypatch, capsys, "score", f"{own}{name}", "--episodes", 1, "--duration", 0.1)
+    assert code == 2 and says in err and len(err.splitlines()) == 1
+    if name == ":fails":
+        line = OWN.splitlines().index("    return observation.nonsense") + 1
+        assert f"mine.py:{line}" in err
+
+
+def test_a_file_that_does_not_run_is_one_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "m.py").write_text("x = 1\ny = x +\n")
+    for name, says in (("m.py:A", "m.py:2: SyntaxError"), ("none.py:A", "no Python file")):
+        code, _, err = run(monkeypatch, capsys, "score", tmp_path / name, "--episodes", 1, "--duration", 0.1)
+        assert code == 2 and says in err and len(err.splitlines()) == 1
+
+
+# ------------------------------------------------------------------------------------------- during a training
+
+SHORT = dict(references=["skyhook"], roads=2, duration=0.5, verbose=0)
+
+
+@pytest.mark.parametrize("kind", ["PPO", "SAC", "TD3", "TQC"])
+@pytest.mark.parametrize("is_normalized", [False, True])
+@pytest.mark.filterwarnings("ignore")
+def test_scores_do_not_disturb_the_training(kind, is_normalized, tmp_path):
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    weights = []
+    for callback in (None, ScoreCallback(100, save=tmp_path / "best", **SHORT)):
+        env = make_vec_env(4, cars_per_road=2)
+        model = learner(kind, VecNormalize(env) if is_normalized else env).learn(400, callback=callback)
+        weights.append(model.policy.state_dict())
+    for name, value in weights[0].items():
+        assert (value == weights[1][name]).all(), name
+    steps = [row[0] for row in callback.history]
+    assert (
+        steps[-1] == model.num_timesteps and 4 <= len(steps) <= 5 and list(callback.references) == ["skyhook"]
+    )
+    # the saved model is the best one: driven from its file, it has the best J
+    entry = find(str(tmp_path / "best.zip"), Network.load(CAR))
+    found = callback._cost(entry)
+    assert found == pytest.approx(min(cost for _, cost, _ in callback.history), rel=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_scores_are_logged(tmp_path, capsys):
+    tensorboard = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    model = learner("SAC", "ISDSuspensionLearning-v0", tensorboard_log=str(tmp_path))  # one car
+    model.learn(60, callback=ScoreCallback(30, **SHORT | dict(verbose=1)))
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("score:")]
+    assert len(lines) == 3 and "skyhook" in lines[0] and "% against passive" in lines[-1]
+    events = tensorboard.EventAccumulator(str(next(tmp_path.glob("SAC*"))))
+    events.Reload()
+    assert {"score/J", "score/change_percent", "score/skyhook_percent"} <= set(events.Tags()["scalars"])
+    assert [e.step for e in events.Scalars("score/J")] == [30, 60]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_references_on_validation_roads_are_those_of_drive():
+    """J and changes are what `drive` says on the same roads, whose seeds no training has."""
+    from isd_gym.benchmark.policies import passive
+    from isd_gym.sb3 import VALIDATION_SEED
+
+    callback = ScoreCallback(100, **SHORT)
+    learner("PPO", make_vec_env(4, network="half-car-isd")).learn(64, callback=callback)
+    net = Network.load("half-car-isd")
+    drives = dict(episodes=2, duration=0.5, seed=VALIDATION_SEED)
+    cost = callback._task.cost
+    base = drive(passive(net), net, **drives).cost(cost).mean()
+    own = drive(find("skyhook", net, speed=20.0), net, **drives).cost(cost).mean()
+    assert callback.references["skyhook"] == pytest.approx(100 * (own / base - 1), rel=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_callback_with_wrong_arguments_is_refused(tmp_path):
+    for wrong in (dict(every=0), dict(every=1.5), dict(roads=0), dict(duration=0.0), dict(references="mpc")):
+        with pytest.raises(InputError):
+            ScoreCallback(**wrong)
+    with pytest.raises(InputError):
+        ScoreCallback(save=tmp_path / "none" / "best.zip")
+    with pytest.raises(InputError, match="environments of isd_gym"):
+        learner("PPO", "Pendulum-v1").learn(32, callback=ScoreCallback(**SHORT))
+    with pytest.raises(InputError, match="no policy 'mpd'"):
+        learner("PPO", make_vec_env(2)).learn(32, callback=ScoreCallback(**SHORT | dict(references=["mpd"])))
