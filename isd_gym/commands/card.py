@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -35,7 +35,7 @@ def command(
     """
     from ..benchmark import cards
 
-    found = [_read(path) for path in scores or ()]
+    found = [cards.read_score(path) for path in scores or ()]
     if write is not None:
         import datetime
 
@@ -59,15 +59,3 @@ def command(
         if names and one["track"] not in names:
             continue
         print_track(held, one["track"], [s for s, n in zip(found, names, strict=True) if n == one["track"]])
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return a score from a file. Raise `InputError` for another file."""
-    from ..inputs import read_json
-
-    data = read_json(path, f"score '{path}' cannot be read")
-    if not (isinstance(data, dict) and data.get("schema") == "isd-score/1"):
-        raise InputError(f"'{path}' is no score (isd-score/1)")
-    if not (isinstance(data.get("episodes"), int) and isinstance(data.get("policies"), list)):
-        raise InputError(f"score '{path}' has no episodes or policies")
-    return data

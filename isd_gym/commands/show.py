@@ -25,7 +25,7 @@ def command(
     ] = None,
     road: RoadOption = "paper",
     speed: SpeedOption = 20.0,
-    seconds: Annotated[float, typer.Option(help="Length of the drive [s].", min=0.1)] = 10.0,
+    seconds: Annotated[float, typer.Option(help="Length of the drive [s].", min=0.1, max=3600.0)] = 10.0,
     seed: Annotated[int, typer.Option(help="Seed of the road, as in score.", min=0)] = 0,
     preview: PreviewOption = None,
     network: NetworkOption = "quarter-car-isd",
