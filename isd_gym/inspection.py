@@ -35,6 +35,7 @@ class Inspection:
         network: The model; None without a model.
         suggestion: Columns of the model's channels; None without a model.
         columns: Names that files without a header row were given.
+        rate: Sampling rate that files without time stamps were given [Hz].
     """
 
     files: list[list[Raster]]
@@ -43,6 +44,7 @@ class Inspection:
     network: Network | None = None
     suggestion: Suggestion | None = None
     columns: tuple[str, ...] = ()
+    rate: float | None = None
 
     def map(self, model: str) -> ChannelMap:
         """Return the suggestion as a map for ``--map``.
@@ -58,7 +60,7 @@ class Inspection:
         """
         if self.suggestion is None or not self.suggestion.channels:
             raise InputError(f"no column was found for any channel of '{model}'")
-        return self.suggestion.map(self.files, model, self.columns)
+        return self.suggestion.map(self.files, model, self.columns, self.rate)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data, with null for values that are not finite.
@@ -78,7 +80,7 @@ class Inspection:
         }
         if self.suggestion is not None:
             name = self.network.name if self.network else ""
-            out["map"] = self.suggestion.map(self.files, name, self.columns).to_dict()
+            out["map"] = self.suggestion.map(self.files, name, self.columns, self.rate).to_dict()
             out["missing"], out["remarks"] = self.suggestion.missing, self.suggestion.remarks
         return out
 
@@ -90,6 +92,7 @@ def inspect(
     units: dict[str, str] | None = None,
     stamps: str | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
 ) -> Inspection:
     """Inspect loggers' files of one run, and match columns with the channels of a model.
 
@@ -99,6 +102,7 @@ def inspect(
         units: Unit by column, with priority over the units in the files.
         stamps: Column of the time stamps.
         columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
 
     Returns:
         Properties, remarks and a suggested map.
@@ -107,7 +111,10 @@ def inspect(
         InputError: A file cannot be read, or a column does not exist.
     """
     units = dict(units or {})
-    groups = [rasters(p, stamp=stamps, unit=units.get(stamps or "time"), columns=columns) for p in paths]
+    groups = [
+        rasters(p, stamp=stamps, unit=units.get("time"), units=units, columns=columns, rate=rate)
+        for p in paths
+    ]
     known = {n for group in groups for r in group for n in (*r.columns, r.stamp)} | {"time"}
     for name in units:
         if name not in known:
@@ -133,7 +140,7 @@ def inspect(
         from .loggers.match import suggest
 
         found = suggest(groups, facts, network)
-    return Inspection(groups, facts, odd, network, found, tuple(columns or ()))
+    return Inspection(groups, facts, odd, network, found, tuple(columns or ()), rate)
 
 
 def _continuous(raster: Raster, odd: list[Oddity]) -> Raster:

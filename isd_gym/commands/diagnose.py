@@ -16,9 +16,11 @@ from ._options import (
     ColumnsOption,
     ElementsOption,
     EngineOption,
+    FileRateOption,
     JsonOption,
     MapOption,
     RenameOption,
+    SignOption,
     UnitOption,
     channel_names,
     check_channels,
@@ -57,8 +59,10 @@ def command(
     ] = None,
     rename: RenameOption = None,
     unit: UnitOption = None,
+    sign: SignOption = None,
     map_file: MapOption = None,
     columns: ColumnsOption = None,
+    rate: FileRateOption = None,
     accept: Annotated[
         list[str] | None,
         typer.Option(
@@ -151,7 +155,19 @@ def command(
             data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
             model = model or case.model
     if len(data) == 1 and data[0].is_dir():
-        if validate or rename or unit or columns or elements or cut or unmeasured or uncertain or max_seconds:
+        if (
+            validate
+            or rename
+            or unit
+            or sign
+            or rate
+            or columns
+            or elements
+            or cut
+            or unmeasured
+            or uncertain
+            or max_seconds
+        ):
             raise InputError(
                 "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
             )
@@ -191,7 +207,7 @@ def command(
     network = Network.load(model)
     if shares:
         network = replace(network, uncertainty={**network.uncertainty, **shares})
-    options = channel_names(network, rename, unit, map_file, columns)
+    options = channel_names(network, rename, unit, map_file, columns, sign, rate)
     if "by" in options:
         network = options["by"].measured(network)
     unmeasured = unmeasured or next((c.name for c in network.inputs if not c.measured and cut is None), None)

@@ -9,7 +9,7 @@ import typer
 
 from ..console import check_file, terminal_columns, write_json
 from ..errors import InputError, shown
-from ._options import ColumnsOption, JsonOption, column_names
+from ._options import ColumnsOption, FileRateOption, JsonOption, column_names
 
 
 def command(
@@ -39,6 +39,7 @@ def command(
     ] = None,
     stamps: Annotated[str | None, typer.Option(help="Column with the time.", metavar="COLUMN")] = None,
     columns: ColumnsOption = None,
+    rate: FileRateOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """List columns, units, rates, gaps and oddities of loggers' files, and find the column of each channel of a model.
@@ -67,7 +68,7 @@ def command(
         convert(1.0, value, value)
         given[name] = value
     network = None if model is None else Network.load(model)
-    found = inspect(files, network, units=given, stamps=stamps, columns=column_names(columns))
+    found = inspect(files, network, units=given, stamps=stamps, columns=column_names(columns), rate=rate)
     for line in lines(found, max(60, min(terminal_columns(), 140))):
         typer.echo(line)
     if html is not None:

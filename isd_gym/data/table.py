@@ -17,11 +17,20 @@ from ..errors import InputError, MissingColumn, how_to_install, shown
 from ..files import whole
 from ..inputs import plain_file
 from ..units import convert
-from .columns import TIME_NAMES, Choice, Columns, column_for, did_you_mean, distinct, split_header
+from .columns import (
+    TIME,
+    Choice,
+    Columns,
+    column_for,
+    did_you_mean,
+    distinct,
+    split_header,
+    stamps_of,
+    time_unit,
+)
 from .lvm import read_lvm, read_lvm_rasters
-from .quality import TIME
 from .signals import even_stamps, stamp_rounding
-from .text import read_text
+from .text import read_text, read_text_rasters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -164,8 +173,8 @@ def read_columns(
 def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list[Columns]:
     """Return the content of a file, one entry per raster.
 
-    The groups of an MDF or LVM file have their own time stamps, named 'time' [s]. Other formats have one
-    raster.
+    The groups of an MDF or LVM file have their own time stamps, named 'time' [s], and so have tables side by
+    side in a text file (`columns.side_by_side`). Other formats have one raster.
 
     Args:
         path: The file.
@@ -181,6 +190,9 @@ def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list
     if path.suffix.lower() == ".lvm":
         plain_file(path)
         return read_lvm_rasters(path, columns)
+    if _READERS.get(path.suffix.lower()) is read_text:
+        plain_file(path)
+        return read_text_rasters(path, columns)
     if path.suffix.lower() not in RASTERS:
         return [read_columns(path, columns=columns)]
     from . import isolated
@@ -250,12 +262,11 @@ def read_table(
     columns = {rename.get(name, name): values for name, values in columns.items()}
     file_units = {rename.get(name, name): unit for name, unit in file_units.items()}
     file_units |= {rename.get(name, name): unit for name, unit in units.items()}
-    if TIME not in columns:
-        lower = {name.lower(): name for name in columns}
-        other = next((lower[n] for n in TIME_NAMES if n in lower), None)
-        if other is None:
-            raise InputError(f"{path}: no column 'time'; {did_you_mean(TIME, columns)}")
-        columns[TIME], file_units[TIME] = columns.pop(other), file_units.pop(other, "s")
+    if len(columns.get(TIME, ())) < 2 and (TIME not in columns or any(len(x) > 1 for x in columns.values())):
+        columns.pop(TIME, None)  # a single number is a setting
+        other = stamps_of(columns, path, by_name=True)
+        columns[TIME] = columns.pop(other)
+        file_units.setdefault(TIME, file_units.pop(other, time_unit(other)))
     target = {TIME: "s"} | (dict(expected) if expected is not None else {})
     out: dict[str, np.ndarray] = {}
     for name in target if expected is not None else columns:

@@ -74,7 +74,11 @@ class Suggestion:
     remarks: list[str] = field(default_factory=list)
 
     def map(
-        self, files: Sequence[Sequence[Raster]], model: str, columns: Sequence[str] | None = None
+        self,
+        files: Sequence[Sequence[Raster]],
+        model: str,
+        columns: Sequence[str] | None = None,
+        rate: float | None = None,
     ) -> ChannelMap:
         """Return the suggestion as a map for ``--map``.
 
@@ -82,6 +86,7 @@ class Suggestion:
             files: Rasters of every file.
             model: File of the model.
             columns: Names that files without a header row were given.
+            rate: Sampling rate that files without time stamps were given [Hz].
 
         Returns:
             The map.
@@ -98,7 +103,8 @@ class Suggestion:
             for name, (c, sure) in self.channels.items()
         }
         loggers = tuple(
-            Logger(group[0].name, group[0].stamp, columns=tuple(columns or ())) for group in files
+            Logger(group[0].name, group[0].stamp or None, columns=tuple(columns or ()), rate=rate)
+            for group in files
         )
         return ChannelMap(channels, loggers, model)
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from ..data import Table, read_table
 from ..data.columns import split_header
 from ..data.table import RASTERS
-from ..errors import InputError, MissingColumn, plain
+from ..data.text import SideBySide
+from ..errors import InputError, MissingColumn, hint, plain, shown
 from ..network import Channel, Network, without
 from ..road import Road, profiled
 from ..units import convert
@@ -29,8 +30,10 @@ def records_of(
     rename: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
+    signs: Mapping[str, int] | None = None,
 ) -> list[Table | Recording]:
-    """Return the records of a name on the command line: one record, or the pieces between gaps.
+    """Return the records of a name on the command line: one record, the pieces between gaps, or several runs of a file.
 
     Args:
         path: A table, or the files of several loggers of one run (``body.csv+wheel.mf4``).
@@ -40,28 +43,69 @@ def records_of(
         rename: Column -> channel.
         units: Unit by channel or by column.
         columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
+        signs: Factor 1 or -1 by channel or by column.
 
     Returns:
         Tables or recordings.
 
     Raises:
-        InputError: A file cannot be read, or lacks a channel.
+        InputError: A file cannot be read, or lacks a channel; or a unit or a sign is given for a column that no
+            channel is read from.
     """
     files = files_of(path)
-    if by is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
+    sources = {n: c for c, n in (rename or {}).items()}
+    for option, given in (("--unit", units or {}), ("--sign", signs or {})):
+        _check_used(option, given, files, network, sources, columns)
+    if by is None and rate is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
         expected = {c.name: c.unit for c in wanted}
         try:
             table = read_table(files[0], rename=rename, units=units, expected=expected, header=columns)
+        except SideBySide:
+            table = None
         except MissingColumn as error:
             helps = f"; --rename COLUMN={error.name} where it has another name"
             raise InputError(f"{error}{helps}{without(network, error.name)}") from None
-        return _pieces(table, wanted)
-    found = runs(path, network, wanted, by=by, rename=rename, units=units, columns=columns)
+        if table is not None:
+            return _pieces(_signed(table, sources, signs or {}), wanted)
+    found = runs(
+        path, network, wanted, by=by, rename=rename, units=units, columns=columns, rate=rate, signs=signs
+    )
     out: list[Table | Recording] = []
     for r in found:
         whole = None if r.notes else r.table()
         out.append(r if whole is None else whole)
     return out
+
+
+def _signed(table: Table, sources: Mapping[str, str], signs: Mapping[str, int]) -> Table:
+    """Return a table with the signs of its channels; `signs` names channels or columns, `sources` the column by channel."""
+    turned = {n for n in table.columns if (signs.get(n) or signs.get(sources.get(n, n)) or 1) < 0}
+    if not turned:
+        return table
+    columns = {n: -x if n in turned else x for n, x in table.columns.items()}
+    return replace(table, columns=columns)
+
+
+def _check_used(
+    option: str,
+    given: Mapping[str, object],
+    files: Sequence[Path],
+    network: Network,
+    sources: Mapping[str, str],
+    columns: Sequence[str] | None,
+) -> None:
+    """Raise `InputError` for a name that is neither a channel nor a column that is read: the option would have no effect."""
+    known = {"time", *(c.name for c in (*network.inputs, *network.outputs)), *sources.values()}
+    rest = [name for name in given if name not in known]
+    if not rest:
+        return
+    known |= {r.stamp for f in files for r in rasters(f, stamp=sources.get("time"), columns=columns)}
+    for name in rest:
+        if name not in known:
+            raise InputError(
+                f"{option}: no channel is read from a column {shown(name)}; {hint(name, sorted(known))}"
+            )
 
 
 def outputs_of(
@@ -70,6 +114,7 @@ def outputs_of(
     by: ChannelMap | None = None,
     rename: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
 ) -> list[str]:
     """Return the outputs of a model that the files or the map provide.
 
@@ -79,6 +124,7 @@ def outputs_of(
         by: Columns of the channels.
         rename: Column -> channel.
         columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
 
     Returns:
         Names of outputs, in the order of the model.
@@ -89,7 +135,9 @@ def outputs_of(
     names = dict(rename or {})
     there = set(by.channels if by else ())
     if by is None:
-        found = [n for f in files_of(path) for r in rasters(f, columns=columns) for n in r.columns]
+        stamp = next((c for c, n in names.items() if n == "time"), None)
+        read = [r for f in files_of(path) for r in rasters(f, stamp=stamp, columns=columns, rate=rate)]
+        found = [n for r in read for n in r.columns]
         there = {names.get(n, n) for full in found for n in (full, split_header(full)[0])}
     return [c.name for c in network.outputs if c.name in there]
 
