@@ -66,7 +66,7 @@ def command(
     accept: Annotated[
         list[str] | None,
         typer.Option(
-            help="Data check that only warns: held, jumps, magnitude, length, silent, copies, all. May be repeated.",
+            help="Data check that only warns: held, jumps, magnitude, length, silent, copies, sign, all. May be repeated.",
             metavar="CHECK",
         ),
     ] = None,

@@ -83,7 +83,7 @@ GLITCHES = 3  # samples that may differ in a constant channel
 ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
 SLIP = (600.0, 1600.0)  # factors between a channel and the model's output that a wrong unit causes
 #: names of the checks; an error may be accepted by the name of its check
-CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies")
+CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies", "sign")
 #: checks whose errors cannot be accepted: such a record cannot be compared
 UNACCEPTABLE = ("time", "finite", "constant")
 _MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels and rods stay below 5
