@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .data.columns import did_you_mean
 from .errors import InputError, plain, shown
 from .loggers.facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
+from .loggers.mapping import Logger
 from .loggers.recording import EPOCH, Raster, continuous, rasters
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from .loggers.mapping import ChannelMap
@@ -93,6 +95,8 @@ def inspect(
     stamps: str | None = None,
     columns: Sequence[str] | None = None,
     rate: float | None = None,
+    by: ChannelMap | None = None,
+    signs: Mapping[str, int] | None = None,
 ) -> Inspection:
     """Inspect loggers' files of one run, and match columns with the channels of a model.
 
@@ -103,6 +107,8 @@ def inspect(
         stamps: Column of the time stamps.
         columns: Names for files without a header row.
         rate: Sampling rate of files without time stamps [Hz].
+        by: Columns of channels that are known, with their units and signs; None for a search among all columns.
+        signs: Known factors 1 or -1 by channel.
 
     Returns:
         Properties, remarks and a suggested map.
@@ -110,12 +116,24 @@ def inspect(
     Raises:
         InputError: A file cannot be read, or a column does not exist.
     """
-    units = dict(units or {})
+    known_columns = by.channels if by else {}
+    units = dict(units or {}) | {c.column: c.unit for c in known_columns.values() if c.unit}
+    loggers = [*(by.loggers if by else ()), *[Logger()] * len(paths)]
     groups = [
-        rasters(p, stamp=stamps, unit=units.get("time"), units=units, columns=columns, rate=rate)
-        for p in paths
+        rasters(
+            p,
+            stamp=own.stamp or stamps,
+            unit=own.unit or units.get("time"),
+            units=units,
+            columns=own.columns or columns,
+            rate=own.rate or rate,
+        )
+        for p, own in zip(paths, loggers, strict=False)
     ]
     known = {n for group in groups for r in group for n in (*r.columns, r.stamp)} | {"time"}
+    for given in known_columns.values():
+        if given.column not in known:
+            raise InputError(f"no column {shown(given.column)}; {did_you_mean(given.column, known)}")
     for name in units:
         if name not in known:
             raise InputError(
@@ -139,7 +157,7 @@ def inspect(
     if network is not None:
         from .loggers.match import suggest
 
-        found = suggest(groups, facts, network)
+        found = suggest(groups, facts, network, known_columns, signs)
     return Inspection(groups, facts, odd, network, found, tuple(columns or ()), rate)
 
 

@@ -269,3 +269,41 @@ def test_a_sign_turns_a_channel(tmp_path):
     (record,) = records_of(tmp_path / "b.csv", RIG, WANTED, signs={"acc": -1}, rate=500.0)  # the other road
     found = values(record)
     np.testing.assert_allclose(found["acc"], DATA[:, 2], atol=2e-3)
+
+
+def test_inspect_takes_columns_signs_and_maps(tmp_path, monkeypatch, capsys):
+    """A named column is taken whatever the other columns look like; a sign against the physics is remarked."""
+    import sys
+
+    from isd_gym.cli import main
+
+    RIG.save(tmp_path / "rig.json")
+    data = np.c_[DATA, DATA[:, 2]]
+    (tmp_path / "a.csv").write_text("time [s],table [mm],acc [g],left [g]\n" + text(data * [1, 1, 1, -1]))
+
+    def go(*words):
+        line = ["isd-gym", "inspect", tmp_path / "a.csv", "--model", tmp_path / "rig.json", *words]
+        monkeypatch.setattr(sys, "argv", list(map(str, line)))
+        with pytest.raises(SystemExit) as end:
+            main()
+        said = capsys.readouterr()
+        return int(end.value.code or 0), said.out + said.err
+
+    made = ["--out", tmp_path / "map.json"]
+    assert go("--rename", "left=acc", *made)[0] == 0
+    found = ChannelMap.load(tmp_path / "map.json").channels["acc"]
+    assert (found.column, found.sign) == ("left", -1)
+    code, said = go("--rename", "left=acc", "--sign", "acc=1", *made)
+    assert code == 0 and "acc follows the model, turned round: is its sign +1?" in " ".join(said.split())
+    assert ChannelMap.load(tmp_path / "map.json").channels["acc"].sign == 1
+    code, said = go("--map", tmp_path / "map.json")
+    assert code == 0 and "is its sign +1?" in " ".join(said.split())
+    for words, says in (
+        (["--rename", "lefd=acc"], "did you mean 'left'?"),
+        (["--rename", "left=table"], "unit 'g' is none of m"),
+        (["--sign", "acc=2"], "wants -1 or 1"),
+        (["--sign", "ac=-1"], "no channel 'ac'"),
+        (["--map", tmp_path / "map.json", "--sign", "acc=-1"], "--map replaces"),
+    ):
+        code, said = go(*words)
+        assert code == 2 and says in said and len(said.strip().splitlines()) == 1

@@ -29,6 +29,7 @@ from ._options import (
     complete,
     network_names,
     pairs,
+    signs_of,
 )
 
 
@@ -190,6 +191,7 @@ def command(
             ("--unmeasured", unmeasured),
             ("--map", map_file),
             ("--max-seconds", max_seconds),
+            ("--rate", rate),
         ):
             if given:
                 raise InputError(f"{option} wants a network (isd-model/1): the inside of an FMU is hidden")
@@ -198,6 +200,7 @@ def command(
             "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
             "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
             "header": column_names(columns),
+            "signs": signs_of(sign),
         }
         result = diagnose_unit(model, trust_fmu, data, validate or [], accept or [], named, shares)
         print_diagnosis(result, json_file, write_result(result, out, about))

@@ -219,6 +219,7 @@ def read_table(
     expected: Mapping[str, str] | None = None,
     resample: bool = False,
     header: Sequence[str] | None = None,
+    signs: Mapping[str, int] | None = None,
 ) -> Table:
     """Read a table of channels over time from a file.
 
@@ -236,6 +237,7 @@ def read_table(
         resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster, instead
             of an error.
         header: Names of all columns of a text file without a header row, with or without units.
+        signs: Factor 1 or -1 by channel or by column; -1 for a sensor that is turned round.
 
     Returns:
         Time stamps [s] and channels.
@@ -287,6 +289,9 @@ def read_table(
     time = out.pop(TIME)
     if len(time) == 0:
         raise InputError(f"{path}: no samples")
+    for name in out:
+        if ((signs or {}).get(name) or (signs or {}).get(inverse.get(name, name)) or 1) < 0:
+            out[name] = -np.asarray(out[name], float)
     kept = target if expected is not None else file_units
     return Table(time, out, str(path), {n: u for n, u in kept.items() if n in out and u})
 

@@ -60,14 +60,16 @@ def records_of(
     if by is None and rate is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
         expected = {c.name: c.unit for c in wanted}
         try:
-            table = read_table(files[0], rename=rename, units=units, expected=expected, header=columns)
+            table = read_table(
+                files[0], rename=rename, units=units, expected=expected, header=columns, signs=signs
+            )
         except SideBySide:
             table = None
         except MissingColumn as error:
             helps = f"; --rename COLUMN={error.name} where it has another name"
             raise InputError(f"{error}{helps}{without(network, error.name)}") from None
         if table is not None:
-            return _pieces(_signed(table, sources, signs or {}), wanted)
+            return _pieces(table, wanted)
     found = runs(
         path, network, wanted, by=by, rename=rename, units=units, columns=columns, rate=rate, signs=signs
     )
@@ -76,15 +78,6 @@ def records_of(
         whole = None if r.notes else r.table()
         out.append(r if whole is None else whole)
     return out
-
-
-def _signed(table: Table, sources: Mapping[str, str], signs: Mapping[str, int]) -> Table:
-    """Return a table with the signs of its channels; `signs` names channels or columns, `sources` the column by channel."""
-    turned = {n for n in table.columns if (signs.get(n) or signs.get(sources.get(n, n)) or 1) < 0}
-    if not turned:
-        return table
-    columns = {n: -x if n in turned else x for n, x in table.columns.items()}
-    return replace(table, columns=columns)
 
 
 def _check_used(

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..simulation.problem import Array
 
 CLEAR = 0.85  # least correlation of a channel with the simulation for a statement about the channel
+SCALED = 0.93  # least correlation for a statement about a unit
 UNLIKE = 0.5  # largest correlation of a channel with its own simulation for swapped columns
 LEAST_SAMPLES = 256  # of a compared record
 SEGMENTS = 8  # number of segments of a record, without overlap
@@ -80,17 +81,12 @@ def find_misreading(problem: Problem) -> str:
         return f"{name} follows the model with r = {own[j]:.2f}, turned round: --sign {name}=-1"
     if any(u >= VAGUE for u in network.uncertainty.values()):
         return ""
-    factors = {j: k for j in agree if (k := _slip(float(amplitude[j])))}
-    if (
-        len(factors) > 1
-        and len(set(factors.values())) == 1
-        and len(factors) == len(outputs)
-        and len(drives) == 1
-    ):
-        return _unit_line(drives[0], 1 / next(iter(factors.values())), float(min(own[j] for j in factors)))
-    for j, k in factors.items():
-        return _unit_line(outputs[j], k, float(own[j]))
-    return ""
+    scaled = [j for j in agree if own[j] > SCALED]
+    slips = {j: k for j in scaled if (k := _slip(float(amplitude[j])))}
+    common = set(slips.values())
+    if len(slips) > 1 and len(common) == 1 and len(slips) == len(outputs) and len(drives) == 1:
+        return _unit_line(drives[0], 1 / common.pop(), float(min(own[j] for j in slips)))
+    return next((line for j, k in slips.items() if (line := _unit_line(outputs[j], k, float(own[j])))), "")
 
 
 def _pooled(problem: Problem) -> tuple[Array, Array, Array, bool] | None:
@@ -165,13 +161,14 @@ def _slip(gain: float) -> float:
 
 
 def _unit_line(channel: Channel, factor: float, r: float) -> str:
-    """Return a line on a channel that is `factor` times as large as the model."""
+    """Return a line on a channel that is `factor` times as large as the model; '' where no unit differs by that factor."""
     fits = [
         unit
         for unit, (si, _) in TABLE.items()
         if si == channel.si and 0.98 < convert(1.0, unit, channel.unit) * factor < 1.02
     ]
+    if not fits:
+        return ""
     name = plain(channel.name, 40)
-    remedy = f"--unit {name}={fits[0]}" if fits else f"state its unit with --unit {name}=UNIT"
     size = f"{factor:.4g} times" if factor > 1 else f"1/{1 / factor:.4g} of"
-    return f"{name} is {size} what the model says, with r = {r:.2f}: a wrong unit: {remedy}"
+    return f"{name} is {size} what the model says, with r = {r:.2f}, in a wrong unit: --unit {name}={fits[0]}"
