@@ -61,7 +61,7 @@ def cli(*args, cwd, env=None, **options):
         ("plan quarter-car-passive --excitation sweep --rate 1e12", "samples, at most"),
         ("plan quarter-car-passive --excitation sweep --band 0:inf", "0 < LOW < HIGH"),
         ("plan quarter-car-passive --excitation sweep --band nan:1", "0 < LOW < HIGH"),
-        ("show passive --seconds 1e12", "'--seconds'"),
+        ("show passive --seconds 1e12", "--seconds: a drive"),
         ("ceiling --duration 1e12", "'--duration'"),
     ],
 )

@@ -133,7 +133,7 @@ def test_stamps_have_the_unit_of_their_name_or_of_the_user(name, scale, units, t
 def test_a_hint_without_effect_is_refused(tmp_path):
     content = HEAD + "\n" + text()
     for option in ("units", "signs"):
-        with pytest.raises(InputError, match="no channel is read from a column 'Time_ms'"):
+        with pytest.raises(InputError, match="the model has no channel 'Time_ms'"):
             read(tmp_path / "a.csv", content, **{option: {"Time_ms": "ms"}})
 
 

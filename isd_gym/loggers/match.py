@@ -132,6 +132,9 @@ def suggest(
 
     Returns:
         Columns, missing channels and remarks.
+
+    Raises:
+        InputError: A known column has the unit of another quantity than its channel.
     """
     out, given, signs = Suggestion(), dict(given or {}), dict(signs or {})
     wanted = [*network.inputs, *network.outputs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -93,11 +94,12 @@ def _check_used(
     rest = [name for name in given if name not in known]
     if not rest:
         return
-    known |= {r.stamp for f in files for r in rasters(f, stamp=sources.get("time"), columns=columns)}
+    with suppress(InputError):  # an unreadable file is reported after the slip of the pen
+        known |= {r.stamp for f in files for r in rasters(f, stamp=sources.get("time"), columns=columns)}
     for name in rest:
         if name not in known:
             raise InputError(
-                f"{option}: no channel is read from a column {shown(name)}; {hint(name, sorted(known))}"
+                f"{option}: the model has no channel {shown(name)}, and none is read from such a column; {hint(name, sorted(known))}"
             )
 
 

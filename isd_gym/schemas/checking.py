@@ -128,7 +128,9 @@ def _bound(words: str, holds: Callable[[Any, Any], bool]) -> Callable[..., Itera
     return rule
 
 
-def _length(kind: type, words: str, holds: Callable[[int, int], bool]) -> Callable[..., Iterator[str]]:
+def _length(
+    kind: type[list[Any]] | type[dict[Any, Any]] | type[str], words: str, holds: Callable[[int, int], bool]
+) -> Callable[..., Iterator[str]]:
     def rule(data: Any, value: int, schema: Any, root: dict[str, Any], place: str) -> Iterator[str]:
         if isinstance(data, kind) and not holds(len(data), value):
             yield f"{place or 'it'} must have {words} {value} entries, not {len(data)}"
