@@ -225,6 +225,11 @@ def test_runs_side_by_side_are_two_records(heads, tmp_path):
     check(two, second)
     with pytest.raises(InputError, match="2 tables side by side"):
         read_table(tmp_path / "a.csv")
+    from isd_gym.commands.simulate import command
+
+    RIG.save(tmp_path / "rig.json")
+    with pytest.raises(InputError, match="holds 2 runs side by side"):
+        command(str(tmp_path / "rig.json"), tmp_path / "a.csv", tmp_path / "out.csv")
 
 
 def test_channels_beside_one_another_keep_their_own_stamps(tmp_path):

@@ -74,9 +74,11 @@ def command(
     wanted = (*network.inputs, *network.with_outputs(measured).outputs) if fitted else network.inputs
     pieces = records_of(data, network, wanted, **named)
     if len(pieces) > 1:
-        gap = pieces[0].notes[0]  # type: ignore[union-attr]
+        notes = getattr(pieces[0], "notes", ())
+        if not notes:
+            raise InputError(f"{data}: holds {len(pieces)} runs side by side: simulate a file of each")
         raise InputError(
-            f"{data}: there are gaps in time ({gap}): cut the file there and simulate each piece"
+            f"{data}: there are gaps in time ({notes[0]}): cut the file there and simulate each piece"
         )
     table, start = pieces[0], None
     if fitted:

@@ -160,9 +160,8 @@ def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
     else:
         found = runs(path, network, moved, by=by)
     if len(found) > 1:
-        raise InputError(
-            f"road '{path}': there are gaps in time ({found[0].notes[0]}): drive a piece at a time"
-        )
+        why = f"there are gaps in time ({found[0].notes[0]})" if found[0].notes else "there are several runs"
+        raise InputError(f"road '{path}': {why}: drive a piece at a time")
     signal = found[0].signals[moved[0].name]
     return profiled(str(path), signal.time - signal.time[0], signal.values, over_time=True)
 
