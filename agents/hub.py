@@ -17,7 +17,7 @@ import numpy as np
 
 from isd_gym.baselines.ceiling import known
 from isd_gym.benchmark import cards
-from isd_gym.errors import InputError, plain, shown
+from isd_gym.errors import InputError, markdown, plain, shown
 from isd_gym.files import check_folder, whole_folder
 from isd_gym.network import Network
 from isd_gym.policies import passive
@@ -60,7 +60,7 @@ observation, reward, terminated, truncated, info = env.step(np.atleast_1d(policy
 
 ## Training
 
-`{command}`{seconds}.
+{command}{seconds}.
 """
 
 TRAINED = "Stable-Baselines3 trained the policy. The folder is no archive of that library: load it as below."
@@ -206,8 +206,8 @@ def _card(policy: Policy, title: str, found: dict[str, Any]) -> str:
         ]
     seconds = training.get("seconds")
     text = TEXT.format(
-        title=title,
-        algorithm=algorithm,
+        title=markdown(title),
+        algorithm=markdown(algorithm),
         environment=environment,
         ahead=f" and {policy.preview:g} s of the road ahead" if policy.preview else "",
         options=f', observation="preview", preview={policy.preview:g}' if policy.preview else "",
@@ -217,7 +217,7 @@ def _card(policy: Policy, title: str, found: dict[str, Any]) -> str:
         library=TRAINED if library else "",
         regret="" if regret is None else REGRET.format(regret=regret),
         table=table,
-        command=plain(str(training.get("command", "not known")), 200).replace("`", "'"),
+        command=markdown(str(training.get("command", "not known")), 200, code=True),
         seconds=f", {seconds:.0f} s" if isinstance(seconds, int | float) else "",
     )
     return "\n".join([*meta, "---", "", text])

@@ -515,6 +515,11 @@ class Policy:
             actor, network = head["actor"], head.get("network")
             if not (network is None or isinstance(network, dict)):
                 raise InputError(f"network must be an object, not {shown(network)}")
+            training = head.get("training", {})
+            if not isinstance(training, dict):
+                raise InputError(f"training must be an object, not {shown(training)}")
+            if not isinstance(training.get("versions", {}), dict):
+                raise InputError(f"training.versions must be an object, not {shown(training['versions'])}")
             weights = [
                 (tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"])
                 for i in range(len(actor["layers"]))

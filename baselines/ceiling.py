@@ -578,7 +578,7 @@ def command(
         str, typer.Option(help="The plant: a built-in network or a model file.")
     ] = "quarter-car-isd",
     episodes: Annotated[int, typer.Option(help="Number of roads; each takes some 15 s.", min=2)] = ROADS,
-    duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1)] = 20.0,
+    duration: Annotated[float, typer.Option(help="Length of an episode [s].", min=0.1, max=600.0)] = 20.0,
     store: Annotated[
         Path | None, typer.Option("--store", help="Store computed roads in this file.", metavar="FILE")
     ] = None,

@@ -22,10 +22,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from . import schemas
 from .benchmark.engine import Outcome, Task, stored
 from .benchmark.engine import run as run_tasks
 from .errors import InputError, ReportError, plain, shown
 from .files import claim_folder, write_text
+from .schemas.checking import problems
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -226,11 +228,32 @@ def fleet(
     if not (place / "fleet.json").exists():  # marks the folder as a fleet's for the next call
         write_text(place / "fleet.json", json.dumps(merge(cases, tasks, {})) + "\n")
     outcome = run_tasks(
-        tasks, place / "cases", jobs=jobs, engine=engine, address=address, progress=progress, say=say
+        tasks,
+        place / "cases",
+        jobs=jobs,
+        engine=engine,
+        address=address,
+        progress=progress,
+        say=say,
+        sound=_sound,
     )
-    merged = merge(cases, tasks, stored(tasks, place / "cases"), outcome.failed)
+    merged = merge(cases, tasks, stored(tasks, place / "cases", _sound), outcome.failed)
     write_text(place / "fleet.json", json.dumps(merged, indent=1, allow_nan=False) + "\n")
     return merged, outcome
+
+
+def _sound(task: Task, result: Any) -> bool:
+    """Return whether a result has the parts of a diagnosis that the table and the page of a fleet show."""
+    schema = schemas.load("isd-diagnosis/1")
+    shown = {name: schema["properties"][name] for name in ("verdict", "summary", "effects")}
+    clocks = {"type": "array", "items": {"type": "object"}}
+    diagnosis = {
+        "type": "object",
+        "required": ["verdict", "effects"],
+        "properties": shown | {"clocks": clocks},
+    }
+    part = {"type": "object", "required": ["diagnosis", "model"], "properties": {"diagnosis": diagnosis}}
+    return next(problems(result, part, schema), None) is None
 
 
 def write_page(merged: Mapping[str, Any], out: str | Path) -> Path:
@@ -296,6 +319,8 @@ def merge(
         for effect in said["effects"]:
             where = "-".join(effect.get("between") or [effect.get("channel") or ""])
             for name, q in effect["parameters"].items():
+                if q["value"] is None:
+                    continue
                 key = (case.vehicle, effect["effect"], where, name, q.get("unit", ""))
                 trends.setdefault(key, []).append(
                     {"case": case.name, "date": case.date, **{k: q.get(k) for k in ("value", "low", "high")}}

@@ -65,6 +65,27 @@ def too_large(where: str, size: float, limit: float) -> InputError:
     )
 
 
+def check_memory(size: float, what: str, remedy: str) -> None:
+    """Check before long work that its arrays fit into the memory of this machine.
+
+    Args:
+        size: Memory that the arrays need [bytes].
+        what: The work, as the subject of the message.
+        remedy: Advice at the end of the message.
+
+    Raises:
+        InputError: The arrays do not fit.
+    """
+    try:
+        there = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):  # a system that does not tell
+        there = 16.0 * 2**30
+    if not size < there:
+        raise InputError(
+            f"{what} would take {size / 2**30:.3g} GB of memory, of {there / 2**30:.3g}: {remedy}"
+        )
+
+
 def plain_file(path: str | Path) -> int:
     """Return the size of a regular file.
 
@@ -130,7 +151,7 @@ def parse_json(data: bytes | str, where: str) -> Any:
 
     Raises:
         InputError: The text is no JSON; holds NaN, infinity or an integer beyond the range of a float; has
-            more than `DEPTH` levels; or holds lone surrogates.
+            an object with a repeated key; has more than `DEPTH` levels; or holds lone surrogates.
     """
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data.removeprefix("\ufeff")
@@ -151,8 +172,18 @@ def parse_json(data: bytes | str, where: str) -> Any:
     def constant(name: str) -> Any:
         raise InputError(f"{where}: {name} is no number")
 
+    def single(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise InputError(f"{where}: an object has the key {shown(twice)} twice: delete or rename one")
+        return found
+
     try:
-        found = json.loads(text, parse_int=whole, parse_float=real, parse_constant=constant)
+        found = json.loads(
+            text, parse_int=whole, parse_float=real, parse_constant=constant, object_pairs_hook=single
+        )
     except json.JSONDecodeError as error:
         raise InputError(f"{where}: not JSON, line {error.lineno}: {error.msg}") from None
     except RecursionError:

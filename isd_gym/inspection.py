@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .data.columns import did_you_mean
 from .errors import InputError, plain, shown
 from .loggers.facts import Facts, Oddity, facts_of, odd_stamps, odd_values, sparkline
+from .loggers.mapping import Logger
 from .loggers.recording import EPOCH, Raster, continuous, rasters
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from .loggers.mapping import ChannelMap
@@ -35,6 +37,7 @@ class Inspection:
         network: The model; None without a model.
         suggestion: Columns of the model's channels; None without a model.
         columns: Names that files without a header row were given.
+        rate: Sampling rate that files without time stamps were given [Hz].
     """
 
     files: list[list[Raster]]
@@ -43,6 +46,7 @@ class Inspection:
     network: Network | None = None
     suggestion: Suggestion | None = None
     columns: tuple[str, ...] = ()
+    rate: float | None = None
 
     def map(self, model: str) -> ChannelMap:
         """Return the suggestion as a map for ``--map``.
@@ -58,7 +62,7 @@ class Inspection:
         """
         if self.suggestion is None or not self.suggestion.channels:
             raise InputError(f"no column was found for any channel of '{model}'")
-        return self.suggestion.map(self.files, model, self.columns)
+        return self.suggestion.map(self.files, model, self.columns, self.rate)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data, with null for values that are not finite.
@@ -78,7 +82,7 @@ class Inspection:
         }
         if self.suggestion is not None:
             name = self.network.name if self.network else ""
-            out["map"] = self.suggestion.map(self.files, name, self.columns).to_dict()
+            out["map"] = self.suggestion.map(self.files, name, self.columns, self.rate).to_dict()
             out["missing"], out["remarks"] = self.suggestion.missing, self.suggestion.remarks
         return out
 
@@ -90,6 +94,9 @@ def inspect(
     units: dict[str, str] | None = None,
     stamps: str | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
+    by: ChannelMap | None = None,
+    signs: Mapping[str, int] | None = None,
 ) -> Inspection:
     """Inspect loggers' files of one run, and match columns with the channels of a model.
 
@@ -99,6 +106,9 @@ def inspect(
         units: Unit by column, with priority over the units in the files.
         stamps: Column of the time stamps.
         columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
+        by: Columns of channels that are known, with their units and signs; None for a search among all columns.
+        signs: Known factors 1 or -1 by channel.
 
     Returns:
         Properties, remarks and a suggested map.
@@ -106,9 +116,24 @@ def inspect(
     Raises:
         InputError: A file cannot be read, or a column does not exist.
     """
-    units = dict(units or {})
-    groups = [rasters(p, stamp=stamps, unit=units.get(stamps or "time"), columns=columns) for p in paths]
+    known_columns = by.channels if by else {}
+    units = dict(units or {}) | {c.column: c.unit for c in known_columns.values() if c.unit}
+    loggers = [*(by.loggers if by else ()), *[Logger()] * len(paths)]
+    groups = [
+        rasters(
+            p,
+            stamp=own.stamp or stamps,
+            unit=own.unit or units.get("time"),
+            units=units,
+            columns=own.columns or columns,
+            rate=own.rate or rate,
+        )
+        for p, own in zip(paths, loggers, strict=False)
+    ]
     known = {n for group in groups for r in group for n in (*r.columns, r.stamp)} | {"time"}
+    for given in known_columns.values():
+        if given.column not in known:
+            raise InputError(f"no column {shown(given.column)}; {did_you_mean(given.column, known)}")
     for name in units:
         if name not in known:
             raise InputError(
@@ -132,8 +157,8 @@ def inspect(
     if network is not None:
         from .loggers.match import suggest
 
-        found = suggest(groups, facts, network)
-    return Inspection(groups, facts, odd, network, found, tuple(columns or ()))
+        found = suggest(groups, facts, network, known_columns, signs)
+    return Inspection(groups, facts, odd, network, found, tuple(columns or ()), rate)
 
 
 def _continuous(raster: Raster, odd: list[Oddity]) -> Raster:

@@ -67,6 +67,43 @@ def test_a_score_on_other_roads_or_without_episodes_is_refused(card, change, why
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda s: s["policies"].__setitem__(0, 2), r"policies\[0\] must be an object"),
+        (lambda s: s["policies"][0].update(preview=2), r"policies\[0\].preview must be an object"),
+        (lambda s: s["policies"][0]["cost"].pop("unit"), r"policies\[0\].cost has no 'unit'"),
+        (lambda s: s.pop("speed"), "has no 'speed'"),
+        (lambda s: s["raw"].update(skyhook=3), "raw.skyhook must be an object"),
+        (lambda s: s["raw"]["add"].update(cost=[1e300] * 3), r"raw.add.cost\[0\] must be at most"),
+        (lambda s: s.update(roads=[["x"]]), r"roads\[0\]\[0\] must be a number"),
+    ],
+)
+def test_a_garbled_score_is_one_line(change, says, tmp_path):
+    theirs = score(["add"], **ON).to_dict()
+    path = tmp_path / "score.json"
+    path.write_text(json.dumps(theirs))
+    assert cards.read_score(path) == json.loads(json.dumps(theirs))
+    change(theirs)
+    path.write_text(json.dumps(theirs))
+    with pytest.raises(InputError, match=says) as error:
+        cards.read_score(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_garbled_card_with_a_right_digest_is_one_line(card, tmp_path):
+    held = json.loads(json.dumps(card))
+    held["tracks"][0]["policies"]["skyhook"]["episodes"]["cost"].pop()
+    path = tmp_path / "card.json"
+    path.write_text(json.dumps({**held, "digest": cards.digest(held)}))
+    with pytest.raises(InputError, match="'skyhook' must have 4 episodes"):
+        cards.load(path)
+    del held["tracks"][0]["policies"]["passive"]
+    path.write_text(json.dumps({**held, "digest": cards.digest(held)}))
+    with pytest.raises(InputError, match=r"tracks\[0\].policies has no 'passive'"):
+        cards.load(path)
+
+
 def test_a_card_is_frozen(card, tmp_path):
     path = tmp_path / "card.json"
     path.write_text(json.dumps(card))

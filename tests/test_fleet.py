@@ -146,6 +146,28 @@ def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
     assert not (tmp_path / "out" / "fleet.html").exists()
 
 
+def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
+    from isd_gym import fleet as module
+
+    case(tmp_path / "cases", "van_2024-05-01", "a.csv")
+    _, _, found = results({"2024-05-01": (500.0, 5.0)})
+    (good,) = found.values()
+    calls = []
+    monkeypatch.setattr(
+        module, "diagnose_case", lambda **given: calls.append(given["name"]) or {**good, "model": None}
+    )
+    merged, _ = fleet(tmp_path / "cases", tmp_path / "out", "force-rig")
+    assert len(calls) == 1 and merged["missing"] == 0
+    (path,) = (tmp_path / "out" / "cases").glob("*.json")
+    held = json.loads(path.read_text())
+    for strange in ({}, [], {"diagnosis": {}, "model": None}, {"diagnosis": {"verdict": 3, "effects": []}}):
+        path.write_text(json.dumps({**held, "result": strange}))
+        assert fleet(tmp_path / "cases", tmp_path / "out", "force-rig")[0] == merged
+    assert len(calls) == 5
+    fleet(tmp_path / "cases", tmp_path / "out", "force-rig")
+    assert len(calls) == 5
+
+
 def test_a_case_that_cannot_be_diagnosed_is_told_and_the_others_go_on(tmp_path):
     from isd_gym.network import Network
 

@@ -20,7 +20,7 @@ from isd_gym.agents.convert import convert, read_normalize, read_torch
 from isd_gym.agents.pickles import array, read_pickle
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
 from isd_gym.data import Table, read_table, write_table
-from isd_gym.errors import InputError, plain, shown
+from isd_gym.errors import InputError, markdown, plain, shown
 from isd_gym.files import claim_folder, whole, whole_folder
 from isd_gym.network import Network
 from isd_gym.road import road
@@ -43,7 +43,64 @@ def cli(*args, cwd, env=None, **options):
     )  # fmt: skip
 
 
+# ------------------------------------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("score passive --duration inf", "--duration must be a finite number"),
+        ("score passive --speed inf", "--speed must be a finite number"),
+        ("score passive --episodes 1 --duration 1e12", "GB of memory"),
+        ("score passive --duration 0.01 --episodes 1000000000000", "GB of memory"),
+        ("score passive --duration 0.01 --episodes 99999999999999999999", "GB of memory"),
+        ("record passive --out {tmp} --duration 1e12", "GB of memory"),
+        ("plan quarter-car-passive --excitation sweep --length 1e308", "samples, at most"),
+        ("plan quarter-car-passive --excitation sweep --length 1e12", "samples, at most"),
+        ("plan quarter-car-passive --excitation sweep --rate inf", "--rate must be a finite number"),
+        ("plan quarter-car-passive --excitation sweep --rate 1e12", "samples, at most"),
+        ("plan quarter-car-passive --excitation sweep --band 0:inf", "0 < LOW < HIGH"),
+        ("plan quarter-car-passive --excitation sweep --band nan:1", "0 < LOW < HIGH"),
+        ("show passive --seconds 1e12", "--seconds: a drive"),
+        ("ceiling --duration 1e12", "'--duration'"),
+    ],
+)
+def test_a_huge_number_on_the_command_line_is_one_line(words, says, tmp_path, monkeypatch, capsys):
+    from isd_gym.cli import main
+
+    monkeypatch.setattr(sys, "argv", ["isd-gym", *words.format(tmp=tmp_path / "out").split()])
+    with pytest.raises(SystemExit) as end:
+        main()
+    said = capsys.readouterr()
+    assert end.value.code == 2 and says in said.err
+    assert len(said.err.strip().splitlines()) == 1 and not said.out
+
+
 # ------------------------------------------------------------------------------------------- names
+
+
+HOSTILE = "<script>alert(1)</script>|`** [x](javascript:alert(1)) # h"
+
+
+def test_a_name_in_markdown_is_text_in_one_cell():
+    """Neither HTML nor Markdown sees markup; the entities decode to the name."""
+    import html
+
+    for code in (False, True):
+        text = markdown(HOSTILE, code=code)
+        assert not set("<>|`*[]#") & set(text.replace("&#", "")) and html.unescape(text) == HOSTILE
+    assert markdown("mpc-friction_2", code=True) == "`mpc-friction_2`" and markdown("speed 10") == "speed 10"
+    assert html.unescape(markdown("_a_ b_c")) == "_a_ b_c" and "_a" not in markdown("_a_ b_c")
+
+
+def test_a_name_of_a_condition_leaves_the_table_of_a_sweep_whole(tmp_path):
+    from isd_gym.benchmark.sweep import Grid, sweep
+
+    grid = {"policies": ["isd-passive"], "episodes": 1, "duration": 0.1, "conditions": [{"name": HOSTILE}]}
+    sweep(Grid.from_dict(grid), tmp_path / "out")
+    text = (tmp_path / "out" / "sweep.md").read_text()
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert len(rows) == 3 and {row.count("|") for row in rows} == {3} and "<script" not in text
 
 
 def test_names_are_shown_in_one_line_that_steers_nothing():
@@ -106,6 +163,8 @@ def test_a_folder_of_a_sweep_may_hold_anything(tmp_path):
     good = json.loads(items[0].read_text())
     strange = [{}, [], None, good["result"] | {"measures": {}}, good["result"] | {"fallbacks": "many"}]
     strange.append(good["result"] | {"measures": {key: [1e300] * 2 for key in good["result"]["measures"]}})
+    for name, value in (("tyre_load_rms", -1.2e15), ("current_rms", 10**40), ("cost", 1e300), ("cost", True)):
+        strange.append(good["result"] | {"measures": good["result"]["measures"] | {name: [value]}})
     for text in [*(json.dumps(good | {"result": result}) for result in strange), "[" * 100_000]:
         items[0].write_text(text)
         assert len(stored(grid.tasks(), tmp_path / "out" / "items", _sound)) == len(items) - 1
@@ -389,6 +448,8 @@ def spoilt(tmp_path, **change):
         ("action.gain", "x", "gain"),
         ("network", "/etc/passwd", "network must be an object"),
         ("weights", None, "garbles"),
+        ("training", 1, "training must be an object"),
+        ("training", {"versions": "new"}, "versions must be an object"),
         ("name", "x", None),
     ],
 )
@@ -573,6 +634,8 @@ def test_large_networks_answer_or_are_refused_within_seconds():
         (b'{"schema": ' + b"[" * 500 + b"]" * 500 + b"}", "levels"),
         (b'{"schema": "isd-model/1", "elements": [' + b"9" * 5000 + b"]}", "5000 digits"),
         (b'{"schema": NaN}', "NaN is no number"),
+        (b'{"schema": "isd-model/1", "masses": {"body": 1.0, "body": 345.0}}', "key 'body' twice"),
+        (b'{"elements": [{"name": "a"}], "elements": []}', "key 'elements' twice"),
         (b'{"schema": 1e999}', "too large"),
         (b'{"schema": "\\ud800"}', "no Unicode text"),
         (b"\xff\xfe{", "not JSON"),

@@ -42,7 +42,7 @@ def test_the_card_says_what_hubs_read(folder):
     assert metrics["mean_reward"] == f"{-4000 * costs.mean():.2f} +/- {4000 * costs.std():.2f}"
     assert metrics["cost_j"] == pytest.approx(costs.mean(), abs=5e-5)
     assert -0.4 < metrics["change_of_cost_against_passive"] < -0.1
-    assert "| 1 | `ppo` |" in body and "`passive`" in body and "'train'" in body
+    assert "| 1 | `ppo` |" in body and "`passive`" in body and "&#96;train&#96;" in body
 
 
 def test_the_return_is_the_environment_s_own(folder):
@@ -129,6 +129,14 @@ def test_a_policy_for_a_car_of_its_own_has_no_environment():
     policy.model = replace(policy.model, name="my-car")
     with pytest.raises(InputError, match="'my-car', which no environment has"):
         hub.environment_of(policy)
+
+
+def test_the_name_of_a_policy_is_text_in_the_card(folder):
+    policy = Policy.load("ppo")
+    policy.name = "<script>|`** [x](javascript:alert(1))"
+    text = hub._card(policy, policy.name, json.loads((folder / hub.SCORE).read_text()))
+    body = text.split("\n---\n", 1)[1]
+    assert "<script" not in body and "[x](" not in body and body.lstrip().startswith("# &#60;script&#62;")
 
 
 def test_what_is_somebody_else_s_is_left_alone(tmp_path):

@@ -14,15 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, shown
+from ..errors import InputError, markdown, shown
 from ..inputs import read_json
+from ..schemas.checking import check
 from ..seeds import named_roads
 from .scoring import compare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-SCHEMA = "isd-card/1"
+SCHEMA, SCORE = "isd-card/1", "isd-score/1"
 BUILT_IN = Path(__file__).parents[1] / "references"
 #: keys that must agree for two scores on the same roads, and tolerance of the roads' fingerprints
 SAME = ("network", "road", "speed", "episodes", "duration", "seed")
@@ -45,10 +46,41 @@ def load(name: str | Path) -> dict[str, Any]:
     if str(name) in built_in():
         path = BUILT_IN / f"{name}.json"
     data = read_json(path, f"cannot read card {shown(str(name))} (built in: {', '.join(built_in())})")
-    if not (isinstance(data, dict) and data.get("schema") == SCHEMA and isinstance(data.get("tracks"), list)):
+    if not (isinstance(data, dict) and data.get("schema") == SCHEMA):
         raise InputError(f"card {shown(str(name))}: its schema is not '{SCHEMA}'")
     if data.get("digest") != digest(data):
         raise InputError(f"card {shown(str(name))} was altered: its digest is another")
+    check(data, SCHEMA, f"card {shown(str(name))}")
+    for one in data["tracks"]:
+        for policy, found in one["policies"].items():
+            lengths = {len(values) for values in found["episodes"].values()}
+            if lengths != {one["episodes"]}:
+                raise InputError(
+                    f"card {shown(str(name))}: {shown(policy)} must have {one['episodes']} episodes of each quantity"
+                )
+    return data
+
+
+def read_score(path: str | Path) -> dict[str, Any]:
+    """Read a score for comparison with a card.
+
+    Args:
+        path: The file, as written by ``isd-gym score --json``.
+
+    Returns:
+        The score.
+
+    Raises:
+        InputError: The file is no score, or does not state its conditions.
+    """
+    where = f"score {shown(str(path))}"
+    data = read_json(path, f"{where} cannot be read")
+    if not (isinstance(data, dict) and data.get("schema") == SCORE):
+        raise InputError(f"{shown(str(path))} is no score ({SCORE})")
+    check(data, SCORE, where)
+    for key in SAME:
+        if key not in data:
+            raise InputError(f"{where} has no {shown(key)}; score again with this version")
     return data
 
 
@@ -97,8 +129,8 @@ def track(score: Mapping[str, Any], name: str, command: str) -> dict[str, Any]:
         "roads": score["roads"],
         "policies": {
             policy: {
-                "preview": rows[policy].get("preview", {}).get("value", 0.0) if policy in rows else 0.0,
-                "units": {k: rows[policy][k]["unit"] for k in values} if policy in rows else {},
+                "preview": rows.get(policy, {}).get("preview", {}).get("value", 0.0),
+                "units": {k: rows[policy][k]["unit"] for k in values if k in rows.get(policy, {})},
                 "episodes": values,
             }
             for policy, values in raw.items()
@@ -227,7 +259,7 @@ def ranking(
             f"the card has no track {shown(name)}: {', '.join(t['track'] for t in card['tracks'])}"
         )
     ground = one["policies"]["passive"]["episodes"]
-    units = next(p["units"] for p in one["policies"].values() if p["units"])
+    units = {k: unit for p in one["policies"].values() for k, unit in p["units"].items()}
     held = {policy: p["episodes"] for policy, p in one["policies"].items()}
     ahead = {policy: p["preview"] for policy, p in one["policies"].items()}
     theirs: list[str] = []
@@ -244,15 +276,17 @@ def ranking(
     for policy, values in held.items():
         row: dict[str, Any] = {"policy": policy, "submitted": policy in theirs}
         row |= {
-            k: compare(k, np.array(v), np.array(ground[k]), units[k])
+            k: compare(k, np.array(v, float), np.array(ground[k], float), units.get(k, ""))
             for k, v in values.items()
             if k in ground
         }
         bound = ceiling(ahead[policy]) if ceiling else None
-        row["regret"] = regret(row["cost"], bound["change"]) if bound else None
+        known = bound and "change" in row["cost"]
+        row["regret"] = regret(row["cost"], bound["change"]) if bound and known else None
         if policy in theirs:
-            costs = {q: np.array(v["cost"]) for q, v in held.items() if q != policy}
-            row["against"] = {q: compare("cost", np.array(values["cost"]), c, "-") for q, c in costs.items()}
+            own = np.array(values["cost"], float)
+            costs = {q: np.array(v["cost"], float) for q, v in held.items() if q != policy}
+            row["against"] = {q: compare("cost", own, c, "-") for q, c in costs.items()}
         rows.append(row)
     return sorted(rows, key=lambda row: row["cost"]["value"])
 
@@ -281,7 +315,7 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
     for place, row in enumerate(ranking(card, name, scores), 1):
         cells = [
             str(place),
-            f"`{row['policy']}`",
+            markdown(row["policy"], code=True),
             cell(row["cost"], 4),
             cell(row["body_acceleration_rms"], 3),
             cell(row["suspension_travel_rms"], 2, 1e3),
@@ -290,11 +324,15 @@ def table(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str, Any]
         ]
         lines.append("| " + " | ".join(cells) + " |")
     what = (
-        f"`{card['environment']}`, {one['track']}: road `{one['road']}`, {one['speed']['value']:g} m/s, {one['episodes']} × "
+        f"{markdown(card['environment'], code=True)}, {markdown(one['track'])}: road {markdown(one['road'], code=True)}, {one['speed']['value']:g} m/s, {one['episodes']} × "
         f"{one['duration']['value']:g} s, {named_roads(one['seed'], one['episodes'])}. RMS; below each, the change "
         "against `passive` with its 95 % paired interval."
     )
-    made = f"Made by `{one['command']}` on {card['date']}, version {card['version']}; card {card['digest'][:16]}."
+    command, date, version = (
+        markdown(x, 400, code=code)
+        for x, code in ((one["command"], True), (card["date"], False), (card["version"], False))
+    )
+    made = f"Made by {command} on {date}, version {version}; card {card['digest'][:16]}."
     return "\n".join([what, "", *lines, "", made])
 
 

@@ -71,15 +71,18 @@ def write_dataset(
     from ..env import CONTROL_STEP, ISDSuspensionVectorEnv
     from ..network import builtin_networks
     from ..registration import BY_CORNERS
+    from ..vehicle import vehicle
     from .driving import Crew, travel
+    from .scoring import check_size
 
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")
     steps = round(duration / CONTROL_STEP) if 0 < duration < float("inf") else 0
     if steps < 1:
         raise InputError(f"duration must be at least {CONTROL_STEP} s, not {duration}")
-    folder, dataset_id = _place(str(out), entry.name)
     plant = entry.network or network
+    check_size(vehicle(plant), episodes, duration)
+    folder, dataset_id = _place(str(out), entry.name)
     crew = Crew(entry, episodes)
     kwargs: dict[str, Any] = {
         "network": plant.name if _is_builtin(plant, builtin_networks()) else plant.to_dict(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from .. import elements as el
 from ..comparability import Comparable, comparable
 from ..cost import StageCost, square
 from ..errors import InputError, shown
+from ..inputs import check_memory
 from ..network import Network
 from ..road import road as find_road
 from ..seeds import generators, named_roads
@@ -213,6 +215,30 @@ def weighted_rms(acceleration: np.ndarray, step: float) -> np.ndarray:
     return np.sqrt(np.mean(np.fft.irfft(spectrum * gain, n, axis=0) ** 2, axis=0))
 
 
+def check_size(car: Vehicle, episodes: int, duration: float) -> None:
+    """Check the number and the length of episodes before their signals are stored.
+
+    Args:
+        car: The car.
+        episodes: Number of episodes.
+        duration: Length of an episode [s].
+
+    Raises:
+        InputError: A number is not positive and finite, or the signals do not fit into the memory.
+    """
+    from ..env import CONTROL_STEP
+
+    if episodes < 1:
+        raise InputError(f"episodes must be at least 1, not {episodes}")
+    if not 0 < duration < math.inf:
+        raise InputError(f"duration must be positive and finite, not {duration}")
+    signals = 2 * (len(car.channels) + len(car.driven))  # twice: the signals and their measures
+    what = f"{shown(episodes)} episode{'s' * (episodes != 1)} of {duration:g} s"
+    # huge integers have no float
+    size = 8.0 * signals * duration / CONTROL_STEP * min(episodes, 10**30)
+    check_memory(size, what, "score fewer or shorter episodes")
+
+
 def drive(
     entry: Entry,
     network: Network,
@@ -255,6 +281,7 @@ def drive(
     from ..env import CONTROL_STEP, ISDSuspensionVectorEnv
 
     plant = entry.network or network
+    check_size(vehicle(plant), episodes, duration)
     crew = Crew(entry, episodes)
     env = ISDSuspensionVectorEnv(
         episodes,
@@ -630,12 +657,9 @@ def score(
     Raises:
         InputError: An argument is invalid, a policy is unknown or named twice, or a car breaks.
     """
-    if episodes < 1:
-        raise InputError(f"episodes must be at least 1, not {episodes}")
-    if not duration > 0:
-        raise InputError(f"duration must be positive, not {duration}")
     network = Network.load(network)
     car = vehicle(network)
+    check_size(car, episodes, duration)
     cost = StageCost.of(cost, car.axes, len(car.corners))
     point = point or comfort_point(car)
     if point not in car.points:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, markdown
 from ..files import claim_folder, write_text
 from ..inputs import is_number
 from ..network import Network
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
 FOLDER = ("sweep", None, ("items", "sweep.json", "sweep.md"))
+#: bound of a stored value: the squares of smaller values are finite
+LARGEST = 1e30
 COMMANDS = ("given", "not_finite", "above_limit", "above_slew")
 
 
@@ -127,9 +129,20 @@ def _sound(task: Task, result: Any) -> bool:
     return (
         MEASURES.items() <= result["units"].items()
         and result["measures"].keys() == result["units"].keys()
-        and all(len(v) == episodes and all(map(is_number, v)) for v in result["measures"].values())
-        and all(isinstance(n, int) for n in (result["fallbacks"], *(commands[k] for k in COMMANDS)))
+        and all(
+            len(v) == episodes and all(_plausible(name, x) for x in v)
+            for name, v in result["measures"].items()
+        )
+        and all(
+            type(n) is int and 0 <= n < LARGEST
+            for n in (result["fallbacks"], *(commands[k] for k in COMMANDS))
+        )
     )
+
+
+def _plausible(name: str, value: Any) -> bool:
+    """Return whether a measure can have a value: only costs and energies may be negative."""
+    return is_number(value) and abs(value) < LARGEST and (value >= 0 or name in ("cost", "energy"))
 
 
 def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
@@ -157,7 +170,10 @@ def merge(grid: Grid, results: Mapping[str, Any]) -> dict[str, Any]:
             missing += len(keys) - len(parts)
             if len(parts) < len(keys) or (policy != "passive" and not ground):
                 continue
-            own = {n: np.concatenate([p["measures"][n] for p in parts]) for n in parts[0]["measures"]}
+            own = {
+                n: np.concatenate([np.array(p["measures"][n], float) for p in parts])
+                for n in parts[0]["measures"]
+            }
             ground = ground or own
             row: dict[str, Any] = {"policy": policy}
             for name, values in own.items():
@@ -362,9 +378,12 @@ def table(merged: Mapping[str, Any]) -> str:
         f"Change of J against the conventional passive car [%], 95 % paired intervals; {merged['episodes']} roads of "
         f"{merged['duration']['value']:g} s, {seeds}.",
         "",
-        "| " + " | ".join(["condition", *(f"`{n}`" for n in names)]) + " |",
+        "| " + " | ".join(["condition", *(markdown(n, code=True) for n in names)]) + " |",
         "|---" + "|---:" * len(names) + "|",
-        *("| " + " | ".join(line).replace("-", "−") + " |" for line in lines),
+        *(
+            "| " + " | ".join([markdown(head), *(cell.replace("-", "−") for cell in cells)]) + " |"
+            for head, *cells in lines
+        ),
     ]
     if merged["missing"]:
         text += ["", f"{items_are(merged['missing'])} missing."]

@@ -20,21 +20,24 @@ from . import (
     sweep,
     warm,
 )
-from ._app import SeveralValuesCommand, app
+from ._app import FiniteCommand, SeveralValuesCommand, app
 from ._main import main
 
 __all__ = ["app", "main"]
 
-app.command(name="score")(score.command)
-app.command(name="show")(show.command)
-app.command(name="policies")(policies.command)
-app.command(name="card")(card.command)
-app.command(name="sweep")(sweep.command)
-app.command(name="record")(record.command)
-app.command(name="networks")(networks.command)
-app.command(name="simulate")(simulate.command)
-app.command(name="export")(export.command)
-app.command(name="inspect")(inspect.command)
-app.command(name="diagnose", cls=SeveralValuesCommand)(diagnose.command)
-app.command(name="plan")(plan.command)
-app.command(name="warm")(warm.command)
+for _name, _command in (
+    ("score", score.command),
+    ("show", show.command),
+    ("policies", policies.command),
+    ("card", card.command),
+    ("sweep", sweep.command),
+    ("record", record.command),
+    ("networks", networks.command),
+    ("simulate", simulate.command),
+    ("export", export.command),
+    ("inspect", inspect.command),
+    ("diagnose", diagnose.command),
+    ("plan", plan.command),
+    ("warm", warm.command),
+):
+    app.command(name=_name, cls=SeveralValuesCommand if _name == "diagnose" else FiniteCommand)(_command)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+from ..errors import InputError
 
 
 class CommandGroup(TyperGroup):
@@ -21,7 +24,20 @@ class CommandGroup(TyperGroup):
             formatter.write_dl(rows)
 
 
-class SeveralValuesCommand(TyperCommand):
+class FiniteCommand(TyperCommand):
+    """Command whose options are finite numbers: a range accepts inf and NaN."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        left = super().parse_args(ctx, args)
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name)
+            for x in value if isinstance(value, list | tuple) else (value,):
+                if isinstance(x, float) and not math.isfinite(x):
+                    raise InputError(f"{parameter.opts[0]} must be a finite number, not {x}")
+        return left
+
+
+class SeveralValuesCommand(FiniteCommand):
     """Command whose repeatable options also take several values at once: ``--validate a.csv b.csv``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

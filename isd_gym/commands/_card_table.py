@@ -24,8 +24,9 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
     gap = "\n" if console.width < 98 else " "
 
     def change(q: Mapping[str, Any]) -> str:
-        interval = f"[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
-        return f"{100 * q['change']:+.1f}{gap}{interval}" if q["change"] else ""
+        if not q.get("change"):
+            return ""
+        return f"{100 * q['change']:+.1f}{gap}[{100 * q['low']:+.1f}, {100 * q['high']:+.1f}]"
 
     console.print(f"{card['environment']} of {card['date']}, {name}: change against passive [%]")
     print_columns(
@@ -43,7 +44,7 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
             "change of J": [change(r["cost"]) for r in rows],
         },
         {
-            head: [f"{100 * r[key]['change']:+.1f}" for r in rows]
+            head: [f"{100 * r[key]['change']:+.1f}" if "change" in r[key] else "" for r in rows]
             for head, key in (
                 ("accel-\neration", "body_acceleration_rms"),
                 ("travel", "suspension_travel_rms"),
@@ -55,6 +56,8 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
         console.print("Regret: J above the causal ceiling, the least J known for causal controllers.")
     for row in rows:
         for rival, q in row.get("against", {}).items():
+            if "change" not in q:
+                continue
             console.print(
                 f"{plain(row['policy'], 40)} against {plain(rival, 40)}: {100 * q['change']:+.2f} % of J "
                 f"[{100 * q['low']:+.2f}, {100 * q['high']:+.2f}]",

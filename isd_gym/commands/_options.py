@@ -124,7 +124,17 @@ RenameOption = Annotated[
 
 UnitOption = Annotated[
     list[str] | None,
-    _option("--unit CHANNEL=UNIT", "Unit of a channel in the files. May be repeated."),
+    _option("--unit CHANNEL=UNIT", "Unit of a channel, or of the time, in the files. May be repeated."),
+]
+
+SignOption = Annotated[
+    list[str] | None,
+    _option("--sign CHANNEL=-1", "Channel that is turned round in the files. May be repeated."),
+]
+
+FileRateOption = Annotated[
+    float | None,
+    typer.Option("--rate", help="Sampling rate of files without time stamps [Hz].", metavar="HZ"),
 ]
 
 MapOption = Annotated[
@@ -181,6 +191,8 @@ def channel_names(
     unit: list[str] | None,
     map_file: Path | None,
     columns: str | None = None,
+    sign: list[str] | None = None,
+    rate: float | None = None,
 ) -> dict[str, Any]:
     """Return the column of each channel from the options of a command, as arguments of `records_of`.
 
@@ -190,6 +202,8 @@ def channel_names(
         unit: Values of --unit.
         map_file: File of --map.
         columns: Value of --columns.
+        sign: Values of --sign.
+        rate: Value of --rate [Hz].
 
     Raises:
         InputError: A channel is unknown, or --map is given with one of the others.
@@ -200,15 +214,26 @@ def channel_names(
         "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
         "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
         "columns": column_names(columns),
+        "signs": signs_of(sign),
+        "rate": rate,
     }
     channels = ["time", *(c.name for c in (*network.inputs, *network.outputs))]
     check_channels(named["rename"].values(), channels, "--rename")
-    check_channels(named["units"], [*channels, *named["rename"]], "--unit")
     if map_file is None:
         return named
-    if rename or unit:
-        raise InputError("--map replaces --rename and --unit: write their values into the map")
-    return {"by": ChannelMap.load(map_file), "columns": named["columns"]}
+    if rename or unit or sign:
+        raise InputError("--map replaces --rename, --unit and --sign: write their values into the map")
+    return {"by": ChannelMap.load(map_file), "columns": named["columns"], "rate": rate}
+
+
+def signs_of(values: list[str] | None) -> dict[str, int]:
+    """Return the factors of --sign. Raise `InputError` for a factor other than 1 and -1."""
+    out = {}
+    for name, word in pairs(values, "--sign", "CHANNEL=-1").items():
+        if word not in ("-1", "1", "+1"):
+            raise InputError(f"--sign {name}: wants -1 or 1, not {shown(word)}")
+        out[name] = int(word)
+    return out
 
 
 def check_records(data: list[Path], validate: list[Path]) -> None:

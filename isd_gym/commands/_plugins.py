@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from ..plugins import COMMANDS, plugins
-from ._app import app
+from ._app import FiniteCommand, app
 
 #: names of the commands that are plugins
 _added: set[str] = set()
@@ -26,7 +26,9 @@ def add_plugins() -> None:
             continue
         _added.add(point.name)
         # a command that does not run is not imported: --help and "did you mean" need its name and first sentence alone
-        app.command(name=point.name)(point.load() if point.name == wanted else _mention(point))
+        app.command(name=point.name, cls=FiniteCommand)(
+            point.load() if point.name == wanted else _mention(point)
+        )
 
 
 def _mention(point: EntryPoint) -> Callable[[], None]:

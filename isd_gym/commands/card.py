@@ -43,7 +43,7 @@ def command(
     """
     from ..benchmark import cards
 
-    found = [_read(path) for path in scores or ()]
+    found = [cards.read_score(path) for path in scores or ()]
     if write is not None:
         import datetime
 
@@ -85,15 +85,3 @@ def _environment(scores: list[dict[str, Any]]) -> str:
 def _command(score: dict[str, Any]) -> str:
     """Return the command of a score without its file of results."""
     return re.sub(r" --json[ =]\S+", "", str(score.get("command", "")))
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return a score from a file. Raise `InputError` for another file."""
-    from ..inputs import read_json
-
-    data = read_json(path, f"score '{path}' cannot be read")
-    if not (isinstance(data, dict) and data.get("schema") == "isd-score/1"):
-        raise InputError(f"'{path}' is no score (isd-score/1)")
-    if not (isinstance(data.get("episodes"), int) and isinstance(data.get("policies"), list)):
-        raise InputError(f"score '{path}' has no episodes or policies")
-    return data

@@ -16,9 +16,11 @@ from ._options import (
     ColumnsOption,
     ElementsOption,
     EngineOption,
+    FileRateOption,
     JsonOption,
     MapOption,
     RenameOption,
+    SignOption,
     UnitOption,
     channel_names,
     check_channels,
@@ -27,6 +29,7 @@ from ._options import (
     complete,
     network_names,
     pairs,
+    signs_of,
 )
 
 
@@ -57,12 +60,14 @@ def command(
     ] = None,
     rename: RenameOption = None,
     unit: UnitOption = None,
+    sign: SignOption = None,
     map_file: MapOption = None,
     columns: ColumnsOption = None,
+    rate: FileRateOption = None,
     accept: Annotated[
         list[str] | None,
         typer.Option(
-            help="Data check that only warns: held, jumps, magnitude, length, silent, copies, all. May be repeated.",
+            help="Data check that only warns: held, jumps, magnitude, length, silent, copies, sign, all. May be repeated.",
             metavar="CHECK",
         ),
     ] = None,
@@ -151,7 +156,19 @@ def command(
             data, validate = [*map(Path, case.data)], [*map(Path, case.validate)]
             model = model or case.model
     if len(data) == 1 and data[0].is_dir():
-        if validate or rename or unit or columns or elements or cut or unmeasured or uncertain or max_seconds:
+        if (
+            validate
+            or rename
+            or unit
+            or sign
+            or rate
+            or columns
+            or elements
+            or cut
+            or unmeasured
+            or uncertain
+            or max_seconds
+        ):
             raise InputError(
                 "a folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only"
             )
@@ -174,6 +191,7 @@ def command(
             ("--unmeasured", unmeasured),
             ("--map", map_file),
             ("--max-seconds", max_seconds),
+            ("--rate", rate),
         ):
             if given:
                 raise InputError(f"{option} wants a network (isd-model/1): the inside of an FMU is hidden")
@@ -182,6 +200,7 @@ def command(
             "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
             "units": pairs(unit, "--unit", "CHANNEL=UNIT"),
             "header": column_names(columns),
+            "signs": signs_of(sign),
         }
         result = diagnose_unit(model, trust_fmu, data, validate or [], accept or [], named, shares)
         print_diagnosis(result, json_file, write_result(result, out, about))
@@ -191,7 +210,7 @@ def command(
     network = Network.load(model)
     if shares:
         network = replace(network, uncertainty={**network.uncertainty, **shares})
-    options = channel_names(network, rename, unit, map_file, columns)
+    options = channel_names(network, rename, unit, map_file, columns, sign, rate)
     if "by" in options:
         network = options["by"].measured(network)
     unmeasured = unmeasured or next((c.name for c in network.inputs if not c.measured and cut is None), None)

@@ -9,7 +9,18 @@ import typer
 
 from ..console import check_file, terminal_columns, write_json
 from ..errors import InputError, shown
-from ._options import ColumnsOption, JsonOption, column_names
+from ._options import (
+    ColumnsOption,
+    FileRateOption,
+    JsonOption,
+    MapOption,
+    RenameOption,
+    SignOption,
+    check_channels,
+    column_names,
+    pairs,
+    signs_of,
+)
 
 
 def command(
@@ -34,11 +45,15 @@ def command(
         Path | None,
         typer.Option("--html", help="Write a page with a picture of every column.", metavar="FILE"),
     ] = None,
+    rename: RenameOption = None,
     unit: Annotated[
         list[str] | None, typer.Option(help="Unit of a column. May be repeated.", metavar="COLUMN=UNIT")
     ] = None,
+    sign: SignOption = None,
+    map_file: MapOption = None,
     stamps: Annotated[str | None, typer.Option(help="Column with the time.", metavar="COLUMN")] = None,
     columns: ColumnsOption = None,
+    rate: FileRateOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """List columns, units, rates, gaps and oddities of loggers' files, and find the column of each channel of a model.
@@ -49,6 +64,7 @@ def command(
     """
     from ..files import write_text
     from ..inspection import inspect, lines, page
+    from ..loggers import ChannelMap, Column
     from ..loggers.mapping import files_of
     from ..network import Network
 
@@ -67,7 +83,36 @@ def command(
         convert(1.0, value, value)
         given[name] = value
     network = None if model is None else Network.load(model)
-    found = inspect(files, network, units=given, stamps=stamps, columns=column_names(columns))
+    turned, by = signs_of(sign), None
+    renamed = pairs(rename, "--rename", "COLUMN=CHANNEL")
+    if (turned or renamed or map_file) and network is None:
+        raise InputError("--rename, --sign and --map want --model: they are about its channels")
+    if network is not None:
+        known = [c.name for c in (*network.inputs, *network.outputs)]
+        check_channels(renamed.values(), ["time", *known], "--rename")
+        check_channels(turned, known, "--sign")
+        if map_file is not None and (renamed or turned):
+            raise InputError("--map replaces --rename and --sign: write their values into the map")
+        if map_file is not None:
+            by = ChannelMap.load(map_file)
+            by.check(network)
+            turned = {name: column.sign for name, column in by.channels.items()}
+        elif renamed:
+            stamps = stamps or next((c for c, name in renamed.items() if name == "time"), None)
+            by = ChannelMap(
+                {name: Column(c) for c, name in renamed.items() if name != "time"}, source="--rename"
+            )
+            given = {next((c for c, n in renamed.items() if n == k), k): u for k, u in given.items()}
+    found = inspect(
+        files,
+        network,
+        units=given,
+        stamps=stamps,
+        columns=column_names(columns),
+        rate=rate,
+        by=by,
+        signs=turned,
+    )
     for line in lines(found, max(60, min(terminal_columns(), 140))):
         typer.echo(line)
     if html is not None:

@@ -12,7 +12,16 @@ import typer
 
 from ..console import check_file, printer, progress
 from ..errors import InputError, plain, shown
-from ._options import ElementsOption, MapOption, ModelArgument, RenameOption, UnitOption, channel_names
+from ._options import (
+    ColumnsOption,
+    ElementsOption,
+    MapOption,
+    ModelArgument,
+    RenameOption,
+    SignOption,
+    UnitOption,
+    channel_names,
+)
 
 if TYPE_CHECKING:
     from ..data import Table
@@ -32,7 +41,9 @@ def command(
     ] = None,
     rename: RenameOption = None,
     unit: UnitOption = None,
+    sign: SignOption = None,
     map_file: MapOption = None,
+    columns: ColumnsOption = None,
     excitation: Annotated[
         str | None,
         typer.Option(help="Test without DATA: multisine, sweep, steps, triangle."),
@@ -112,9 +123,9 @@ def command(
     for file in elements or ():
         el.register_file(file)
     network = Network.load(model)
-    named = channel_names(network, rename, unit, map_file)
+    named = channel_names(network, rename, unit, map_file, columns, sign)
     if any(named.values()) and not data:
-        raise InputError("--rename, --unit and --map are for DATA, and there are none")
+        raise InputError("--rename, --unit, --sign, --columns and --map are for DATA, and there are none")
     if "by" in named:
         network = named["by"].measured(network)
     notes: list[str] = []
@@ -165,7 +176,7 @@ def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: li
 
     out = []
     for word in data:
-        there = set(outputs_of(word, network, named.get("by"), named.get("rename")))
+        there = set(outputs_of(word, network, named.get("by"), named.get("rename"), named["columns"]))
         whole = all(c.name in there for c in network.outputs)
         wanted = (*network.inputs, *network.outputs) if whole else network.inputs
         for record in records_of(word, network, wanted, **named):

@@ -84,13 +84,14 @@ def command(
     Example: isd-gym score passive isd-passive mpc
     """
     from ..benchmark.policies import find_all, passive
+    from ..benchmark.scoring import check_size, unscored
     from ..benchmark.scoring import score as run
-    from ..benchmark.scoring import unscored
     from ..loggers import ChannelMap
     from ..loggers.record_reading import road_of
     from ..network import Network
     from ..road import road as find_road
     from ..sensors import Sensors
+    from ..vehicle import vehicle
 
     check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)
@@ -99,6 +100,7 @@ def command(
 
         check_report(report)
     plant = Network.load(network)
+    check_size(vehicle(plant), episodes, duration)
     ground = find_road(road) if map_file is None else road_of(road, plant, ChannelMap.load(map_file))
     belief = Network.load(model) if model else None
     ahead: dict[str, Any] = {} if preview is None else {"preview": preview}

@@ -11,6 +11,8 @@ from ..console import check_file, progress, warm_up
 from ..errors import InputError
 from ._options import NetworkOption, PolicyArgument, PreviewOption, RoadOption, SpeedOption, TrainedOption
 
+LONGEST = 3600.0  # duration of a drive [s]
+
 
 def command(
     policy: PolicyArgument,
@@ -43,6 +45,8 @@ def command(
     from ..show import check_window, film, live
 
     check_file(out)
+    if seconds > LONGEST:
+        raise InputError(f"--seconds: a drive that is shown lasts at most {LONGEST:g} s, not {seconds:g}")
     if out is not None and out.suffix.lower() not in (".mp4", ".gif"):
         raise InputError(f"cannot write a film to '{out}': end the name in .mp4 or .gif")
     plant = Network.load(network)

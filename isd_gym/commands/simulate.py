@@ -9,7 +9,16 @@ import typer
 
 from ..console import check_file, tell
 from ..errors import InputError, plain, shown
-from ._options import ColumnsOption, MapOption, ModelArgument, RenameOption, UnitOption, channel_names
+from ._options import (
+    ColumnsOption,
+    FileRateOption,
+    MapOption,
+    ModelArgument,
+    RenameOption,
+    SignOption,
+    UnitOption,
+    channel_names,
+)
 
 
 def command(
@@ -26,8 +35,10 @@ def command(
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
     rename: RenameOption = None,
     unit: UnitOption = None,
+    sign: SignOption = None,
     map_file: MapOption = None,
     columns: ColumnsOption = None,
+    rate: FileRateOption = None,
     initial: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,18 +65,20 @@ def command(
 
     check_file(out, model, *files_of(data))
     network = Network.load(model)
-    named = channel_names(network, rename, unit, map_file, columns)
+    named = channel_names(network, rename, unit, map_file, columns, sign, rate)
     by = named.get("by")
     fitted = initial == ["fit"]
     if initial and "fit" in initial and not fitted:
         raise InputError("--initial fit finds the motion of every node: leave out the other --initial values")
-    measured = outputs_of(data, network, by, named.get("rename"), named["columns"]) if fitted else []
+    measured = outputs_of(data, network, by, named.get("rename"), named["columns"], rate) if fitted else []
     wanted = (*network.inputs, *network.with_outputs(measured).outputs) if fitted else network.inputs
     pieces = records_of(data, network, wanted, **named)
     if len(pieces) > 1:
-        gap = pieces[0].notes[0]  # type: ignore[union-attr]
+        notes = getattr(pieces[0], "notes", ())
+        if not notes:
+            raise InputError(f"{data}: holds {len(pieces)} runs side by side: simulate a file of each")
         raise InputError(
-            f"{data}: there are gaps in time ({gap}): cut the file there and simulate each piece"
+            f"{data}: there are gaps in time ({notes[0]}): cut the file there and simulate each piece"
         )
     table, start = pieces[0], None
     if fitted:

@@ -123,6 +123,8 @@ def read_mat(path, wanted, axis, resample, limit):
                 columns[name] = value
             elif value.dtype.kind in "fiub" and value.ndim == 1:
                 raise Refused(f"holds {name!r} more than once")
+            elif value.dtype.kind in "fiub" and value.ndim == 0:  # a constant or a setting, whatever its name
+                other.append(name)
             elif name == axis or (wanted is not None and name in wanted):
                 raise Refused(f"{name!r} is not a plain vector of numbers (cells and objects are refused)")
             else:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from ..errors import InputError, plain, shown
 from ..units import convert
 
+#: name of the time column of a table
+TIME = "time"
 #: names of a time column
 TIME_NAMES = ("time", "t", "zeit", "timestamp", "timestamps")
 #: names and beginnings of names of a column of time stamps
@@ -19,6 +24,35 @@ STAMPS = (*TIME_NAMES, "stamp", "datetime", "date", "clock", "utc", "seconds", "
 BEGINS = ("time", "zeit", "stamp", "date")
 #: names of the wanted columns, a function that chooses from the available names, or None for all columns
 Choice = list[str] | Callable[[list[str]], list[str]] | None
+
+
+#: a name of a time column that ends with the unit, such as Time_ms or t [us]
+_WITH_UNIT = re.compile(
+    r"(?:time|t|zeit|stamps?|timestamps?)[\s_.\-/]*(ns|us|µs|μs|ms|s|sec|min)", re.IGNORECASE
+)
+
+
+def is_time(name: str) -> bool:
+    """Return whether the name of a column is a name of time stamps.
+
+    Args:
+        name: Name of a column.
+    """
+    low = name.lower().strip()
+    return low in STAMPS or low.startswith(BEGINS) or bool(_WITH_UNIT.fullmatch(low))
+
+
+def time_unit(name: str) -> str:
+    """Return the unit of time that the name of a column states.
+
+    Args:
+        name: Name of a column of time stamps, such as 'Time_ms'.
+
+    Returns:
+        Unit; 's' for other names.
+    """
+    found = _WITH_UNIT.fullmatch(name.strip())
+    return found[1].lower().replace("μ", "u").replace("µ", "u") if found else "s"
 
 
 @dataclass(frozen=True)
@@ -155,3 +189,94 @@ def converts(unit: str, target: str) -> bool:
     except InputError:
         return False
     return True
+
+
+def stamps_of(
+    found: Mapping[str, Any], path: object, wanted: str | None = None, *, by_name: bool = False
+) -> str:
+    """Return the name of the column of time stamps.
+
+    Text and single numbers are no stamps, whatever their name.
+
+    Args:
+        found: Values by column of the file.
+        path: The file, for messages.
+        wanted: Name of the column; None for a column with a usual name, or the only column that rises
+            uniformly.
+        by_name: Do not accept a column only because it rises.
+
+    Returns:
+        Name of the column.
+
+    Raises:
+        InputError: No such column exists.
+    """
+    if wanted is not None:
+        if wanted not in found:
+            raise InputError(f"{path}: no column {shown(wanted)} of stamps (it has: {_listed(found)})")
+        return wanted
+    numbers = {n: x for n, x in found.items() if x.dtype.kind in "fiub" and x.ndim == 1 and len(x)}
+    several = {n: x for n, x in numbers.items() if len(x) > 1}
+    numbers = several or numbers
+    lower = {n.lower().strip(): n for n in numbers}
+    for name in STAMPS:
+        if name in lower:
+            return lower[name]
+    begins = [n for low, n in lower.items() if is_time(low)]
+    rising = [] if by_name else [n for n in numbers if _rises(numbers[n])]
+    for names in (begins, rising):
+        if len(names) == 1 or (names and names[0] == next(iter(numbers))):
+            return names[0]
+    raise InputError(
+        f"{path}: no column 'time' [s]: name the time column with --rename COLUMN=time, or give the sampling rate "
+        f"with --rate HZ (it has: {_listed(found)})"
+    )
+
+
+def _rises(values: np.ndarray) -> bool:
+    if values.dtype.kind not in "fiu" or len(values) < 3:
+        return False
+    d = np.diff(values.astype(float))
+    return bool((d > 0).all() and np.quantile(d, 0.9) < 1.5 * np.median(d))
+
+
+def _listed(found: Collection[str]) -> str:
+    names = [plain(n, 40) for n in found]
+    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+
+
+#: a name with the number of its run, such as "force 2" or "time_2"
+_NUMBER = re.compile(r"(.*?)[\s_.#(-]*\d+\)?")
+
+
+def side_by_side(names: Sequence[str]) -> list[tuple[range, list[str]]]:
+    """Return the tables that stand beside one another in a file, each with a time column of its own.
+
+    Each table begins with its time column. Tables with the same names, apart from a number at the end, are runs;
+    their columns get the names without numbers.
+
+    Args:
+        names: Names of the columns in the file, without units.
+
+    Returns:
+        Places of the columns of each table, and their names; empty for a file with a single table.
+    """
+
+    def base(name: str) -> str:
+        found = _NUMBER.fullmatch(name.strip())
+        return (found[1] if found and found[1] else name).strip()
+
+    begins = [
+        i for i, n in enumerate(names) if base(n).lower() in TIME_NAMES or _WITH_UNIT.fullmatch(base(n))
+    ]
+    if len(begins) < 2 or begins[0] != 0:
+        return []
+    parts = [range(a, b) for a, b in itertools.pairwise([*begins, len(names)])]
+    if min(len(part) for part in parts) < 2:
+        return []
+    bases = [[base(names[i]) for i in part] for part in parts]
+    runs = all(sorted(b) == sorted(bases[0]) and len(set(b)) == len(b) for b in bases)
+    return [
+        (part, [TIME, *(own if runs else [names[i] for i in part])[1:]])
+        for part, own in zip(parts, bases, strict=True)
+    ]

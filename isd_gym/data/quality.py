@@ -14,6 +14,7 @@ from scipy import signal
 
 from ..errors import InputError, shown
 from ..units import CONDITIONS, convert
+from .columns import TIME
 from .signals import even_stamps, stamp_rounding
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
     from .table import Table
 
-TIME = "time"
 Level = Literal["error", "warning", "note"]
 Span = tuple[float, float]
 
@@ -83,7 +83,7 @@ GLITCHES = 3  # samples that may differ in a constant channel
 ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
 SLIP = (600.0, 1600.0)  # factors between a channel and the model's output that a wrong unit causes
 #: names of the checks; an error may be accepted by the name of its check
-CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies")
+CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies", "sign")
 #: checks whose errors cannot be accepted: such a record cannot be compared
 UNACCEPTABLE = ("time", "finite", "constant")
 _MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels and rods stay below 5
@@ -334,7 +334,7 @@ def _check_content(
         bad = ~np.isfinite(x)
         if bad.any():
             where = _spans(bad, time)
-            text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s"
+            text = f"{bad.sum()} samples are not finite, first at t = {where[0][0]:.6g} s: split the record there"
             found.append(Finding("error", name, text, where, "finite"))
         elif (value := _constant(x, 0 if name in inputs else GLITCHES)) is not None and name in inputs:
             idle.append(name)

@@ -17,11 +17,20 @@ from ..errors import InputError, MissingColumn, how_to_install, shown
 from ..files import whole
 from ..inputs import plain_file
 from ..units import convert
-from .columns import TIME_NAMES, Choice, Columns, column_for, did_you_mean, distinct, split_header
+from .columns import (
+    TIME,
+    Choice,
+    Columns,
+    column_for,
+    did_you_mean,
+    distinct,
+    split_header,
+    stamps_of,
+    time_unit,
+)
 from .lvm import read_lvm, read_lvm_rasters
-from .quality import TIME
 from .signals import even_stamps, stamp_rounding
-from .text import read_text
+from .text import read_text, read_text_rasters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -164,8 +173,8 @@ def read_columns(
 def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list[Columns]:
     """Return the content of a file, one entry per raster.
 
-    The groups of an MDF or LVM file have their own time stamps, named 'time' [s]. Other formats have one
-    raster.
+    The groups of an MDF or LVM file have their own time stamps, named 'time' [s], and so have tables side by
+    side in a text file (`columns.side_by_side`). Other formats have one raster.
 
     Args:
         path: The file.
@@ -181,6 +190,9 @@ def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list
     if path.suffix.lower() == ".lvm":
         plain_file(path)
         return read_lvm_rasters(path, columns)
+    if _READERS.get(path.suffix.lower()) is read_text:
+        plain_file(path)
+        return read_text_rasters(path, columns)
     if path.suffix.lower() not in RASTERS:
         return [read_columns(path, columns=columns)]
     from . import isolated
@@ -207,6 +219,7 @@ def read_table(
     expected: Mapping[str, str] | None = None,
     resample: bool = False,
     header: Sequence[str] | None = None,
+    signs: Mapping[str, int] | None = None,
 ) -> Table:
     """Read a table of channels over time from a file.
 
@@ -224,6 +237,7 @@ def read_table(
         resample: Interpolate MDF and LVM channels on several rasters linearly to the finest raster, instead
             of an error.
         header: Names of all columns of a text file without a header row, with or without units.
+        signs: Factor 1 or -1 by channel or by column; -1 for a sensor that is turned round.
 
     Returns:
         Time stamps [s] and channels.
@@ -250,12 +264,11 @@ def read_table(
     columns = {rename.get(name, name): values for name, values in columns.items()}
     file_units = {rename.get(name, name): unit for name, unit in file_units.items()}
     file_units |= {rename.get(name, name): unit for name, unit in units.items()}
-    if TIME not in columns:
-        lower = {name.lower(): name for name in columns}
-        other = next((lower[n] for n in TIME_NAMES if n in lower), None)
-        if other is None:
-            raise InputError(f"{path}: no column 'time'; {did_you_mean(TIME, columns)}")
-        columns[TIME], file_units[TIME] = columns.pop(other), file_units.pop(other, "s")
+    if len(columns.get(TIME, ())) < 2 and (TIME not in columns or any(len(x) > 1 for x in columns.values())):
+        columns.pop(TIME, None)  # a single number is a setting
+        other = stamps_of(columns, path, by_name=True)
+        columns[TIME] = columns.pop(other)
+        file_units.setdefault(TIME, file_units.pop(other, time_unit(other)))
     target = {TIME: "s"} | (dict(expected) if expected is not None else {})
     out: dict[str, np.ndarray] = {}
     for name in target if expected is not None else columns:
@@ -276,6 +289,9 @@ def read_table(
     time = out.pop(TIME)
     if len(time) == 0:
         raise InputError(f"{path}: no samples")
+    for name in out:
+        if ((signs or {}).get(name) or (signs or {}).get(inverse.get(name, name)) or 1) < 0:
+            out[name] = -np.asarray(out[name], float)
     kept = target if expected is not None else file_units
     return Table(time, out, str(path), {n: u for n, u in kept.items() if n in out and u})
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import datetime as dt
 import io
+import itertools
 import math
 import re
 from array import array
 from collections import Counter
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,12 +20,16 @@ from ..inputs import memory_limit, plain_file, read_bytes, too_large
 from .columns import (
     BEGINS,
     STAMPS,
+    TIME,
     TIME_NAMES,
     Choice,
     Columns,
     did_you_mean,
     distinct,
+    is_time,
+    side_by_side,
     split_header,
+    time_unit,
     unit_known,
 )
 
@@ -34,7 +40,21 @@ if TYPE_CHECKING:
 #: limits of a text table: characters of a line, number of columns, memory while reading as a multiple of the
 #: size
 LINE_LIMIT, COLUMN_LIMIT, TEXT_SHARE = 131_072, 10_000, 12
-Dialect = tuple[str, bool, int]  # separator, decimal comma, cells of a row
+#: separator, decimal comma, cells of a row
+Dialect = tuple[str, bool, int]
+
+
+#: numbers with thousands separators that have one meaning only, by "the decimal separator is a comma"
+_GROUPED = {
+    comma: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:(?:[{sep}]\d{{3}})+[{mark}]\d*|(?:[{sep}]\d{{3}}){{2,}})")
+    for comma, mark, sep in ((True, ",", ".'\u2019 \xa0\u202f"), (False, ".", ",'\u2019 \xa0\u202f"))
+}
+#: a number such as 1.234 or 1,234: one and a fraction, or more than a thousand
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+
+
+class SideBySide(InputError):
+    """Error for a file with several tables side by side, where a single table is wanted."""
 
 
 def _number(text: str, comma: bool) -> float | None:
@@ -47,7 +67,58 @@ def _number(text: str, comma: bool) -> float | None:
     try:
         return float(text.replace(",", ".") if comma else text)
     except ValueError:
+        if _GROUPED[comma].fullmatch(text):
+            whole, _, part = text.partition("," if comma else ".")
+            return float(re.sub(r"[^\d+-]", "", whole) + "." + part)
         return _stamp(text.replace(",", "."))
+
+
+@dataclass
+class _Marks:
+    """Decimal marks and thousands separators in the cells of a column.
+
+    Attributes:
+        either: Rows of cells such as 1.234 in a file with decimal commas.
+        point: Whether the column has another cell with a point, in a file with decimal commas.
+        decimal: Whether the column has a cell with the decimal mark that has one meaning only.
+        grouped: First row of a cell such as 1,234 with the decimal mark; -1 without one.
+        large: Whether the column has a whole number from 100 to 999.
+    """
+
+    either: list[int] = field(default_factory=list)
+    point: bool = False
+    decimal: bool = False
+    grouped: int = -1
+    large: bool = False
+
+    def add(self, row: int, text: str, comma: bool) -> None:
+        """Note the marks of a cell."""
+        text = text.strip()
+        mark, other = (",", ".") if comma else (".", ",")
+        if comma and other in text and mark not in text and text.count(other) == 1:
+            if _EITHER.fullmatch(text):
+                self.either.append(row)
+            else:
+                self.point = True
+        elif mark in text:
+            if not _EITHER.fullmatch(text):
+                self.decimal = True
+            elif self.grouped < 0:
+                self.grouped = row
+        elif 3 <= len(text) <= 4 and text.lstrip("+-").isdigit():
+            self.large = self.large or len(text.lstrip("+-")) == 3
+
+    def doubtful(self) -> int | None:
+        """Return the first row whose cell has two meanings, None without one."""
+        if self.either and (self.point if self.decimal else not self.point):
+            return self.either[0]
+        if self.grouped >= 0 and not self.decimal and self.large:
+            return self.grouped
+        return None
+
+    def thousands(self) -> list[int]:
+        """Return the rows of cells such as 1.234 that mean more than a thousand."""
+        return self.either if self.decimal else []
 
 
 def _stamp(text: str) -> float | None:
@@ -148,13 +219,17 @@ def _rank(cells: list[str]) -> int:
 
 
 def _header(
-    path: Path, rows: list[tuple[int, str]], like: Dialect, given: Sequence[str] | None
+    path: Path,
+    rows: list[tuple[int, str]],
+    like: Dialect,
+    given: Sequence[str] | None,
+    comments: Sequence[tuple[int, str]] = (),
 ) -> tuple[list[str], dict[str, str], int]:
     """Return the names of the columns, units by name, and the row at which the numbers begin.
 
     Among several header rows, the row with a name of time holds the names (otherwise the last row), and a row
     of units below holds the units. Other rows, such as descriptions, are skipped. `given` are the names for a
-    file without a header.
+    file without a header, and have priority over a header in the `comments` above the numbers.
     """
     delimiter, comma, width = like
     numeric = [_is_numeric(_cells(s, delimiter), width, comma) for _, s in rows[:200]]
@@ -170,9 +245,16 @@ def _header(
                 f"{path}: --columns names {len(given)} columns, line {rows[first][0]} has {width}"
             )
         block = [list(given)]
+    if not block and first < len(rows):
+        begin, above = rows[first][0], rows[first - 1][0] if first else 0
+        block = _in_comments([text for n, text in comments if above < n < begin], like)
     if not block:
         what = f"the header has {len(heads[-1])}" if heads else "no header row names them"
         told = f"line {rows[first][0]} has {width} fields, {what}"
+        if delimiter == "," and heads and len(heads[-1]) < width <= 2 * len(heads[-1]):
+            raise InputError(
+                f"{path}: {told}: decimal commas between commas have no single meaning; export with semicolons or tabs"
+            )
         raise InputError(f"{path}: {told}: name the columns with --columns NAME,NAME,...")
     below = [row for row in block[1:] if _rank(row) <= 0]
     unit_row = next((row for row in reversed(below) if _are_units([x.strip("[]() ") for x in row])), None)
@@ -187,6 +269,20 @@ def _header(
     return names, {n: u for n, u in zip(names, units, strict=True) if u}, first
 
 
+def _in_comments(comments: Sequence[str], like: Dialect) -> list[list[str]]:
+    """Return the header rows among the comment lines above the numbers, such as ``# time [s], force [N]``."""
+    delimiter, comma, width = like
+    out = []
+    for text in comments[-4:]:
+        text = text.strip().lstrip("#%").strip()
+        for mark in dict.fromkeys((delimiter, ",", ";", "\t", " ")):
+            cells = [x.strip() for x in _cells(text, mark)]
+            if len(cells) == width and not any(_number(x, comma) is not None for x in cells):
+                out.append(cells)
+                break
+    return out
+
+
 def _picked(path: Path, names: list[str], wanted: list[str] | None, time: str) -> list[int]:
     """Return the indices of the wanted columns and of the time column; all columns if no names are given."""
     there = Counter(names)
@@ -199,7 +295,7 @@ def _picked(path: Path, names: list[str], wanted: list[str] | None, time: str) -
             raise InputError(f"{path}: the header names {shown(name)} twice")
     if wanted is None:
         return list(range(len(names)))
-    chosen = {*wanted, time, *(n for n in names if n.lower() in TIME_NAMES)}
+    chosen = {*wanted, time, *filter(is_time, names)}
     return [i for i, n in enumerate(names) if n in chosen or bases[n] in chosen]
 
 
@@ -214,7 +310,8 @@ def _cell_by_cell(
     """Return the columns `used`; a column with text is omitted as remarks, unless it is `needed`."""
     delimiter, comma, width = like
     columns = {names[i]: array("d") for i in used}
-    for number, line in rows:
+    marks = {names[i]: _Marks() for i in used}
+    for k, (number, line) in enumerate(rows):
         row = _cells(line, delimiter)
         if len(row) != width:
             raise InputError(f"{path}: line {number} has {len(row)} fields, the header has {width}")
@@ -228,7 +325,50 @@ def _cell_by_cell(
                 columns.pop(names[i], None)
             elif names[i] in columns:
                 columns[names[i]].append(value)
-    return {name: np.array(values) for name, values in columns.items()}
+                marks[names[i]].add(k, row[i], comma)
+    out = {name: np.array(values) for name, values in columns.items()}
+    for i in used:
+        name = names[i]
+        if name not in out:
+            continue
+        if (doubt := marks[name].doubtful()) is not None:
+            raise _two_meanings(path, rows[doubt], name, i, delimiter)
+        if grouped := marks[name].thousands():
+            out[name][grouped] = np.round(1e3 * out[name][grouped])
+    return out
+
+
+def _two_meanings(path: Path, row: tuple[int, str], name: str, place: int, delimiter: str) -> InputError:
+    cell = shown(_cells(row[1], delimiter)[place].strip())
+    return InputError(
+        f"{path}: line {row[0]}, column {shown(name)}: {cell} may be a fraction or thousands: write numbers without "
+        "thousands separators"
+    )
+
+
+def _check_groups(
+    path: Path,
+    rows: list[tuple[int, str]],
+    names: list[str],
+    data: np.ndarray,
+    used: list[int],
+    like: Dialect,
+) -> None:
+    """Raise `InputError` for a column in which 999 is followed by 1.001 (more than a thousand, by its look)."""
+    delimiter, comma, _ = like
+    for i in used:
+        x = np.abs(data[:, i])
+        broken = x != np.floor(x)
+        if not broken.any() or (x[broken] < 1.0).any() or x.max() >= 1000.0:
+            continue
+        thousands = 1e3 * x[broken]
+        if np.abs(thousands - np.round(thousands)).max() > 1e-6 or not (x[~broken] >= 100.0).any():
+            continue
+        marks = _Marks()
+        for k, (_, line) in enumerate(rows):
+            marks.add(k, _cells(line, delimiter)[i], comma)
+        if (doubt := marks.doubtful()) is not None:
+            raise _two_meanings(path, rows[doubt], names[i], i, delimiter)
 
 
 def numbers_of(
@@ -261,6 +401,49 @@ def numbers_of(
     return out
 
 
+@dataclass(frozen=True)
+class _Text:
+    """A text table: its columns by name, and the rows of numbers with their line numbers."""
+
+    names: list[str]
+    units: dict[str, str]
+    rows: list[tuple[int, str]]
+    like: Dialect
+
+    def tables(self) -> list[tuple[range, list[str]]]:
+        """Return the tables side by side (`columns.side_by_side`); empty unless their time columns rise."""
+        found = side_by_side([split_header(n)[0] for n in self.names])
+        delimiter, comma, width = self.like
+        first = [cells for _, s in self.rows[:50] if len(cells := _cells(s, delimiter)) == width]
+        for places, _ in found:
+            stamps = [_number(cells[places[0]], comma) for cells in first]
+            time = [t for t in stamps if t is not None and math.isfinite(t)]
+            if len(time) < 2 or any(b <= a for a, b in itertools.pairwise(time)):
+                return []
+        return found
+
+
+def _read(path: Path, columns: Sequence[str] | None) -> _Text:
+    # lines end at line feeds and carriage returns, not at every separator of Unicode
+    lines = text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    told = [(i, s) for i, s in enumerate(lines, 1) if s.strip()]
+    rows = [(i, s) for i, s in told if s.lstrip()[0] not in "#%"]
+    comments = [(i, s) for i, s in told if s.lstrip()[0] in "#%" and len(s) <= LINE_LIMIT]
+    del lines, told
+    if not rows:
+        raise InputError(f"{path}: is empty")
+    for number, line in rows:
+        if len(line) > LINE_LIMIT:
+            raise InputError(
+                f"{path}: line {number} has {len(line)} characters, at most {LINE_LIMIT} are read"
+            )
+    like = _dialect(path, rows)
+    if like[2] > COLUMN_LIMIT:
+        raise InputError(f"{path}: has {like[2]} columns, at most {COLUMN_LIMIT} are read")
+    names, units, first = _header(path, rows, like, columns, comments)
+    return _Text(names, units, rows[first:], like)
+
+
 def read_text(
     path: Path, wanted: Choice, time: str, resample: bool, columns: Sequence[str] | None = None
 ) -> Columns:
@@ -277,30 +460,27 @@ def read_text(
         Values, units and line numbers.
 
     Raises:
+        SideBySide: The file holds several tables, each with its own time column.
         InputError: The file is empty, too wide, lacks a column, or holds text in a wanted column.
     """
-    # lines end at line feeds and carriage returns, not at every separator of Unicode
-    lines = text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    rows = [(i, s) for i, s in enumerate(lines, 1) if s.strip() and s.lstrip()[0] not in "#%"]
-    del lines
-    if not rows:
-        raise InputError(f"{path}: is empty")
-    for number, line in rows:
-        if len(line) > LINE_LIMIT:
-            raise InputError(
-                f"{path}: line {number} has {len(line)} characters, at most {LINE_LIMIT} are read"
-            )
-    delimiter, comma, width = like = _dialect(path, rows)
-    if width > COLUMN_LIMIT:
-        raise InputError(f"{path}: has {width} columns, at most {COLUMN_LIMIT} are read")
-    names, units, first = _header(path, rows, like, columns)
+    return _columns(path, _read(path, columns), wanted, time)
+
+
+def _columns(path: Path, text: _Text, wanted: Choice, time: str) -> Columns:
+    names, units, rows = text.names, text.units, text.rows
+    delimiter, comma, width = like = text.like
+    if count := len(text.tables()):
+        raise SideBySide(
+            f"{path}: holds {count} tables side by side, each with its own time: read them as rasters"
+        )
     if callable(wanted):
         wanted = wanted(names)
     used = _picked(path, names, wanted, time)
-    rows = rows[first:]
     numbers = [n for n, _ in rows]
     body = "\n".join(s for _, s in rows)
     try:  # fast path: every cell of interest is a number
+        if comma and "." in body:  # a point may separate thousands
+            raise ValueError
         data = np.loadtxt(
             io.StringIO(body.replace(",", ".") if comma else body),
             delimiter=None if delimiter == " " else delimiter,
@@ -310,9 +490,50 @@ def read_text(
         )
         if data.shape != (len(numbers), width):
             raise ValueError
-        return Columns({names[i]: data[:, i] for i in used}, units, numbers)
     except ValueError:
-        pass
+        data = None
     del body
-    needed = {time} if wanted is None else set(names)
+    if data is not None:
+        _check_groups(path, rows, names, data, used, like)
+        return Columns({names[i]: data[:, i] for i in used}, units, numbers)
+    needed = {time}
+    if wanted is not None:
+        needed |= {n for n in names if n in wanted or split_header(n)[0] in wanted or n.lower() in TIME_NAMES}
     return Columns(_cell_by_cell(path, rows, names, used, needed, like), units, numbers)
+
+
+def read_text_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
+    """Return the tables of a text file: one, or several side by side with their own time columns.
+
+    Args:
+        path: The file.
+        columns: Names of all columns, for a file without a header row.
+
+    Returns:
+        Values, units and line numbers of each table. Rows without a time stamp are left out where tables stand
+        side by side.
+
+    Raises:
+        InputError: The file cannot be read (see `read_text`).
+    """
+    text = _read(path, columns)
+    bare = [split_header(n)[0] for n in text.names]
+    tables = text.tables()
+    if not tables:
+        return [_columns(path, text, None, TIME)]
+    # unique names while the cells are read
+    keys = [str(i) for i in range(len(bare))]
+    found = _cell_by_cell(
+        path, text.rows, keys, list(range(len(bare))), {str(t[0][0]) for t in tables}, text.like
+    )
+    out = []
+    for places, names in tables:
+        there = np.isfinite(found[str(places[0])])
+        values = {n: found[str(i)][there] for i, n in zip(places, names, strict=True) if str(i) in found}
+        units = {
+            n: text.units.get(text.names[i]) or time_unit(bare[i]) * (n == TIME)
+            for i, n in zip(places, names, strict=True)
+        }
+        lines = [line for (line, _), good in zip(text.rows, there, strict=True) if good]
+        out.append(Columns(values, {n: u for n, u in units.items() if u}, lines))
+    return out

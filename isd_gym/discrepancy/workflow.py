@@ -28,6 +28,7 @@ from .records import (
     cut_segments,
     differentiate_inputs,
     find_feedback,
+    find_misreading,
     read_record,
     split_records,
 )
@@ -119,6 +120,10 @@ def diagnose(
     kept: list[Role] = ["fit"] * len(fit)
     kept += ["report"] * len(held)
     whole = Problem(network, filtered, kept)
+    if misreading := find_misreading(whole):
+        if not {"sign", "all"} & set(accept):
+            raise InputError(f"{misreading} (--accept sign goes on)")
+        notes.append(misreading)
     # where the whole motion is prescribed, only the memory of laws needs a lead-in
     lead = 0.0 if assemble(bare(network)).size[0] else LEAD_IN * whole.time
     records, roles = split_records(filtered[: len(fit)], filtered[len(fit) :], notes, whole.time, lead)

@@ -164,8 +164,13 @@ def odd_stamps(raster: Raster) -> list[Oddity]:
             f"uneven stamps: steps from {d.min():.3g} to {d.max():.3g} s",
             "each sample is compared at its own instant",
         )
-    if not 1e-6 <= step <= 0.25:
-        say(f"a step of {step:.4g} s: is {raster.stamp} in another unit?", f"--unit {raster.stamp}=ms")
+    if not 1e-6 <= step <= 0.25 and raster.stamp:
+        # for stamps that only look like seconds
+        likely = [unit for unit in ("ms", "us", "ns") if 1e-4 <= convert(step, unit, "s") <= 0.25]
+        say(
+            f"a step of {step:.4g} s: is {raster.stamp} in another unit?",
+            f"--unit {raster.stamp}={likely[0]}" if likely else "",
+        )
     return out
 
 
@@ -214,7 +219,10 @@ def odd_values(raster: Raster, facts: Facts) -> list[Oddity]:
         out.append(Oddity(raster.name, facts.name, text, advice))
 
     if facts.missing:
-        say(f"{facts.missing} samples are missing or not finite")
+        say(
+            f"{facts.missing} samples are missing or not finite",
+            "" if facts.missing == facts.samples else "the record is split there",
+        )
     if facts.constant:
         say(f"is constant ({facts.mean:.6g})" if facts.missing < facts.samples else "holds no number")
         return out

@@ -80,6 +80,7 @@ class Logger:
         unit: Unit of the time stamps; None for the unit in the file, otherwise s.
         lag: Delay of the time stamps [s]; None if unknown.
         columns: Names of the columns of a file without a header row.
+        rate: Sampling rate of a file without time stamps [Hz]; None for a file with time stamps.
     """
 
     file: str = ""
@@ -87,6 +88,7 @@ class Logger:
     unit: str | None = None
     lag: float | None = None
     columns: tuple[str, ...] = ()
+    rate: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the logger as an object of a map file.
@@ -95,7 +97,7 @@ class Logger:
             Plain data.
         """
         out: dict[str, Any] = {"file": self.file}
-        stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit)) if v}
+        stamps = {k: v for k, v in (("column", self.stamp), ("unit", self.unit), ("rate", self.rate)) if v}
         if self.columns:
             out["columns"] = list(self.columns)
         return out | ({"stamps": stamps} if stamps else {}) | ({} if self.lag is None else {"lag": self.lag})
@@ -157,7 +159,8 @@ class ChannelMap:
             where = f"{source}: logger {i}"
             _keys(row, {"file", "stamps", "lag", "columns"}, where)
             stamps = row.get("stamps", {})
-            _keys(stamps, {"column", "unit"}, f"{where}, stamps")
+            _keys(stamps, {"column", "unit", "rate"}, f"{where}, stamps")
+            own_rate = None if stamps.get("rate") is None else number(stamps["rate"], f"{where}: rate")
             lag = None if row.get("lag") is None else number(row["lag"], f"{where}: lag")
             names = row.get("columns", [])
             if not isinstance(names, list):
@@ -169,6 +172,7 @@ class ChannelMap:
                     _text(stamps.get("unit"), f"{where}: stamps"),
                     lag,
                     tuple(_text(n, f"{where}: columns") for n in names),
+                    own_rate,
                 )
             )
         channels = {}
@@ -307,6 +311,21 @@ def files_of(text: str | Path) -> list[Path]:
     return out
 
 
+@dataclass(frozen=True)
+class _Named:
+    """Columns of channels without a map.
+
+    Attributes:
+        columns: Column by channel, for columns with another name than the channel.
+        units: Unit by channel or by column.
+        signs: Factor 1 or -1 by channel or by column.
+    """
+
+    columns: Dict[str, str]
+    units: Dict[str, str]
+    signs: Dict[str, int]
+
+
 def runs(
     text: str | Path,
     network: Network,
@@ -316,8 +335,12 @@ def runs(
     rename: Dict[str, str] | None = None,
     units: Dict[str, str] | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
+    signs: Dict[str, int] | None = None,
 ) -> list[Recording]:
-    """Return a run of one or several loggers' files, split at gaps in the time stamps.
+    """Return the records of one or several loggers' files, split at gaps in the time stamps.
+
+    A file with tables side by side, each with all wanted channels, holds several runs. Otherwise the files hold one.
 
     Args:
         text: The files, as `files_of` reads them.
@@ -327,9 +350,11 @@ def runs(
         rename: Column -> channel.
         units: Unit by channel or by column.
         columns: Names for files without a header row, unless the map has names.
+        rate: Sampling rate of files without time stamps [Hz], unless the map has a rate.
+        signs: Factor 1 or -1 by channel or by column.
 
     Returns:
-        Pieces of the run, in order of time.
+        Pieces of each run, in order of time.
 
     Raises:
         InputError: A column is missing, stamps overlap or run backwards, the loggers have no common time, or
@@ -344,13 +369,54 @@ def runs(
         there = own.stamp if by is None or i < len(loggers) else None
         found.append(
             rasters(
-                file, stamp=there, unit=own.unit or (units or {}).get("time"), columns=own.columns or columns
+                file,
+                stamp=there,
+                unit=own.unit or (units or {}).get("time"),
+                units=units,
+                columns=own.columns or columns,
+                rate=own.rate or rate,
             )
         )
+    name = JOIN.join(f.stem for f in files)
+    source = {c.name: by.channels[c.name].column for c in wanted if c.name in by.channels} if by else renamed
+    columns_of = {c.name: source.get(c.name, c.name) for c in wanted}
+    named = _Named(renamed, units or {}, signs or {})
+    tables = found[0] if len(files) == 1 else []
+    if len(tables) < 2 or not all(n in r.columns for r in tables for n in columns_of.values()):
+        return _run(str(text), name, files, found, network, wanted, by, named)
+    out = []
+    for k, table in enumerate(tables, 1):
+        out += _run(str(text), f"{name} ({k})", files, [[table]], network, wanted, by, named)
+    return out
+
+
+def _run(
+    text: str,
+    name: str,
+    files: Sequence[Path],
+    found: list[list[Raster]],
+    network: Network,
+    wanted: Sequence[Channel],
+    by: ChannelMap | None,
+    named: _Named,
+) -> list[Recording]:
+    """Return the pieces of one run, in order of time.
+
+    Args:
+        text: The files, for messages.
+        name: Name of the run.
+        files: Files of the loggers.
+        found: Rasters of each file.
+        network: The model.
+        wanted: Channels of the model that are needed.
+        by: Columns of the channels; None for columns with the names of the channels.
+        named: Columns of the channels where there is no map.
+    """
+    loggers = by.loggers if by else ()
     notes: list[str] = []
     _common_origin(found, notes)
     if by is None:
-        by = _by_name(wanted, files, found, renamed, units or {})
+        by = _by_name(wanted, files, found, named)
     else:
         by.check(network)
         if lost := [c.name for c in wanted if c.name not in by.channels]:
@@ -380,7 +446,6 @@ def runs(
         for i, (f, x) in enumerate(zip(files, loggers, strict=False))
         if x.lag is not None
     }
-    name = JOIN.join(f.stem for f in files)
     out = []
     for k, (start, stop) in enumerate(whole, 1):
         signals = {}
@@ -436,13 +501,13 @@ def _by_name(
     wanted: Sequence[Channel],
     files: Sequence[Path],
     found: Sequence[Sequence[Raster]],
-    renamed: Dict[str, str],
-    units: Dict[str, str],
+    named: _Named,
 ) -> ChannelMap:
     """Return the map of columns with the names of channels."""
+    units, signs = named.units, named.signs
     channels = {}
     for c in wanted:
-        column = renamed.get(c.name, c.name)
+        column = named.columns.get(c.name, c.name)
         unit = units.get(c.name) or units.get(column) or c.unit
         full = [{n for r in g if (n := column_for(column, r.columns, unit)) in r.columns} for g in found]
         column = next((n for names in full for n in names), column)
@@ -450,7 +515,12 @@ def _by_name(
         if len(holders) > 1:
             names = " and ".join(str(files[i - 1]) for i in holders)
             raise InputError(f"column {shown(column)} is in {names}: choose one with --map FILE")
-        channels[c.name] = Column(column, (holders or [1])[0], units.get(c.name) or units.get(column))
+        channels[c.name] = Column(
+            column,
+            (holders or [1])[0],
+            units.get(c.name) or units.get(column),
+            signs.get(c.name) or signs.get(column) or 1,
+        )
     return ChannelMap(channels, source="by name")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
 from ..data.signals import integral_consistency
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..simulate import simulate
 from ..units import TABLE, convert
 from .facts import Facts, factor_hint, si_unit
@@ -30,6 +30,7 @@ COLUMNS = 60  # largest number of columns; with more columns, the best by name a
 DRIVES = 40  # largest number of simulated choices of input columns
 SAMPLES = 6000  # samples of the compared stretch
 LAG = 0.5  # largest lag between loggers [s]
+GIVEN = 50.0  # score of the column that the user names for a channel
 NOTHING = -3.0  # score below which a channel has no column
 PHYSICS = 9.0  # score of a perfect match with a simulation
 DERIVATIVE = 2.0  # score of a column that is the derivative of another column
@@ -74,7 +75,11 @@ class Suggestion:
     remarks: list[str] = field(default_factory=list)
 
     def map(
-        self, files: Sequence[Sequence[Raster]], model: str, columns: Sequence[str] | None = None
+        self,
+        files: Sequence[Sequence[Raster]],
+        model: str,
+        columns: Sequence[str] | None = None,
+        rate: float | None = None,
     ) -> ChannelMap:
         """Return the suggestion as a map for ``--map``.
 
@@ -82,6 +87,7 @@ class Suggestion:
             files: Rasters of every file.
             model: File of the model.
             columns: Names that files without a header row were given.
+            rate: Sampling rate that files without time stamps were given [Hz].
 
         Returns:
             The map.
@@ -98,12 +104,19 @@ class Suggestion:
             for name, (c, sure) in self.channels.items()
         }
         loggers = tuple(
-            Logger(group[0].name, group[0].stamp, columns=tuple(columns or ())) for group in files
+            Logger(group[0].name, group[0].stamp or None, columns=tuple(columns or ()), rate=rate)
+            for group in files
         )
         return ChannelMap(channels, loggers, model)
 
 
-def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: Network) -> Suggestion:
+def suggest(
+    files: Sequence[Sequence[Raster]],
+    facts: Sequence[Facts],
+    network: Network,
+    given: Mapping[str, Column] | None = None,
+    signs: Mapping[str, int] | None = None,
+) -> Suggestion:
     """Suggest columns for the channels of a model.
 
     The score of a choice is the sum over channels of the scores of name, unit, derivatives among columns, and
@@ -114,11 +127,16 @@ def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: 
         files: Rasters of every file.
         facts: Properties of all columns.
         network: The model.
+        given: Known columns by channel.
+        signs: Known factors 1 or -1 by channel.
 
     Returns:
         Columns, missing channels and remarks.
+
+    Raises:
+        InputError: A known column has the unit of another quantity than its channel.
     """
-    out = Suggestion()
+    out, given, signs = Suggestion(), dict(given or {}), dict(signs or {})
     wanted = [*network.inputs, *network.outputs]
     live = [f for f in facts if not f.constant and f.samples - f.missing > 63]
     if len(live) > COLUMNS:
@@ -129,11 +147,20 @@ def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: 
         )
     prior = np.array([[_prior(f, c, network) for f in live] for c in wanted]).reshape(len(wanted), len(live))
     window = _window(files, live)
+    for j, f in enumerate(live):
+        owner = next((n for n, c in given.items() if c.column == f.name), None)
+        for i, c in enumerate(wanted):
+            if owner == c.name and si_unit(f.unit) not in ("", c.si):
+                raise InputError(
+                    f"column {shown(f.name)} as {c.name}: unit {shown(f.unit)} is none of {c.si}"
+                )
+            if owner is not None or c.name in given:
+                prior[i, j] = GIVEN if owner == c.name else -GIVEN
     if window is None:
         out.remarks.append("the columns have no time in common: names and units alone were compared")
     else:
         prior = prior + _derivatives(wanted, live, window, prior)
-    choices = _choices(network, live, prior, window)
+    choices = _choices(network, live, prior, signs)
     solved = [_solve(network, wanted, live, prior, window, choice) for choice in choices]
     # a constant column may be an unused input
     best = max(solved, key=lambda s: s.total)
@@ -151,6 +178,11 @@ def suggest(files: Sequence[Sequence[Raster]], facts: Sequence[Facts], network: 
             continue
         others = [s.total for s in solved if s.place(i) != best.place(i)]
         others.append(best.without(i))
+        known = signs.get(c.name, found.sign)
+        if known != found.sign and found.follows > 0.7:
+            way = "" if found.sign > 0 else ", turned round"
+            out.remarks.append(f"{c.name} follows the model{way}: is its sign {known:+d}?")
+        found = replace(found, sign=known)
         sure = 1.0 / (1.0 + math.exp(-min(max(best.total - max(others), -30.0), 30.0)))
         out.channels[c.name] = (found, sure)
     for name, (pick, _) in out.channels.items():
@@ -270,7 +302,7 @@ Drive = tuple[tuple[int, str, int], ...]
 
 
 def _choices(
-    network: Network, live: Sequence[Facts], prior: np.ndarray, window: Window | None
+    network: Network, live: Sequence[Facts], prior: np.ndarray, signs: Mapping[str, int]
 ) -> list[Drive]:
     """Return candidate choices of input columns, most probable first."""
     options: list[list[tuple[float, tuple[int, str, int]]]] = []
@@ -280,7 +312,7 @@ def _choices(
             if prior[i, k] < NOTHING:
                 continue
             for unit, cost in _units(live[k], c):
-                rows.append((float(prior[i, k]) - cost, (int(k), unit, 1)))
+                rows.append((float(prior[i, k]) - cost, (int(k), unit, signs.get(c.name, 1))))
         rows.append((NOTHING, (-1, c.unit, 1)))
         options.append(sorted(rows, reverse=True)[:8])
     every = sorted(itertools.product(*options), key=lambda row: -sum(s for s, _ in row))

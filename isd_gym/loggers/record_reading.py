@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING
 from ..data import Table, read_table
 from ..data.columns import split_header
 from ..data.table import RASTERS
-from ..errors import InputError, MissingColumn, plain
+from ..data.text import SideBySide
+from ..errors import InputError, MissingColumn, hint, plain, shown
 from ..network import Channel, Network, without
 from ..road import Road, profiled
 from ..units import convert
@@ -29,8 +31,10 @@ def records_of(
     rename: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
+    signs: Mapping[str, int] | None = None,
 ) -> list[Table | Recording]:
-    """Return the records of a name on the command line: one record, or the pieces between gaps.
+    """Return the records of a name on the command line: one record, the pieces between gaps, or several runs of a file.
 
     Args:
         path: A table, or the files of several loggers of one run (``body.csv+wheel.mf4``).
@@ -40,28 +44,63 @@ def records_of(
         rename: Column -> channel.
         units: Unit by channel or by column.
         columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
+        signs: Factor 1 or -1 by channel or by column.
 
     Returns:
         Tables or recordings.
 
     Raises:
-        InputError: A file cannot be read, or lacks a channel.
+        InputError: A file cannot be read, or lacks a channel; or a unit or a sign is given for a column that no
+            channel is read from.
     """
     files = files_of(path)
-    if by is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
+    sources = {n: c for c, n in (rename or {}).items()}
+    for option, given in (("--unit", units or {}), ("--sign", signs or {})):
+        _check_used(option, given, files, network, sources, columns)
+    if by is None and rate is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
         expected = {c.name: c.unit for c in wanted}
         try:
-            table = read_table(files[0], rename=rename, units=units, expected=expected, header=columns)
+            table = read_table(
+                files[0], rename=rename, units=units, expected=expected, header=columns, signs=signs
+            )
+        except SideBySide:
+            table = None
         except MissingColumn as error:
             helps = f"; --rename COLUMN={error.name} where it has another name"
             raise InputError(f"{error}{helps}{without(network, error.name)}") from None
-        return _pieces(table, wanted)
-    found = runs(path, network, wanted, by=by, rename=rename, units=units, columns=columns)
+        if table is not None:
+            return _pieces(table, wanted)
+    found = runs(
+        path, network, wanted, by=by, rename=rename, units=units, columns=columns, rate=rate, signs=signs
+    )
     out: list[Table | Recording] = []
     for r in found:
         whole = None if r.notes else r.table()
         out.append(r if whole is None else whole)
     return out
+
+
+def _check_used(
+    option: str,
+    given: Mapping[str, object],
+    files: Sequence[Path],
+    network: Network,
+    sources: Mapping[str, str],
+    columns: Sequence[str] | None,
+) -> None:
+    """Raise `InputError` for a name that is neither a channel nor a column that is read: the option would have no effect."""
+    known = {"time", *(c.name for c in (*network.inputs, *network.outputs)), *sources.values()}
+    rest = [name for name in given if name not in known]
+    if not rest:
+        return
+    with suppress(InputError):  # an unreadable file is reported after the slip of the pen
+        known |= {r.stamp for f in files for r in rasters(f, stamp=sources.get("time"), columns=columns)}
+    for name in rest:
+        if name not in known:
+            raise InputError(
+                f"{option}: the model has no channel {shown(name)}, and none is read from such a column; {hint(name, sorted(known))}"
+            )
 
 
 def outputs_of(
@@ -70,6 +109,7 @@ def outputs_of(
     by: ChannelMap | None = None,
     rename: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
 ) -> list[str]:
     """Return the outputs of a model that the files or the map provide.
 
@@ -79,6 +119,7 @@ def outputs_of(
         by: Columns of the channels.
         rename: Column -> channel.
         columns: Names for files without a header row.
+        rate: Sampling rate of files without time stamps [Hz].
 
     Returns:
         Names of outputs, in the order of the model.
@@ -89,7 +130,9 @@ def outputs_of(
     names = dict(rename or {})
     there = set(by.channels if by else ())
     if by is None:
-        found = [n for f in files_of(path) for r in rasters(f, columns=columns) for n in r.columns]
+        stamp = next((c for c, n in names.items() if n == "time"), None)
+        read = [r for f in files_of(path) for r in rasters(f, stamp=stamp, columns=columns, rate=rate)]
+        found = [n for r in read for n in r.columns]
         there = {names.get(n, n) for full in found for n in (full, split_header(full)[0])}
     return [c.name for c in network.outputs if c.name in there]
 
@@ -117,9 +160,8 @@ def road_of(path: str | Path, network: Network, by: ChannelMap) -> Road:
     else:
         found = runs(path, network, moved, by=by)
     if len(found) > 1:
-        raise InputError(
-            f"road '{path}': there are gaps in time ({found[0].notes[0]}): drive a piece at a time"
-        )
+        why = f"there are gaps in time ({found[0].notes[0]})" if found[0].notes else "there are several runs"
+        raise InputError(f"road '{path}': {why}: drive a piece at a time")
     signal = found[0].signals[moved[0].name]
     return profiled(str(path), signal.time - signal.time[0], signal.values, over_time=True)
 

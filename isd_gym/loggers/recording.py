@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..data import Table
-from ..data.columns import BEGINS, STAMPS
+from ..data.columns import stamps_of, time_unit
 from ..data.signals import even_stamps, stamp_rounding, unwrapped
 from ..data.table import read_rasters
 from ..errors import InputError, plain, shown
@@ -79,79 +79,42 @@ class Raster:
         return replace(self, time=self.time[keep], columns={k: v[keep] for k, v in self.columns.items()})
 
 
-def stamps_of(found: Columns, path: str | Path, wanted: str | None = None) -> str:
-    """Return the name of the column of time stamps.
-
-    Args:
-        found: Columns of the file.
-        path: The file, for messages.
-        wanted: Name of the column; None for a column with a usual name, or the only column that rises
-            uniformly.
-
-    Returns:
-        Name of the column.
-
-    Raises:
-        InputError: No such column exists.
-    """
-    if wanted is not None:
-        if wanted not in found.values:
-            raise InputError(f"{path}: no column {shown(wanted)} of stamps (it has: {_listed(found)})")
-        return wanted
-    lower = {n.lower().strip(): n for n in found.values}
-    for name in STAMPS:
-        if name in lower:
-            return lower[name]
-    begins = [n for low, n in lower.items() if low.startswith(BEGINS)]
-    rising = [n for n in found.values if _rises(found.values[n])]
-    for names in (begins, rising):
-        if len(names) == 1 or (names and names[0] == next(iter(found.values))):
-            return names[0]
-    raise InputError(
-        f"{path}: no column 'time' [s]: name the time column with --rename COLUMN=time (it has: {_listed(found)})"
-    )
-
-
-def _rises(values: np.ndarray) -> bool:
-    if values.dtype.kind not in "fiu" or len(values) < 3:
-        return False
-    d = np.diff(values.astype(float))
-    return bool((d > 0).all() and np.quantile(d, 0.9) < 1.5 * np.median(d))
-
-
-def _listed(found: Columns) -> str:
-    names = [plain(n, 40) for n in found.values]
-    return ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-
-
 def rasters(
     path: str | Path,
     *,
     stamp: str | None = None,
     unit: str | None = None,
+    units: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
+    rate: float | None = None,
 ) -> list[Raster]:
     """Return all rasters of a file, with time stamps in seconds; absolute stamps stay absolute (since 1970).
 
     Args:
         path: The file.
         stamp: Column of the time stamps; None to detect the column.
-        unit: Unit of the time stamps; None for the unit in the file, otherwise s.
+        unit: Unit of the time stamps; None for the unit in the file or in the name, otherwise s.
+        units: Unit by column; a unit of the column of stamps counts like `unit`.
         columns: Names for a file without a header row.
+        rate: Sampling rate of a file without time stamps [Hz]; None for a file with time stamps.
 
     Returns:
-        One entry per raster.
+        One entry per raster. A raster without stamps has the name '' for its column of stamps.
 
     Raises:
         InputError: The file cannot be read, or has no time stamps.
     """
     out = []
     for found in read_rasters(path, columns):
-        name = stamps_of(found, path, stamp)
-        try:
-            time = convert(np.asarray(found.values[name], float), unit or found.units.get(name) or "s", "s")
-        except InputError as error:
-            raise InputError(f"{path}: column {shown(name)}: {error}") from None
+        if rate is not None:
+            name, time = "", _regular(found, rate)
+        else:
+            name = stamps_of(found.values, path, stamp)
+            told = unit or (units or {}).get(name) or found.units.get(name) or time_unit(name)
+            try:
+                time = convert(np.asarray(found.values[name], float), told, "s")
+            except InputError as error:
+                raise InputError(f"{path}: column {shown(name)}: {error}") from None
         values = {
             n: np.asarray(v, float)
             for n, v in found.values.items()
@@ -163,6 +126,14 @@ def rasters(
             Raster(str(path), time, values, {n: u for n, u in found.units.items() if n in values}, name)
         )
     return out
+
+
+def _regular(found: Columns, rate: float) -> np.ndarray:
+    """Return stamps at a sampling rate [Hz], for the most frequent number of samples of the columns."""
+    if not 1e-6 <= rate <= 1e9:
+        raise InputError(f"--rate must be a sampling rate in Hz from 1e-6 to 1e9, not {rate:g}")
+    lengths = [len(v) for v in found.values.values() if v.ndim == 1 and v.dtype.kind in "fiub"]
+    return np.arange(max(lengths, key=lengths.count, default=0)) / rate
 
 
 # ------------------------------------------------------------------------------------------------ stamps
@@ -202,7 +173,26 @@ def mended(raster: Raster, notes: list[str]) -> list[Raster]:
         )
     if (d == 0).any():
         raster = _without_repeats(raster, notes)
-    return _split(raster, notes)
+    return _split(_measured(raster, notes), notes)
+
+
+def _measured(raster: Raster, notes: list[str]) -> Raster:
+    """Return the samples at which every column has a number; a stretch without numbers becomes a gap in time."""
+    bad = {name: ~np.isfinite(x) for name, x in raster.columns.items()}
+    for name, flags in bad.items():
+        if flags.all():
+            raise InputError(f"{raster.source}: column {shown(name)} holds no number")
+    missing = np.logical_or.reduce(list(bad.values())) if bad else np.zeros(len(raster), bool)
+    if not missing.any():
+        return raster
+    names = ", ".join(plain(n, 40) for n, flags in bad.items() if flags.any())
+    first = float(raster.time[int(np.argmax(missing))] - raster.time[0])
+    count = int(missing.sum())
+    notes.append(
+        f"{raster.name}: {count} sample{'s' * (count > 1)} without a number ({names}) left out, first {first:.6g} s after "
+        "the begin"
+    )
+    return raster.rows(~missing)
 
 
 def rounded(rounding: float, step: float) -> str:

@@ -18,7 +18,15 @@ from ..errors import InputError
 from ..units import CONDITIONS
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
-NAMES = ("isd-model-1", "isd-score-1", "isd-diagnosis-1", "isd-plan-1", "isd-unmeasured-1", "isd-map-1")
+NAMES = (
+    "isd-model-1",
+    "isd-score-1",
+    "isd-card-1",
+    "isd-diagnosis-1",
+    "isd-plan-1",
+    "isd-unmeasured-1",
+    "isd-map-1",
+)
 
 ANGULAR = ("angle", "angular_velocity", "angular_acceleration")
 MOTION = ("displacement", "velocity", "acceleration", *ANGULAR)

@@ -26,6 +26,7 @@ LENGTH = 20.0  # [s]
 SAMPLES = 20.0  # per period of the highest frequency
 RAMP = 0.5  # time of fading in and out [s], at most a tenth of the test
 LINES = 200  # of a multisine at most
+MOST_SAMPLES = 2_000_000  # of a test
 PHASES = 6  # sets of random phases; the multisine with the lowest crest factor is used
 
 
@@ -56,6 +57,13 @@ class Rig:
             raise InputError(f"the band must have frequencies 0 < LOW < HIGH, not {low:g}:{high:g}")
         if not (self.length > 0 and math.isfinite(self.length)):
             raise InputError(f"the length of a test must be a number of seconds > 0, not {self.length:g}")
+        if not 0 < self.step < math.inf:
+            raise InputError(f"the sampling interval of a test must be positive, not {self.step:g} s")
+        if not self.length / self.step < MOST_SAMPLES:
+            raise InputError(
+                f"a test of {self.length:g} s at {1 / self.step:g} Hz has {self.length / self.step:.3g} samples, at most "
+                f"{MOST_SAMPLES} are simulated: a smaller --length, --rate or --band"
+            )
         if high * self.step > 0.25:
             raise InputError(
                 f"a band up to {high:g} Hz needs a sampling rate of {4 * high:g} Hz or more, not {1 / self.step:g}"
@@ -243,6 +251,10 @@ def infer_rig(
     for c in network.inputs:
         if c.name not in given:
             given[c.name] = _measured_limits(c, records) or _typical_limits(c, network, notes)
+    if band is not None and not 0 < band[0] < band[1] < math.inf:
+        raise InputError(f"the band must have frequencies 0 < LOW < HIGH, not {band[0]:g}:{band[1]:g}")
+    if rate is not None and not 0 < rate < math.inf:
+        raise InputError(f"the sampling rate must be positive and finite, not {rate:g} Hz")
     low, high = band or (_measured_band(records, network) if records else _natural_band(network))
     if band is None and not records:
         notes.append(

@@ -1,9 +1,10 @@
 """Measured records: reading, filtering, several sampling rates, clock lags, and the training/validation/test split.
 
-`reading` checks and converts a source, `feedback` detects inputs that follow from outputs, `multirate` builds records from channels with time stamps of their own, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
+`reading` checks and converts a source, `agreement` finds turned, mislabelled and swapped channels, `feedback` detects inputs that follow from outputs, `multirate` builds records from channels with time stamps of their own, `filtering` differentiates noisy inputs, `splitting` assigns training, validation
 and test records.
 """
 
+from .agreement import find_misreading
 from .feedback import Feedback, find_feedback
 from .filtering import (
     choose_decimation,
@@ -28,6 +29,7 @@ __all__ = [
     "estimate_white_noise",
     "find_computed_forces",
     "find_feedback",
+    "find_misreading",
     "read_record",
     "split_records",
 ]
