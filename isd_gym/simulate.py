@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from . import elements as el
-from .balance import balanced_forces
+from .balance import Balance
 from .errors import InputError
 from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
@@ -525,7 +525,9 @@ class Plant:
         at, order = self.at, list(self.order)
         x = state[: at.states]
         f, z, d, s = (state[row : row + at.laws] for row in (at.force, at.memory, at.elongation, at.rate))
-        shared: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # most lanes differ in the parameters of laws alone
+        shared: dict[
+            int, tuple[np.ndarray, np.ndarray]
+        ] = {}  # most lanes differ in the parameters of laws alone
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
             if id(asm.rate) not in shared:
@@ -542,7 +544,7 @@ class Plant:
             laws = [asm.laws[i] for i in order]
             own = np.arange(asm.columns("f").start, asm.columns("f").stop)[order]
             E, R = shared[id(asm.rate)]
-            f[:, lane] = balanced_forces(laws, E @ given, R @ given, E[:, own], R[:, own], self.step)
+            f[:, lane] = Balance(laws, E @ given, R @ given, E[:, own], R[:, own], self.step).solve()
             given[own] = f[:, lane]
             d[:, lane], s[:, lane] = E @ given, R @ given
             for j, e in enumerate(laws):

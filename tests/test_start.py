@@ -72,9 +72,7 @@ def run(network, begin=0, initial=None):
     waves = [(4e-3, 2 * np.pi * 4.0, 0.0), (2e-3, 2 * np.pi * 7.3, 1.0)]
     table = sum(a * (np.sin(w * t + p) - np.sin(p)) for a, w, p in waves)
     rate = sum(a * w * np.cos(w * t + p) for a, w, p in waves)
-    out = plant.run(
-        {"table": table}, samples=len(t), initial=initial, derivatives={"table": (rate, 0.0 * t)}
-    )
+    out = plant.run({"table": table}, samples=len(t), initial=initial, derivatives={"table": (rate, 0.0 * t)})
     return {c.name: out[:, j, 0] for j, c in enumerate(plant.channels)}
 
 

@@ -32,6 +32,7 @@ from .plots import (
     percent,
     style,
     unit_text,
+    units_text,
 )
 from .schematic import draw as sketch
 from .schematic import place_parts
@@ -232,10 +233,10 @@ class View:
     @property
     def summary(self) -> str:
         """Summary of the diagnosis in a sentence, with units, numbers and channels in the style of the page."""
-        text = unit_text(self.d.summary)
+        text = units_text(self.d.summary)
         text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), text)
         for c in self.channels:
-            text = text.replace(c, channel_text(c))
+            text = re.sub(rf"(?<!\w){re.escape(c)}(?!\w)", channel_text(c).replace("\\", r"\\"), text)
         return re.sub(r"(?<=\d) %", "\u00a0%", text)
 
     @staticmethod
