@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from . import elements as el
+from .balance import Balance
 from .errors import InputError
 from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
 from .network import MOTIONS, Assembly, Channel, Network, assemble
@@ -517,24 +518,39 @@ class Plant:
         return mats
 
     def _start_laws(self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None) -> None:
-        """Set elongations, rates and smooth forces of the initial state and the first inputs."""
-        at = self.at
+        """Set elongations, rates and forces of the initial state and the first inputs, in static balance.
+
+        The rate of a law at an algebraic node is a difference of elongations. Its terminals start at rest.
+        """
+        at, order = self.at, list(self.order)
         x = state[: at.states]
         f, z, d, s = (state[row : row + at.laws] for row in (at.force, at.memory, at.elongation, at.rate))
+        shared: dict[
+            int, tuple[np.ndarray, np.ndarray]
+        ] = {}  # most lanes differ in the parameters of laws alone
         for lane in range(self.lanes):
             asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
-            cols, order = asm.columns("x"), list(self.order)
-            given = inputs[:, lane if inputs.shape[1] > 1 else 0]
-            for out, rows in ((d, asm.elongation[order]), (s, asm.elongation_rate[order])):
-                out[:, lane] = rows[:, cols] @ x[:, lane] + rows[:, self.u_columns] @ given
-            if held is not None and any(e.scheduled for e in asm.laws):
-                d[:, lane] += (
-                    asm.elongation[order][:, asm.columns("I")] @ held[:, lane if held.shape[1] > 1 else 0]
+            if id(asm.rate) not in shared:
+                still = np.array(asm.by_difference, bool)[:, None]
+                shared[id(asm.rate)] = (
+                    asm.elongation[order],
+                    np.where(still, 0.0, asm.elongation_rate)[order],
                 )
-            for j, e in enumerate(asm.laws[i] for i in order):
+            given = np.zeros(asm.elongation.shape[1])
+            given[asm.columns("x")] = x[:, lane]
+            given[self.u_columns] = inputs[:, lane if inputs.shape[1] > 1 else 0]
+            if held is not None:
+                given[asm.columns("I")] = held[:, lane if held.shape[1] > 1 else 0]
+            laws = [asm.laws[i] for i in order]
+            own = np.arange(asm.columns("f").start, asm.columns("f").stop)[order]
+            E, R = shared[id(asm.rate)]
+            f[:, lane] = Balance(laws, E @ given, R @ given, E[:, own], R[:, own], self.step).solve()
+            given[own] = f[:, lane]
+            d[:, lane], s[:, lane] = E @ given, R @ given
+            for j, e in enumerate(laws):
                 if e.law is not None:
                     p = np.array(e.law_parameters())
-                    f[j, lane], z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)
+                    z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)[1]
 
     def order_of(self, part: str, name: str) -> int:
         """Return how often an input is differentiated for a part of the base vector.

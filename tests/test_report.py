@@ -30,7 +30,7 @@ from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.verdict.explanation import draw_law as series_law
 from isd_gym.discrepancy.verdict.gates import gates_of
-from isd_gym.elements import CoulombFriction
+from isd_gym.elements import TYPES, CoulombFriction
 from isd_gym.errors import InputError, ReportError
 from isd_gym.network import Network
 from isd_gym.policies import find, passive
@@ -510,6 +510,17 @@ def test_two_effects_are_told_as_two(diagnosis):
     )
 
 
+@pytest.mark.parametrize("effect", sorted(TYPES))
+def test_only_units_of_the_summary_are_set_as_units(diagnosis, effect):
+    name = effect.replace("_", " ")
+    says = f"The model lacks {name} between degree and rod (slope 0.5 N m s/rad, pitch 2 deg); 3 degressive laws at 0.1 deg/s."
+    view = report.View(replace(diagnosis, summary=says))
+    assert (
+        view.summary
+        == f"The model lacks {name} between degree and rod (slope 0.5 N·m·s/rad, pitch 2 °); 3 degressive laws at 0.1 °/s."
+    )
+
+
 def test_a_diagnosis_without_records_still_has_a_page(diagnosis, tmp_path):
     check_page(report.write_report(replace(diagnosis, traces=(), laws=()), tmp_path / "x"))
 
@@ -517,7 +528,7 @@ def test_a_diagnosis_without_records_still_has_a_page(diagnosis, tmp_path):
 def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
     import string
 
-    from isd_gym.elements import TYPES, parameter_fields
+    from isd_gym.elements import parameter_fields
 
     kept = {"motor"}
     tests = {name: cls.test for name, cls in TYPES.items() if cls.__module__.startswith("isd_gym.elements")}

@@ -5,8 +5,9 @@ import pytest
 
 from isd_gym.data import Table, check
 from isd_gym.discrepancy.records import read_record
+from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.errors import InputError
-from isd_gym.network import Network, own_time
+from isd_gym.network import Network, own_time, slowest_time
 from isd_gym.simulate import simulate
 
 
@@ -77,3 +78,100 @@ def test_a_slow_rig_in_milliseconds_is_refused_as_a_car_is() -> None:
     network, table = rig(40.0, 0.1)
     with pytest.raises(InputError, match="another unit than s"):
         read_record(Table(1e3 * table.time, table.columns, "rig"), network, [])
+
+
+def coast_down(step: float, samples: int = 300, model_time: float = 50.0) -> tuple[Network, Table]:
+    """A wheel that coasts down by drag, its nominal model with a bearing of that time constant [s]."""
+    elements = [
+        {
+            "name": "bearing",
+            "type": "linear_damping",
+            "between": ["wheel", "ground"],
+            "damping": 0.1 / model_time,
+        }
+    ]
+    network = Network.load(
+        {
+            "schema": "isd-model/1",
+            "inertias": {"wheel": 0.1},
+            "elements": elements,
+            "outputs": [
+                {"name": "speed", "quantity": "angular_velocity", "at": "wheel", "unit": "rad/s"},
+            ],
+        }
+    )
+    time = step * np.arange(samples)
+    noise = 0.02 * np.random.default_rng(0).standard_normal(samples)
+    return network, Table(time, {"speed": 75.0 / (1.0 + time / 60.0) + noise}, "wheel")
+
+
+def free(network: Network) -> Network:
+    """The wheel with dry friction in place of the bearing."""
+    rub = {"type": "coulomb_friction", "name": "rub", "between": ["wheel", "ground"], "level": 0.1}
+    return network.with_element(rub).without_element("bearing")
+
+
+def test_the_slowest_time_of_a_model_counts_relaxations_and_no_free_motion() -> None:
+    assert slowest_time(coast_down(0.5, model_time=50.0)[0]) == pytest.approx(50.0)
+    assert slowest_time(rig(3.0, 1.0)[0]) == pytest.approx(3.0 / (2 * np.pi), rel=1e-6)
+    assert slowest_time(free(coast_down(0.5)[0])) == np.inf
+    # the device of this car moves freely; the numbers that rounding gives such a motion are no time
+    for name in ("quarter-car-isd", "half-car-isd", "full-car-isd"):
+        slowest = slowest_time(Network.load(name))
+        assert slowest is not None and slowest < 1.0
+        assert own_time(Network.load(name)) == pytest.approx(0.136, rel=0.1)
+
+
+def test_a_slow_relaxation_is_logged_slowly() -> None:
+    assert told(*coast_down(0.5)) == []
+    network, table = coast_down(0.5)
+    with pytest.raises(InputError, match=r"another unit than s.*--accept step"):
+        read_record(Table(1e3 * table.time, table.columns, "wheel"), network, [])
+    # a free wheel has no time of its own, and no time is in contradiction to the step
+    (note,) = told(free(network), table)
+    assert "warning" in note and "0.5 s" in note
+
+
+def test_an_implausible_step_is_accepted_by_name() -> None:
+    network, table = coast_down(0.5, model_time=0.01)
+    with pytest.raises(InputError, match="another unit than s"):
+        read_record(table, network, [])
+    for accept in ("step", "all"):
+        notes: list[str] = []
+        assert len(read_record(table, network, notes, [accept])) == len(table)
+        assert any("another unit than s" in n for n in notes)
+
+
+def test_few_samples_of_many_periods_are_no_short_record() -> None:
+    network, table = rig(0.5, 0.01)
+    few = Table(table.time[:1110:6], {n: x[:1110:6] for n, x in table.columns.items()}, "rig")
+    assert len(few) == 185
+    read_record(few, network, [])
+    brief = Table(table.time[:185], {n: x[:185] for n, x in table.columns.items()}, "rig")
+    with pytest.raises(InputError, match=r"too short: 185 samples of at least 200 \(or 64 for 10 periods"):
+        read_record(brief, network, [])
+
+
+def test_uneven_stamps_are_compared_at_their_own_instants() -> None:
+    """As `inspect` says of them; a record at uniform steps of the same rig is the measure."""
+    network, table = rig(0.5, 0.01)
+    jitter = 1.0 + 0.4 * np.random.default_rng(1).uniform(-1, 1, len(table) - 1)
+    time = np.concatenate([[0.0], np.cumsum(np.diff(table.time) * jitter)])
+    uneven = Table(time, {n: np.interp(time, table.time, x) for n, x in table.columns.items()}, "rig")
+    notes: list[str] = []
+    record = read_record(uneven, network, notes)
+    assert any("compared at their own instants" in n for n in notes)
+
+    def error(record: Record) -> float:
+        problem = Problem(network, [record])
+        y = problem.simulate([network], 0)[:, 0, 0]
+        later = slice(len(y) // 3, None)  # the start is not at rest
+        return float(np.std((y - record.measured[:, 0])[later]) / np.std(record.measured[later, 0]))
+
+    assert error(record) < 2.0 * error(read_record(table, network, []))
+    with pytest.raises(InputError, match="gaps in time"):
+        read_record(
+            Table(np.where(table.time > 10.0, table.time + 3.0, table.time), table.columns, "rig"),
+            network,
+            [],
+        )

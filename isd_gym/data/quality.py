@@ -68,6 +68,8 @@ QUANTITIES: dict[str, tuple[str, float, float, float]] = {
     "speed": ("m/s", 1e3, 1e5, 1e-4),
 }
 MIN_SAMPLES = 200
+#: samples that suffice for a record of as many periods of the rig
+FEW_SAMPLES, PERIODS = 64, 10
 #: time constant of `QUANTITIES` and of the limits below, if no model gives a rig's own [s]: body of a car on
 #: its springs
 CAR = 0.125
@@ -83,9 +85,12 @@ GLITCHES = 3  # samples that may differ in a constant channel
 ALIKE = 30.0  # factor between a channel and the model's output within which the scales agree
 SLIP = (600.0, 1600.0)  # factors between a channel and the model's output that a wrong unit causes
 #: names of the checks; an error may be accepted by the name of its check
-CHECKS = ("time", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies", "sign")
+CHECKS = (
+    "time", "step", "length", "finite", "constant", "magnitude", "held", "jumps", "silent", "copies", "sign"
+)  # fmt: skip
 #: checks whose errors cannot be accepted: such a record cannot be compared
 UNACCEPTABLE = ("time", "finite", "constant")
+NOT_UNIFORM = "sampling is not uniform"
 _MAX_SPEED = 15.0  # largest plausible RMS speed of a displacement [m/s]; wheels and rods stay below 5
 
 
@@ -95,10 +100,15 @@ class Scale:
 
     Attributes:
         time: Reciprocal of the circular frequency of the slowest oscillation [s].
+        slowest: Time constant of the slowest oscillation or relaxation [s]; infinite if the rig only moves
+            freely, NaN for that of the oscillation.
+        period: Period of the slowest oscillation [s]; infinite if unknown.
         spread: RMS about the mean of each output in a simulation of the record [SI]; empty if unknown.
     """
 
     time: float = CAR
+    slowest: float = math.nan
+    period: float = math.inf
     spread: Mapping[str, float] = field(default_factory=dict)
 
     def factor(self, name: str, x: np.ndarray) -> float:
@@ -164,12 +174,12 @@ def check(
         unit = QUANTITIES[quantity][0]
         values[name] = convert(table[name], table.units.get(name) or unit, unit)
     scale = scale or Scale()
-    found = _named("time", _check_time(table.time, scale.time))
-    if len(table) < MIN_SAMPLES:
-        text = f"too short: {len(table)} samples of at least {MIN_SAMPLES}"
-        found.append(Finding("error", "", text, check="length"))
+    found = _named("time", _check_time(table.time))
+    if not found or found[-1].level != "error":
+        found += _named("length", _check_length(table.time, scale))
     if any(f.level == "error" for f in found):
         return found  # the other checks need a time base
+    found += _named("step", _check_step(table.time, scale))
     time = table.uniform().time
     chance: dict[str, float] = {}
     moving: dict[str, bool] = {}
@@ -209,6 +219,15 @@ def check(
     finite = {n: x for n, x in values.items() if np.all(np.isfinite(x))}
     found += _named("copies", _check_copies(finite, chance, time))
     return sorted(found, key=lambda f: ("error", "warning", "note").index(f.level))
+
+
+def rises_unevenly(time: np.ndarray) -> bool:
+    """Return whether stamps rise without gaps, but not at uniform steps.
+
+    Args:
+        time: Time stamps (n,) [s].
+    """
+    return any(f.message.startswith(NOT_UNIFORM) for f in _check_time(time))
 
 
 def known_check(name: str) -> None:
@@ -256,7 +275,36 @@ def _spans(flags: np.ndarray, time: np.ndarray) -> tuple[Span, ...]:
     return tuple((float(time[a]), float(time[b - 1])) for a, b in edges[:20])
 
 
-def _check_time(time: np.ndarray, own: float) -> list[Finding]:
+def _check_length(time: np.ndarray, scale: Scale) -> list[Finding]:
+    """Return an error on a record of few samples, unless the record has many periods of the rig."""
+    periods = float(np.ptp(time)) / scale.period
+    least = FEW_SAMPLES if periods >= PERIODS else MIN_SAMPLES
+    if len(time) >= least:
+        return []
+    many = f" (or {FEW_SAMPLES} for {PERIODS} periods)" if least == MIN_SAMPLES else ""
+    return [Finding("error", "", f"too short: {len(time)} samples of at least {least}{many}")]
+
+
+def _check_step(time: np.ndarray, scale: Scale) -> list[Finding]:
+    """Return a finding on a step that suggests another unit than seconds.
+
+    The slowest motion of the rig tells which steps are plausible. A relaxation beyond the record tells no more than the record's
+    length, and a rig that only moves freely tells nothing: a step that is too long for a car is a warning then.
+    """
+    duration = float(np.ptp(time))
+    step = duration / (len(time) - 1)
+    slowest = scale.time if math.isnan(scale.slowest) else max(scale.time, scale.slowest)
+    # a slow step on a fast rig is no wrong unit yet
+    slow, shortest = max(min(slowest, duration), CAR), SHORTEST * min(scale.time, CAR)
+    text = f"a step of {step:.4g} s is implausible: is time in another unit than s?"
+    if not shortest <= step <= LONGEST * slow:
+        return [Finding("error", TIME, text)]
+    if step > LONG * slow or (math.isinf(slowest) and step > LONGEST * CAR):
+        return [Finding("warning", TIME, text)]
+    return []
+
+
+def _check_time(time: np.ndarray) -> list[Finding]:
     if not np.all(np.isfinite(time)):
         return [Finding("error", TIME, f"{np.sum(~np.isfinite(time))} time stamps are missing or not finite")]
     if len(time) < 3:
@@ -284,19 +332,11 @@ def _check_time(time: np.ndarray, own: float) -> list[Finding]:
     digit = next((10.0**-k for k in range(9) if np.max(np.abs(time - np.round(time, k))) < 1e-3 * step), 0.0)
     if stray > max(0.1 * step, min(0.76 * digit, step)):
         worst = time[int(np.argmax(np.abs(d - step)))]
-        text = f"sampling is not uniform: steps from {d.min():.4g} to {d.max():.4g} s, worst at t = {worst:.6g} s"
+        text = f"{NOT_UNIFORM}: steps from {d.min():.4g} to {d.max():.4g} s, worst at t = {worst:.6g} s"
         return [Finding("error", TIME, text)]
     if stray > 0.01 * step:
         text = f"time stamps stray by {stray:.2g} s from a step of {step:.6g} s; taken as uniform"
         found.append(Finding("note", TIME, text))
-    shortest, slow = (
-        SHORTEST * min(own, CAR),
-        max(own, CAR),
-    )  # a slow step on a fast rig is no wrong unit yet
-    if not shortest <= step <= LONG * slow:
-        level: Level = "error" if not shortest <= step <= LONGEST * slow else "warning"
-        text = f"a step of {step:.4g} s is implausible: is time in another unit than s?"
-        found.append(Finding(level, TIME, text))
     return found
 
 

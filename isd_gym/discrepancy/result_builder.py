@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -28,12 +28,17 @@ from .verdict.wording import summary_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from .estimation.structure import Structure
     from .records import Feedback
+    from .result import Law
     from .selection.candidate_comparison import CandidateComparison
     from .selection.forward_backward import Search
     from .simulation.problem import Array, Problem
     from .verdict.findings import Finding
     from .verdict.measurement import Measurements
+
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +56,8 @@ class ResultBuilder:
     say: Callable[[str], None]
     #: inputs that follow from outputs
     feedback: tuple[Feedback, ...] = ()
+    #: parts of the result that could not be made
+    lost: list[str] = field(default_factory=list)
 
     def build(self, decision: Decision, notes: Sequence[str], over: Stretches | None = None) -> Diagnosis:
         """Build the result; `over` describes the segments over which records were compared, None for whole records."""
@@ -60,7 +67,8 @@ class ResultBuilder:
         # under feedback a free curve would draw the controller's law
         is_free = decision.verdict == "unknown_effect" and not self.feedback
         free = self._free_force() if is_free else FreeForce()
-        decision, findings = self._findings(decision, free)
+        no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
+        decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
@@ -72,13 +80,17 @@ class ResultBuilder:
         deviation = search.evaluator.validation_deviation
         noise = scores.noise * deviation
         if not is_named:
-            quantities = intervals(search.evaluator, refitted)
-        laws = [draw_law(p, final.fit, e.element, e.parameters) for e in found]
-        laws += [draw_table(p, final.fit, tabulated)] if tabulated else []
+            quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
+        no_law: Law | None = None
+        what = "the picture of a law"
+        laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in found]
+        if tabulated:
+            laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
         test = None
         if is_ambiguous:
             self.say("designing the test that would decide")
-            test = next_experiment(self.whole, [scores.foremost, *rivals], noise)
+            candidates = [scores.foremost, *rivals]
+            test = self._attempt("the next test", None, next_experiment, self.whole, candidates, noise)
         result = Diagnosis(
             verdict=decision.verdict,
             summary="",
@@ -99,13 +111,13 @@ class ResultBuilder:
             closed=None if final is refitted else closed(rows),
             gates=decision.gates,
             next_experiment=test.to_dict() if test else None,
-            test=played(network, test.record) if test else None,
+            test=self._attempt("the next test", None, played, network, test.record) if test else None,
             base=network,
             refitted=refitted.fit.network,
             model=final.fit.network,
             traces=self._traces(final),
             laws=tuple(x for x in laws if x is not None),
-            notes=(*notes, *self._tried()),
+            notes=(*notes, *self._tried(), *self.lost),
             units={c.name: c.unit for c in network.outputs},
             evidence=measured.evidence,
             criteria=criteria,
@@ -113,15 +125,24 @@ class ResultBuilder:
         )
         return replace(result, summary=summary_of(result.to_dict()))
 
+    def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
+        """Return a part of the result, or `otherwise` and a note where its simulation breaks down: the search is done and must not be lost."""
+        try:
+            return make(*args)
+        except BROKEN as error:
+            self.lost.append(f"{what} could not be made: {error}")
+            return otherwise
+
     # -- decision -----------------------------------------------------------------------------------------
     def _free_force(self) -> FreeForce:
         """Fit a table of the missing force; nothing where the fit breaks down."""
         self.say("no known law explains it: following the missing force")
         gates = functools.partial(table_gates, c=self.search.criteria)
         try:
-            return fit_free_force(self.search.evaluator, self.scores.refitted, gates)
+            free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
         except BROKEN:
             return FreeForce()
+        return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
 
     def _findings(self, decision: Decision, free: FreeForce) -> tuple[Decision, tuple[Finding, ...]]:
         """Return the decision and the findings, with the free force among the candidates where one was fitted."""
@@ -249,17 +270,14 @@ class ResultBuilder:
     def _traces(self, final: Candidate) -> tuple[Trace, ...]:
         """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
         whole, refitted, out = self.whole, self.scores.refitted, []
-        fitter = Fitter(whole, white_filters(self.search.least_noise))
         nominal = base_structure(whole.network)
         models = [
-            (nominal, nominal.start),
-            (refitted.fit.structure, refitted.fit.x),
-            (final.fit.structure, final.fit.x),
+            (nominal, nominal.start, {}),
+            *((c.fit.structure, c.fit.x, self._first_states(c)) for c in (refitted, final)),
         ]
         for i, record in enumerate(whole.records):
-            fits = [fitter.fit(s, x, records=[i], frozen=True, iterations=3) for s, x in models]
             before, refit, after = (
-                {c: f.outputs[i][:, j] for j, c in enumerate(whole.channels)} for f in fits
+                dict(zip(whole.channels, self._trace(*model, i).T, strict=True)) for model in models
             )
             measured = {c: record.measured[:, j] for j, c in enumerate(whole.channels)}
             inputs = {k: record.seen(v) for k, v in record.inputs.items()}
@@ -268,6 +286,23 @@ class ResultBuilder:
             held_out = since == -math.inf
             out.append(Trace(record.name, held_out, record.time, inputs, measured, before, refit, after, cut))
         return tuple(out)
+
+    def _first_states(self, candidate: Candidate) -> dict[int, Array]:
+        """Return the fitted initial states of whole records."""
+        return self.search.evaluator.first_states(candidate.fit, self.scores.score(candidate).fit)
+
+    def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
+        """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
+        fitter = Fitter(self.whole, white_filters(self.search.least_noise))
+        for begun in ({}, {k: v for k, v in initial.items() if k == index}):
+            try:
+                fit = fitter.fit(structure, x, begun, records=[index], frozen=True, iterations=3)
+            except BROKEN:
+                continue
+            return fit.outputs[index]
+        name = self.whole.records[index].name
+        self.lost.append(f"a model does not simulate the whole record {name}: no curve is drawn there")
+        return np.full_like(self.whole.records[index].measured, np.nan)
 
 
 def closed(rows: Mapping[str, Array]) -> float | None:

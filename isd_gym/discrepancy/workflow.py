@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time as clock
 from dataclasses import dataclass, field, replace
@@ -144,7 +145,8 @@ def diagnose(
         found = flow.run(notes, start)
     # the missing effect had a part in the lags
     if found.verdict == "missing_effect" and lags and isinstance(found.model, Network):
-        _, lags = align_clocks(loose, found.model, previous=lags)
+        with contextlib.suppress(*BROKEN):  # the lags of the nominal model stay
+            _, lags = align_clocks(loose, found.model, previous=lags)
     found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
     if cut is not None and isinstance(found.model, Network):
         found = replace(found, whole=rejoin(whole_network, found.model))
@@ -195,7 +197,7 @@ class Workflow:
     def __post_init__(self) -> None:
         self.network = self.problem.network
         self.search = Search(
-            HeldOutEvaluator(self.problem, self.criteria.least_noise),
+            HeldOutEvaluator(self.problem, self.criteria.least_noise, self.whole),
             self.settings,
             self.criteria,
             self.say,
@@ -239,7 +241,12 @@ class Workflow:
     def measure(self, scores: CandidateComparison) -> Measurements:
         """Return the measurements of a search; they are kept for the next call."""
         if self._measured is None or self._measured[0] is not scores:
-            self._measured = scores, collect_evidence(self.search, scores, self.seed)
+            try:
+                found = collect_evidence(self.search, scores, self.seed)
+            except BROKEN:  # a candidate that cannot be measured loses
+                scores.chosen = scores.foremost = scores.refitted
+                found = collect_evidence(self.search, scores, self.seed)
+            self._measured = scores, found
         return self._measured[1]
 
     def decide(self, scores: CandidateComparison) -> Decision:

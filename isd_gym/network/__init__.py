@@ -10,7 +10,7 @@ from .assembly import Assembly, assemble
 from .bodies import AXES, Body, Lever, Point
 from .cut import cut, rejoin, without
 from .format import SCHEMA, builtin_networks
-from .linear import StateSpace, linearise, natural_frequencies, own_time, transfer
+from .linear import StateSpace, linearise, natural_frequencies, own_time, slowest_time, transfer
 from .model import GROUND, MOTIONS, Channel, Network
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "natural_frequencies",
     "own_time",
     "rejoin",
+    "slowest_time",
     "transfer",
     "without",
 ]

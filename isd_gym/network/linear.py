@@ -70,6 +70,10 @@ def _slopes(laws: Sequence[el.Element], damping: Mapping[str, float]) -> tuple[n
     return slopes_k, slopes_c
 
 
+#: share of the fastest pole below which a pole is that of a free motion
+FREE = 1e-9
+
+
 def own_time(network: Network) -> float | None:
     """Return the time constant of a network: one over the circular frequency of the slowest oscillation about rest.
 
@@ -79,8 +83,37 @@ def own_time(network: Network) -> float | None:
     Returns:
         Time constant [s]; None without oscillations.
     """
-    natural = natural_frequencies(network)
-    return float(1.0 / (2 * np.pi * natural.min())) if len(natural) else None
+    poles = _poles(network)
+    swings = poles[poles.imag > 1e-6 * np.abs(poles)]
+    return float(1.0 / np.abs(swings).min()) if len(swings) else None
+
+
+def slowest_time(network: Network) -> float | None:
+    """Return the time constant of the slowest oscillation or relaxation of a network about rest.
+
+    Args:
+        network: The model.
+
+    Returns:
+        Time constant [s]; infinite if the network only moves freely; None without states.
+    """
+    poles = np.abs(_poles(network))
+    if len(poles):
+        return float(1.0 / poles.min())
+    try:
+        return np.inf if linearise(network.with_outputs(())).A.size else None
+    except InputError:
+        return None
+
+
+def _poles(network: Network) -> np.ndarray:
+    """Return the poles of a network about rest [rad/s], without those of free motions; empty where there is no state space."""
+    try:
+        poles = np.linalg.eigvals(linearise(network.with_outputs(())).A)
+    except (InputError, np.linalg.LinAlgError):
+        return np.zeros(0, complex)
+    size = np.abs(poles)
+    return poles[size > FREE * size.max(initial=0.0)].astype(complex)
 
 
 def natural_frequencies(network: Network) -> np.ndarray:
@@ -92,10 +125,7 @@ def natural_frequencies(network: Network) -> np.ndarray:
     Returns:
         Frequencies [Hz], ascending; empty without oscillations.
     """
-    try:
-        poles = np.linalg.eigvals(linearise(network.with_outputs(())).A)
-    except (InputError, np.linalg.LinAlgError):
-        return np.zeros(0)
+    poles = _poles(network)
     return np.sort(np.abs(poles[poles.imag > 1e-6 * np.abs(poles)])) / (2 * np.pi)
 
 

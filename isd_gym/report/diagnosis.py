@@ -32,6 +32,7 @@ from .plots import (
     percent,
     style,
     unit_text,
+    units_text,
 )
 from .schematic import draw as sketch
 from .schematic import place_parts
@@ -139,6 +140,11 @@ class Scale:
     unit: str
 
 
+def _is_whole(trace: Trace) -> bool:
+    """Return whether the refitted and the completed model simulate the record of a trace to its end."""
+    return all(np.isfinite(y).all() for curves in (trace.refit, trace.after) for y in curves.values())
+
+
 class View:
     """A diagnosis prepared for a page: words, scales and the drawn records.
 
@@ -170,7 +176,9 @@ class View:
         elif len(d.effects) > 1:
             self.labels["after"] += "s"
         self.channels = list(d.gap.get("refit", {}))
-        held = [t for t in d.traces if t.held_out] or list(d.traces)
+        # a model that does not simulate a record has no curve there; a note of the result says so
+        self.traces = [t for t in d.traces if _is_whole(t)]
+        held = [t for t in self.traces if t.held_out] or self.traces
         self.trace: Trace | None = max(held, key=lambda t: len(t.time)) if held else None
         self.scales = {c: self._scale(c) for c in self.channels}
         self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
@@ -182,7 +190,7 @@ class View:
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
         peak = max(
-            (float(np.abs(t.measured[name]).max()) for t in self.d.traces if name in t.measured), default=1.0
+            (float(np.abs(t.measured[name]).max()) for t in self.traces if name in t.measured), default=1.0
         )
         if unit == "m" and peak < 0.5:
             return Scale(1e3, "mm")
@@ -232,10 +240,10 @@ class View:
     @property
     def summary(self) -> str:
         """Summary of the diagnosis in a sentence, with units, numbers and channels in the style of the page."""
-        text = unit_text(self.d.summary)
+        text = units_text(self.d.summary)
         text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), text)
         for c in self.channels:
-            text = text.replace(c, channel_text(c))
+            text = re.sub(rf"(?<!\w){re.escape(c)}(?!\w)", channel_text(c).replace("\\", r"\\"), text)
         return re.sub(r"(?<=\d) %", "\u00a0%", text)
 
     @staticmethod
@@ -672,7 +680,7 @@ def draw_time(view: View) -> Chart | None:
     if trace is None:
         return None
     few = view.order[:5]
-    traces = [trace, *(t for t in view.d.traces if t is not trace)][:8]
+    traces = [trace, *(t for t in view.traces if t is not trace)][:8]
     each = 5 if view.changed else 3  # number of series per channel
     share = MOST_SAMPLES / (each * len(view.order) * len(traces))
 
@@ -768,7 +776,7 @@ def draw_spectra(view: View) -> Chart | None:
     step = float(view.trace.time[1] - view.trace.time[0])
     used = [
         t
-        for t in view.d.traces
+        for t in view.traces
         if t.held_out == view.trace.held_out
         and abs(float(t.time[1] - t.time[0]) / step - 1) < 1e-6
         and 2 * len(t.time) >= len(view.trace.time)

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import platform
+import re
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata, resources
@@ -18,6 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from ..units import TABLE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -282,6 +285,25 @@ def unit_text(unit: str) -> str:
         .replace("N s", "N·s")
         .replace("deg", "°")
     )
+
+
+#: names that units are made of, and a unit after a number in a sentence
+_PARTS = "|".join(
+    sorted({part for unit in TABLE for part in re.findall(r"[A-Za-z]+", unit)}, key=len, reverse=True)
+)
+_STATED = re.compile(rf"(?<=\d )(?:{_PARTS})(?:\^\d)?(?:[ /](?:{_PARTS})(?:\^\d)?)*(?!\w)")
+
+
+def units_text(sentence: str) -> str:
+    """Return a sentence with the units after its numbers in print; words that only look like a unit stay.
+
+    Args:
+        sentence: The sentence.
+
+    Returns:
+        Text.
+    """
+    return _STATED.sub(lambda unit: unit_text(unit[0]), sentence)
 
 
 def channel_text(name: str) -> str:

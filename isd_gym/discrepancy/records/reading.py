@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...data import Table, check, read_table
-from ...data.quality import CAR, Scale, admit, known_check
+from ...data.quality import CAR, Scale, admit, known_check, rises_unevenly
 from ...errors import InputError, MissingColumn
-from ...loggers.recording import Recording
-from ...network import Channel, Network, own_time, without
+from ...loggers.recording import Recording, Signal
+from ...network import Channel, Network, own_time, slowest_time, without
 from ...units import convert
 from ..simulation.problem import Array, Problem, Record
 from .filtering import count_derivatives
@@ -45,21 +45,25 @@ def read_record(
     for name in accept:
         known_check(name)
     if isinstance(source, Recording):
-        recording = source
-        notes += recording.notes
+        notes += source.notes
         table = source.table()
         if table is None:  # channels with different time stamps
-            scale = _estimate_scale(network, lambda: build_record(recording, network))
-            check_recording(recording, network, accept, notes, scale)
-            return build_record(recording, network, None, notes)
-        source = table
-    expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
-    table = source if isinstance(source, Table) else read_table(source, expected=expected)
-    for name in expected:
+            return _read_recording(source, network, notes, accept)
+    else:
+        expected = {c.name: c.unit for c in (*network.inputs, *network.outputs)}
+        table = source if isinstance(source, Table) else read_table(source, expected=expected)
+    channels = (*network.inputs, *network.outputs)
+    for c in channels:
         try:
-            table[name]
+            table[c.name]
         except MissingColumn as error:
-            raise InputError(f"{error}{without(network, name)}") from None
+            raise InputError(f"{error}{without(network, c.name)}") from None
+    if rises_unevenly(table.time):
+        signals = {
+            c.name: Signal(table.time, table[c.name], table.units.get(c.name) or c.unit, "time", c.name)
+            for c in channels
+        }
+        return _read_recording(Recording(table.source, signals), network, notes, accept)
     findings = check(
         table,
         inputs={c.name: c.spoken for c in network.inputs},
@@ -68,6 +72,15 @@ def read_record(
     )
     admit(table, findings, notes, accept)
     return _convert_table(table.uniform(), network)
+
+
+def _read_recording(
+    recording: Recording, network: Network, notes: list[str], accept: Sequence[str]
+) -> Record:
+    """Return a record whose outputs are compared at their own time stamps, after the data checks."""
+    scale = _estimate_scale(network, lambda: build_record(recording, network))
+    check_recording(recording, network, accept, notes, scale)
+    return build_record(recording, network, None, notes)
 
 
 def _convert_table(table: Table, network: Network) -> Record:
@@ -92,7 +105,8 @@ def _estimate_scale(network: Network, read: Callable[[], Record]) -> Scale:
         The time scale alone if the model has no input, if an input is differentiated twice (noise would dominate the outputs),
         or if the simulation fails.
     """
-    scale = Scale(own_time(network) or CAR)
+    time, slowest = own_time(network), slowest_time(network)
+    scale = Scale(time or CAR, slowest=slowest or math.nan, period=2.0 * math.pi * time if time else math.inf)
     if not network.inputs or 2 in count_derivatives(network).values():
         return scale
     try:

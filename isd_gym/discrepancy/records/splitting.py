@@ -25,8 +25,9 @@ def split_records(
 ) -> tuple[list[Record], list[Role]]:
     """Split records into training, validation and test records.
 
-    Held-out records are cut into segments, alternately for validation and for test. Without `validate` the last third of
-    the records is held out, or the last third of the motion of a single record.
+    Each held-out record is cut into segments, alternately for validation and for test, so that both roles see every record and the
+    order of the records does not matter. Without `validate` the last third of the records is held out, or the last third of the motion
+    of a single record.
 
     Args:
         data: Training records; the source of held-out records if `validate` is empty.
@@ -36,8 +37,8 @@ def split_records(
         lead: Simulated time before a held-out segment, without comparison [s].
 
     Returns:
-        The records, training records first, and their roles: "fit" (training), "choose" (validation), "report" (test). A
-        single held-out segment is for validation; no test record is left then.
+        The records, training records first, and their roles: "fit" (training), "choose" (validation), "report" (test). Where no
+        held-out record has two segments, all are for validation; no test record is left then.
     """
     training, held = data, validate
     if not held and len(training) > 1:
@@ -54,9 +55,15 @@ def split_records(
             "held out for validation and test: the last third of the motion of the only record"
             + still * (used < len(whole))
         )
-    segments = [s for r in held for s in cut_segments(r, _choose_length(r, time), lead=lead)]
-    roles: list[Role] = ["choose" if k % 2 == 0 else "report" for k in range(len(segments))]
-    if len(segments) > 1:
+    # sorted by content: sums over records do not depend on the order of the files
+    held = sorted(held, key=lambda r: (r.measured.shape, r.measured.tobytes(), r.name))
+    segments: list[Record] = []
+    roles: list[Role] = []
+    for r in held:
+        own = cut_segments(r, _choose_length(r, time), min(300, len(r) // 2), lead)
+        segments += own
+        roles += ["choose" if k % 2 == 0 else "report" for k in range(len(own))]
+    if "report" in roles:
         notes.append(
             f"{len(segments)} held-out segments, alternately for validation (choice of effects) and test (reported figures)"
         )
@@ -67,10 +74,11 @@ def split_records(
 
 
 def _choose_length(record: Record, time: float) -> float:
-    """Return the length [s] of the held-out segments of a record; a short record with inputs gives four segments."""
+    """Return the length [s] of the held-out segments of a record; a short record with inputs gives two to four segments."""
     if not record.inputs:
         return SEGMENT * time
-    return min(SEGMENT * time, max(0.25 * len(record) * record.rate, LEAST_SEGMENT * time))
+    duration = len(record) * record.rate
+    return min(SEGMENT * time, max(0.25 * duration, LEAST_SEGMENT * time), 0.5 * duration)
 
 
 def _split_record(record: Record) -> tuple[Record, Record]:

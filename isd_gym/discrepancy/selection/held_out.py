@@ -27,12 +27,13 @@ from ..estimation.noise import (
 from ..estimation.structure import Structure, base_structure
 from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from ..simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
 from .comparison import Comparison, block_edges, compare, log_density
 from .criteria import CRITERIA
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from ... import elements as el
     from ...network import Network
@@ -92,10 +93,14 @@ class HeldOutEvaluator:
     Args:
         problem: Training, validation and test records.
         least_noise: Smallest noise that residuals are weighted with, as a share of the signal's deviation.
+        whole: The user's records, which every candidate must simulate; None for no such condition.
     """
 
-    def __init__(self, problem: Problem, least_noise: float = CRITERIA.least_noise):
+    def __init__(
+        self, problem: Problem, least_noise: float = CRITERIA.least_noise, whole: Problem | None = None
+    ):
         self.problem = problem
+        self.whole = whole
         #: noise of each channel, as the owner or the signal tells
         self.noise_estimates: list[Floor] = floors_of(problem)
         deviation = problem.deviation()
@@ -143,9 +148,13 @@ class HeldOutEvaluator:
         return self._training[id(candidate)][1]
 
     def nominal_nrmse(self) -> tuple[Array, Array]:
-        """Return the NRMSE of the nominal model on the validation and on the test records, (channels,) each."""
+        """Return the NRMSE of the nominal model on the validation and on the test records, (channels,) each; NaN where it breaks down."""
         p, structure = self.problem, base_structure(self.problem.network)
-        f = self.plain_fitter.follow(structure, structure.start, p.held)
+        try:
+            f = self.plain_fitter.follow(structure, structure.start, p.held)
+        except BROKEN:
+            unknown = np.full(len(p.channels), np.nan)
+            return unknown, unknown
         return (
             self.nrmse(f, p.choosing, self.validation_deviation),
             self.nrmse(f, p.reporting, self.test_deviation),
@@ -165,7 +174,8 @@ class HeldOutEvaluator:
             The score, a function of the arguments alone.
 
         Raises:
-            InputError, LinAlgError: The simulation breaks down.
+            InputError, LinAlgError: The simulation breaks down on a held-out record, or on a whole record of the user that the nominal
+                model simulates.
         """
         p, fit = self.problem, candidate.fit
         nearest = self._nearest_states(similar, fit.structure)
@@ -174,6 +184,7 @@ class HeldOutEvaluator:
         )
         plainly = self.plain_fitter.follow(fit.structure, fit.x, p.held, f.initial, (nearest,))
         f = self._cheaper(f, plainly, filters)
+        self._check_whole_records(fit, plainly)
         test = np.concatenate([filters(p.records[i].measured - f.outputs[i]) ** 2 for i in p.reporting])
         squares, validation = self._score_blocks(p.choosing, f, filters)
         _, training = self._score_blocks(p.estimation, fit, filters)
@@ -188,6 +199,55 @@ class HeldOutEvaluator:
             test_mean_square=float(test.mean()),
             fit=plainly,
         )
+
+    # -- whole records ------------------------------------------------------------------------------------
+    @cached_property
+    def _simulated_by_nominal(self) -> list[int]:
+        """Whole records that the nominal model simulates."""
+        if self.whole is None:
+            return []
+        structure = base_structure(self.problem.network)
+        broken = self._broken_records(structure, structure.start, range(len(self.whole.records)), {})
+        return [i for i in range(len(self.whole.records)) if i not in broken]
+
+    def first_states(self, *fits: Fit) -> dict[int, Array]:
+        """Return the initial states of whole records, from fits of the records that begin with them.
+
+        Args:
+            fits: Fits of one structure, over records of the problem.
+        """
+        out: dict[int, Array] = {}
+        pieces = [(self.problem.records[j], f.initial[j]) for f in fits for j in f.initial]
+        for i, record in enumerate(self.whole.records if self.whole else []):
+            for piece, state in pieces:
+                if piece.name == record.name and abs(piece.start - record.start) < 0.5 * record.rate:
+                    out[i] = state
+        return out
+
+    def _broken_records(
+        self, structure: Structure, x: Array, records: Sequence[int], initial: Mapping[int, Array]
+    ) -> list[int]:
+        """Return the whole records on which a simulation breaks down."""
+        assert self.whole is not None
+        fitter = Fitter(self.whole, white_filters(self.least_noise))
+        out = []
+        for i in records:  # one by one: a record that breaks down must not hide the others
+            at = fitter.begin(structure, x, {k: v for k, v in initial.items() if k == i}, None, [i])
+            if not np.isfinite(fitter.seen(structure, at, [i]).total):
+                out.append(i)
+        return out
+
+    def _check_whole_records(self, fit: Fit, held: Fit) -> None:
+        """Raise InputError for effects that break down on a whole record of the user."""
+        if not fit.structure.hypotheses or self.whole is None:
+            return
+        # a model that breaks down from the start that the first samples tell owes its success to start values that no sensor sees
+        for states in (self.first_states(fit, held), {}):
+            broken = self._broken_records(fit.structure, fit.x, self._simulated_by_nominal, states)
+            if broken:
+                raise InputError(
+                    f"the simulation breaks down on the record {self.whole.records[broken[0]].name}"
+                )
 
     def _score_blocks(self, records: Sequence[int], fit: Fit, filters: Whitener) -> tuple[Array, Array]:
         """Return sum and number of whitened squares (blocks, 2), and the log density (blocks,) [nats]."""

@@ -1,0 +1,150 @@
+"""A candidate simulates every record of the user, and a finished diagnosis is never lost; the order of files decides nothing."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy import result_builder as builder
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.noise import white_filters
+from isd_gym.discrepancy.estimation.structure import rebuilt
+from isd_gym.discrepancy.hypotheses.library import hypotheses
+from isd_gym.discrepancy.records import split_records
+from isd_gym.discrepancy.selection.candidate import Candidate
+from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
+from isd_gym.discrepancy.simulation.problem import Problem, Record
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.report import write_report
+from isd_gym.simulate import simulate
+
+STEP = 0.01
+
+
+def swing(moved: bool = False) -> Network:
+    """A mass on a spring, with its speed measured; hung from a moving base or from the ground."""
+    base = "base" if moved else "ground"
+    inputs = [{"name": "base", "quantity": "displacement", "at": "base", "unit": "m"}] if moved else []
+    return Network.load(
+        {
+            "schema": "isd-model/1",
+            "masses": {"mass": 1.0},
+            "elements": [
+                {
+                    "name": "spring",
+                    "type": "linear_stiffness",
+                    "between": ["mass", base],
+                    "stiffness": 100.0,
+                },
+                {"name": "damper", "type": "linear_damping", "between": ["mass", base], "damping": 0.4},
+            ],
+            "inputs": inputs,
+            "outputs": [{"name": "speed", "quantity": "velocity", "at": "mass", "unit": "m/s"}],
+            "uncertainty": {"damper.damping": 0.5, "spring.stiffness": 0.05},
+        }
+    )
+
+
+def decay() -> Record:
+    network, time = swing(), STEP * np.arange(3000)
+    speed = simulate(network, time, {}, initial=np.array([0.0, 3.0]))["speed"]
+    noise = 0.01 * np.random.default_rng(0).standard_normal(len(time))
+    return Record("decay", STEP, {}, (speed + noise)[:, None])
+
+
+def softening(problem: Problem, stiffness: float) -> Candidate:
+    """A cubic spring that turns the spring over at a travel that only the start of the whole record reaches."""
+    kind = next(h for h in hypotheses(problem.network) if h.effect == "cubic_stiffness")
+    structure = rebuilt(problem.network, [(kind, {"stiffness": stiffness})])
+    fit = Fitter(problem, white_filters(np.array([0.01]))).fit(structure, iterations=0)
+    return Candidate(fit, 0.0)
+
+
+def test_a_candidate_that_does_not_simulate_a_record_of_the_user_is_not_scored() -> None:
+    network, whole = swing(), decay()
+    later = [whole.part(a, a + 500, whole.name) for a in (1500, 2000, 2500)]
+    problem = Problem(network, later, ["fit", "choose", "report"])
+    candidate = softening(problem, -4000.0)
+    known = HeldOutEvaluator(problem, whole=Problem(network, [whole], ["fit"]))
+    with pytest.raises(InputError, match="breaks down on the record decay"):
+        known.score(candidate, known.whitener(candidate))
+    # the pieces alone, and a weaker spring, say nothing against it
+    alone = HeldOutEvaluator(problem)
+    assert np.isfinite(alone.score(candidate, alone.whitener(candidate)).mean_square)
+    weak = softening(problem, -400.0)
+    assert np.isfinite(known.score(weak, known.whitener(weak)).mean_square)
+    # a record that the nominal model cannot simulate either is held against nobody
+    spoiled = replace(whole, measured=np.where(np.arange(3000)[:, None] < 5, 1e90, whole.measured))
+    blind = HeldOutEvaluator(problem, whole=Problem(network, [spoiled], ["fit"]))
+    assert np.isfinite(blind.score(candidate, blind.whitener(candidate)).mean_square)
+
+
+def tables(count: int, samples: int = 600) -> tuple[Network, list[Table]]:
+    """Short records of the swing on a moving base, with dry friction at its mass."""
+    network = swing(moved=True)
+    rub = {"type": "coulomb_friction", "name": "rub", "between": ["mass", "base"], "level": 0.6}
+    truth, out = network.with_element(rub), []
+    for k in range(count):
+        rng, time = np.random.default_rng(k), STEP * np.arange(samples)
+        base = sum(
+            0.02 / f * np.sin(2 * np.pi * f * time + p)
+            for f, p in zip((0.7, 1.3, 2.1, 3.3), 6.0 * rng.random(4), strict=True)
+        )
+        base = base - base[0]
+        speed = simulate(truth, time, {"base": base})["speed"]
+        speed = speed + 0.01 * speed.std() * rng.standard_normal(samples)
+        out.append(Table(time, {"base": base, "speed": speed}, f"run{k}"))
+    return network, out
+
+
+def test_a_finished_diagnosis_is_not_lost_where_a_model_does_not_simulate_a_whole_record(
+    monkeypatch, tmp_path
+) -> None:
+    network, runs = tables(2)
+
+    class Breaking(Fitter):
+        def fit(self, *args, **options):
+            raise InputError("the simulation breaks down at the start values")
+
+    def breaks(*args, **options):
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(builder, "Fitter", Breaking)
+    for name in ("intervals", "draw_law", "next_experiment", "find"):
+        monkeypatch.setattr(builder, name, breaks)
+    result = diagnose(runs[:1], network, validate=runs[1:])
+    assert result.verdict == "missing_effect" and result.effects[0].effect == "coulomb_friction"
+    assert all(np.isnan(y).all() for t in result.traces for y in t.after.values())
+    assert any("no curve is drawn" in n for n in result.notes)
+    assert any("the picture of a law could not be made: singular" in n for n in result.notes)
+    page = write_report(result, tmp_path / "found")
+    assert page.exists() and json.loads((tmp_path / "found" / "diagnosis.json").read_text())["effects"]
+
+
+def test_every_held_out_record_with_inputs_gives_segments_to_both_roles() -> None:
+    records = [Record(t.source, STEP, {"base": t["base"]}, t["speed"][:, None]) for t in tables(4, 250)[1]]
+    pieces, roles = split_records(records[:1], records[1:], [], 10.0)
+    for r in records[1:]:
+        own = [role for piece, role in zip(pieces, roles, strict=True) if piece.name == r.name]
+        assert own == ["choose", "report"]
+    # a decay in one piece, whose tail tells little, is pooled
+    decays = [decay(), replace(decay(), name="other")]
+    _, roles = split_records(decays[:1], decays, [], 1.0)
+    assert roles == ["fit", "choose", "choose"]
+
+
+def test_the_order_of_validation_files_of_one_segment_changes_nothing() -> None:
+    network, runs = tables(4)
+    told = []
+    for order in ((1, 2, 3), (3, 1, 2), (2, 3, 1)):
+        result = diagnose(runs[:1], network, validate=[runs[k] for k in order])
+        document = result.to_dict()
+        told.append(
+            {k: document[k] for k in ("verdict", "effects", "gap", "gates", "parameters", "evidence")}
+        )
+    assert told[0] == told[1] == told[2]
+    assert told[0]["verdict"] == "missing_effect"
