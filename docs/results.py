@@ -25,6 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 import grading
+import stock as stock_study
 import study
 import tracks as tracks_of
 
@@ -431,6 +432,27 @@ def learned_half_car() -> str:
     return markdown(heads, body, "llrrrrr")
 
 
+def stock() -> str:
+    """Stock Stable-Baselines3 on the environment for learning, over training seeds."""
+    found = json.loads((BENCHMARKS / "stock.json").read_text(encoding="utf-8"))
+    body = []
+    for name, row in found["recipes"].items():
+        own = np.array(row["costs"])
+        ground = {k: np.array(v) for k, v in found["references"][row["network"]].items()}
+        rival = "mpc" if "mpc" in ground else "lqg-wheelbase"
+        cells = []
+        for reference in ("passive", rival):
+            value, low, high = stock_study.change(own, ground[reference])
+            cells.append(f"{percent(value)} {interval(low, high)}")
+        each = 100 * (own.mean(axis=1) / ground["passive"].mean() - 1)
+        seconds = f"{np.mean(row['processor_seconds']):.0f} s"
+        body.append(
+            [f"`{name}`", str(len(own)), f"{row['decisions'] / 1e6:g} M", seconds, *cells[:1], f"{max(each):.1f} %".replace("-", "−"), f"{cells[1]} `{rival}`"]
+        )
+    heads = ["recipe of benchmarks/stock.py", "seeds", "decisions", "processor time", "J against `passive`", "worst seed", "against the reference"]
+    return markdown(heads, body, "lrrrrrr")
+
+
 def study_table() -> str:
     """Every policy of the study in every condition."""
     found = json.loads((BENCHMARKS / "study.json").read_text(encoding="utf-8"))
@@ -682,6 +704,7 @@ def read_answers(folder: Path) -> None:
 PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "README.md": (headline,),
     "docs/tutorials/half-car.md": (half_car,),
+    "docs/tutorials/train.md": (stock,),
     "docs/explanation/baselines.md": (wheelbase,),
     "docs/explanation/ceiling.md": (ceilings,),
     "docs/explanation/road.md": (pulling, lift_off),
