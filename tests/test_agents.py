@@ -279,7 +279,7 @@ def test_policies_load_and_run_without_torch(rng, tmp_path):
 @pytest.mark.parametrize("name", [p.parent.name for p in SHIPPED.glob("*/policy.json")])
 def test_a_shipped_policy_is_what_its_score_says(name):
     policy = Policy.load(name)
-    looks = {"observation": policy.observation, "preview": policy.preview or 0.25}
+    looks = {"observation": policy.observation, "preview": policy.preview or None}
     kind, shape = policy.info["env"]["id"], (8, policy.currents)
     env = gymnasium.make_vec(kind, 8, autoreset_mode="disabled", **looks)
     car = gymnasium.make_vec(kind, 8, network=conventional(policy.model), autoreset_mode="disabled")

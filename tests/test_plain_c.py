@@ -50,7 +50,7 @@ def _compiled(policy: Policy, folder: Path):
 
 def _observations(policy: Policy, steps: int) -> np.ndarray:
     kind = policy.info["env"]["id"]
-    env = gym.make(kind, observation=policy.observation, preview=policy.preview or 0.25)
+    env = gym.make(kind, observation=policy.observation, preview=policy.preview or None)
     obs, _ = env.reset(seed=3)
     policy.reset()
     seen = [obs]
