@@ -29,7 +29,7 @@ def register() -> None:
     from gymnasium.envs.registration import register as add
     from gymnasium.envs.registration import registry
 
-    all_ids = [(name, network, {}) for name, network in ENVIRONMENTS.items()]
+    all_ids: list[tuple[str, str, dict[str, object]]] = [(name, network, {}) for name, network in ENVIRONMENTS.items()]
     all_ids += [(name, network, LEARNING_OPTIONS) for name, network in LEARNING.items()]
     for name, network, options in all_ids:
         if name not in registry:

@@ -949,11 +949,11 @@ def test_cars_of_a_group_share_a_road_and_their_advantages_are_relative(sb3):
 def test_the_guide_s_own_algorithm_runs(sb3, capsys):
     page = Path(__file__).parents[1] / "docs" / "guides" / "own-algorithm.md"
     code = page.read_text().split("```python\n")[1].split("```")[0]
-    sizes = "ROADS, EACH, HORIZON, UPDATES, EPOCHS, BATCH = "
-    small, found = re.subn(f"^{sizes}.*$", f"{sizes}4, 2, 8, 10, 1, 32", code, flags=re.MULTILINE)
+    sizes = "CARS, EACH, HORIZON, UPDATES, BATCH = "
+    small, found = re.subn(f"^{sizes}.*$", f"{sizes}8, 2, 8, 10, 32", code, flags=re.MULTILINE)
     assert found == 1
     exec(compile(small, str(page), "exec"), {})
-    assert "M steps, J" in capsys.readouterr().out
+    assert "M decisions, J" in capsys.readouterr().out
 
 
 def test_the_study_s_interval_is_that_of_seeds_and_roads(rng):
