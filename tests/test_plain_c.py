@@ -67,11 +67,14 @@ def test_a_shipped_policy_is_the_same_in_c(name, tmp_path):
     reset, command, header = _compiled(policy, tmp_path / "c")
     seen = _observations(policy, 400)
     assert np.abs(seen[:, policy.signals - policy.currents : policy.signals]).max() > 1.0  # it drives
+    # sums in single precision in another order, over a recursion: NumPy's order differs between processors (2e-4 A or less on
+    # some, 3.5e-4 A on others for the estimate of a whole car), the C code's does not
+    close = 2e-4 if policy.currents == 1 else 5e-4
     for _ in range(2):  # a reset forgets everything
         policy.reset()
         reset()
         own = [policy.act(row) for row in seen]
-        np.testing.assert_allclose([command(row) for row in seen], own, atol=2e-4)
+        np.testing.assert_allclose([command(row) for row in seen], own, atol=close)
     assert "body_acceleration [m/s^2]" in header and "0.005 s" in header
 
 
