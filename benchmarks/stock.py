@@ -90,7 +90,9 @@ def collect(folder: Path) -> None:
             "algorithm": algorithm, "environment": environment, "network": network, "cars": cars, "decisions": decisions,
             "seeds": [int(m.stem) for m in models], "processor_seconds": spent, "costs": costs,
         }  # fmt: skip
-        print(f"{name}: {[round(100 * (np.mean(c) / np.mean(grounds[network]['passive']) - 1), 2) for c in costs]} %")
+        print(
+            f"{name}: {[round(100 * (np.mean(c) / np.mean(grounds[network]['passive']) - 1), 2) for c in costs]} %"
+        )
     data = {"date": time.strftime("%Y-%m-%d"), "references": grounds, "recipes": rows}
     RESULT.write_text(json.dumps(data) + "\n", encoding="utf-8")
 

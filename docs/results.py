@@ -447,9 +447,25 @@ def stock() -> str:
         each = 100 * (own.mean(axis=1) / ground["passive"].mean() - 1)
         seconds = f"{np.mean(row['processor_seconds']):.0f} s"
         body.append(
-            [f"`{name}`", str(len(own)), f"{row['decisions'] / 1e6:g} M", seconds, *cells[:1], f"{max(each):.1f} %".replace("-", "−"), f"{cells[1]} `{rival}`"]
+            [
+                f"`{name}`",
+                str(len(own)),
+                f"{row['decisions'] / 1e6:g} M",
+                seconds,
+                *cells[:1],
+                f"{max(each):.1f} %".replace("-", "−"),
+                f"{cells[1]} `{rival}`",
+            ]
         )
-    heads = ["recipe of benchmarks/stock.py", "seeds", "decisions", "processor time", "J against `passive`", "worst seed", "against the reference"]
+    heads = [
+        "recipe of benchmarks/stock.py",
+        "seeds",
+        "decisions",
+        "processor time",
+        "J against `passive`",
+        "worst seed",
+        "against the reference",
+    ]
     return markdown(heads, body, "lrrrrrr")
 
 

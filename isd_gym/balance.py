@@ -31,18 +31,21 @@ class Balance:
     """Laws at an instant, as functions of their forces: masses and massless damped nodes have not moved yet.
 
     Laws with memory are relaxed: a hysteresis, or dry friction at an algebraic node, carries no force.
+
+    Attributes:
+        laws: The laws.
+        elongation: Elongations without the forces of laws (laws,) [m].
+        rate: Rates without the forces of laws (laws,) [m/s].
+        by_elongation: Elongation of each law per force of each law (laws, laws) [m/N].
+        by_rate: Rate of each law per force of each law (laws, laws) [m/(N s)].
+        step: Physics step [s].
     """
 
     laws: Sequence[el.Element]
-    #: elongations without the forces of laws (laws,) [m]
     elongation: Array
-    #: rates without the forces of laws (laws,) [m/s]
     rate: Array
-    #: elongation of each law per force of each law (laws, laws) [m/N]
     by_elongation: Array
-    #: rate of each law per force of each law (laws, laws) [m/(N s)]
     by_rate: Array
-    #: physics step [s]
     step: float
 
     @cached_property
@@ -61,51 +64,54 @@ class Balance:
         """Parameters of each law."""
         return [np.array(e.law_parameters()) for e in self.laws]
 
-    def motion(self, force: Array) -> tuple[Array, Array]:
+    def _motion(self, force: Array) -> tuple[Array, Array]:
         """Return elongations [m] and rates [m/s] (laws,) under forces (laws,) [N]."""
         return self.elongation + self.by_elongation @ force, self.rate + self.by_rate @ force
 
-    def answer(self, j: int, d: float, s: float) -> float:
+    def _answer(self, j: int, d: float, s: float) -> float:
         """Return the force [N] of smooth law j at an elongation [m] and rate [m/s]."""
         law = self.laws[j].law
         assert law is not None
         return float(law(self.numbers[j], d, s, d, 0.0, self.step)[0])
 
-    def lacking(self, force: Array) -> Array:
+    def _lacking(self, force: Array) -> Array:
         """Return the answers of the smooth laws minus their forces [N]."""
-        d, s = self.motion(force)
-        return np.array([self.answer(j, d[j], s[j]) - force[j] for j in self.smooth])
+        d, s = self._motion(force)
+        return np.array([self._answer(j, d[j], s[j]) - force[j] for j in self.smooth])
 
     def solve(self) -> Array:
-        """Return the forces (laws,) [N] on which all laws agree, or the last ones tried.
+        """Return the forces on which all laws agree, or the last ones tried.
 
         Newton steps for all smooth laws at once come first. A law that does not agree then is bisected between a too small and a too
         large force.
+
+        Returns:
+            Forces (laws,) [N].
         """
         force, smooth = np.zeros(len(self.laws)), self.smooth
         if not (self.by_elongation[:, smooth].any() or self.by_rate[:, smooth].any() or self.dry):
-            force[smooth] = self.lacking(force)
+            force[smooth] = self._lacking(force)
             return force
         with np.errstate(all="ignore"):  # trial forces may lead far away
-            force = self.newton(force)
+            force = self._newton(force)
             for _ in range(ROUNDS):
                 before = force.copy()
                 for j in smooth:
-                    force[j] = self.bisected(force, j)
+                    force[j] = self._bisected(force, j)
                 for j in self.dry:
-                    force[j] = self.sliding(force, j)
+                    force[j] = self._sliding(force, j)
                 if np.all(np.abs(force - before) <= TIGHT * (1.0 + np.abs(force))):
                     break
         return force
 
-    def newton(self, force: Array) -> Array:
+    def _newton(self, force: Array) -> Array:
         """Return forces after Newton steps with one-sided slopes, each shortened until the error decreases."""
-        smooth, error = self.smooth, self.lacking(force)
+        smooth, error = self.smooth, self._lacking(force)
         for _ in range(STEPS):
             if np.all(np.abs(error) <= TIGHT * (1.0 + np.abs(force[smooth]))):
                 break
             try:
-                way = np.linalg.solve(self.jacobian(force), error)
+                way = np.linalg.solve(self._jacobian(force), error)
             except np.linalg.LinAlgError:
                 break
             if not np.isfinite(way).all():
@@ -113,7 +119,7 @@ class Balance:
             for k in range(HALVINGS):
                 then = force.copy()
                 then[smooth] += 0.5**k * way
-                left = self.lacking(then)
+                left = self._lacking(then)
                 if np.linalg.norm(left) < np.linalg.norm(error):
                     break
             else:
@@ -121,24 +127,24 @@ class Balance:
             force, error = then, left
         return force
 
-    def jacobian(self, force: Array) -> Array:
+    def _jacobian(self, force: Array) -> Array:
         """Return the derivatives of the forces minus the answers of the smooth laws by the forces."""
-        d, s = self.motion(force)
+        d, s = self._motion(force)
         out, own = np.eye(len(self.smooth)), self.smooth
         for k, j in enumerate(own):
-            here = self.answer(j, d[j], s[j])
+            here = self._answer(j, d[j], s[j])
             dd, ds = AWAY * (1e-3 + abs(d[j])), AWAY * (1e-2 + abs(s[j]))
-            out[k] -= (self.answer(j, d[j] + dd, s[j]) - here) / dd * self.by_elongation[j, own]
-            out[k] -= (self.answer(j, d[j], s[j] + ds) - here) / ds * self.by_rate[j, own]
+            out[k] -= (self._answer(j, d[j] + dd, s[j]) - here) / dd * self.by_elongation[j, own]
+            out[k] -= (self._answer(j, d[j], s[j] + ds) - here) / ds * self.by_rate[j, own]
         return out
 
-    def bisected(self, force: Array, j: int) -> float:
+    def _bisected(self, force: Array, j: int) -> float:
         """Return the force of smooth law j, the others fixed."""
-        d, s = self.motion(force)
+        d, s = self._motion(force)
 
         def excess(change: float) -> float:
             there = d[j] + self.by_elongation[j, j] * change, s[j] + self.by_rate[j, j] * change
-            return float(self.answer(j, *there) - force[j] - change)
+            return float(self._answer(j, *there) - force[j] - change)
 
         low = high = 0.0
         reach = 1.0 + abs(force[j])
@@ -156,9 +162,9 @@ class Balance:
             middle = 0.5 * (low + high)
         return float(force[j] + middle)
 
-    def sliding(self, force: Array, j: int) -> float:
+    def _sliding(self, force: Array, j: int) -> float:
         """Return the force of dry friction j, the others fixed."""
-        d, s = self.motion(force)
+        d, s = self._motion(force)
         bound = self.laws[j].bound
         assert bound is not None
         level = bound(self.numbers[j], d[j], s[j])

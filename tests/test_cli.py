@@ -162,8 +162,8 @@ def test_a_card_fits_a_narrow_terminal():
         print_track(cards.load("ISDSuspension-v0"), "preview-0.2")
     lines = text.getvalue().splitlines()
     assert max(map(len, lines)) <= 80
-    assert any("mpc-friction-preview" in line and "0.4074" in line for line in lines)
-    assert any("[-53.5, -51.4]" in line for line in lines)
+    assert any("mpc-friction-preview" in line and "0.4182" in line for line in lines)
+    assert any("[-53.0, -50.6]" in line for line in lines)
 
 
 @pytest.mark.parametrize("width", [48, 80, 106, 200])

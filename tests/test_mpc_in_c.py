@@ -42,7 +42,9 @@ def test_the_mpc_is_the_same_in_c(name, road, tmp_path):
     options = {"preview": 0.1} if "preview" in name else {}
     controller = baselines.make(name, **options)
     reset, command, header = _compiled(controller, tmp_path)
-    env = gym.make("ISDSuspension-v0", road=road, observation=controller.observation, preview=0.1)
+    env = gym.make(
+        "ISDSuspension-v0", road=road, observation=controller.observation, preview=controller.preview or None
+    )
     obs, _ = env.reset(seed=3)
     controller.reset()
     seen, own = [], []

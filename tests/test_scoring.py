@@ -179,6 +179,6 @@ def test_what_is_no_car_cannot_be_scored():
 def test_unknown_policy_lists_the_known():
     with pytest.raises(
         InputError,
-        match=r"no policy 'mcp' \(did you mean 'mpc'\?\): neither a policy folder nor one of passive, isd-passive",
+        match=r"no policy 'mcp' \(did you mean 'mpc'\?\): neither a policy folder, a file.py:Class, nor one of passive, isd-passive",
     ):
         find("mcp", CAR)
