@@ -61,7 +61,7 @@ class Options:
     # speed of the vehicle [m/s]
     speed: float = 20.0
     # measured, full (adds the state), preview (adds the road ahead) or history (`isd_gym.history`: scaled signals,
-    # their changes, and velocities of the body)
+    # their changes, velocities of the body, and the front corners as they were before the rear wheels arrive)
     observation: str = "measured"
     # cost: minus the stage cost; relative: the cost of a reference on the same road minus the own cost, times
     # `RELATIVE_SCALE`. The reference is the same car without current, or the mean of a group (`cars_per_road`)
