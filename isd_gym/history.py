@@ -207,9 +207,10 @@ class Remembered:
         #: place among the repeated numbers, and age, of each late number
         self.places = np.array([repeated.index(column) for column, _, _ in history.late], np.int64)
         self.ages = np.array(history.ages, np.int64)
-        #: earlier values of the repeated numbers, the newest first (count, ages, repeated)
+        #: earlier values of the repeated numbers, in a ring whose newest row is `newest` (count, rows, repeated)
         self._first_late = own - len(history.late)
         self.past = np.zeros((count, max(history.ages, default=-1) + 1, len(repeated)), np.float32)
+        self.newest = 0
 
     def begin(self, which: np.ndarray | slice, observations: np.ndarray) -> None:
         """Start the histories of some cars anew.
@@ -231,7 +232,7 @@ class Remembered:
         Returns:
             Numbers, and earlier values of the repeated ones, in one dimension.
         """
-        return np.concatenate([self.features[i], self.past[i].ravel()])
+        return np.concatenate([self.features[i], np.roll(self.past[i], -self.newest, axis=0).ravel()])
 
     def set_state(self, i: int, state: np.ndarray) -> None:
         """Put a car's history into a state of `get_state`.
@@ -242,7 +243,7 @@ class Remembered:
         """
         width = self.features.shape[1]
         self.features[i] = state[:width]
-        self.past[i] = state[width:].reshape(self.past.shape[1:])
+        self.past[i] = np.roll(state[width:].reshape(self.past.shape[1:]), self.newest, axis=0)
 
     def see(self, observations: np.ndarray) -> np.ndarray:
         """Update the histories with the signals after one more control step.
@@ -257,7 +258,9 @@ class Remembered:
             self.features, observations, self.scale, self.ratio, self.order, self.leaks, self.keep, self.gain
         )
         if len(self.places):
-            _repeat(self.features, self.past, self.repeated, self.places, self.ages, self._first_late)
+            self.newest = (self.newest + 1) % self.past.shape[1]
+            rows = (self.newest - self.ages) % self.past.shape[1]
+            _repeat(self.features, self.past, self.newest, self.repeated, rows, self.places, self._first_late)
         return self.features
 
 
@@ -281,14 +284,10 @@ def _advance(features, observations, scale, ratio, order, leaks, keep, gain):  #
 
 
 @jit.compiled(error_model="numpy")
-def _repeat(features, past, repeated, places, ages, first):  # type: ignore[no-untyped-def]
+def _repeat(features, past, newest, repeated, rows, places, first):  # type: ignore[no-untyped-def]
     """Keep the repeated numbers and write the late ones into the features."""
-    kept, width = past.shape[1], past.shape[2]
     for i in range(features.shape[0]):
-        for k in range(kept - 1, 0, -1):
-            for j in range(width):
-                past[i, k, j] = past[i, k - 1, j]
-        for j in range(width):
-            past[i, 0, j] = features[i, repeated[j]]
+        for j in range(past.shape[2]):
+            past[i, newest, j] = features[i, repeated[j]]
         for l in range(places.shape[0]):
-            features[i, first + l] = past[i, ages[l], places[l]]
+            features[i, first + l] = past[i, rows[l], places[l]]
