@@ -26,6 +26,7 @@ from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.hypotheses.missing_force import Deconvolution
 from isd_gym.discrepancy.result import BestCandidate, Tabulated
+from isd_gym.discrepancy.selection.criteria import CRITERIA
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.verdict.explanation import draw_law as series_law
@@ -101,6 +102,18 @@ def made_diagnosis() -> Diagnosis:
         notes=("held out: two",),
         seconds=12.3,
         units={c.name: c.unit for c in base.outputs},
+        criteria=CRITERIA,
+        evidence=evidence_of(gap, EffectEvidence("coulomb_friction at piston-joint", 0.3), explained=0.99),
+    )  # fmt: skip
+
+
+def evidence_of(gap: dict[str, dict[str, float]], *effects: EffectEvidence, explained: float) -> Evidence:
+    """The evidence of errors by stage and channel."""
+    channels = tuple(gap["refit"])
+    rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
+    return Evidence(
+        channels, **rows, noise=tuple(gap["noise_floor"].values()), noise_known=(True,) * len(channels),
+        envelope=(0.05,) * len(channels), effects=effects, explained=explained,
     )  # fmt: skip
 
 
@@ -148,11 +161,7 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
         for stage, says in (("before", traces[-1].before), ("refit", traces[-1].refit), ("after", traces[-1].after))
     }  # fmt: skip
     gap["noise_floor"] = d.gap["noise_floor"]
-    rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
-    evidence = Evidence(
-        tuple(gap["refit"]), **rows, noise=tuple(gap["noise_floor"].values()), noise_known=(True,) * len(gap["refit"]),
-        envelope=(0.05,) * len(gap["refit"]), effects=(EffectEvidence("hysteresis at piston-joint", 0.3),), explained=0.42,
-    )  # fmt: skip
+    evidence = evidence_of(gap, EffectEvidence("hysteresis at piston-joint", 0.3), explained=0.42)
     best = BestCandidate(
         ("hysteresis",), (("piston", "joint"),), ({"level": 120.0},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
     )  # fmt: skip

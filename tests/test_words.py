@@ -120,7 +120,9 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
     worse = document(VAGUE)
     worse["best_candidate"]["error"]["after"]["travel"] = 0.34
     said = summary_of(worse)
-    assert "No known effect reduces the error on the test records" in said and "34.0 % (refitted 30.0 %)" in said
+    assert (
+        "No known effect reduces the error on the test records" in said and "34.0 % (refitted 30.0 %)" in said
+    )
     assert "best candidate" not in said and "explain" not in said
     alone = worse | {"verdict": "ambiguous"}
     assert "no known effect reduces the error" in summary_of(alone) and "removes" not in summary_of(alone)
@@ -128,16 +130,15 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
 
 def test_the_title_is_the_finding() -> None:
     assert statements_of(document()).title == "Missing: Coulomb friction between mass and ground"
-    rivals = [{"effects": [e], "where": [["mass", "ground"]], "excess": 0.01} for e in ("hysteresis", "backlash")]
+    rivals = [
+        {"effects": [e], "where": [["mass", "ground"]], "excess": 0.01} for e in ("hysteresis", "backlash")
+    ]
     for probabilities in ((0.62, 0.02), (0.5, 0.5)):
         tied = document(VAGUE, verdict="ambiguous", alternatives=rivals, findings=dry(*probabilities))
         assert statements_of(tied).title == "An effect is missing; these data leave 2 candidates"
         assert "equally" not in summary_of(tied)
     certain = document(VAGUE, verdict="ambiguous", reason="kind_certain", findings=dry(0.97, 0.03))
-    assert (
-        statements_of(certain).title
-        == "Missing: dry friction between mass and ground; its law is open"
-    )
+    assert statements_of(certain).title == "Missing: dry friction between mass and ground; its law is open"
     assert statements_of(document(VAGUE)).title == "An effect is missing, and no known law passes every gate"
     assert statements_of(document(VAGUE, findings=dry(0.9))).title == (
         "An effect is missing, probably dry friction between mass and ground"
@@ -148,13 +149,19 @@ def dry(*probabilities: float) -> list[dict[str, Any]]:
     """Findings of dry friction and then of an elastic force, with these probabilities."""
     laws = [{"effect": "coulomb_friction", "probability": 0.4, "parameters": {}}]
     return [
-        {"place": ["mass", "ground"], "place_probability": 1.0, "kind": k, "kind_probability": p, "laws": laws}
+        {
+            "place": ["mass", "ground"],
+            "place_probability": 1.0,
+            "kind": k,
+            "kind_probability": p,
+            "laws": laws,
+        }
         for k, p in zip(("dry_friction", "elastic"), probabilities, strict=False)
     ]
 
 
 def test_every_failed_gate_has_an_advice() -> None:
-    assert set(ADVICE) == {g.name for g in gates_of(SEEN)} 
+    assert set(ADVICE) == {g.name for g in gates_of(SEEN)}
 
 
 def test_values_are_told_in_the_units_of_engineers() -> None:

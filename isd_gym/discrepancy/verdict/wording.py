@@ -321,7 +321,9 @@ def _next(d: Mapping[str, Any]) -> str:
     """Return what to do next about the finding."""
     verdict = d["verdict"]
     if verdict == "no_discrepancy":
-        return "record other amplitudes, speeds or frequencies to see effects that these records do not excite."
+        return (
+            "record other amplitudes, speeds or frequencies to see effects that these records do not excite."
+        )
     if verdict == "parameters_only":
         return (
             "use the refitted parameters (model.json), and test them with a record of another excitation."
@@ -335,7 +337,9 @@ def _next(d: Mapping[str, Any]) -> str:
             return "repeat the test: the test records do not confirm the addition."
         return f"confirm it with a new record: the error of model.json in {c} must be about {_percent(gap['after'][c])}."
     if d["tabulated"]:
-        return "confirm the force with a new record, and compare its curve with a law of your own (--elements)."
+        return (
+            "confirm the force with a new record, and compare its curve with a law of your own (--elements)."
+        )
     if d["next_experiment"]:
         return "run the test in next_experiment.csv."
     failed = {g["gate"] for g in (d["best_candidate"] or {}).get("failed_gates", ()) if not g["passed"]}
@@ -355,7 +359,6 @@ def _urgent(d: Mapping[str, Any]) -> list[str]:
 
 def _lower(text: str) -> str:
     return text[:1].lower() + text[1:]
-
 
 
 def _missing(d: Mapping[str, Any]) -> str:
@@ -390,9 +393,7 @@ def _worse_than_constant(d: Mapping[str, Any]) -> str:
     c = _widest(gap)
     if not _square(gap["refit"][c]) > 1.0:
         return ""
-    return (
-        f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation)."
-    )
+    return f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation)."
 
 
 def _remaining(d: Mapping[str, Any]) -> str:
@@ -485,7 +486,9 @@ def _ambiguous(d: Mapping[str, Any]) -> str:
     rivals, best = d["alternatives"], d["best_candidate"]
     if d["reason"] != "kind_certain" and len(rivals) > 1:
         names = " or ".join(f"{candidate_text(r)} (leaves {_left(r)})" for r in rivals)
-        return f"An effect is missing, and these data do not decide between {len(rivals)} candidates: {names}."
+        return (
+            f"An effect is missing, and these data do not decide between {len(rivals)} candidates: {names}."
+        )
     subject = "The law is not certain" if d["reason"] == "kind_certain" else "An effect is missing"
     if not _is_gain(best):
         return f"{subject}: {_no_gain(best)}"
