@@ -59,8 +59,6 @@ STAGES = {
     ),
     "noise_floor": ("noise", "the measurement noise, which limits every model"),
 }
-#: figures that may stand on the first screen, best first
-FIRST = ("loops", "plane", "time", "gap")
 RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
 #: axes of an unnamed force
 OVER = {"rate": "rate", "elongation": "travel", "both": "travel and rate"}
@@ -104,7 +102,6 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
             chart = make(view)
             if chart is not None:
                 pictures[chart.name] = picture(chart, place)
-        view.first = next((name for name in FIRST if name in pictures), "")
         html = page(
             "diagnosis.html",
             d=diagnosis,
@@ -191,7 +188,6 @@ class View:
             noise = self.errors.pop("noise_floor")
             self.errors |= {"candidate": best.error["after"], "noise_floor": noise}
         self.stages = list(self.errors)
-        self.first = ""  # figure of the first screen
         self.clouds = clouds(d, self.trace) if self.trace is not None else []
         self.notes = list(dict.fromkeys(d.notes))
         self.spoken = el.spoken
@@ -479,6 +475,15 @@ class View:
             return ""
 
     @property
+    def first(self) -> str:
+        """Name of the figure on the first screen."""
+        if self.trace is None or self.d.verdict in ("no_discrepancy", "parameters_only"):
+            return "gap"
+        if self.loops:
+            return "loops"
+        return "plane" if self.named else "time" if len(self.channels) <= FEW else "gap"
+
+    @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
         """Base parameters: path, quantity, and relative standard deviation in the model file."""
         return [(path, q, self.d.base.uncertainty.get(path)) for path, q in self.d.parameters.items()]
@@ -520,8 +525,10 @@ MEASURED = Look(INK, "-", "", 1.6)
 BEFORE = Look(VERMILLION, (0, (4, 1.5)), "D", 1.1)
 AFTER = Look(BLUE, "-", "o", 1.0)
 NOISE = Look(INK, (0, (1, 1.5)), "", 0.8)
+WORST = "worst stretch"
 STRETCH = 2.5  # length of the drawn stretches of a record [s]
-MOST_LOOPS = 2  # largest number of forces in the chart of loops
+PERIODS = 4  # periods of the motion in a loop
+FEW = 2  # channels whose time histories fit on the first screen
 MOST_SAMPLES = 360_000  # largest number of samples of records in a page (about 1 MB)
 
 
@@ -578,7 +585,7 @@ def _stretches(view: View, trace: Trace) -> dict[str, slice]:
     power = np.concatenate([[0.0], np.cumsum((trace.measured[c] - trace.refit[c]) ** 2)])
     within = power[width:] - power[:-width]
     usual = np.abs(within - np.median(within))
-    starts = {"worst stretch": int(np.argmax(within)), "typical stretch": int(np.argmin(usual))}
+    starts = {WORST: int(np.argmax(within)), "typical stretch": int(np.argmin(usual))}
     return {name: slice(k, k + width) for name, k in starts.items()}
 
 
@@ -603,16 +610,16 @@ class Records:
     every: dict[str, int]
 
     @classmethod
-    def of(cls, view: View, trace: Trace, series: int) -> Records:
+    def of(cls, view: View, trace: Trace) -> Records:
         """Return the records of a diagnosis, thinned to the size of a page.
 
         Args:
             view: The prepared diagnosis.
             trace: The record of the picture.
-            series: Number of series of each record.
         """
         chosen = [trace, *(t for t in view.traces if t is not trace)][:8]
-        share = MOST_SAMPLES / (series * len(chosen))
+        each = 5 if view.changed else 3  # signals and residuals of a channel
+        share = MOST_SAMPLES / (each * len(view.order) * len(chosen))
         names: dict[str, Trace] = {}
         for k, t in enumerate(chosen):
             name = f"{t.name} ({t.use})"
@@ -656,7 +663,7 @@ def draw_time(view: View) -> Chart | None:
     if view.trace is None:
         return None
     few = view.order[:5]
-    records = Records.of(view, view.trace, (3 if view.changed else 2) * 2 * len(view.order))
+    records = Records.of(view, view.trace)
     choices, captions = {}, {}
     for name, t in records.traces.items():
         every, panels = slice(None, None, records.every[name]), []
@@ -664,9 +671,11 @@ def draw_time(view: View) -> Chart | None:
         for c in view.order:
             k = view.scales[c].factor
             says = {"measured": (t.measured, MEASURED), **_simulated(view, t)}
-            # the measured signal first: its broader line remains visible under the others
-            lines = [Line(n, t.time[every], k * y[c][every], look) for n, (y, look) in says.items()]
             for title, cut in stretches.items():
+                # the worst stretch is a view of the whole record, the typical one is a part of the record
+                drawn = every if title == WORST else slice(cut.start, cut.stop, every.step)
+                # the measured signal first: its broader line remains visible under the others
+                lines = [Line(n, t.time[drawn], k * y[c][drawn], look) for n, (y, look) in says.items()]
                 low, high = (f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max))
                 room = 0.05 * (high - low) or 1.0
                 unit = view.scales[c].unit or "–"
@@ -706,7 +715,7 @@ def draw_residuals(view: View) -> Chart | None:
     if view.trace is None:
         return None
     few = view.order[:5]
-    records = Records.of(view, view.trace, (2 if view.changed else 1) * len(view.order))
+    records = Records.of(view, view.trace)
     choices, captions = {}, {}
     for name, t in records.traces.items():
         every, panels = slice(None, None, records.every[name]), []
@@ -743,7 +752,7 @@ def draw_residuals(view: View) -> Chart | None:
 
 
 def draw_loops(view: View) -> Chart | None:
-    """Return the chart of forces over rate and over travel: measured, as given, and completed (or refitted).
+    """Return the chart of the force at the place of the finding over velocity and over travel.
 
     Args:
         view: The prepared diagnosis.
@@ -751,43 +760,69 @@ def draw_loops(view: View) -> Chart | None:
     Returns:
         The chart; None without a force or its motion.
     """
+    return _loops_chart(view, "loops", view.loops[:1])
+
+
+def draw_other_loops(view: View) -> Chart | None:
+    """Return the chart of the other forces over velocity and over travel.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without other forces.
+    """
+    return _loops_chart(view, "other_loops", view.loops[1:4])
+
+
+def _loops_chart(view: View, name: str, forces: Sequence[Loops]) -> Chart | None:
+    """Return loops in the measurement, the model as given, and the completed (or refitted) model."""
     trace = view.trace
-    if trace is None or not view.loops:
+    if trace is None or not forces:
         return None
-    new = ("completed model", AFTER) if view.changed else ("refitted model", BEFORE)
+    new, look = ("completed model", AFTER) if view.changed else ("refitted model", BEFORE)
     choices = {}
-    for name, cut in _stretches(view, trace).items():
+    for title, stretch in _stretches(view, trace).items():
         panels = []
-        for loops in view.loops[:MOST_LOOPS]:
-            start = loops.samples.start
-            own = slice(max(0, cut.start - start), max(10, cut.stop - start))
+        for loops in forces:
+            own = _cycles(loops, stretch, float(trace.time[1] - trace.time[0]))
             curves = {
-                "measured": (loops.measured, MEASURED),
+                "measured": (loops.measured, replace(MEASURED, width=2.6)),
                 "model as given": (loops.nominal, Look(MUTED, (0, (4, 1.5)), "", 1.1)),
-                new[0]: (loops.new, replace(new[1], marker="")),
+                new: (loops.new, replace(look, line="-", marker="", width=1.2)),
             }
-            shown = {n: (c.part(own), look) for n, (c, look) in curves.items() if c is not None}
+            shown = {n: (c.part(own), style) for n, (c, style) in curves.items() if c is not None}
             panels += _loop_panels(view, loops, shown)
-        choices[name] = panels
-    rebuilt = [x for x in view.loops[:MOST_LOOPS] if not x.is_measured]
+        choices[title] = panels
+    rebuilt = [f"{x.pair[0]} and {x.pair[1]}" for x in forces if not x.is_measured]
     note = (
-        " No channel measures the force between "
-        + " or ".join(f"{x.pair[0]} and {x.pair[1]}" for x in rebuilt)
-        + ": “measured” is the simulated force plus the force that the residuals require."
+        f" No channel measures the force between {' or '.join(rebuilt)}: “measured” is the simulated force plus the force that the "
+        "residuals require."
         if rebuilt
         else ""
     )
-    rows = len(view.loops[:MOST_LOOPS])
     return Chart(
-        "loops",
-        "Force over rate and travel",
-        "Loops of the force over rate and over travel, measured and simulated",
-        f"Force, positive in tension, over the motion of its terminals in the worst stretch of the record “{trace.name}” "
-        f"({trace.use}).{note}",
+        name,
+        "Other forces over velocity and travel" if name == "other_loops" else "Force over velocity and travel",
+        "Loops of the force over velocity and over travel, measured and simulated",
+        f"Force, positive in tension, over the motion of its terminals: about {PERIODS} periods from the stretch of the record "
+        f"“{trace.name}” ({trace.use}).{note}",
         choices,
         columns=2,
-        size=(7.4, 2.5 * rows + 0.4),
-    )  # fmt: skip
+        size=(7.4, 2.5 * len(forces) + 0.4),
+    )
+
+
+def _cycles(loops: Loops, stretch: slice, step: float) -> slice:
+    """Return some periods of the motion in the middle of a stretch of the record."""
+    from ..discrepancy.simulation.problem import pace
+
+    period = 2 * math.pi * pace(loops.measured.rate, step) / step
+    count, whole = len(loops.measured.travel), stretch.stop - stretch.start
+    width = min(count, max(10, min(whole, round(PERIODS * period))))
+    start = (stretch.start + stretch.stop - width) // 2 - loops.samples.start
+    start = min(max(start, 0), count - width)
+    return slice(start, start + width)
 
 
 def _loop_panels(view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Look]]) -> list[Panel]:
@@ -879,8 +914,8 @@ def draw_spectra(view: View) -> Chart | None:
 
 def _law_axis(kind: str, turns: bool) -> tuple[float, Axis]:
     if turns:
-        return 1.0, Axis("rate", "rad/s") if kind == "rate" else Axis("angle", "rad")
-    return (1.0, Axis("rate", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
+        return 1.0, Axis("angular velocity", "rad/s") if kind == "rate" else Axis("angle", "rad")
+    return (1.0, Axis("velocity", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
 
 
 def _force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
@@ -1198,6 +1233,7 @@ def draw_parameters(view: View) -> Chart | None:
 
 FIGURES: Sequence[Callable[[View], Chart | None]] = (
     draw_loops,
+    draw_other_loops,
     draw_gap,
     draw_time,
     draw_residuals,

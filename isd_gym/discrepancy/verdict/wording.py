@@ -101,10 +101,11 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         if document["reason"] == "kind_certain":
             finding, remarks = [*remarks, *finding], []
     elif verdict == "unknown_effect":
-        table, shares = _table(document)
-        likely = _likely(document)
-        finding = [_unknown(document), table if document["tabulated"] else likely, _best_candidate(document)]
-        remarks = [likely, shares] if document["tabulated"] else [table]
+        table, shape = _table(document)
+        finding, remarks = [_unknown(document), _likely(document), _best_candidate(document)], [table]
+        if document["tabulated"]:
+            finding, remarks = [table, finding[2]], [finding[0], finding[1], shape]
+        remarks.append(_where(document))
     else:
         finding = [_agreement(document), _reason(document), _changes(document)]
     if _is_open(document):
@@ -214,7 +215,7 @@ def _placed(effect: Mapping[str, Any]) -> str:
 
 def _parameter(name: str, quantity: Mapping[str, Any]) -> str:
     """Return a parameter with its value and unit, such as ``level 1.2 N`` or ``exponent 2``."""
-    return f"{name.replace('_', ' ')} {plain_value(quantity['value'], quantity['unit'])}"
+    return f"{spoken(name)} {plain_value(quantity['value'], quantity['unit'])}"
 
 
 def plain_value(value: float | None, unit: str) -> str:
@@ -506,15 +507,17 @@ def _left(rival: Mapping[str, Any]) -> str:
 def _unknown(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _widest(gap)
-    return f"An effect is missing, and no known effect passes every gate ({_errors(gap, c, 'before', 'refit')}). {_where(d)}".rstrip()
+    return f"An effect is missing, and no known effect passes every gate ({_errors(gap, c, 'before', 'refit')})."
 
 
 def _where(d: Mapping[str, Any]) -> str:
+    """Return the channel with most of the error, and the motion at which the error is largest."""
     if not d["where"] or not d["where"][0]["share"]:
         return ""
     first = d["where"][0]
-    most = f"; the gap is largest when {first['when']}" if first["when"] != "everywhere" else ""
-    return f"{_percent(first['share'], 0)} of the gap is in {first['channel']}{most}."
+    parts = [f"{_percent(first['share'], 0)} of the gap is in {first['channel']}"] * (len(d["where"]) > 1)
+    parts += [f"the gap is largest when {first['when']}"] * (first["when"] != "everywhere")
+    return f"{_capital('; '.join(parts))}." if parts else ""
 
 
 def _is_gain(candidate: Mapping[str, Any]) -> bool:
