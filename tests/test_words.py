@@ -124,6 +124,11 @@ def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_expla
         "No known effect reduces the error on the test records" in said and "34.0 % (refitted 30.0 %)" in said
     )
     assert "best candidate" not in said and "explain" not in said
+    unseen = document(VAGUE, verdict="unknown_effect", best_table=tried(-0.15))
+    unseen["best_candidate"]["explained"] = -0.4
+    said = summary_of(unseen)
+    assert "No known effect reduces the error on the validation records." in said and "best" not in said
+    assert "No table of a force between two nodes reduces the held-out error." in said and "-15" not in said
     alone = worse | {"verdict": "ambiguous"}
     assert "no known effect reduces the error" in summary_of(alone) and "removes" not in summary_of(alone)
 
@@ -210,7 +215,9 @@ def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
     assert "removes 60 % of the squared held-out error beyond noise" in said and "gas spring 88 %" in said
     assert "distance alone 97 %, rate alone 5 %" in said
     assert NOT_BORNE_OUT not in said
-    assert NOT_BORNE_OUT in summary_of(document(VAGUE, tabulated=table, gap=closed))
+    refuted = statements_of(document(VAGUE, tabulated=table, gap=closed))
+    assert NOT_BORNE_OUT in refuted.text and "repeat the test" in refuted.text
+    assert not refuted.title.startswith("Missing: a force")
 
 
 def test_the_length_of_stretches_is_the_one_that_was_compared() -> None:

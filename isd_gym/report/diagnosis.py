@@ -13,7 +13,7 @@ import numpy as np
 
 from .. import elements as el
 from ..discrepancy.result import FOLDER, Effect
-from ..discrepancy.verdict.wording import statements_of, unit_statements_of
+from ..discrepancy.verdict.wording import is_gain, statements_of, unit_statements_of
 from ..errors import InputError, ReportError
 from ..files import check_folder, whole_folder, write_text
 from ..network import Network
@@ -160,7 +160,8 @@ class View:
         # whether the new model differs from the given model
         self.changed = self.named or d.tabulated is not None or d.reason == "kind_certain"
         self.inside = isinstance(d.base, Network)
-        told = (statements_of if self.inside else unit_statements_of)(d.to_dict())
+        document = d.to_dict()
+        told = (statements_of if self.inside else unit_statements_of)(document)
         self.title = self.printed(told.title)
         self.finding, self.remarks, self.steps = (
             [self.printed(s) for s in part] for part in (told.finding, told.remarks, told.next_steps)
@@ -183,10 +184,9 @@ class View:
         self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
         # error by stage and channel
         self.errors = {s: d.gap[s] for s in STAGES if s in d.gap and (s != "after" or self.changed)}
-        best = None if self.changed else d.best_candidate
-        if best is not None and _total(best.error["after"]) < _total(best.error["refit"]):
+        if d.best_candidate is not None and not self.changed and is_gain(document["best_candidate"]):
             noise = self.errors.pop("noise_floor")
-            self.errors |= {"candidate": best.error["after"], "noise_floor": noise}
+            self.errors |= {"candidate": d.best_candidate.error["after"], "noise_floor": noise}
         self.stages = list(self.errors)
         self.clouds = clouds(d, self.trace) if self.trace is not None else []
         self.notes = list(dict.fromkeys(d.notes))
@@ -496,11 +496,6 @@ class View:
             sigma: Relative standard deviation in the model file.
         """
         return bool(sigma and q.prior and abs(q.value / q.prior - 1.0) > 2.0 * sigma)
-
-
-def _total(errors: Mapping[str, float]) -> float:
-    """Return the sum of the squared errors of all channels."""
-    return sum(e**2 for e in errors.values())
 
 
 def _digits(value: float, low: float, high: float) -> str:

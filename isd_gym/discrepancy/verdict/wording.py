@@ -306,7 +306,7 @@ def _title(d: Mapping[str, Any]) -> str:
     if d["reason"] == "kind_certain" and kinds:
         place = f" {_spot(kinds[0]['place'])}; its law is" if kinds[0]["place"] else "; its place and law are"
         return f"Missing: {_lower(KINDS[kinds[0]['kind']])}{place} open"
-    if d["tabulated"]:
+    if d["tabulated"] and not _is_table_refuted(d):
         return f"Missing: a force {_between(d['tabulated']['between'])}; its law is open"
     if verdict == "ambiguous" and len(d["alternatives"]) > 1:
         return f"An effect is missing; these data leave {len(d['alternatives'])} candidates"
@@ -321,15 +321,13 @@ def _title(d: Mapping[str, Any]) -> str:
 def _next(d: Mapping[str, Any]) -> str:
     """Return what to do next about the finding."""
     verdict = d["verdict"]
-    if verdict == "no_discrepancy":
+    if verdict in ("no_discrepancy", "parameters_only"):
+        if not _agrees(d):
+            return "log further motions or inputs, or record larger amplitudes."
+        if verdict == "parameters_only":
+            return "use the refitted parameters (model.json), and test them with a record of another excitation."
         return (
             "record other amplitudes, speeds or frequencies to see effects that these records do not excite."
-        )
-    if verdict == "parameters_only":
-        return (
-            "use the refitted parameters (model.json), and test them with a record of another excitation."
-            if _agrees(d)
-            else "log further motions or inputs, or record larger amplitudes."
         )
     if verdict == "missing_effect":
         gap = d["gap"]["held_out"]
@@ -337,7 +335,11 @@ def _next(d: Mapping[str, Any]) -> str:
         if not _square(gap["after"][c]) <= _square(gap["refit"][c]):
             return "repeat the test: the test records do not confirm the addition."
         return f"confirm it with a new record: the error of model.json in {c} must be about {_percent(gap['after'][c])}."
+    if d.get("closed_loop"):
+        return ""
     if d["tabulated"]:
+        if _is_table_refuted(d):
+            return "repeat the test: the test records do not confirm the force."
         return (
             "confirm the force with a new record, and compare its curve with a law of your own (--elements)."
         )
@@ -346,6 +348,12 @@ def _next(d: Mapping[str, Any]) -> str:
     failed = {g["gate"] for g in (d["best_candidate"] or {}).get("failed_gates", ()) if not g["passed"]}
     advice = next((text for name, text in ADVICE.items() if name in failed), None)
     return f"{advice or 'log further motions or inputs: the missing force may depend on a quantity that is not measured'}."
+
+
+def _is_table_refuted(d: Mapping[str, Any]) -> bool:
+    """Return whether the table of the missing force makes the error on the test records larger."""
+    closed = d["gap"]["closed"]
+    return closed is not None and closed < 0
 
 
 def _urgent(d: Mapping[str, Any]) -> list[str]:
@@ -491,7 +499,7 @@ def _ambiguous(d: Mapping[str, Any]) -> str:
             f"An effect is missing, and these data do not decide between {len(rivals)} candidates: {names}."
         )
     subject = "The law is not certain" if d["reason"] == "kind_certain" else "An effect is missing"
-    if not _is_gain(best):
+    if not is_gain(best):
         return f"{subject}: {_no_gain(best)}"
     return (
         f"{subject}: {candidate_text(best)} removes {_percent(best['explained'], 0)} of {EXCESS}, "
@@ -520,13 +528,21 @@ def _where(d: Mapping[str, Any]) -> str:
     return f"{_capital('; '.join(parts))}." if parts else ""
 
 
-def _is_gain(candidate: Mapping[str, Any]) -> bool:
-    """Return whether a candidate reduces the error on the test records, over all channels."""
+def is_gain(candidate: Mapping[str, Any] | None) -> bool:
+    """Return whether a candidate reduces the error on validation records, and on test records over all channels.
+
+    Args:
+        candidate: Entry `best_candidate` of the JSON document; None without a candidate.
+    """
+    if candidate is None or not (candidate["explained"] or 0.0) > 0.0:
+        return False
     before, after = (sum(map(_square, candidate["error"][s].values())) for s in ("refit", "after"))
     return after < before
 
 
 def _no_gain(candidate: Mapping[str, Any]) -> str:
+    if not (candidate["explained"] or 0.0) > 0.0:
+        return "no known effect reduces the error on the validation records."
     error = candidate["error"]
     c = _most_gained(error, "after", "refit")
     return (
@@ -539,7 +555,7 @@ def _best_candidate(d: Mapping[str, Any]) -> str:
     best = d["best_candidate"]
     if best is None:
         return "No known effect reduces the held-out error by enough to be kept."
-    if not _is_gain(best):
+    if not is_gain(best):
         return _capital(_no_gain(best))
     error = best["error"]
     c = _most_gained(error, "refit", "after")
@@ -563,8 +579,7 @@ def _table(d: Mapping[str, Any]) -> tuple[str, str]:
             f"A force {_between(t['between'])} that depends on {OVER[t['over']]} removes {_percent(t['explained'], 0)} of {EXCESS}. "
             f"In model.json the force is the table '{t['element']}'."
         )
-        closed = d["gap"]["closed"]
-        text += f" {NOT_BORNE_OUT}" if closed is not None and closed < 0 else ""
+        text += f" {NOT_BORNE_OUT}" if _is_table_refuted(d) else ""
         shape = [f"Share of its power by argument: {alone}."] if alone else []
         shape += [f"Share of its power that the nearest known laws give: {near}."] if near else []
         return text, " ".join(shape)
@@ -579,6 +594,8 @@ def _rejected_table(tried: Mapping[str, Any] | None) -> str:
         f"The best table of a force, {_between(tried['between'])} over {OVER[tried['over']]}, removes "
         f"{_percent(tried['explained'], 0)} of {EXCESS}"
     )
+    if not (tried["explained"] or 0.0) > 0.0:
+        return "No table of a force between two nodes reduces the held-out error."
     if not explains["passed"]:
         return (
             f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, on an input, or "
