@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from ..network import Network
 
 GROUND = "ground"
+#: words of element types that are names of persons
+PERSONS = ("coulomb", "stribeck")
 
 #: kinds of physical effect that a diagnosis states, the values of `Element.mechanism`
 MECHANISMS = (
@@ -116,6 +118,18 @@ def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach:
 
 
 # --------------------------------------------------------------------------- what an element may look at
+
+
+def spoken(effect: str) -> str:
+    """Return the type of an element in words, such as ``Coulomb friction``.
+
+    Args:
+        effect: The type, such as ``coulomb_friction``.
+
+    Returns:
+        Words; only names of persons have a capital.
+    """
+    return " ".join(word.capitalize() if word in PERSONS else word for word in effect.split("_"))
 
 
 @dataclass(frozen=True)
