@@ -264,6 +264,7 @@ def test_missing_effect(files: Path, library: None, tmp_path: Path, validate: bo
     assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == PLACE
     (odd,) = [e for e in o.model.elements if e.type == "coulomb_friction"]
     assert o.model.parameters[f"{odd.name}.level"] == pytest.approx(12.0, rel=0.1)
+    assert 0 < o.model.uncertainty[f"{odd.name}.level"] < 0.1  # the posterior goes with the model
     assert o.document["best_candidate"] is None and (o.folder / "law.png").exists()
     assert all(g["passed"] for g in o.document["gates"])
     refit, after = (o.document["gap"]["held_out"][k]["travel"] for k in ("refit", "after"))
@@ -343,6 +344,8 @@ def test_ambiguous_with_the_test_that_would_decide(
     assert [g["gate"] for g in d["best_candidate"]["failed_gates"]] == ["distinguishable"]
     assert "do not decide between 2 explanations: " in d["summary"] or "or inertance" in d["summary"]
     assert "inertance between mass and ground" in d["summary"]
+    assert {e.type for e in o.model.elements} & {"inertance", "series_compliance"}
+    assert "Likeliest law, not certain: " in o.model.description
     test = read_table(o.folder / "next_experiment.csv")
     assert set(test.columns) == {"push"}
     played = simulate(OWN, test.time, test.columns)

@@ -36,7 +36,8 @@ def command(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", help="File to write. The suffix selects the format.", metavar="FILE")
+        Path | None,
+        typer.Option("--out", help="File to write. The suffix selects the format.", metavar="FILE"),
     ] = None,
     compare: Annotated[
         bool,

@@ -99,7 +99,9 @@ def prediction_errors(
     aligned, lags = align_clocks(records, network)
     filtered = differentiate_inputs(aligned, network)
     if any(r.filtered for r in filtered):
-        notes.append("measured and simulated outputs pass one low-pass, since a noisy input is differentiated")
+        notes.append(
+            "measured and simulated outputs pass one low-pass, since a noisy input is differentiated"
+        )
     problem = Problem(network, filtered)
     floors = floors_of(problem)
     noise = np.maximum([f.deviation for f in floors], LEAST_NOISE * problem.deviation())

@@ -146,7 +146,8 @@ def diagnose(
     # the missing effect had a part in the lags
     if found.verdict == "missing_effect" and lags and isinstance(found.model, Network):
         with contextlib.suppress(*BROKEN):  # the lags of the nominal model stay
-            _, lags = align_clocks(loose, found.model, previous=lags)
+            known = replace(found.model, uncertainty=network.uncertainty)
+            _, lags = align_clocks(loose, known, previous=lags)
     found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
     if cut is not None and isinstance(found.model, Network):
         found = replace(found, whole=rejoin(whole_network, found.model))
