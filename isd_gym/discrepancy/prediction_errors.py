@@ -111,8 +111,8 @@ def prediction_errors(
     except BROKEN as error:
         raise InputError(f"model '{network.name}' does not simulate the records: {error}") from None
     left = [problem.records[i].measured - fit.outputs[i] for i in problem.estimation]
-    for record, error in zip(problem.records, left, strict=True):
-        if not np.isfinite(error).all():
+    for record, residual in zip(problem.records, left, strict=True):
+        if not np.isfinite(residual).all():
             raise InputError(f"model '{network.name}' breaks down over {record.name}")
     groups = [(r.name, [r.measured], [e]) for r, e in zip(problem.records, left, strict=True)]
     if len(groups) > 1:

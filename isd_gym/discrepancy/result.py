@@ -358,6 +358,8 @@ class Diagnosis:
     laws: tuple[Law, ...] = ()
     #: notes in words
     notes: tuple[str, ...] = ()
+    #: parts of the work that the limit of the time left out, in words
+    not_tried: tuple[str, ...] = ()
     #: wall-clock time of the diagnosis [s]
     seconds: float = 0.0
     #: unit of each channel
@@ -462,6 +464,7 @@ class Diagnosis:
                     }
                     for x in self.lags
                 ],
+                "not_tried": list(self.not_tried),
                 "notes": list(self.notes),
             }
         )

@@ -20,6 +20,7 @@ from .selection.free_force import FreeForce, fit_free_force
 from .selection.uncertainty import intervals, with_posterior
 from .selection.weights import weigh_candidates
 from .simulation.problem import BROKEN
+from .simulation.time_limit import RESULT, TimeUp
 from .verdict.explanation import draw_law, draw_table, locate_errors
 from .verdict.findings import find
 from .verdict.gates import Decision, confidence, table_gates, with_findings
@@ -127,6 +128,7 @@ class ResultBuilder:
             criteria=criteria,
             settings=search.settings,
         )
+        result = replace(result, not_tried=tuple(search.clock.left_out))
         return replace(result, summary=summary_of(result.to_dict()))
 
     def _described(self, network: Network, decision: Decision) -> Network:
@@ -138,9 +140,17 @@ class ResultBuilder:
         return replace(network, description=f"{network.description} {text}".strip())
 
     def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
-        """Return a part of the result, or `otherwise` and a note where its simulation breaks down: the search is done and must not be lost."""
+        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up.
+
+        The search is done and must not be lost.
+        """
+        clock = self.search.clock
         try:
-            return make(*args)
+            with clock.until(RESULT):
+                return make(*args)
+        except TimeUp:
+            clock.leave_out(what)
+            return otherwise
         except BROKEN as error:
             self.lost.append(f"{what} could not be made: {error}")
             return otherwise
@@ -151,8 +161,12 @@ class ResultBuilder:
         self.say("no known law explains it: following the missing force")
         gates = functools.partial(table_gates, c=self.search.criteria)
         try:
-            free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
+            with self.search.clock.until(RESULT):
+                free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
         except BROKEN:
+            return FreeForce()
+        except TimeUp:
+            self.search.clock.leave_out("a table of the missing force")
             return FreeForce()
         return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
 

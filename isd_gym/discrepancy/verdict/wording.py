@@ -66,7 +66,18 @@ def summary_of(document: Mapping[str, Any]) -> str:
         _stretches(document),
         _closed_loop(document),
     ]
-    return " ".join(p for p in parts if p)
+    return " ".join(p for p in (_not_tried(document), *parts) if p)
+
+
+def _not_tried(d: Mapping[str, Any]) -> str:
+    """Return what the limit of the time left out; empty where nothing was left out."""
+    if not d.get("not_tried"):
+        return ""
+    limit = plain_number(d["search"]["max_seconds"])
+    return (
+        f"The time limit of {limit} s ended the diagnosis early. Not tried: {', '.join(d['not_tried'])}. "
+        "What follows rests on the rest of the search."
+    )
 
 
 def unit_summary_of(document: Mapping[str, Any]) -> str:
