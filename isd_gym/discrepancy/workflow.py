@@ -32,6 +32,7 @@ from .records import (
     find_misreading,
     read_record,
     split_records,
+    thin_long_record,
 )
 from .result import Diagnosis, Stretches
 from .result_builder import ResultBuilder
@@ -131,6 +132,7 @@ def _diagnose(
         else []
     )
 
+    fit, held = ([thin_long_record(r, network, notes) for r in records] for records in (fit, held))
     for record in (*fit, *held):
         check_sampling_rates(record, network)
     with limit.until(SEARCH):

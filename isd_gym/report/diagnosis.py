@@ -186,6 +186,8 @@ class View:
         self.title = TITLES.get(d.verdict, d.verdict)
         if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
             self.title = "An effect is missing that no parameter of the FMU explains"
+        if d.verdict == "unknown_effect" and d.not_tried:
+            self.title = "An effect is missing; the time limit ended the search for it"
         if self.named and all(e.channel for e in d.effects):
             self.title = "A sensor has a fault; no physical effect is missing"
         elif len(d.effects) > 1:

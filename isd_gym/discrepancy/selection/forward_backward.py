@@ -103,7 +103,7 @@ class Search:
             with self.clock.until(SEARCH):
                 self._extend(path, stages, most or self.settings.depth, is_promising)
         except TimeUp:
-            self.clock.leave_out(f"{ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
+            self.clock.leave_out(f"the search for {ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
         return path, stages
 
     def _extend(

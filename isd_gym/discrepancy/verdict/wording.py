@@ -340,7 +340,8 @@ def _left(rival: Mapping[str, Any]) -> str:
 def _unknown(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _widest(gap)
-    return f"An effect is missing, and no known effect passes every gate ({_errors(gap, c, 'before', 'refit')}). {_where(d)}".rstrip()
+    why = "the search for it is not finished" if d.get("not_tried") else "no known effect passes every gate"
+    return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')}). {_where(d)}".rstrip()
 
 
 def _where(d: Mapping[str, Any]) -> str:
@@ -353,6 +354,8 @@ def _where(d: Mapping[str, Any]) -> str:
 
 def _best_candidate(d: Mapping[str, Any]) -> str:
     best = d["best_candidate"]
+    if best is None and d.get("not_tried"):
+        return ""
     if best is None:
         return "No known effect reduces the held-out error by enough to be kept."
     error = best["error"]
@@ -381,6 +384,8 @@ def _table(d: Mapping[str, Any]) -> str:
         text += f" Share of its power that the nearest known laws give: {near}." if near else ""
         closed = d["gap"]["closed"]
         return f"{text} {NOT_BORNE_OUT}" if closed is not None and closed < 0 else text
+    if tried is None and d.get("not_tried"):
+        return ""
     if tried is None:
         return "No table of a force between two nodes could be fitted."
     explains = next(g for g in tried["gates"] if g["gate"] == "explains")
