@@ -15,6 +15,9 @@ import typer
 
 from isd_gym.commands._options import TrainedOption
 
+#: plant unless given
+DEFAULT = "quarter-car-isd"
+
 
 class Algorithm(StrEnum):
     """Learning algorithms by name."""
@@ -41,7 +44,7 @@ def train(
         typer.Option(
             help="The plant: a built-in network, such as half-car-isd or full-car-isd, or a model file."
         ),
-    ] = "quarter-car-isd",
+    ] = DEFAULT,
     road: Annotated[str, typer.Option(help="paper, A ... H, bump, a CSV file, C+bump, ...")] = "paper",
     speed: Annotated[float, typer.Option(help="Speed [m/s].", min=0.1)] = 20.0,
     randomize: Annotated[
@@ -51,6 +54,15 @@ def train(
             help="Vary mass, friction, thrust constant, road, speed and noise as the robust track does.",
         ),
     ] = False,
+    found: Annotated[
+        Path | None,
+        typer.Option(
+            "--found",
+            help="Folder of isd-gym diagnose, in place of --network and --randomize: the plant is the found model, and its "
+            "parameters vary within their 95 % intervals.",
+            metavar="DIR",
+        ),
+    ] = None,
     preview: Annotated[
         float,
         typer.Option(
@@ -91,6 +103,11 @@ def train(
 
     if json_file is not None and not os.path.isdir(json_file.parent):
         raise InputError(f"cannot write '{json_file}': no folder '{json_file.parent}'")
+    spread: bool | Path = randomize
+    if found is not None:
+        if randomize or network != DEFAULT:
+            raise InputError("--found takes the place of --network and --randomize: leave them out")
+        network, spread = str(found / "model.json"), found
     with _bar() as (say, progress):
         report = run(
             algorithm.value,
@@ -100,7 +117,7 @@ def train(
             network=network,
             road=road,
             speed=speed,
-            randomize=randomize,
+            randomize=spread,
             preview=preview,
             sensors=sensors,
             unaided=unaided,

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym.baselines.controller import steps_ahead
+from isd_gym.batch import with_posterior
 from isd_gym.errors import InputError, how_to_install, shown
 from isd_gym.files import claim_folder, held, write_text, writing
 from isd_gym.inputs import read_json
@@ -71,7 +72,7 @@ def train(
     network: str | Path | Mapping[str, Any] | Network = "quarter-car-isd",
     road: str = "paper",
     speed: float = 20.0,
-    randomize: bool | Mapping[str, Any] = False,
+    randomize: bool | Mapping[str, Any] | str | Path = False,
     preview: float = 0.0,
     sensors: Sensors | Mapping[str, Any] | str | None = None,
     settings: PPOSettings | SACSettings | None = None,
@@ -91,7 +92,8 @@ def train(
         network: Network of the car: a quarter, half or full car.
         road: Road of the training.
         speed: Speed [m/s].
-        randomize: True for the cars, roads and sensors of the robust track (quarter cars), or ranges as the environment takes them.
+        randomize: True for the cars, roads and sensors of the robust track (quarter cars), or ranges or the folder of a
+            diagnosis as the environment takes them.
         preview: Road ahead that the policy of a quarter car sees [s].
         sensors: Imperfections of the sensors.
         settings: Settings of the algorithm; the tuned ones unless given.
@@ -149,7 +151,7 @@ def train(
         spread, seen = robust()
         senses = seen if senses.perfect else senses
     else:
-        spread = dict(randomize or {}) or None
+        spread = with_posterior(plant, randomize or None) or None
     run = Run(Path(out), algorithm, seed, plant, road, float(speed), spread, senses, settings, say, progress)
     return run.go()
 
@@ -554,7 +556,8 @@ class Run:
         is_unaided = s.teacher is None and not s.filter
         if is_unaided:
             usual = from_nothing(usual)
-        if describe(replace(s, steps=usual.steps)) != describe(usual):
+        own_ranges = bool(self.spread) and self.spread != robust()[0]  # such as those of a diagnosis
+        if own_ranges or describe(replace(s, steps=usual.steps)) != describe(usual):
             return "isd_gym.agents.train.train with the settings below"
         words = [f"isd-gym train {self.algorithm} --out {shlex.quote(str(out))} --seed {self.seed}"]
         if is_unaided:

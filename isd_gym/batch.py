@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import replace
+from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from . import elements as el
 from .errors import InputError
 from .kernel import layout as place
 from .kernel.layout import TOGETHER, WIDTH, aligned
+from .network import Network
 from .road import Road, road
 from .simulate import PHYSICS_STEP, Plant, discretise
 from .tracks import SUM_STATES
@@ -31,7 +33,7 @@ from .vehicle import state_channels as state_channels
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from .network import Channel, Network
+    from .network import Channel
 
 NO_SATURATION = 1e9
 LATE = 100  # groups of cars that this thread handles while another thread wakes (about 40 us)
@@ -48,7 +50,7 @@ class Batch:
         control_step: Control step [s], an integer multiple of `physics_step`.
         physics_step: Physics step [s].
         duration: Length of fixed profiles [s].
-        randomize: Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' ->
+        randomize: As `ranges` takes them: parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' ->
             list of roads.
         preview: Length of the road that is drawn ahead [s], rounded to control steps.
         extra: Further output channels.
@@ -67,7 +69,7 @@ class Batch:
         control_step: float = 5e-3,
         physics_step: float = PHYSICS_STEP,
         duration: float = 20.0,
-        randomize: Mapping[str, Any] | None = None,
+        randomize: Mapping[str, Any] | str | Path | None = None,
         preview: float = 0.0,
         extra: Sequence[Channel] = (),
     ) -> None:
@@ -584,13 +586,77 @@ class Batch:
         return np.roll(ahead, -begin, axis=1)[:, :points] - self.track_heights[track][:, None]
 
 
-def ranges(network: Network, given: Mapping[str, Any] | None) -> dict[str, Any]:
+#: quantile of a normal distribution for a 95 % interval, and smallest factor on a parameter
+Z95, LEAST_FACTOR = 1.96, 0.01
+
+
+def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[float, float]]:
+    """Return the 95 % intervals of the parameters that a diagnosis determined, as factors on their values.
+
+    Args:
+        network: The plant, which must have the values of the found model.
+        found: Folder of a diagnosis, or its `model.json`.
+
+    Returns:
+        Pair of factors by parameter path.
+
+    Raises:
+        InputError: The folder holds no model, the model states no uncertainty, or the plant is another one.
+    """
+    path = Path(found)
+    path = path / "model.json" if path.is_dir() else path
+    model = Network.load(path)
+    own, known = network.parameters, model.parameters
+    out = {}
+    for key, sigma in model.uncertainty.items():
+        value = known[key]
+        if sigma <= 0 or value == 0:
+            continue
+        if not math.isclose(own.get(key, math.nan), value, rel_tol=1e-9):
+            raise InputError(
+                f"randomize: the network has not the value of '{key}' that was found: give network='{path}'"
+            )
+        wide = (1.0 + sigma) ** Z95
+        out[key] = (1.0 / wide, wide)
+        if value < 0:
+            out[key] = (max(1.0 - Z95 * sigma, LEAST_FACTOR), 1.0 + Z95 * sigma)
+    if not out:
+        raise InputError(
+            f"randomize: {path} states no uncertainty of a parameter, so that there is nothing to draw"
+        )
+    return out
+
+
+def with_posterior(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
+    """Return ranges of `randomize` with the intervals of a diagnosis in place of its folder.
+
+    Args:
+        network: The plant.
+        given: Ranges as `ranges` takes them.
+
+    Returns:
+        Ranges without the key 'found'.
+
+    Raises:
+        InputError: The folder holds no model for the plant (`posterior_ranges`).
+    """
+    out = {"found": given} if isinstance(given, str | Path) else dict(given or {})
+    if "found" not in out:
+        return out
+    found = out.pop("found")
+    if not isinstance(found, str | Path):
+        raise InputError(f"randomize: 'found' must be the folder of a diagnosis, not {found!r}")
+    return posterior_ranges(network, found) | out
+
+
+def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
     """Return checked ranges of `randomize`.
 
     Args:
         network: The plant.
         given: Parameter path -> (low, high) factors on its value; 'speed' -> (low, high) [m/s]; 'road' -> list
-            of roads; None for no ranges.
+            of roads; 'found' -> folder of a diagnosis, whose intervals are ranges of parameters without an own
+            entry. Or a folder alone. None for no ranges.
 
     Returns:
         The ranges, pairs of floats and a list of roads.
@@ -600,7 +666,7 @@ def ranges(network: Network, given: Mapping[str, Any] | None) -> dict[str, Any]:
     """
     known = network.parameters
     out: dict[str, Any] = {}
-    for key, value in (given or {}).items():
+    for key, value in with_posterior(network, given).items():
         if key == "road":
             if not isinstance(value, list | tuple) or not value:
                 raise InputError("randomize: 'road' must be a list of roads")

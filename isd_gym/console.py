@@ -44,6 +44,8 @@ def check_file(path: Path | None, *read: str | Path | None) -> None:
         files.check_file(path, *read)
 
 
+#: interval between lines of progress without a terminal [s]
+SELDOM = 10.0
 #: number of characters per line in a pipe or a file
 PIPED = 80
 
@@ -71,7 +73,9 @@ def tell(text: str, *, dim: bool = False) -> None:
 
 @contextmanager
 def lines() -> Iterator[Callable[[str], None]]:
-    """Give a function that prints lines of progress with the elapsed time on stderr, silent without a terminal.
+    """Give a function that prints lines of progress with the elapsed time on stderr.
+
+    Without a terminal, the current line is printed now and then: after `SELDOM` seconds, and not more often.
 
     Yields:
         ``say(line)``.
@@ -81,7 +85,8 @@ def lines() -> Iterator[Callable[[str], None]]:
     from rich.console import Console
 
     if not sys.stderr.isatty():
-        yield lambda line: None
+        with _seldom() as say_seldom:
+            yield say_seldom
         return
     console, begun = Console(stderr=True), time.monotonic()
     with console.status("starting") as status:
@@ -93,6 +98,34 @@ def lines() -> Iterator[Callable[[str], None]]:
             status.update("working")
 
         yield say
+
+
+@contextmanager
+def _seldom() -> Iterator[Callable[[str], None]]:
+    """Give a function that receives lines of progress; a thread prints the latest one every `SELDOM` seconds."""
+    import threading
+    import time
+
+    begun, ended = time.monotonic(), threading.Event()
+    latest = ["starting"]
+
+    def tell_now_and_then() -> None:
+        while not ended.wait(SELDOM):
+            try:
+                print(f"{time.monotonic() - begun:.0f} s: {latest[0].strip()}", file=sys.stderr, flush=True)
+            except (OSError, ValueError):  # closed meanwhile
+                return
+
+    def say(line: str) -> None:
+        latest[0] = line
+
+    thread = threading.Thread(target=tell_now_and_then, daemon=True)
+    thread.start()
+    try:
+        yield say
+    finally:
+        ended.set()
+        thread.join()
 
 
 @contextmanager
@@ -125,10 +158,6 @@ def progress() -> Iterator[Callable[[str, float], None]]:
 
     with bar:
         yield update
-
-
-#: interval between lines of progress without a terminal [s]
-SELDOM = 30.0
 
 
 @contextmanager

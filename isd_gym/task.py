@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,6 @@ from .vehicle import SLEW_RATE, Vehicle, state_channels, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
 
 CONTROL_STEP = 5e-3  # s
@@ -76,8 +76,9 @@ class Options:
     # stage cost, a `StageCost` or its weights, such as {"tyre_load": 0.1}
     cost: StageCost | Mapping[str, Any] | None = None
     # ranges drawn at every reset: factors on parameters of the network, speeds [m/s], roads, such as
-    # {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}
-    randomize: Mapping[str, Any] | None = None
+    # {"body.mass": (0.8, 1.2), "speed": (15, 30), "road": ["A", "B"]}. Or the folder of a diagnosis, "found" or
+    # {"found": "found", "speed": (15, 30)}: the 95 % intervals of its parameters, for network="found/model.json"
+    randomize: Mapping[str, Any] | str | Path | None = None
     # time between two actions [s]
     control_step: float = CONTROL_STEP
     # road ahead of the first axle in an observation [s], for observation preview alone; None for 0.25 s there
@@ -124,9 +125,11 @@ class Options:
             )
         for name in ("cost", "sensors", "randomize"):
             value = getattr(self, name)
-            own = {"cost": (StageCost, Mapping), "sensors": (Sensors, Mapping, str), "randomize": (Mapping,)}[
-                name
-            ]
+            own = {
+                "cost": (StageCost, Mapping),
+                "sensors": (Sensors, Mapping, str),
+                "randomize": (Mapping, str, Path),
+            }[name]
             if value is not None and not isinstance(value, own):
                 raise InputError(f"{name} must be a mapping of names to values, not {shown(value)}")
         if self.network is None or isinstance(self.network, list | tuple):
@@ -206,7 +209,7 @@ class Task:
         self.vehicle: Vehicle = vehicle(self.network)
         self.measured = self.vehicle.measured
         self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads, *EXCEEDS)
-        control_step, varied = options.control_step, options.randomize or {}
+        control_step, varied = options.control_step, ranges(self.network, options.randomize)
         speed, speeds = options.speed, varied.get("speed", (options.speed,))
         self.slowest = min(speed, *speeds)
         self.decision = control_step * options.hold

@@ -15,10 +15,15 @@ from typer.testing import CliRunner
 
 from isd_gym import cli, schemas, simulate
 from isd_gym.data import Table, read_table, write_table
+from isd_gym.discrepancy import SearchSettings, diagnose, workflow
 from isd_gym.discrepancy.estimation.structure import Hypothesis
+from isd_gym.discrepancy.records import thin_long_record
 from isd_gym.discrepancy.selection import forward_backward
-from isd_gym.discrepancy.selection.settings import TimeLimit
+from isd_gym.discrepancy.selection.forward_backward import Search
+from isd_gym.discrepancy.simulation.problem import Record
+from isd_gym.discrepancy.simulation.time_limit import TimeLimit
 from isd_gym.discrepancy.verdict.wording import summary_of, unit_summary_of
+from isd_gym.errors import InputError
 from isd_gym.network import Network
 
 if TYPE_CHECKING:
@@ -264,6 +269,7 @@ def test_missing_effect(files: Path, library: None, tmp_path: Path, validate: bo
     assert effect["effect"] == "coulomb_friction" and set(effect["between"]) == PLACE
     (odd,) = [e for e in o.model.elements if e.type == "coulomb_friction"]
     assert o.model.parameters[f"{odd.name}.level"] == pytest.approx(12.0, rel=0.1)
+    assert 0 < o.model.uncertainty[f"{odd.name}.level"] < 0.1  # the posterior goes with the model
     assert o.document["best_candidate"] is None and (o.folder / "law.png").exists()
     assert all(g["passed"] for g in o.document["gates"])
     refit, after = (o.document["gap"]["held_out"][k]["travel"] for k in ("refit", "after"))
@@ -271,16 +277,21 @@ def test_missing_effect(files: Path, library: None, tmp_path: Path, validate: bo
     assert "Record “friction2” (held out)" in o.page.text  # also where nobody set it aside
 
 
-def test_a_time_limit_ends_the_search_and_is_noted(
-    files: Path, library: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first stage runs in any case: the friction is found. A limit that stopped nothing is not told."""
-    monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: 1e9))
-    stages: list[int] = []
-    screen = forward_backward.screen_effects
-    monkeypatch.setattr(forward_backward, "screen_effects", lambda *given: stages.append(1) or screen(*given))
+def limited(
+    files: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, where: tuple[Any, str]
+) -> tuple[dict[str, Any], Outcome]:
+    """The diagnosis of a rig whose clock stands still until a function is called; then nearly all the time is over."""
+    now = [0.0]
+    monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: now[0]))
+    owner, called = where
+    whole = getattr(owner, called)
 
-    def limited(name: str) -> tuple[dict[str, Any], list[str]]:
+    def late(*given: Any, **options: Any) -> Any:
+        now[0] = 0.88 * 4.0  # the search and the comparison of its candidates have had their time
+        return whole(*given, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, called, late)
         words = (
             files / f"{name}1.csv",
             "--validate",
@@ -288,16 +299,73 @@ def test_a_time_limit_ends_the_search_and_is_noted(
             "--model",
             files / "model.json",
         )
-        d = diagnosed(tmp_path / name, *words, "--max-seconds", 5).document
-        return d, [n for n in d["notes"] if n.startswith("the time limit of 5 s stopped the search")]
+        o = diagnosed(folder / name, *words, "--max-seconds", 5)
+    return o.document, o
 
-    d, told = limited("friction")
-    assert d["verdict"] == "missing_effect" and d["effects"][0]["effect"] == "coulomb_friction" and not told
-    d, told = limited("clean")
-    assert d["verdict"] == "no_discrepancy" and not told
-    stages.clear()
-    d, told = limited("hum")  # further starts would follow
-    assert d["verdict"] == "unknown_effect" and told and len(stages) == 1
+
+@pytest.mark.parametrize(
+    ("where", "left_out", "verdict"),
+    [
+        ((forward_backward, "screen_effects"), "the search for a first effect", "unknown_effect"),
+        ((Search, "_select"), "the comparison of the candidates (the first was coulomb", "unknown_effect"),
+        ((workflow, "collect_evidence"), "", "missing_effect"),
+    ],
+)
+def test_a_stage_whose_time_is_over_ends_and_the_summary_says_what_was_not_tried(
+    files: Path,
+    library: None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    where: tuple[Any, str],
+    left_out: str,
+    verdict: str,
+) -> None:
+    """A name whose candidates were not compared is no name."""
+    d, o = limited(files, tmp_path, monkeypatch, "friction", where)
+    assert d["verdict"] == verdict
+    if left_out:
+        assert d["not_tried"][0].startswith(left_out)
+        assert d["summary"].startswith(
+            "The time limit of 5 s ended the diagnosis early. Not tried: " + left_out
+        )
+        assert "the search for it is not finished" in d["summary"] and "No known effect" not in d["summary"]
+        assert "the time limit ended the search" in o.page.text
+    else:
+        assert not d["not_tried"] and "time limit" not in d["summary"]
+
+
+def test_a_limit_that_stops_nothing_changes_nothing(files: Path, library: None, tmp_path: Path) -> None:
+    words = (files / "friction1.csv", "--validate", files / "friction2.csv", "--model", files / "model.json")
+    free, bounded = (
+        diagnosed(tmp_path / name, *words, *more).document
+        for name, more in (("free", ()), ("bounded", ("--max-seconds", 3600)))
+    )
+    assert bounded["search"].pop("max_seconds") == 3600.0 and free["search"].pop("max_seconds") is None
+    assert bounded == free
+
+
+def test_no_time_for_the_refit_is_one_line(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TimeLimit, "seconds", property(lambda self: 1e9))
+    with pytest.raises(
+        InputError, match=r"the time limit of 5 s is over before .* raise --max-seconds"
+    ) as told:
+        diagnose([files / "friction1.csv"], files / "model.json", settings=SearchSettings(max_seconds=5.0))
+    assert "\n" not in str(told.value)
+
+
+def test_a_long_record_is_thinned_with_a_note() -> None:
+    n = 250_000
+    slow = np.sin(2 * np.pi * np.arange(n) * 1e-3)  # 1000 samples per period
+    record = Record("long", 1e-3, {"push": slow}, slow[:, None])
+    notes: list[str] = []
+    thin = thin_long_record(record, OWN, notes)
+    assert len(thin) == thin.samples == 83_334 and thin.step == pytest.approx(3e-3)
+    assert np.abs(thin.inputs["push"][100:-100] - slow[::3][100:-100]).max() < 1e-3
+    (note,) = notes
+    assert note.startswith("long: 250000 samples are more than the motion needs: every 3th sample")
+    assert thin_long_record(thin, OWN, notes) is thin and len(notes) == 1
+    fast = replace(record, measured=np.random.default_rng(0).standard_normal((n, 1)))
+    assert thin_long_record(fast, OWN, notes) is fast  # what looks like noise to the eye may be the motion
 
 
 @pytest.mark.slow
@@ -343,6 +411,8 @@ def test_ambiguous_with_the_test_that_would_decide(
     assert [g["gate"] for g in d["best_candidate"]["failed_gates"]] == ["distinguishable"]
     assert "do not decide between 2 explanations: " in d["summary"] or "or inertance" in d["summary"]
     assert "inertance between mass and ground" in d["summary"]
+    assert {e.type for e in o.model.elements} & {"inertance", "series_compliance"}
+    assert "Likeliest law, not certain: " in o.model.description
     test = read_table(o.folder / "next_experiment.csv")
     assert set(test.columns) == {"push"}
     played = simulate(OWN, test.time, test.columns)

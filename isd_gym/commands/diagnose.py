@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
+from math import inf
 from pathlib import Path
+from time import monotonic
 from typing import Annotated
 
 import typer
@@ -31,6 +34,9 @@ from ._options import (
     pairs,
     signs_of,
 )
+
+#: share of --max-seconds that is kept for the report; of 15 s at most
+REPORT = 0.2
 
 
 def command(
@@ -101,8 +107,9 @@ def command(
     max_seconds: Annotated[
         float | None,
         typer.Option(
-            help="Processor time after which the search starts no further stage [s]. The result then depends on the speed of the "
-            "machine. Default: no limit; with --unmeasured 120.",
+            help="Time after which the diagnosis ends [s], with what was found; the summary lists what was not tried. The first "
+            "compilation of the kernels (isd-gym warm) does not count. The result then depends on the speed of the machine. "
+            "Default: no limit; with --unmeasured 120 s of processor time.",
             min=1.0,
             metavar="SECONDS",
         ),
@@ -139,9 +146,11 @@ def command(
 
     Without a road: isd-gym diagnose drive.csv --model car.json --cut wheel --out found
     """
+    begun = monotonic()
     from .. import elements as el
     from ..discrepancy import SearchSettings
     from ..discrepancy import diagnose as run
+    from ..discrepancy.simulation.time_limit import TimeLimit
     from ..loggers.record_reading import records_of
     from ..network import Network
     from ..network import cut as cut_at
@@ -224,7 +233,12 @@ def command(
     check_target(out)
     part = network if cut is None else cut_at(network, cut)
     wanted = (*part.inputs, *part.outputs)
-    with lines() as say:
+    limit = (
+        None
+        if max_seconds is None
+        else TimeLimit(max_seconds - REPORT * min(max_seconds, 15.0), monotonic, begun)
+    )
+    with lines() as say, nullcontext() if limit is None else limit.until(inf):
         fitted, held = (
             [r for f in files for r in records_of(f, network, wanted, **options)]
             for files in (data, validate or [])

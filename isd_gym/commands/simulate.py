@@ -3,35 +3,50 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..console import check_file, tell
+from ..console import check_file, printer, tell, write_json
 from ..errors import InputError, plain, shown
 from ._options import (
     ColumnsOption,
     FileRateOption,
+    JsonOption,
     MapOption,
     ModelArgument,
     RenameOption,
     SignOption,
     UnitOption,
     channel_names,
+    check_records,
 )
+
+if TYPE_CHECKING:
+    from ..network import Network
 
 
 def command(
     model: ModelArgument,
     data: Annotated[
-        Path,
+        list[Path],
         typer.Argument(
-            help="Table with time and the model's inputs (CSV, Parquet, .mat, .mf4). Join files of several loggers by +: a.csv+b.mf4."
+            help="Table with time and the model's inputs (CSV, Parquet, .mat, .mf4, ...), or several with --compare. Join files of "
+            "several loggers by +: a.csv+b.mf4."
         ),
     ],
     out: Annotated[
-        Path, typer.Option("--out", help="File to write. The suffix selects the format.", metavar="FILE")
-    ],
+        Path | None,
+        typer.Option("--out", help="File to write. The suffix selects the format.", metavar="FILE"),
+    ] = None,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare",
+            help="Print the errors of the model's outputs on DATA. The initial state of each record and free offsets are fitted, "
+            "parameters stay.",
+        ),
+    ] = False,
     step: Annotated[float, typer.Option(help="Largest physics step [s].", min=1e-6)] = 1e-3,
     rename: RenameOption = None,
     unit: UnitOption = None,
@@ -47,11 +62,83 @@ def command(
             metavar="NODE=VALUE|FILE|fit",
         ),
     ] = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Simulate a model with the inputs of a table, and write its outputs at the same times.
 
+    With --compare, print how far the model is from measured outputs: the test of a found model on records of another day.
+
     Example: isd-gym simulate force-rig test.csv --out force.csv
+
+    Errors: isd-gym simulate found/model.json new1.csv new2.csv --compare
     """
+    from ..network import Network
+
+    check_file(json_file, model, *data)
+    network = Network.load(model)
+    named = channel_names(network, rename, unit, map_file, columns, sign, rate)
+    if compare:
+        if out or initial:
+            raise InputError("--compare writes no simulation: leave out --out and --initial")
+        _compare(network, data, named, json_file)
+        return
+    if out is None:
+        raise InputError("--out FILE is missing: name the file to write, or give --compare")
+    if len(data) > 1 or json_file:
+        raise InputError("one DATA with --out; several DATA and --json go with --compare")
+    _write(network, model, data[0], out, step, named, rate, initial)
+
+
+def _compare(network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None) -> None:
+    """Print the errors of a model on records; write them to the file of --json."""
+    from rich import box
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    from ..discrepancy.prediction_errors import prediction_errors
+    from ..loggers.record_reading import records_of
+
+    check_records(data, [])
+    if "by" in named:
+        network = named["by"].measured(network)
+    wanted = (*network.inputs, *network.outputs)
+    found = prediction_errors([r for f in data for r in records_of(f, network, wanted, **named)], network)
+    for note in found.notes:
+        typer.echo(plain(note, 400), err=True)
+    made = Grid(box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in ("record", "channel"):
+        made.add_column(head, overflow="fold")
+    for head in ("RMS error", "of deviation", "noise"):
+        made.add_column(head, justify="right", no_wrap=True)
+    last = ""
+    for row in found.rows:
+        made.add_row(
+            Text(plain(row.record, 30) if row.record != last else ""),
+            Text(plain(row.channel, 40)),
+            f"{row.rms:.4g} {row.unit}",
+            f"{100 * row.nrmse:.1f} %",
+            "unknown" if row.noise is None else f"{100 * row.noise:.1f} %",
+        )
+        last = row.record
+    console = printer()
+    console.print(
+        f"Errors of model '{plain(found.model, 60)}' with its own parameters; initial states and free offsets are fitted:"
+    )
+    console.print(made)
+    write_json(json_file, found.to_dict())
+
+
+def _write(
+    network: Network,
+    model: str,
+    data: Path,
+    out: Path,
+    step: float,
+    named: dict[str, Any],
+    rate: float | None,
+    initial: list[str] | None,
+) -> None:
+    """Simulate the inputs of a table and write the outputs."""
     import numpy as np
 
     from ..data import Table, write_table
@@ -59,13 +146,10 @@ def command(
     from ..loggers.record_reading import outputs_of, records_of
     from ..loggers.resampling import inputs_of
     from ..loggers.start import motions_at, motions_of, state_of
-    from ..network import Network
     from ..simulate import simulate as run
     from ..units import convert
 
     check_file(out, model, *files_of(data))
-    network = Network.load(model)
-    named = channel_names(network, rename, unit, map_file, columns, sign, rate)
     by = named.get("by")
     fitted = initial == ["fit"]
     if initial and "fit" in initial and not fitted:

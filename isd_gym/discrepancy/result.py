@@ -358,6 +358,8 @@ class Diagnosis:
     laws: tuple[Law, ...] = ()
     #: notes in words
     notes: tuple[str, ...] = ()
+    #: parts of the work that the limit of the time left out, in words
+    not_tried: tuple[str, ...] = ()
     #: wall-clock time of the diagnosis [s]
     seconds: float = 0.0
     #: unit of each channel
@@ -403,18 +405,28 @@ class Diagnosis:
         return f"Diagnosis({self.verdict!r}, found={found}{closed}, {len(self.traces)} record(s))"
 
     def _repr_html_(self) -> str:
-        """Return verdict, effects and gap as HTML for notebooks."""
+        """Return verdict, the picture of the measured and simulated signals, effects and gap as HTML for notebooks."""
         stages = [s for s in ("before", "refit", "after", "noise_floor") if s in self.gap]
         rows = [
             [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
             for e in self.effects
             for name, q in e.parameters.items()
         ]  # fmt: skip
-        out = f"<p><b>{html.escape(self.verdict)}</b>: {html.escape(self.summary)}</p>"
+        out = f"<p><b>{html.escape(self.verdict)}</b>: {html.escape(self.summary)}</p>{self._picture()}"
         if rows:
             out += _table(["effect", "where", "parameter", "value", "95 % interval"], rows)
         gap = [[c, *(f"{100 * self.gap[s][c]:.1f} %" for s in stages)] for c in self.gap.get("refit", {})]
         return out + _table(["error on held-out data", *stages], gap)
+
+    def _picture(self) -> str:
+        """Return the picture of the signals as HTML; empty where it cannot be drawn, since a notebook shows the tables all the same."""
+        from ..errors import ReportError
+        from ..report import signal_picture
+
+        try:
+            return signal_picture(self)
+        except ReportError:
+            return ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON document (`isd-diagnosis/1`)."""
@@ -452,21 +464,30 @@ class Diagnosis:
                     }
                     for x in self.lags
                 ],
+                "not_tried": list(self.not_tried),
                 "notes": list(self.notes),
             }
         )
 
-    def save(self, folder: str | Path) -> None:
+    def save(self, folder: str | Path, *, report: bool = True) -> None:
         """Write the result to a folder. Each file is written completely or not at all.
 
-        Files: `diagnosis.json`, `model.json` (for an FMU `parameters.ssv`), and `next_experiment.csv` if a test would decide.
+        Files: `diagnosis.json`, `model.json` (for an FMU `parameters.ssv`), `next_experiment.csv` if a test would decide, and
+        `report.html` with its figures.
 
         Args:
             folder: New, empty or an earlier diagnosis.
+            report: Whether to write the report.
 
         Raises:
             InputError: The folder holds other files, or cannot be written.
+            ReportError: The report cannot be drawn; the other files are in the folder.
         """
+        if report:
+            from ..report import write_report
+
+            write_report(self, folder)
+            return
         folder = claim_folder(folder, *FOLDER)
         write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
         model = self.whole or self.model

@@ -17,9 +17,10 @@ from .planning import next_experiment, played
 from .result import BestCandidate, Contender, Diagnosis, Effect, Quantity, Remainder, Stretches, Trace
 from .selection.candidate import Candidate, parameter_values
 from .selection.free_force import FreeForce, fit_free_force
-from .selection.uncertainty import intervals
+from .selection.uncertainty import intervals, with_posterior
 from .selection.weights import weigh_candidates
 from .simulation.problem import BROKEN
+from .simulation.time_limit import RESULT, TimeUp
 from .verdict.explanation import draw_law, draw_table, locate_errors
 from .verdict.findings import find
 from .verdict.gates import Decision, confidence, table_gates, with_findings
@@ -28,6 +29,7 @@ from .verdict.wording import summary_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from ..network import Network
     from .estimation.structure import Structure
     from .records import Feedback
     from .result import Law
@@ -72,15 +74,18 @@ class ResultBuilder:
         is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
         if is_ambiguous:  # a law of the library stands for the force
             free = FreeForce()
-        final = scores.foremost if is_named or decision.reason == "kind_certain" else refitted
+        # the likeliest law of several that the records do not tell apart
+        final = scores.foremost if is_named or is_ambiguous else refitted
         tabulated, final = free.tabulated, free.candidate or final
         probability = confidence(measured.evidence, criteria)
         found = self._effects(quantities, probability) if is_named else []
         rows = self._errors(final)
         deviation = search.evaluator.validation_deviation
         noise = scores.noise * deviation
+        posterior = quantities if final is scores.foremost else {}
         if not is_named:
             quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
+        posterior = quantities if final is refitted else posterior
         no_law: Law | None = None
         what = "the picture of a law"
         laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in found]
@@ -114,7 +119,7 @@ class ResultBuilder:
             test=self._attempt("the next test", None, played, network, test.record) if test else None,
             base=network,
             refitted=refitted.fit.network,
-            model=final.fit.network,
+            model=self._described(with_posterior(final.fit.network, posterior), decision),
             traces=self._traces(final),
             laws=tuple(x for x in laws if x is not None),
             notes=(*notes, *self._tried(), *self.lost),
@@ -123,12 +128,29 @@ class ResultBuilder:
             criteria=criteria,
             settings=search.settings,
         )
+        result = replace(result, not_tried=tuple(search.clock.left_out))
         return replace(result, summary=summary_of(result.to_dict()))
 
+    def _described(self, network: Network, decision: Decision) -> Network:
+        """Return a model whose description states that its law is the likeliest of several."""
+        if decision.verdict != "ambiguous":
+            return network
+        law = "; ".join(h.label for h in self.scores.foremost.hypotheses)
+        text = f"Likeliest law, not certain: {law}."
+        return replace(network, description=f"{network.description} {text}".strip())
+
     def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
-        """Return a part of the result, or `otherwise` and a note where its simulation breaks down: the search is done and must not be lost."""
+        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up.
+
+        The search is done and must not be lost.
+        """
+        clock = self.search.clock
         try:
-            return make(*args)
+            with clock.until(RESULT):
+                return make(*args)
+        except TimeUp:
+            clock.leave_out(what)
+            return otherwise
         except BROKEN as error:
             self.lost.append(f"{what} could not be made: {error}")
             return otherwise
@@ -139,8 +161,12 @@ class ResultBuilder:
         self.say("no known law explains it: following the missing force")
         gates = functools.partial(table_gates, c=self.search.criteria)
         try:
-            free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
+            with self.search.clock.until(RESULT):
+                free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
         except BROKEN:
+            return FreeForce()
+        except TimeUp:
+            self.search.clock.leave_out("a table of the missing force")
             return FreeForce()
         return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
 

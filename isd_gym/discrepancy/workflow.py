@@ -32,6 +32,7 @@ from .records import (
     find_misreading,
     read_record,
     split_records,
+    thin_long_record,
 )
 from .result import Diagnosis, Stretches
 from .result_builder import ResultBuilder
@@ -39,8 +40,9 @@ from .selection.candidate import Candidate, white_noise
 from .selection.criteria import CRITERIA, Criteria
 from .selection.forward_backward import Search
 from .selection.held_out import HeldOutEvaluator
-from .selection.settings import SearchSettings, TimeLimit
+from .selection.settings import SearchSettings
 from .simulation.problem import BROKEN, Problem, Record, Role, bare, pace
+from .simulation.time_limit import EVIDENCE, RESULT, SEARCH, TimeLimit, TimeUp, running
 from .verdict.closed_loop import decide_under_feedback
 from .verdict.gates import decide
 from .verdict.measurement import Measurements, collect_evidence
@@ -85,18 +87,40 @@ def diagnose(
             (tyre and road) is left out (`isd_gym.network.cut`).
 
     Returns:
-        The diagnosis.
+        The diagnosis. Parts that the limit of the time left out are its `not_tried`.
 
     Raises:
-        InputError: The data or the model cannot be used.
+        InputError: The data or the model cannot be used, or the time is up before the nominal model is compared with the records.
     """
-    start = clock.perf_counter()
+    steps = settings or SearchSettings()
+    limit = running() or TimeLimit(steps.max_seconds, clock.monotonic)
+    try:
+        with limit.until(math.inf):
+            return _diagnose(data, model, validate, accept, progress, seed, steps, criteria, cut)
+    except TimeUp:
+        raise InputError(
+            f"the time limit of {steps.max_seconds:g} s is over before the nominal model is refitted and compared with the records: "
+            "raise --max-seconds, or give shorter records"
+        ) from None
+
+
+def _diagnose(
+    data: Sequence[Table | Recording | str | Path],
+    model: Network | str | Path | Mapping[str, Any],
+    validate: Sequence[Table | Recording | str | Path],
+    accept: Sequence[str],
+    progress: Callable[[str], None] | None,
+    seed: int,
+    steps: SearchSettings,
+    criteria: Criteria,
+    cut: str | None,
+) -> Diagnosis:
+    """Diagnose as `diagnose` does. Raise `TimeUp` where the time does not suffice for a result."""
+    start, limit = clock.perf_counter(), running() or TimeLimit()
     whole_network = network = Network.load(model)
     if not network.outputs:
         raise InputError(f"model '{network.name}' has no outputs to compare with")
     notes: list[str] = []
-    steps = settings or SearchSettings()
-    limit = TimeLimit(steps.max_seconds)
     if cut is not None:
         network = network_cut(network, cut)
         left = [e.name for e in whole_network.elements if e.name not in {x.name for x in network.elements}]
@@ -108,10 +132,12 @@ def diagnose(
         else []
     )
 
+    fit, held = ([thin_long_record(r, network, notes) for r in records] for records in (fit, held))
     for record in (*fit, *held):
         check_sampling_rates(record, network)
-    loose, lags = align_clocks([*fit, *held], network, steps.max_lag)
-    direct = prefer_direct_problem(loose, network, len(fit), steps.input_noise, steps.swapped_error)
+    with limit.until(SEARCH):
+        loose, lags = align_clocks([*fit, *held], network, steps.max_lag)
+        direct = prefer_direct_problem(loose, network, len(fit), steps.input_noise, steps.swapped_error)
     if direct is not None:
         loose, network, note = direct
         notes.append(note)
@@ -121,7 +147,9 @@ def diagnose(
     kept: list[Role] = ["fit"] * len(fit)
     kept += ["report"] * len(held)
     whole = Problem(network, filtered, kept)
-    if misreading := find_misreading(whole):
+    with limit.until(SEARCH):
+        misreading = find_misreading(whole)
+    if misreading:
         if not {"sign", "all"} & set(accept):
             raise InputError(f"{misreading} (--accept sign goes on)")
         notes.append(misreading)
@@ -145,8 +173,10 @@ def diagnose(
         found = flow.run(notes, start)
     # the missing effect had a part in the lags
     if found.verdict == "missing_effect" and lags and isinstance(found.model, Network):
-        with contextlib.suppress(*BROKEN):  # the lags of the nominal model stay
-            _, lags = align_clocks(loose, found.model, previous=lags)
+        # the lags of the nominal model stay where the new ones cannot be found in time
+        with contextlib.suppress(TimeUp, *BROKEN), limit.until(RESULT):
+            known = replace(found.model, uncertainty=network.uncertainty)
+            _, lags = align_clocks(loose, known, previous=lags)
     found = replace(found, lags=tuple(lags), notes=(*found.notes, *map(str, lags)))
     if cut is not None and isinstance(found.model, Network):
         found = replace(found, whole=rejoin(whole_network, found.model))
@@ -219,8 +249,9 @@ class Workflow:
         self.say(
             f"{len(p.estimation)} record(s) to fit, {len(p.held)} stretches held out; refitting the model"
         )
-        refitted = self.search.fitter.refit_nominal()
-        error = self._error_of_whole_records(refitted)
+        with self.clock.until(SEARCH):
+            refitted = self.search.fitter.refit_nominal()
+            error = self._error_of_whole_records(refitted)
         is_lost = bool(self.feedback) or not error <= self.settings.astray
         if is_lost:
             found = self._diagnose_segments(notes, start, error, periodic_only=False)
@@ -232,7 +263,7 @@ class Workflow:
         measured = self.measure(scores)
         decision = self.decide(scores)
         if decision.verdict == "unknown_effect" and not is_lost:
-            for factor in () if self.clock.stops() else SEGMENT_FACTORS:
+            for factor in SEGMENT_FACTORS:
                 found = self._diagnose_segments(notes, start, error, periodic_only=True, factor=factor)
                 if found is not None:
                     return found
@@ -241,11 +272,16 @@ class Workflow:
     def measure(self, scores: CandidateComparison) -> Measurements:
         """Return the measurements of a search; they are kept for the next call."""
         if self._measured is None or self._measured[0] is not scores:
+            best = "; ".join(h.label for h in scores.foremost.hypotheses)
             try:
-                found = collect_evidence(self.search, scores, self.seed)
-            except BROKEN:  # a candidate that cannot be measured loses
+                with self.clock.until(EVIDENCE):
+                    found = collect_evidence(self.search, scores, self.seed)
+            except (TimeUp, *BROKEN) as error:  # a candidate that cannot be measured loses
+                if isinstance(error, TimeUp):
+                    self.clock.leave_out(f"the tests of {best or 'the refitted model'}")
                 scores.chosen = scores.foremost = scores.refitted
-                found = collect_evidence(self.search, scores, self.seed)
+                with self.clock.until(1.0):
+                    found = collect_evidence(self.search, scores, self.seed)
             self._measured = scores, found
         return self._measured[1]
 
@@ -287,11 +323,6 @@ class Workflow:
         builder = ResultBuilder(
             self.search, scores, measured, self.whole, self.held_from, self.seed, self.say, self.feedback
         )
-        if self.clock.has_stopped:
-            notes = [
-                *notes,
-                f"the time limit of {self.settings.max_seconds:g} s stopped the search: more effects may be found without it",
-            ]
         result = builder.build(decision, notes, over)
         return replace(result, seconds=clock.perf_counter() - start)
 
@@ -359,6 +390,21 @@ class Workflow:
         """
         if not self.has_free_motion():
             return None
+        try:
+            with self.clock.until(EVIDENCE if periodic_only else 1.0):
+                return self._diagnose_in_time(notes, start, error, periodic_only, factor)
+        except TimeUp:
+            what = (
+                "a periodic law over brief stretches"
+                if periodic_only
+                else "a comparison over brief stretches"
+            )
+            self.clock.leave_out(what)
+            return None
+
+    def _diagnose_in_time(
+        self, notes: list[str], start: float, error: float, periodic_only: bool, factor: float | None
+    ) -> Diagnosis | None:
         problem = self.segmented(factor)
         over = self._describe_segments(problem, error, periodic_only)
         self.say(
@@ -367,9 +413,12 @@ class Workflow:
         flow = replace(self, problem=problem, is_segmented=True)
         search = flow.search
         try:
-            refitted = search.fitter.refit_nominal()
-            if periodic_only and (flow.is_within_noise(refitted) or not flow.is_perhaps_periodic(refitted)):
-                return None
+            with self.clock.until(SEARCH):
+                refitted = search.fitter.refit_nominal()
+                if periodic_only and (
+                    flow.is_within_noise(refitted) or not flow.is_perhaps_periodic(refitted)
+                ):
+                    return None
             if periodic_only:
                 scores = search.select(*search.add_effects([refitted], most=1))
             else:

@@ -13,6 +13,7 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 import numba as nb
+from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from ..errors import InputError
@@ -72,6 +73,15 @@ class _Kept(FunctionCache):
                 RuntimeWarning,
                 stacklevel=2,
             )
+
+
+_compilations = event.TimingListener()
+event.register("numba:compile", _compilations)
+
+
+def compile_seconds() -> float:
+    """Return the time that this process has spent on the compilation of kernels [s]; loading compiled kernels does not count."""
+    return float(_compilations.duration) if _compilations.done else 0.0
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -153,9 +153,10 @@ def rejoin(whole: Network, part: Network) -> Network:
         levers=tuple(levers.get(v.name, v) for v in whole.levers),
         elements=elements,
         outputs=tuple(cells.get(c.name, c) for c in whole.outputs),
+        description=part.description,
         uncertainty={},
     )
-    return _uncertain(joined, whole.uncertainty)
+    return _uncertain(joined, {**whole.uncertainty, **part.uncertainty})
 
 
 def _uncertain(network: Network, uncertainty: Mapping[str, float]) -> Network:

@@ -6,8 +6,8 @@ page.
 
 from __future__ import annotations
 
-from .diagnosis import check_target, write_report
+from .diagnosis import check_target, signal_picture, write_report
 from .plan import write_plan
 from .score import check_report, score_report
 
-__all__ = ["check_report", "check_target", "score_report", "write_plan", "write_report"]
+__all__ = ["check_report", "check_target", "score_report", "signal_picture", "write_plan", "write_report"]

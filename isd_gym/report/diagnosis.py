@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
+import tempfile
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,7 +86,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, *, about: Mapping[str
     """
     folder = Path(folder)
     with whole_folder(folder, *FOLDER) as place:
-        diagnosis.save(place)
+        diagnosis.save(place, report=False)
     try:
         _draw_report(diagnosis, folder, dict(about or {}))
     except Exception as error:  # a failing figure must not lose the results of a long computation
@@ -96,7 +98,7 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
     """Exchange the folder for a folder with the results, the page and its figures."""
     view = View(diagnosis)
     with style(), whole_folder(folder, *FOLDER) as place:
-        diagnosis.save(place)
+        diagnosis.save(place, report=False)
         pictures: dict[str, Picture] = {}
         for make in FIGURES:
             chart = make(view)
@@ -112,6 +114,30 @@ def _draw_report(diagnosis: Diagnosis, folder: Path, about: dict[str, str]) -> N
             stages=STAGES,
         )
         write_text(place / "report.html", html)
+
+
+def signal_picture(diagnosis: Diagnosis) -> str:
+    """Return the picture of measured and simulated signals of a diagnosis, as HTML for a notebook.
+
+    Args:
+        diagnosis: The result.
+
+    Returns:
+        An image with its caption; empty for a diagnosis without a simulated record.
+
+    Raises:
+        ReportError: The picture cannot be drawn.
+    """
+    try:
+        chart = draw_time(View(diagnosis)) if diagnosis.traces else None
+        if chart is None:
+            return ""
+        with style(), tempfile.TemporaryDirectory() as place:
+            made = picture(chart, Path(place))
+    except Exception as error:
+        raise ReportError("the picture", error, "the tables are complete") from error
+    shown = f'<img src="{made.data}" alt="{escape(made.alt)}" width="{made.width}">'
+    return f"<figure>{shown}<figcaption>{escape(made.caption)}</figcaption></figure>"
 
 
 def check_target(folder: str | Path) -> None:
@@ -158,7 +184,7 @@ class View:
         self.d = d = diagnosis
         self.named = bool(d.effects)
         # whether the new model differs from the given model
-        self.changed = self.named or d.tabulated is not None or d.reason == "kind_certain"
+        self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous"
         self.inside = isinstance(d.base, Network)
         document = d.to_dict()
         told = (statements_of if self.inside else unit_statements_of)(document)
@@ -169,7 +195,7 @@ class View:
         # whether several candidates cannot be told apart
         self.tied = d.verdict == "ambiguous" and d.reason != "kind_certain"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
-        if d.reason == "kind_certain":
+        if d.verdict == "ambiguous":
             self.labels["after"] = "with the likeliest law"
         elif not self.named:
             self.labels["after"] = "with the force"

@@ -14,7 +14,7 @@ from .filtering import (
     find_computed_forces,
 )
 from .multirate import build_record, check_sampling_rates
-from .reading import read_record
+from .reading import read_record, thin_long_record
 from .splitting import LEAD_IN, cut_segments, split_records
 
 __all__ = [
@@ -32,4 +32,5 @@ __all__ = [
     "find_misreading",
     "read_record",
     "split_records",
+    "thin_long_record",
 ]

@@ -14,14 +14,16 @@ from ...data.quality import CAR, Scale, admit, known_check, rises_unevenly
 from ...errors import InputError, MissingColumn
 from ...loggers.recording import Recording, Signal
 from ...network import Channel, Network, own_time, slowest_time, without
-from ...units import convert
-from ..simulation.problem import Array, Problem, Record
+from ...units import HELD, convert
+from ..simulation.problem import COARSE, Array, Problem, Record, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+#: number of samples of a record above which samples are left out, as far as the others resolve the motion
+LONG = 100_000
 LEAST_SAMPLES = 32  # least number of samples of a record from which the scale of the outputs is estimated
 
 
@@ -72,6 +74,28 @@ def read_record(
     )
     admit(table, findings, notes, accept)
     return _convert_table(table.uniform(), network)
+
+
+def thin_long_record(record: Record, network: Network, notes: list[str]) -> Record:
+    """Return a record of at most `LONG` samples, or as few as resolve the motion; shorter records stay as they are.
+
+    Inputs are low-pass filtered, or averaged where they are held between samples.
+
+    Args:
+        record: Record without filter.
+        network: The nominal model.
+        notes: List for a note.
+    """
+    if record.samples <= LONG or record.filtered or record.reading is not None:
+        return record
+    by = min(math.ceil(record.samples / LONG), int(COARSE * record.pace / record.step))
+    if by < 2:
+        return record
+    notes.append(
+        f"{record.name}: {record.samples} samples are more than the motion needs: every {by}th sample is compared "
+        f"({1.0 / (record.step * by):.4g} Hz), inputs are low-pass filtered"
+    )
+    return thinned(record, by, {c.name for c in network.inputs if c.quantity in HELD})
 
 
 def _read_recording(

@@ -15,6 +15,7 @@ from ..estimation.multiple_shooting import fit_segments, is_lightly_damped
 from ..estimation.noise import white_filters, whitener
 from ..estimation.structure import Structure, base_structure
 from ..simulation.problem import BROKEN
+from ..simulation.time_limit import TimeUp, running
 from .candidate import Candidate, deviance_with_noise_of, settle, transfer, white_noise
 from .screening import GROWTH, beginning
 
@@ -50,10 +51,16 @@ class CandidateFitter:
         p, least = self.evaluator.problem, self.evaluator.least_noise
         structure = base_structure(p.network)
         found = [settle(p, structure, structure.start, least)]
-        more = [self.from_segments(structure, structure.start, found[0])]
-        if self.is_lightly_damped or not p.network.inputs:
-            more.append(self.from_growing_windows(structure, structure.start))
-        found += [c for c in more if c is not None]
+        try:
+            more = [self.from_segments(structure, structure.start, found[0])]
+            if self.is_lightly_damped or not p.network.inputs:
+                more.append(self.from_growing_windows(structure, structure.start))
+            found += [c for c in more if c is not None]
+        except TimeUp:
+            limit = running()
+            if limit is not None:
+                limit.leave_out("further starts of the refit")
+            return found[0]
         gaps = [gap(p, c.fit) for c in found]
         near = [c for c, g in zip(found, gaps, strict=True) if g <= ASTRAY * min(gaps)]
         best = min(near, key=lambda c: c.deviance)

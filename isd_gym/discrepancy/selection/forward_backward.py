@@ -9,6 +9,7 @@ import numpy as np
 
 from ..estimation.gauss_newton import gap
 from ..simulation.problem import BROKEN
+from ..simulation.time_limit import EVIDENCE, SEARCH, SELECTION, TimeLimit, TimeUp
 from .candidate import (
     Candidate,
     deviance_with_noise_of,
@@ -22,7 +23,6 @@ from .equivalent_laws import equivalent_structures, joint_structures
 from .held_out import HeldOutScore, error_reduction
 from .inclusion_tests import InclusionTests
 from .screening import screen_effects
-from .settings import TimeLimit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from .criteria import Criteria
     from .held_out import HeldOutEvaluator
     from .settings import SearchSettings
+
+#: stages of forward addition, in words
+ORDINALS = ("a first", "a second", "a third", "a further")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +98,24 @@ class Search:
         Returns:
             The path and its stages after the additions.
         """
-        c, e = self.criteria, self.evaluator
         path, stages = list(path), list(stages)
-        while len(path) <= (most or self.settings.depth) and is_promising(path[-1]):
+        try:
+            with self.clock.until(SEARCH):
+                self._extend(path, stages, most or self.settings.depth, is_promising)
+        except TimeUp:
+            self.clock.leave_out(f"the search for {ORDINALS[min(len(path), len(ORDINALS)) - 1]} effect")
+        return path, stages
+
+    def _extend(
+        self,
+        path: list[Candidate],
+        stages: list[list[Candidate]],
+        most: int,
+        is_promising: Callable[[Candidate], bool],
+    ) -> None:
+        """Append candidates with one more effect each to a path, and their stages."""
+        c, e = self.criteria, self.evaluator
+        while len(path) <= most and is_promising(path[-1]):
             now = path[-1]
             score = e.score_path(path)[-1]
             excess = score.excess(e.noise_share(score))
@@ -119,7 +137,7 @@ class Search:
                     path.append(hint)
                     stages.append([hint])
                     break
-            best = None if stages and self.clock.stops() else self._add_best(now, stages)
+            best = self._add_best(now, stages)
             if best is None:
                 break
             try:
@@ -135,7 +153,6 @@ class Search:
             is_small = e.effect_sizes(best)[-1] < c.share
             if is_small and float(then.excess(e.noise_share(then)).mean()) < c.wide:
                 break
-        return path, stages
 
     def _hint(self, now: Candidate) -> Candidate | None:
         """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
@@ -174,10 +191,24 @@ class Search:
     def select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
         """Select the effects of a path that pass the tests, and the simplest law for each.
 
+        An effect that was not compared with its rivals before the time was up is not selected.
+
         Args:
             path: Candidates with one more effect each.
             stages: Candidates of each stage.
         """
+        try:
+            with self.clock.until(SELECTION):
+                return self._select(path, stages)
+        except TimeUp:
+            best = "; ".join(h.label for h in path[-1].hypotheses)
+            self.clock.leave_out(
+                "the comparison of the candidates" + (f" (the first was {best})" if best else "")
+            )
+        with self.clock.until(EVIDENCE):
+            return CandidateComparison(self.evaluator, path[:1], [])
+
+    def _select(self, path: Sequence[Candidate], stages: list[list[Candidate]]) -> CandidateComparison:
         scores = CandidateComparison(self.evaluator, path, stages)
         count = len(path) - 1
         while count > 0 and not self.tests.passes_inclusion(scores, path[count - 1], path[count]):
@@ -277,18 +308,27 @@ class Search:
         """
         if is_decided(scores) or not scores.stages:
             return scores
-        first, refitted = scores.stages[0][0], scores.score(scores.refitted).mean_square
-        for score, runner in scores.runners_up()[: self.settings.turns]:
+        first = scores.stages[0][0]
+        try:
+            with self.clock.until(SEARCH):
+                runners = scores.runners_up()[: self.settings.turns]
+                refitted = scores.score(scores.refitted).mean_square
+        except TimeUp:
+            self.clock.leave_out("further starts of the search")
+            return scores
+        for score, runner in runners:
             # the first search went through a special case of the runner-up
             if is_special_case(first.hypotheses[-1], runner.hypotheses[-1]) or score > refitted:
                 continue
-            if self.clock.stops():
-                break
             self.say(f"starting over with {runner.hypotheses[-1].label}")
             try:
-                other = self._search_from(scores, runner)
+                with self.clock.until(SEARCH):
+                    other = self._search_from(scores, runner)
             except BROKEN:
                 continue
+            except TimeUp:
+                self.clock.leave_out(f"a start from {runner.hypotheses[-1].label}")
+                break
             if other is not None and self._improves(other, scores):
                 scores = other
         return scores
@@ -307,7 +347,7 @@ class Search:
             return not self.tests.predicts_better(scores, there, candidate)
 
         path, stages = self.add_effects([scores.refitted, runner], scores.stages[:1], is_promising=leads)
-        return self.select(path, stages) if leads(path[-1]) else None
+        return self._select(path, stages) if leads(path[-1]) else None
 
     def _improves(self, other: CandidateComparison, best: CandidateComparison) -> bool:
         """Return whether another comparison's choice predicts better, or no worse with fewer effects.

@@ -27,6 +27,7 @@ from ..hypotheses.neighbouring_periods import try_neighbouring_periods
 from ..hypotheses.position_spectrum import thinning_loses
 from ..hypotheses.score_test import ScoredStart, score_hypotheses, with_fitted_effects
 from ..simulation.problem import BROKEN
+from ..simulation.time_limit import adopt, running
 from .candidate import (
     Candidate,
     deviance,
@@ -287,7 +288,7 @@ class Screening:
     def first_round(self) -> list[Candidate]:
         """Fit the hypotheses of the shortlist to the windows, and the best of them to whole records."""
         groups, _ = self.shortlist(), (self.window_fitter, self.window_states)
-        with ThreadPoolExecutor(self.settings.jobs) as pool:
+        with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             fitted = _best_first(pool.map(self.fit_to_windows, groups))
             ranked = fitted[: self.settings.finals]
             # the deviance under coloured noise may miss the candidate that closes most of the gap
@@ -303,7 +304,7 @@ class Screening:
         if not ranked:
             return ScreeningResult((), self.first_noise)
         noise = np.min([white_noise(self.problem, r.fit, self.least_noise) for r in ranked], axis=0)
-        with ThreadPoolExecutor(self.settings.jobs) as pool:
+        with ThreadPoolExecutor(self.settings.jobs, initializer=adopt, initargs=(running(),)) as pool:
             ranked = _best_first(pool.map(lambda r: self.settle_noise(r, noise), ranked))
             again = [(r, k) for r in ranked[:2] for k in self.settings.shapes]
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
+
+from ..simulation.time_limit import TimeLimit as TimeLimit
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ class SearchSettings:
     segments: int = 30
     #: threads that share the fits; the result does not depend on the number
     jobs: int = 2
-    #: processor time after which no further stage, start or length of segments is tried [s]; None for no limit. With a limit, the result
-    #: depends on the speed of the machine.
+    #: time after which the diagnosis ends [s]; None for no limit. Stages that are not finished in their share of the time are left out and
+    #: listed in the result, which then depends on the speed of the machine. The compilation of kernels does not count.
     max_seconds: float | None = None
     #: largest lag between the clocks of loggers [s]
     max_lag: float = 0.5
@@ -72,31 +73,3 @@ class SearchSettings:
     #: error of the refitted model with swapped roles, over the error of a straight line through each record, below which the force
     #: determines the motion: half of the power
     swapped_error: float = 0.7
-
-
-class TimeLimit:
-    """Limit of processor time from now on, for the same result on a busy machine.
-
-    Args:
-        limit: Limit [s]; None for no limit.
-    """
-
-    def __init__(self, limit: float | None = None) -> None:
-        self._limit, self._start = limit, time.process_time()
-        #: whether work was left out since the time was up
-        self.has_stopped = False
-
-    @property
-    def seconds(self) -> float:
-        """Processor time since the start [s]."""
-        return time.process_time() - self._start
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the time is up."""
-        return self._limit is not None and self.seconds > self._limit
-
-    def stops(self) -> bool:
-        """Return whether further work is left out since the time is up; `has_stopped` keeps the answer."""
-        self.has_stopped = self.has_stopped or self.is_over
-        return self.is_over

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,8 @@ from ..result import Quantity
 from ..simulation.problem import BROKEN
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ...network import Network
     from ..estimation.structure import Structure
     from ..simulation.problem import Array
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
 
 #: quantile of a normal distribution for a 95 % interval
 Z95 = 1.96
+#: largest relative standard deviation that a model states
+MOST_UNCERTAIN = 100.0
 #: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
 LARGEST_SHIFT = 1e6
 
@@ -74,6 +79,28 @@ def intervals(
         )
         out[q.path] = Quantity(q.back(x), *ends, f.network.unit_of(q.path), prior.get(q.path))
     return out
+
+
+def with_posterior(network: Network, quantities: Mapping[str, Quantity]) -> Network:
+    """Return a fitted model whose stated uncertainties are those of the fit.
+
+    The uncertainty of a parameter is its relative standard deviation, as `base_structure` reads it: of the logarithm for a positive
+    value, of the value for a negative one. Parameters without an interval keep their uncertainty.
+
+    Args:
+        network: The fitted model.
+        quantities: Fitted parameters with their intervals, by path.
+    """
+    own, found = network.parameters, {}
+    for path, q in quantities.items():
+        if path not in own or q.value == 0 or not math.isfinite(q.low) or not math.isfinite(q.high):
+            continue
+        if q.value > 0 and q.low > 0:
+            sigma = math.expm1(min(0.5 * math.log(q.high / q.low) / Z95, 10.0))
+        else:
+            sigma = 0.5 * (q.high - q.low) / Z95 / abs(q.value)
+        found[path] = float(f"{min(sigma, MOST_UNCERTAIN):.3g}")
+    return replace(network, uncertainty={**network.uncertainty, **found})
 
 
 def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from ...units import HELD, convert
 from .cache import SimulationCache
 from .interpolation import interpolated, splined_input
 from .node_motion import transfer_matrix
+from .time_limit import check_time
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -455,6 +456,7 @@ class Problem:
         like: Network | None,
     ) -> dict[int, Array]:
         """Every network over every record of `members`, which are equally long: one lane each, record by record."""
+        check_time()
         records = [self.records[i] for i in members]
         record, wide = records[0], len(networks)
         every = self.every(record)

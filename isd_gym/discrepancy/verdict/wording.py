@@ -117,8 +117,20 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         _stretches(document),
         _closed_loop(document),
     ]
+    finding = [_not_tried(document), *finding]
     return Statements(
         _title(document), _kept(finding), _kept(remarks), _kept([*_urgent(document), _next(document)])
+    )
+
+
+def _not_tried(d: Mapping[str, Any]) -> str:
+    """Return what the limit of the time left out; empty where nothing was left out."""
+    if not d.get("not_tried"):
+        return ""
+    limit = plain_number(d["search"]["max_seconds"])
+    return (
+        f"The time limit of {limit} s ended the diagnosis early. Not tried: {', '.join(d['not_tried'])}. "
+        "What follows rests on the rest of the search."
     )
 
 
@@ -302,6 +314,8 @@ def _title(d: Mapping[str, Any]) -> str:
             if verdict == "no_discrepancy"
             else "Parameters were off; no effect is missing"
         )
+    if verdict == "unknown_effect" and d.get("not_tried"):
+        return "An effect is missing; the time limit ended the search for it"
     kinds, places = _likely_kinds(d), _certain_places(d)
     if d["reason"] == "kind_certain" and kinds:
         place = f" {_spot(kinds[0]['place'])}; its law is" if kinds[0]["place"] else "; its place and law are"
@@ -515,7 +529,8 @@ def _left(rival: Mapping[str, Any]) -> str:
 def _unknown(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _widest(gap)
-    return f"An effect is missing, and no known effect passes every gate ({_errors(gap, c, 'before', 'refit')})."
+    why = "the search for it is not finished" if d.get("not_tried") else "no known effect passes every gate"
+    return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')})."
 
 
 def _where(d: Mapping[str, Any]) -> str:
@@ -553,6 +568,8 @@ def _no_gain(candidate: Mapping[str, Any]) -> str:
 
 def _best_candidate(d: Mapping[str, Any]) -> str:
     best = d["best_candidate"]
+    if best is None and d.get("not_tried"):
+        return ""
     if best is None:
         return "No known effect reduces the held-out error by enough to be kept."
     if not is_gain(best):
@@ -583,6 +600,8 @@ def _table(d: Mapping[str, Any]) -> tuple[str, str]:
         shape = [f"Share of its power by argument: {alone}."] if alone else []
         shape += [f"Share of its power that the nearest known laws give: {near}."] if near else []
         return text, " ".join(shape)
+    if tried is None and d.get("not_tried"):
+        return "", ""
     return _rejected_table(tried), ""
 
 

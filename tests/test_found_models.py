@@ -1,0 +1,153 @@
+"""What a found model is used for: errors on new records, ranges of an environment, a folder with its report."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from isd_gym import cli, simulate
+from isd_gym.batch import posterior_ranges, ranges
+from isd_gym.data import Table, write_table
+from isd_gym.discrepancy import Quantity
+from isd_gym.discrepancy.prediction_errors import prediction_errors
+from isd_gym.discrepancy.selection.uncertainty import with_posterior
+from isd_gym.env import ISDSuspensionEnv
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+
+RIG = Network.load(
+    {
+        "schema": "isd-model/1",
+        "name": "rig",
+        "masses": {"mass": 5.0},
+        "elements": [
+            {
+                "name": "spring",
+                "type": "linear_stiffness",
+                "between": ["mass", "ground"],
+                "stiffness": 2000.0,
+            },
+            {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 30.0},
+        ],
+        "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
+        "outputs": [
+            {"name": "travel", "quantity": "displacement", "at": "mass", "unit": "mm", "offset": "record"}
+        ],
+    }
+)
+TIME = np.arange(2000) / 200.0
+PUSH = 40.0 * np.sin(2 * np.pi * 2.1 * TIME) + 20.0 * np.sin(2 * np.pi * 3.7 * TIME + 1.0)
+
+
+@pytest.fixture
+def files(tmp_path):
+    RIG.save(tmp_path / "rig.json")
+    RIG.with_parameters({"damper.damping": 60.0}).save(tmp_path / "other.json")
+    travel = simulate(RIG, TIME, {"push": PUSH})["travel"]
+    noise = 0.05 * np.random.default_rng(0).standard_normal(len(TIME))
+    for name, first, offset in (("a", 0, 0.0), ("b", 700, 3.0)):  # the second starts in mid-motion
+        columns = {"push": PUSH[first:], "travel": travel[first:] + noise[first:] + offset}
+        write_table(tmp_path / f"{name}.csv", Table(TIME[first:] - TIME[first], columns, name))
+    return tmp_path
+
+
+def invoke(*words):
+    return CliRunner().invoke(cli.app, list(map(str, words)))
+
+
+# ------------------------------------------------------------------------------------------- simulate --compare
+def test_the_error_of_the_true_model_is_the_noise_and_that_of_another_one_is_not(files):
+    records = [files / "a.csv", files / "b.csv"]
+    own, other = (prediction_errors(records, files / m).rows for m in ("rig.json", "other.json"))
+    assert [(r.record, r.channel) for r in own] == [(n, "travel") for n in ("a", "b", "all records")]
+    assert all(r.rms == pytest.approx(0.05, rel=0.1) and r.nrmse < 0.02 and r.unit == "mm" for r in own)
+    assert all(r.nrmse > 0.15 for r in other)
+
+
+def test_the_command_prints_the_table_and_writes_it(files):
+    made = files / "errors.json"
+    done = invoke(
+        "simulate", files / "rig.json", files / "a.csv", files / "b.csv", "--compare", "--json", made
+    )
+    assert done.exit_code == 0, done.output
+    assert "all records" in done.output and "RMS error" in done.output and "own parameters" in done.output
+    rows = json.loads(made.read_text())["errors"]
+    assert len(rows) == 3 and all(r["rms"] == pytest.approx(0.05, rel=0.1) for r in rows)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["a.csv"], "--out FILE is missing"),
+        (["a.csv", "b.csv", "--out", "o.csv"], "one DATA with --out"),
+        (["a.csv", "--compare", "--out", "o.csv"], "leave out --out"),
+        (["a.csv", "--compare", "--initial", "mass=0.1"], "leave out --out and --initial"),
+        (["a.csv", "a.csv", "--compare"], "named twice"),
+        (["push.csv", "--compare"], "no column 'travel'"),
+    ],
+)
+def test_other_wishes_are_one_line(files, monkeypatch, words, told):
+    monkeypatch.chdir(files)
+    write_table("push.csv", Table(TIME, {"push": PUSH}, "push"))
+    done = invoke("simulate", "rig.json", *words)
+    assert isinstance(done.exception, InputError) and told in str(done.exception)
+    assert "\n" not in str(done.exception)
+
+
+def test_a_model_without_outputs_has_no_errors(files):
+    with pytest.raises(InputError, match="no outputs"):
+        prediction_errors([files / "a.csv"], replace(RIG, outputs=()))
+
+
+# ------------------------------------------------------------------------------------------- posterior
+def test_the_intervals_of_a_fit_become_uncertainties():
+    quantities = {
+        "spring.stiffness": Quantity(2000.0, 2000.0 / 1.1**1.96, 2000.0 * 1.1**1.96, "N/m"),
+        "damper.damping": Quantity(30.0, 30.0, float("inf"), "N s/m"),
+        "gone.level": Quantity(1.0, 0.5, 2.0, "N"),
+    }
+    found = with_posterior(replace(RIG, uncertainty={"mass.mass": 0.2}), quantities)
+    assert found.uncertainty == {"mass.mass": 0.2, "spring.stiffness": pytest.approx(0.1, abs=1e-3)}
+
+
+@pytest.fixture
+def found(tmp_path):
+    car = Network.load("quarter-car-isd").with_parameters({"body.mass": 350.0})
+    folder = tmp_path / "found"
+    folder.mkdir()
+    replace(car, uncertainty={"body.mass": 0.02, "seal.level": 0.1}).save(folder / "model.json")
+    return folder
+
+
+def test_the_environment_draws_the_rig_that_was_measured(found):
+    env = ISDSuspensionEnv(network=found / "model.json", randomize=found)
+    drawn = []
+    for seed in range(200):
+        _, info = env.reset(seed=seed)
+        drawn.append(info["body.mass"])
+    low, high = 350.0 / 1.02**1.96, 350.0 * 1.02**1.96
+    assert low <= min(drawn) < low + 1.5 and high - 1.5 < max(drawn) <= high
+
+
+def test_further_ranges_stand_beside_those_of_the_folder(found):
+    car = Network.load(found / "model.json")
+    given = ranges(car, {"found": str(found), "speed": (10, 20), "body.mass": (0.5, 2.0)})
+    assert given["speed"] == (10.0, 20.0) and given["body.mass"] == (0.5, 2.0)
+    assert given["seal.level"] == pytest.approx((1.1**-1.96, 1.1**1.96))
+    assert posterior_ranges(car, found / "model.json").keys() == {"body.mass", "seal.level"}
+
+
+def test_another_car_and_a_model_without_uncertainty_are_one_line(found, tmp_path):
+    with pytest.raises(InputError, match="give network="):
+        ISDSuspensionEnv(randomize=str(found))
+    Network.load("quarter-car-passive").save(tmp_path / "m.json")
+    sure = replace(Network.load("quarter-car-passive"), uncertainty={})
+    sure.save(tmp_path / "m.json")
+    with pytest.raises(InputError, match="states no uncertainty"):
+        posterior_ranges(sure, tmp_path / "m.json")
+    with pytest.raises(InputError, match="must be the folder"):
+        ranges(sure, {"found": 3})
+    with pytest.raises(InputError):
+        ranges(sure, tmp_path / "nowhere")
