@@ -341,6 +341,14 @@ class Element:
         """
         return 0.0
 
+    def period(self) -> float | None:
+        """Return the travel after which the force repeats.
+
+        Returns:
+            Period of the elongation [m], or [rad] where nodes turn; None for a law that does not repeat over travel.
+        """
+        return float(getattr(self, self.periodic[0])) if self.periodic else None
+
     def contact(self) -> tuple[float, float, float, float] | None:
         """Return the contact limits of a stop.
 
