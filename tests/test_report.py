@@ -464,7 +464,9 @@ def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
     typical = chart.choices["one (fitted)"][1]
     assert typical.title == "typical stretch" and typical.x.high < 1500 * STEP
     assert len(typical.items[0].x) == round(report.STRETCH / STEP)
-    residuals = report.draw_residuals(report.View(replace(diagnosis, traces=traces))).choices["one (fitted)"][0]
+    residuals = report.draw_residuals(report.View(replace(diagnosis, traces=traces))).choices["one (fitted)"][
+        0
+    ]
     spans = [(i.low, i.high) for i in residuals.items if isinstance(i, charts.Span)]
     assert spans == [(window.low, window.high), (typical.x.low, typical.x.high)]
 

@@ -824,7 +824,9 @@ def _loops_chart(view: View, name: str, forces: Sequence[Loops]) -> Chart | None
     )
     return Chart(
         name,
-        "Other forces over velocity and travel" if name == "other_loops" else "Force over velocity and travel",
+        "Other forces over velocity and travel"
+        if name == "other_loops"
+        else "Force over velocity and travel",
         "Loops of the force over velocity and over travel, measured and simulated",
         f"Force, positive in tension, over the motion of its terminals: about {PERIODS} periods from the stretch of the record "
         f"“{trace.name}” ({trace.use}).{note}",

@@ -339,7 +339,9 @@ def _next(d: Mapping[str, Any]) -> str:
         if not _agrees(d):
             return "log further motions or inputs, or record larger amplitudes."
         if verdict == "parameters_only":
-            return "use the refitted parameters (model.json), and test them with a record of another excitation."
+            return (
+                "use the refitted parameters (model.json), and test them with a record of another excitation."
+            )
         return (
             "record other amplitudes, speeds or frequencies to see effects that these records do not excite."
         )
