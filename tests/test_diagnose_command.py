@@ -183,7 +183,7 @@ def check_folder(o: Outcome) -> None:
         d
     )  # from the numbers of the document alone
     assert not re.search(r"\b(inf|nan|None)\b", d["summary"])
-    first = re.split(r" \(|; ", d["summary"])[0]
+    first = re.split(r" \(|; |(?<=\.) ", d["summary"])[0]
     assert first in " ".join(o.printed.split())
     assert o.page.open == [] and first in o.page.text
     for file in o.folder.iterdir():

@@ -151,9 +151,9 @@ def test_every_help_is_of_whole_sentences(program):
     """Paragraphs and options end with a full stop; an example alone is a command."""
     for name, command in program.commands.items():
         paragraphs = [" ".join(text.split()) for text in (command.help or "").split("\n\n")]
-        assert paragraphs[-1].split(":")[0] in ("Example", "Without a road"), name
+        assert paragraphs[-1].split(":")[0] in ("Example", "Without a road", "Errors"), name
         for text in paragraphs:
-            example = re.match(r"(Example|Without a road): isd-gym \w", text)
+            example = re.match(r"(Example|Without a road|Errors): isd-gym \w", text)
             assert example or (text[0].isupper() and text.endswith(".")), f"{name}: {text}"
         for option in command.params:
             text = getattr(option, "help", None) or "."
