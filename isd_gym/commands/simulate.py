@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -19,6 +19,9 @@ from ._options import (
     UnitOption,
     channel_names,
 )
+
+if TYPE_CHECKING:
+    from ..simulate import Interpolation
 
 
 def command(
@@ -47,6 +50,14 @@ def command(
             metavar="NODE=VALUE|FILE|fit",
         ),
     ] = None,
+    interpolation: Annotated[
+        str,
+        typer.Option(
+            help="Displacements and forces between samples. auto: as in a diagnosis, a cubic spline and small physics steps where an "
+            "output has fewer than 21 samples per period, straight lines elsewhere.",
+            metavar="auto|linear|spline",
+        ),
+    ] = "auto",
 ) -> None:
     """Simulate a model with the inputs of a table, and write its outputs at the same times.
 
@@ -105,7 +116,14 @@ def command(
         typer.echo(f"initial state fitted to {', '.join(measured)}, in SI: {text}", err=True)
     elif initial:
         start = state_of(network, motions_of(initial), si, table.step)
-    outputs = run(network, table.time, table.columns, step=step, initial=start)
+    outputs = run(
+        network,
+        table.time,
+        table.columns,
+        step=step,
+        initial=start,
+        interpolation=cast("Interpolation", interpolation),
+    )
     for name, values in outputs.items():
         if not np.isfinite(values).all():
             at = table.time[int(np.argmin(np.isfinite(values)))]
