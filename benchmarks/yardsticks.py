@@ -32,7 +32,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from isd_gym.data import Table, read_table, write_table
 from isd_gym.discrepancy.estimation.initial_state_fit import initial_state
 from isd_gym.discrepancy.records import differentiate_inputs, read_record
-from isd_gym.discrepancy.simulation.problem import Problem
+from isd_gym.discrepancy.simulation.interpolation import differences
+from isd_gym.discrepancy.simulation.problem import Problem, low_pass
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
 
@@ -211,16 +212,23 @@ def stretch_error(network: Network, table: Table, window: int) -> float:
     return rms(np.concatenate(errors))
 
 
-def force_error(network: Network, path: Path) -> float:
+def force_error(network: Network, train: Path, test: Path) -> float:
     """Return the RMS error of a force that is computed from a motion, over the deviation of the force.
 
-    Motion and force pass the low-pass of the diagnosis.
+    Motion, measured force and computed force pass the low-pass that the diagnosis chooses for the training record. Its ends, where the
+    filter extrapolates, are not scored.
     """
-    (record,) = differentiate_inputs([read_record(path, network, [], ("all",))], network)
+    first, record = (read_record(path, network, [], ("all",)) for path in (train, test))
+    (filtered,) = differentiate_inputs([first], network)
+    taps = np.ones(1) if filtered.taps is None else filtered.taps
+    moved = {c.name: low_pass(record.inputs[c.name], taps) for c in network.moving}
+    slopes = {name: differences(x, record.step) for name, x in moved.items()}
     fixed = replace(network, outputs=tuple(replace(c, offset=None) for c in network.outputs))
-    computed = Problem(fixed, [record]).simulate([fixed], 0)[:, 0, 0]
-    measured = record.measured[:, 0]
-    return rms(measured - computed) / float(np.std(measured))
+    smooth = replace(record, inputs=dict(record.inputs) | moved, slopes=slopes)
+    computed = low_pass(Problem(fixed, [smooth]).simulate([fixed], 0)[:, 0, 0], taps)
+    measured = low_pass(record.measured[:, 0], taps)
+    scored = slice(len(taps), len(measured) - len(taps))
+    return rms((measured - computed)[scored]) / float(np.std(measured[scored]))
 
 
 def law_of(network: Network, yardstick: Yardstick) -> dict[str, Any]:
@@ -261,7 +269,7 @@ def measure(name: str, folder: Path, out: Path) -> dict[str, Any]:
             if name == "emps":
                 figures["test, stretches of 1 s"] = y.factor * stretch_error(network, table, y.window)
         else:
-            figures[test] = y.factor * force_error(network, path)
+            figures[test] = y.factor * force_error(network, folder / y.folder / "train.csv", path)
     return {
         "unit": y.unit,
         "verdict": said["verdict"],
