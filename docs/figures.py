@@ -349,6 +349,25 @@ def measured() -> None:
         shutil.copy(Path(folder) / "plane.png", HERE / "measured_emps.png")
 
 
+def yardsticks() -> None:
+    """The completed laws of the official benchmarks."""
+    found = json.loads((HERE.parents[1] / "benchmarks" / "yardsticks.json").read_text(encoding="utf-8"))
+    fig, axes = plt.subplots(1, 2, figsize=(7, 2.6), layout="constrained")
+    spring, friction = found["silverbox"]["law"], found["emps"]["law"]
+    x, force = np.array(spring["axis"]), np.array(spring["force"])
+    axes[0].plot(x, force, color=BLUE, label="completed")
+    linear = found["silverbox"]["parameters"]["spring.stiffness"]
+    axes[0].plot(x, linear * x, color=GREY, ls="--", label="linear part")
+    axes[0].set(xlabel=spring["label"], ylabel="spring force", title="Silverbox")
+    axes[0].legend()
+    axes[1].plot(friction["axis"], friction["force"], color=BLUE, label="from force to motion")
+    other = found["emps-inverse"]["law"]
+    axes[1].plot(other["axis"], other["force"], color=ORANGE, ls="--", label="from motion to force")
+    axes[1].set(xlabel=friction["label"], ylabel="friction [N]", title="EMPS")
+    axes[1].legend()
+    save(fig, "yardsticks")
+
+
 def see_through(file: Path) -> None:
     """Make the white ground of a drawing transparent; the style sheet turns its lightness round in the dark.
 
@@ -388,6 +407,7 @@ if __name__ == "__main__":
         reports,
         preview,
         measured,
+        yardsticks,
     )
     for make in every:
         if not sys.argv[1:] or make.__name__ in sys.argv[1:]:

@@ -714,6 +714,41 @@ def read_answers(folder: Path) -> None:
     MEASURED.write_text(json.dumps(entries, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
+#: figures of Champneys and others 2024 on the official splits: method, Silverbox [mV], EMPS [mm]
+PUBLISHED = [
+    ("linear state space", "6.96 / 14.4 / 6.58", "5.53"),
+    ("ARX", "6.95 / 14.2 / 6.59", "12.6"),
+    ("polynomial NARX", "0.640 / 2.25 / 0.571", "5.17"),
+    ("Gaussian process NARX", "0.301 / 0.600 / 0.259", "1690"),
+    ("MLP NARX", "2.80 / 5.18 / 2.40", "133"),
+    ("MLP FIR", "18.9 / 20.2 / 15.3", "121"),
+    ("RNN", "1.64 / 4.88 / 1.73", "89.2"),
+    ("LSTM", "1.50 / 2.68 / 0.960", "74.1"),
+    ("state of the art quoted there", "0.36 / 0.26 / 0.32", "2.64"),
+]
+
+
+def yardsticks() -> str:
+    """Figures of the completed models on the official splits, beside the published ones."""
+    found = json.loads((BENCHMARKS / "yardsticks.json").read_text(encoding="utf-8"))
+    silverbox = " / ".join(f"{v:.2f}" for v in found["silverbox"]["figures"].values())
+    ours = ["**`isd-gym diagnose`**", f"**{silverbox}**", f"**{found['emps']['figures']['test']:.2f}**"]
+    return markdown(["method", "Silverbox [mV]", "EMPS [mm]"], [ours, *map(list, PUBLISHED)], "lrr")
+
+
+def yardstick_models() -> str:
+    """Completed models of the official splits: effects, parameters, figures and time."""
+    body = []
+    for name, f in json.loads((BENCHMARKS / "yardsticks.json").read_text(encoding="utf-8")).items():
+        effects = ", ".join(e.replace("_", " ") for e in f["effects"])
+        values = ", ".join(f"{path} {value:.4g}" for path, value in f["parameters"].items())
+        figures = "; ".join(f"{k.replace('_', ' ')} {v:.2f} {f['unit']}" for k, v in f["figures"].items())
+        time = f"{f['seconds']:.0f} s"
+        body.append([f"`{name}`", effects, str(len(f["parameters"])), values, figures, time])
+    heads = ["benchmark", "effects named", "parameters", "values in `model.json`", "test figures", "time"]
+    return markdown(heads, body, "llrllr")
+
+
 # ------------------------------------------------------------------------------------------------------ pages
 
 #: page -> its tables
@@ -730,6 +765,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),
+    "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
     "docs/reference/limits.md": (gates, limits, shares, search),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -24,6 +24,7 @@ from ._options import (
 
 if TYPE_CHECKING:
     from ..network import Network
+    from ..simulate import Interpolation
 
 
 def command(
@@ -63,6 +64,14 @@ def command(
         ),
     ] = None,
     json_file: JsonOption = None,
+    interpolation: Annotated[
+        str,
+        typer.Option(
+            help="Displacements and forces between samples. auto: as in a diagnosis, a cubic spline and small physics steps where an "
+            "output has fewer than 21 samples per period, straight lines elsewhere.",
+            metavar="auto|linear|spline",
+        ),
+    ] = "auto",
 ) -> None:
     """Simulate a model with the inputs of a table, and write its outputs at the same times.
 
@@ -86,7 +95,7 @@ def command(
         raise InputError("--out FILE is missing: name the file to write, or give --compare")
     if len(data) > 1 or json_file:
         raise InputError("one DATA with --out; several DATA and --json go with --compare")
-    _write(network, model, data[0], out, step, named, rate, initial)
+    _write(network, model, data[0], out, step, named, rate, initial, interpolation)
 
 
 def _compare(network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None) -> None:
@@ -137,6 +146,7 @@ def _write(
     named: dict[str, Any],
     rate: float | None,
     initial: list[str] | None,
+    interpolation: str,
 ) -> None:
     """Simulate the inputs of a table and write the outputs."""
     import numpy as np
@@ -189,7 +199,14 @@ def _write(
         typer.echo(f"initial state fitted to {', '.join(measured)}, in SI: {text}", err=True)
     elif initial:
         start = state_of(network, motions_of(initial), si, table.step)
-    outputs = run(network, table.time, table.columns, step=step, initial=start)
+    outputs = run(
+        network,
+        table.time,
+        table.columns,
+        step=step,
+        initial=start,
+        interpolation=cast("Interpolation", interpolation),
+    )
     for name, values in outputs.items():
         if not np.isfinite(values).all():
             at = table.time[int(np.argmin(np.isfinite(values)))]

@@ -297,6 +297,29 @@ class Remainder:
 
 
 @dataclass(frozen=True)
+class SimulationFit:
+    """Last fit of the completed model, to all training data for the smallest error of its simulation."""
+
+    #: parameters of the model by path
+    values: dict[str, float]
+    #: NRMSE of free runs over all training data: `before`, `after` -> channel -> error
+    data: dict[str, dict[str, float]]
+    #: the same over the records of `validate`, or over the part of the training data that the search held out
+    held_out: dict[str, dict[str, float]]
+    #: estimates of the search whose 95 % interval excludes the value of the last fit, by path
+    outside: dict[str, Quantity] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        return {
+            "values": self.values,
+            "data": self.data,
+            "held_out": self.held_out,
+            "outside": {k: q.to_dict() for k, q in self.outside.items()},
+        }
+
+
+@dataclass(frozen=True)
 class Stretches:
     """Stretches over which records were compared, each with its own initial state."""
 
@@ -392,6 +415,8 @@ class Diagnosis:
     stretches: Stretches | None = None
     #: share of the squared error that is constant, by channel (FMU only)
     constant: dict[str, float] = field(default_factory=dict)
+    #: last fit, whose values `model` has; None where the model has the values of the search
+    simulation_fit: SimulationFit | None = None
     #: probabilities of places, kinds and laws
     findings: tuple[Finding, ...] = ()
     #: inputs that follow from outputs
@@ -447,6 +472,7 @@ class Diagnosis:
                 "best_candidate": self.best_candidate.to_dict() if self.best_candidate else None,
                 "best_table": self.best_table.to_dict() if self.best_table else None,
                 "remainder": self.remainder.to_dict() if self.remainder else None,
+                "simulation_fit": self.simulation_fit.to_dict() if self.simulation_fit else None,
                 "stretches": asdict(self.stretches) if self.stretches else None,
                 "constant": self.constant,
                 "closed_loop": [asdict(f) | {"outputs": list(f.outputs)} for f in self.closed_loop],

@@ -11,12 +11,23 @@ import numpy as np
 
 from .estimation.gauss_newton import Fitter
 from .estimation.noise import white_filters
-from .estimation.structure import base_structure, owner_pair
+from .estimation.structure import base_structure, owner_pair, with_sensor_offsets
 from .hypotheses.library import hypotheses
 from .planning import next_experiment, played
-from .result import BestCandidate, Contender, Diagnosis, Effect, Quantity, Remainder, Stretches, Trace
+from .result import (
+    BestCandidate,
+    Contender,
+    Diagnosis,
+    Effect,
+    Quantity,
+    Remainder,
+    SimulationFit,
+    Stretches,
+    Trace,
+)
 from .selection.candidate import Candidate, parameter_values
 from .selection.free_force import FreeForce, fit_free_force
+from .selection.simulation_fit import fit_simulation_error
 from .selection.uncertainty import intervals, with_posterior
 from .selection.weights import weigh_candidates
 from .simulation.problem import BROKEN
@@ -77,6 +88,10 @@ class ResultBuilder:
         # the likeliest law of several that the records do not tell apart
         final = scores.foremost if is_named or is_ambiguous else refitted
         tabulated, final = free.tabulated, free.candidate or final
+        last: SimulationFit | None = None
+        structure, x = final.fit.structure, final.fit.x
+        if final is not refitted and not tabulated and not search.clock.is_over:
+            structure, x, last = self._fit_simulation(final, quantities)
         probability = confidence(measured.evidence, criteria)
         found = self._effects(quantities, probability) if is_named else []
         rows = self._errors(final)
@@ -119,7 +134,10 @@ class ResultBuilder:
             test=self._attempt("the next test", None, played, network, test.record) if test else None,
             base=network,
             refitted=refitted.fit.network,
-            model=self._described(with_posterior(final.fit.network, posterior), decision),
+            model=self._described(
+                with_posterior(with_sensor_offsets(structure.at(x), structure.offsets), posterior), decision
+            ),
+            simulation_fit=last,
             traces=self._traces(final),
             laws=tuple(x for x in laws if x is not None),
             notes=(*notes, *self._tried(), *self.lost),
@@ -194,6 +212,18 @@ class ResultBuilder:
         if self.feedback:  # a controller imitates an element: no kind is certain
             return decision, findings
         return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
+
+    def _fit_simulation(
+        self, final: Candidate, quantities: Mapping[str, Quantity]
+    ) -> tuple[Structure, Array, SimulationFit | None]:
+        """Return the completed model fitted to all training data, or as the search fitted it where the last fit gains nothing."""
+        self.say("fitting the completed model to all training data")
+        made = fit_simulation_error(self.search.evaluator, final, self.held_from)
+        if made is None:
+            return final.fit.structure, final.fit.x, None
+        structure, x, last = made
+        outside = {k: q for k, q in quantities.items() if not q.low <= last.values.get(k, q.value) <= q.high}
+        return structure, x, replace(last, outside=outside)
 
     # -- parts of the result ------------------------------------------------------------------------------
     def _errors(self, final: Candidate) -> dict[str, Array]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import elements as el
+from ..discrepancy.estimation.structure import offsets_of
 from ..discrepancy.result import FOLDER, Effect
 from ..discrepancy.verdict.wording import is_gain, statements_of, unit_statements_of
 from ..errors import InputError, ReportError
@@ -240,7 +241,9 @@ class View:
         if not isinstance(self.d.base, Network) or not isinstance(self.d.model, Network):
             return []
         known = {e.name for e in self.d.base.elements}
-        found = {e.name for e in self.d.model.elements} - known
+        # fitted offsets of sensors are no additions
+        offsets = {e.name for c in self.d.model.outputs for e in offsets_of(self.d.model, c)}
+        found = {e.name for e in self.d.model.elements} - known - offsets
         pairs: list[tuple[str, Network, set[str]]] = [("The model as given", self.d.base, set())]
         if self.changed:
             pairs.append(("The completed model, with the addition in colour", self.d.model, found))

@@ -11,7 +11,7 @@ from ...network import Channel, Network, assemble
 from ...network.frames import frames
 from ..simulation.node_motion import motion_rows_of
 from ..simulation.problem import Array, Problem, Record, bare
-from .structure import Structure, twin
+from .structure import Structure, offsets_of, twin
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,7 +68,9 @@ def guess(
     for j, c in enumerate(pure.outputs):
         if c.quantity == "acceleration" or asm.outputs_by_difference[j] or np.any(asm.outputs[j, f]):
             continue
-        y = (record.measured[:count, j] - (offsets[j] if offsets is not None else 0.0)) / problem.factors[j]
+        shift = offsets[j] if offsets is not None else 0.0
+        shift += sum(e.bias for e in offsets_of(network, c))
+        y = (record.measured[:count, j] - shift) / problem.factors[j]
         slope, value = np.polyfit(t, y, 1)
         sigma = float(np.std(record.measured[:, j])) / problem.factors[j] * 0.02 + 1e-12
         A.append(asm.outputs[j : j + 1, x] / sigma)

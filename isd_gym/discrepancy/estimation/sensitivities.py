@@ -52,7 +52,7 @@ def tangents(
     nets, steps = [structure.at(x)], np.empty(p)
     for k in range(p):
         f = structure.free[k]
-        h = 2e-3 if f.log else 1e-3 * max(abs(x[k]), 0.03 * f.sigma, 1e-12)
+        h = f.step(x[k])
         if x[k] + h > f.high:
             h = -h
         steps[k] = h

@@ -42,6 +42,10 @@ class Free:
     def back(self, x: float) -> float:
         return math.exp(x) if self.log else x
 
+    def step(self, x: float) -> float:
+        """Return the step of a finite difference at `x` (transformed)."""
+        return 2e-3 if self.log else 1e-3 * max(abs(x), 0.03 * self.sigma, 1e-12)
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -233,6 +237,39 @@ def add(structure: Structure, h: Hypothesis, values: Mapping[str, float]) -> Str
     found.append((h, name))
     hypotheses, names = zip(*found, strict=True)
     return Structure(network, tuple(free), hypotheses, names, tuple(ties), structure.offsets)
+
+
+def offsets_of(network: Network, output: Channel) -> list[el.SensorBias]:
+    """Return the effects that hold the known part of an output's free offset (`with_sensor_offsets`)."""
+    biases = [e for e in network.elements if isinstance(e, el.SensorBias)]
+    return [e for e in biases if output.offset and e.where[0] == output.name]
+
+
+def with_sensor_offsets(network: Network, offsets: Sequence[float] | None) -> Network:
+    """Return the model with the fitted offsets of its sensors as effects `sensor_bias`, so that a simulation reads as the sensors do.
+
+    The outputs keep `"offset": "free"`: a later diagnosis estimates the remaining offset.
+
+    Args:
+        network: The model.
+        offsets: Offset of each output, equal for all records [unit of the channel]; None for no offset.
+
+    Returns:
+        The model. The bias of a channel that has one already changes by the offset.
+    """
+    for c, offset in zip(network.outputs, offsets or (), strict=bool(offsets)):
+        if c.offset != "free" or not offset:
+            continue
+        here = [e for e in network.elements if e.place == "channel" and e.where[0] == c.name]
+        last = here[-1] if here else None
+        if isinstance(last, el.SensorBias):
+            path = f"{last.name}.bias"
+            network = network.with_parameters({path: last.bias + offset})
+            continue
+        kind: type[el.Element] = el.SensorBias
+        bias = kind(name=network.free_name(f"{c.name}_offset"), where=(c.name,), **{"bias": float(offset)})
+        network = replace(network, elements=(*network.elements, bias))
+    return network
 
 
 def rebuilt(network: Network, effects: Sequence[tuple[Hypothesis, Mapping[str, float]]]) -> Structure:

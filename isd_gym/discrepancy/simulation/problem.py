@@ -12,12 +12,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.signal import firwin, oaconvolve, welch
+from scipy.signal import firwin, oaconvolve
 
 from ...arrays import Array as Array  # noqa: TC001  (re-exported)
 from ...errors import InputError
 from ...network import Network, assemble
-from ...simulate import Plant, effective_current
+from ...simulate import COARSE, FINE, Plant, effective_current
+from ...simulate import pace as pace  # re-exported
 from ...units import HELD, convert
 from .cache import SimulationCache
 from .interpolation import interpolated, splined_input
@@ -159,14 +160,6 @@ def thinned(record: Record, by: int, held: Collection[str]) -> Record:
     return replace(record, step=record.step * by, inputs=inputs, lead=lead, measured=record.measured[::by])
 
 
-def pace(values: Array, step: float) -> float:
-    """Return the inverse of the circular frequency below which half of the power of values (n,) lies [s]."""
-    f, s = welch(values - values.mean(), 1.0 / step, nperseg=min(len(values), 4096))
-    total = np.cumsum(s)
-    middle = float(np.interp(0.5 * total[-1], total, f)) if total[-1] > 0 else 0.0
-    return 1.0 / (2 * math.pi * max(middle, f[1]))
-
-
 def low_pass(values: Array, taps: Array, thin: int = 1) -> Array:
     """Zero-phase low-pass along the first axis, ends continued point-symmetrically, every `thin`-th sample kept."""
     half = len(taps) // 2
@@ -207,9 +200,6 @@ def bare(network: Network) -> Network:
 #: exceptions of a simulation or a fit that breaks down
 BROKEN = (InputError, np.linalg.LinAlgError)
 
-#: physics steps over the time scale of the motion, in fits and in screening: 126 and 21 steps per period. The error by dry friction is
-#: of first order: where friction dominates, outputs are off by about 1 % of their deviation in fits
-FINE, COARSE = 0.05, 0.3
 #: largest number of physics steps per sample
 FINEST = 60
 #: largest factor by which a record is thinned, and smallest number of samples of a thinned record

@@ -115,6 +115,7 @@ def statements_of(document: Mapping[str, Any]) -> Statements:
         _noise(document),
         _limits(document),
         _stretches(document),
+        _simulation_fit(document),
         _closed_loop(document),
     ]
     finding = [_not_tried(document), *finding]
@@ -744,6 +745,28 @@ def _closed_loop(d: Mapping[str, Any]) -> str:
     return (
         f"The records are of a closed loop: {'; '.join(inputs)}. A control law can look like an element, such as a spring to the "
         "ground."
+    )
+
+
+def _simulation_fit(d: Mapping[str, Any]) -> str:
+    """Return sentences on the last fit, and on its values outside the intervals of the search."""
+    fit = d.get("simulation_fit")
+    if not fit:
+        return ""
+    before, after = fit["data"]["before"], fit["data"]["after"]
+    c = max(before, key=lambda name: _square(before[name]) - _square(after[name]))
+    text = (
+        f"model.json is fitted once more to all training data for the smallest error of its simulation, which falls from "
+        f"{_percent(before[c])} to {_percent(after[c])} in {c}; the other figures are those of the search."
+    )
+    moved = [
+        f"{path} {plain_number(fit['values'][path])} {q['unit']} ({plain_number(q['low'])} to {plain_number(q['high'])})"
+        for path, q in fit["outside"].items()
+    ]
+    return (
+        f"{text} Values of the last fit outside the interval of the search: {', '.join(moved)}."
+        if moved
+        else text
     )
 
 
