@@ -229,7 +229,7 @@ def test_runs_side_by_side_are_two_records(heads, tmp_path):
 
     RIG.save(tmp_path / "rig.json")
     with pytest.raises(InputError, match="holds 2 runs side by side"):
-        command(str(tmp_path / "rig.json"), tmp_path / "a.csv", tmp_path / "out.csv")
+        command(str(tmp_path / "rig.json"), [tmp_path / "a.csv"], tmp_path / "out.csv")
 
 
 def test_channels_beside_one_another_keep_their_own_stamps(tmp_path):

@@ -19,7 +19,7 @@ def read(path, wanted, axis, resample, limit):
     with open(path, "rb") as stream:
         if stream.read(4) != b"TDSm":
             raise Refused("is not a TDMS file")
-    with TdmsFile.open(path, keep_open=True) as file:
+    with TdmsFile.open(path) as file:
         channels = [c for g in file.groups() for c in g.channels()]
         plain = [c.name for c in channels]
         names = [c.name if plain.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in channels]
