@@ -13,7 +13,7 @@ per car.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -344,17 +344,38 @@ class Memory(History):
             raise InputError("memory: its filter looks farther ahead than the observation")
 
     @classmethod
-    def of(cls, car: Vehicle, step: float = 5e-3) -> Memory:
+    def of(cls, car: Vehicle, step: float = 5e-3, speed: float = 20.0) -> Memory:
         """Return the memory whose features are the history of a car, the observation ``"history"``.
 
         Args:
             car: The car.
             step: Control step [s].
+            speed: Speed [m/s].
 
         Returns:
             The memory.
         """
-        return cls(**vars(history_of(car, step)))
+        return cls(**vars(history_of(car, step, speed)))
+
+    def at(self, speed: float) -> Memory:
+        """Return the memory at another speed: the delays of following wheels follow the speed.
+
+        Args:
+            speed: Speed of the car [m/s].
+
+        Returns:
+            A changed copy; the same memory if it has no such delay.
+
+        Raises:
+            InputError: The speed is too low for the delay.
+        """
+        speed = float(speed)
+        echo = replace(self.echo, speed=speed) if self.echo else None
+        if echo:
+            echo.weights(self.step)
+        if echo == self.echo and (self.speed == speed or not self.late):
+            return self
+        return replace(self, echo=echo, speed=speed)
 
     def width(self, signals: int) -> int:
         """Return the number of features.
@@ -370,13 +391,13 @@ class Memory(History):
         """
         if self.scale and signals != len(self.scale):
             raise InputError(f"memory: made for {len(self.scale)} signals, the observation has {signals}")
-        return self.numbers(signals) + self.extra - len(self.leak)
+        return signals * (1 + self.order) + self.extra
 
     @property
     def extra(self) -> int:
         """Number of features besides the signals and their changes."""
         echo = self.echo.width if self.echo else 0
-        return len(self.leak) + self.ahead + echo + (self.filter.width if self.filter else 0)
+        return len(self.leak) + len(self.late) + self.ahead + echo + (self.filter.width if self.filter else 0)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the memory as plain data.
@@ -406,6 +427,8 @@ class Memory(History):
                 order=int(data.get("order", 0)),
                 leak=tuple((int(i), float(t), float(s)) for i, t, s in data.get("leak", ())),
                 step=float(data.get("step", 5e-3)),
+                late=tuple((int(c), float(d), float(t)) for c, d, t in data.get("late", ())),
+                speed=float(data.get("speed", 20.0)),
                 filter=Filter.from_dict(data["filter"]) if data.get("filter") else None,
                 ahead=int(data.get("ahead", 0)),
                 rise=float(data.get("rise", 1.4e-3)),

@@ -56,7 +56,7 @@ def export_onnx(policy: Policy, path: str | Path) -> Path:
         raise InputError(
             f"policy '{policy.name}' sees the road ahead, which the ONNX export does not know: write it as C (--c DIR)"
         )
-    if memory.echo is not None:
+    if memory.echo is not None or memory.late:
         raise InputError(
             f"policy '{policy.name}' keeps the road that the front wheels met, which the ONNX export does not know: "
             "write it as C (--c DIR)"

@@ -18,7 +18,7 @@ from isd_gym.vehicle import vehicle
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from .memory import Recall
+    from .memory import Memory, Recall
     from .policy import Policy
 
 HEADER = """\
@@ -102,9 +102,12 @@ def _header(policy: Policy, name: str) -> str:
     origin = re.sub(r"[^ -~]|[*/\\]", " ", str(command or "a policy folder"))
     echo, several = policy.memory.echo, policy.currents > 1
     met = ""
+    if policy.memory.late:
+        rows, columns = _past(policy.memory)
+        met += f"\n    float past[{rows}][{columns}]; /* earlier features of the front corners; for {policy.memory.speed:g} m/s */"
     if echo is not None:
         leaders, ages, _ = echo.weights(step).shape
-        met = f"\n    float met[{leaders}][{ages}]; /* m, rises of the road under the leading wheels; for {echo.speed:g} m/s */"
+        met += f"\n    float met[{leaders}][{ages}]; /* m, rises of the road under the leading wheels; for {echo.speed:g} m/s */"
     return HEADER.format(
         currents=policy.currents,
         met=met,
@@ -154,7 +157,9 @@ def _source(policy: Policy, name: str) -> str:
     at = n * (memory.order + 1)
     for j, (i, keep, gain) in enumerate(zip(recall.leaks, recall.keep, recall.gain, strict=True), at):
         see.append(f"    f[{j}] = f[{j}] * {_number(keep)} + y[{i}] * {_number(gain)};")
-    road = at + len(recall.leaks)
+    if memory.late:
+        see += _repeat(recall, at + len(recall.leaks))
+    road = at + len(recall.leaks) + len(memory.late)
     rises = ""
     width = memory.ahead
     if memory.echo is not None:
@@ -204,6 +209,22 @@ def _source(policy: Policy, name: str) -> str:
             "}\n",
         ]
     )
+
+
+def _past(memory: Memory) -> tuple[int, int]:
+    """Return the number of kept control steps and of repeated features."""
+    return max(memory.ages) + 1, len({column for column, _, _ in memory.late})
+
+
+def _repeat(recall: Recall, at: int) -> list[str]:
+    """Return lines of `see` that keep the repeated features and write the late ones from feature `at` on."""
+    rows, columns = _past(recall.memory)
+    lines = ["    memmove(s->past[1], s->past[0], sizeof s->past - sizeof s->past[0]);"] if rows > 1 else []
+    lines += [f"    s->past[0][{j}] = f[{column}];" for j, column in enumerate(recall.repeated)]
+    return lines + [
+        f"    f[{at + i}] = s->past[{age}][{place}];"
+        for i, (age, place) in enumerate(zip(recall.ages, recall.places, strict=True))
+    ]
 
 
 def _filter(recall: Recall, at: int, road: int) -> tuple[list[str], list[str]]:

@@ -15,7 +15,7 @@ import math
 import os
 import struct
 from copy import copy
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -412,12 +412,11 @@ class Policy:
         Raises:
             InputError: The speed is too low for the delay.
         """
-        echo = self.memory.echo
-        if echo is None or echo.speed == speed:
+        memory = self.memory.at(speed)
+        if memory is self.memory:
             return self
         other = self.copy()
-        other.memory = replace(self.memory, echo=replace(echo, speed=float(speed)))
-        other.memory.echo.weights(self.memory.step)  # type: ignore[union-attr]
+        other.memory = memory
         return other
 
     def check(self, network: Network | str | Path) -> None:

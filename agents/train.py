@@ -227,7 +227,7 @@ class Run:
     def _memory(self) -> Memory:
         """Return the memory of the settings, with the filter of this network on request and if possible."""
         s = self.settings
-        memory = s.memory or Memory.of(self.car)
+        memory = s.memory or Memory.of(self.car, speed=self.speed)
         memory = replace(memory, ahead=steps_ahead(s.ahead, memory.step))
         if not s.filter:
             return memory
@@ -236,7 +236,7 @@ class Run:
                 from .wheelbase import car_filter
 
                 known, echo = car_filter(self.plant, self.speed, memory.step, self._noise)
-                return replace(memory, filter=known, echo=echo)
+                return replace(memory, filter=known, echo=echo, late=())  # the echo is the road ahead
             from .estimate import lqg_filter
 
             return replace(memory, filter=lqg_filter(self.plant, memory.step, s.ahead, self._noise))

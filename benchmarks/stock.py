@@ -32,7 +32,7 @@ RECIPES: dict[str, tuple[str, str, int, int, float | None, dict[str, Any]]] = {
     "sac-defaults": ("SAC", "ISDSuspensionLearning-v0", 32, 1_000_000, None, {}),
     "td3-defaults": ("TD3", "ISDSuspensionLearning-v0", 32, 1_000_000, None, {}),
     "tqc-defaults": ("TQC", "ISDSuspensionLearning-v0", 32, 500_000, None, {}),
-    "ppo-half-car": ("PPO", "ISDHalfCarLearning-v0", 512, 50_000_000, 1e-3, TUNED),
+    "ppo-half-car": ("PPO", "ISDHalfCarLearning-v0", 512, 25_000_000, 1e-3, TUNED),
 }
 
 

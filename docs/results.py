@@ -453,7 +453,7 @@ def stock() -> str:
                 f"{row['decisions'] / 1e6:g} M",
                 seconds,
                 *cells[:1],
-                f"{max(each):.1f} %".replace("-", "−"),
+                f"{max(each):+.1f} %".replace("-", "−"),
                 f"{cells[1]} `{rival}`",
             ]
         )

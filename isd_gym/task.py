@@ -61,7 +61,7 @@ class Options:
     # speed of the vehicle [m/s]
     speed: float = 20.0
     # measured, full (adds the state), preview (adds the road ahead) or history (`isd_gym.history`: scaled signals,
-    # their changes, and velocities of the body)
+    # their changes, velocities of the body, and the front corners as they were before the rear wheels arrive)
     observation: str = "measured"
     # cost: minus the stage cost; relative: the cost of a reference on the same road minus the own cost, times
     # `RELATIVE_SCALE`. The reference is the same car without current, or the mean of a group (`cars_per_road`)
@@ -233,7 +233,9 @@ class Task:
         )
         of = self.batch.of
         signals = len(self.measured)
-        self.history = history_of(self.vehicle, control_step) if options.observation == "history" else None
+        self.history = (
+            history_of(self.vehicle, control_step, speed) if options.observation == "history" else None
+        )
         self._remembered = Remembered(self.history, count, signals) if self.history else None
         self._make_spaces(extra)
         weights = self.cost.factors(self.vehicle.axes, of.corners, of.currents)
@@ -473,7 +475,7 @@ class Task:
             "reference": None if self._reference is None else self._reference.get_state(i),
             "sight": None if self._sight is None else self._sight.get_state(i),
             "faults": {name: past[:, i].copy() for name, past in self._histories.items()},
-            "history": None if self._remembered is None else self._remembered.features[i].copy(),
+            "history": None if self._remembered is None else self._remembered.get_state(i),
             "weight": float(self._weights[i]),
         }
 
@@ -500,7 +502,7 @@ class Task:
         for name, past in state["faults"].items():
             self._histories.setdefault(name, np.zeros((len(past), self.batch.count)))[:, i] = past
         if self._remembered is not None:
-            self._remembered.features[i] = state["history"]
+            self._remembered.set_state(i, state["history"])
         self._weights[i] = state["weight"]
 
     def begin(self, i: int, rng: np.random.Generator) -> None:

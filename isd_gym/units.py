@@ -105,6 +105,30 @@ _SPELLINGS |= {
 _SPELLINGS |= {"sec": "s", "µm": "um", "kph": "km/h", "newton": "N", "G": "g", "µs": "us"}
 
 
+def practical(value: float, unit: str) -> tuple[float, str]:
+    """Return the scale and the unit in which engineers state a value, such as mm and kN/m.
+
+    Only units that start with N, m (but not m/s^2) or s take a prefix.
+
+    Args:
+        value: The value [unit].
+        unit: SI unit, such as "N/m".
+
+    Returns:
+        Factor from the SI unit, and the unit.
+    """
+    size = abs(value)
+    if not math.isfinite(size) or size == 0.0 or unit.startswith(("m/", "mm", "ms")):
+        return 1.0, unit
+    if unit[:1] == "N":
+        large = ((1e7, 1e-6, "M"), (1e4, 1e-3, "k"))
+        return next(((f, prefix + unit) for least, f, prefix in large if size >= least), (1.0, unit))
+    if unit in ("m", "s"):
+        steps = ((0.1, 1.0, ""), (1e-4, 1e3, "m"), (0.0, 1e6, "u"))
+        return next((f, prefix + unit) for least, f, prefix in steps if size >= least)
+    return 1.0, unit
+
+
 def si_of(unit: str) -> str:
     """Return the SI unit of the quantity that a unit measures.
 

@@ -92,7 +92,7 @@ def test_a_place_with_most_of_the_weight_is_not_open_however_doubtful_the_kind_i
 
 def test_a_kind_that_explains_a_part_is_told_as_probable():
     front = [friction(FRONT)]
-    for explained, told in ((0.99, "explains the error"), (0.6, "probably explains a part of the error")):
+    for explained, told in ((0.99, "is missing"), (0.6, "is probably missing")):
         findings = [f.to_dict() for f in found((1.0, front), own=front, explained=explained)]
         text = summary_of(document(VAGUE, findings=findings))
         assert f"Dry friction between body_front and wheel_front {told} (probability" in text
@@ -102,9 +102,7 @@ def test_the_summary_says_that_the_place_is_open():
     front, rear = [friction(FRONT)], [friction(REAR)]
     findings = [f.to_dict() for f in found((0.55, front), (0.43, rear), (0.02, []), own=front)]
     text = summary_of(document(VAGUE, findings=findings))
-    assert (
-        "Dry friction explains the error (probability 0.93), but the data do not determine its place:" in text
-    )
+    assert "Dry friction is missing (probability 0.93), but the data do not determine its place:" in text
     assert "between body_front and wheel_front (0.53) or between body_rear and wheel_rear (0.42)." in text
     assert "Also possible" not in text
 

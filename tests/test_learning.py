@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 
 from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
 from isd_gym.errors import InputError
-from isd_gym.history import SCALES
+from isd_gym.history import LEADS, SCALES
 from isd_gym.road import Road
 from isd_gym.seeds import generators, scoring_generator
 from isd_gym.task import RELATIVE_SCALE
@@ -55,7 +55,8 @@ def test_a_history_is_scaled_signals_their_changes_and_velocities(name):
     kinds = [signal.kind for signal in plain.task.measured]
     scale, change = (np.array([SCALES[kind][i] for kind in kinds]) for i in (0, 1))
     n, motions = len(kinds), 1 + len(plain.task.vehicle.axes)
-    assert not first.any() and first.shape == (3 * n + 3 * motions,) == own.observation_space.shape
+    late = len(own.task.history.late)
+    assert not first.any() and first.shape == (3 * n + 3 * motions + late,) == own.observation_space.shape
     assert len(own.task.labels) == len(first)
     rng, velocity, step = np.random.default_rng(0), np.zeros((motions, 3)), np.zeros(n)
     taus, shares = np.array([0.3, 1.0, 3.0]), np.array([0.042, 0.07, 0.091])
@@ -67,8 +68,30 @@ def test_a_history_is_scaled_signals_their_changes_and_velocities(name):
         velocity += 5e-3 * (seen[:motions, None] - velocity / taus)
         velocities = velocity / (shares * scale[:motions, None])
         expected = np.concatenate([seen / scale, step, step - last_step, velocities.ravel()])
-        np.testing.assert_allclose(obs, np.clip(expected, -10, 10), rtol=2e-3, atol=2e-3)
+        np.testing.assert_allclose(obs[: len(expected)], np.clip(expected, -10, 10), rtol=2e-3, atol=2e-3)
     assert own.observation_space.contains(obs)
+
+
+@pytest.mark.parametrize(("name", "corners"), [("ISDHalfCar-v0", 1), ("ISDFullCar-v0", 2)])
+@pytest.mark.parametrize("speed", [20.0, 14.0])
+def test_a_history_repeats_the_front_corners_before_the_rear_wheels_arrive(name, corners, speed):
+    """A number of 30 ms before the arrival is that of the front wheel, wheelbase / speed - 30 ms ago."""
+    own = made(name, observation="history", speed=speed)
+    own.reset(seed=3)
+    rng, seen = np.random.default_rng(0), []
+    for _ in range(80):
+        seen.append(own.step(rng.uniform(-5, 5, own.action_space.shape))[0])
+    history, labels = own.task.history, own.task.labels
+    motions = 1 + len(own.task.vehicle.axes)
+    assert len(history.late) == (2 * motions + 3 * corners) * len(LEADS)
+    for i, (column, distance, lead) in enumerate(history.late, len(labels) - len(history.late)):
+        assert distance == pytest.approx(2.7)
+        ago = round((2.7 / speed - lead) / 5e-3)
+        assert seen[-1][i] == seen[-1 - ago][column]
+        assert (
+            labels[i].startswith(labels[column].removesuffix(" [-]") + ", ") and "rear" not in labels[column]
+        )
+    assert np.abs(seen[-1][-len(history.late) :]).min() > 0
 
 
 def test_a_reference_leaves_the_order_of_policies_unchanged():

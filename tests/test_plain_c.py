@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import shutil
 import subprocess
 from typing import TYPE_CHECKING
@@ -15,6 +16,8 @@ from isd_gym.agents.memory import Memory
 from isd_gym.agents.plain_c import export_c
 from isd_gym.agents.policy import SHIPPED, Head, Policy
 from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.vehicle import vehicle
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,7 +37,9 @@ def _compiled(policy: Policy, folder: Path):
     name, width = source.stem, policy.weights[0][0].shape[1]
     step = getattr(loaded, f"{name}_step")
     met = 0 if policy.memory.echo is None else policy.memory.echo.weights(policy.memory.step)[:, :, 0].size
-    state, several = (ctypes.c_float * (width + met + 16))(), (ctypes.c_float * policy.currents)()
+    late = policy.memory.late
+    past = (max(policy.memory.ages) + 1) * len({column for column, _, _ in late}) if late else 0
+    state, several = (ctypes.c_float * (width + met + past + 16))(), (ctypes.c_float * policy.currents)()
 
     def command(observation: np.ndarray) -> float | np.ndarray:
         row = np.ascontiguousarray(observation, np.float32).ctypes.data_as(ctypes.POINTER(ctypes.c_float))
@@ -96,6 +101,30 @@ def test_heads_activations_and_broken_readings(mode, activation, tmp_path):
     rows[9, 0] = np.inf
     own = [policy.act(row) for row in rows]
     np.testing.assert_allclose([command(row) for row in rows], own, atol=2e-5)
+
+
+@needs_compiler
+@pytest.mark.parametrize("speed", [20.0, 11.0])
+def test_a_history_of_a_whole_car_is_the_same_in_c(speed, tmp_path):
+    """The front corners, as they were, move with the speed: 2.7 m are 27 or 49 control steps."""
+    rng = np.random.default_rng(0)
+    memory = Memory.of(vehicle(Network.load("full-car-isd")))
+    width = memory.width(23)
+    weights = [
+        (0.2 * rng.normal(size=(8, width)), rng.normal(size=8)),
+        (rng.normal(size=(4, 8)), np.zeros(4)),
+    ]
+    policy = Policy(weights, memory=memory, head=Head("increment"), activation="tanh", output="clip")
+    policy = policy.at_speed(speed)
+    assert max(policy.memory.ages) == round(2.7 / speed / 5e-3)
+    assert Memory.from_dict(json.loads(json.dumps(policy.memory.to_dict()))) == policy.memory
+    reset, command, header = _compiled(policy, tmp_path)
+    rows = rng.normal(size=(120, 23)).astype(np.float32) * np.array(memory.scale, np.float32)
+    for _ in range(2):
+        reset(), policy.reset()
+        own = [policy.act(row) for row in rows]
+        np.testing.assert_allclose([command(row) for row in rows], own, atol=2e-4)
+    assert f"for {speed:g} m/s" in header
 
 
 def test_onnx_does_not_pretend_to_know_the_road(tmp_path):

@@ -26,9 +26,11 @@ from isd_gym.discrepancy.estimation.noise import white_filters
 from isd_gym.discrepancy.estimation.structure import base_structure
 from isd_gym.discrepancy.hypotheses.missing_force import Deconvolution
 from isd_gym.discrepancy.result import BestCandidate, Tabulated
+from isd_gym.discrepancy.selection.criteria import CRITERIA
 from isd_gym.discrepancy.simulation.problem import Problem, Record
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
 from isd_gym.discrepancy.verdict.explanation import draw_law as series_law
+from isd_gym.discrepancy.verdict.findings import Finding, LawProbability
 from isd_gym.discrepancy.verdict.gates import gates_of
 from isd_gym.elements import TYPES, CoulombFriction
 from isd_gym.errors import InputError, ReportError
@@ -101,9 +103,22 @@ def made_diagnosis() -> Diagnosis:
         notes=("held out: two",),
         seconds=12.3,
         units={c.name: c.unit for c in base.outputs},
+        criteria=CRITERIA,
+        evidence=evidence_of(gap, EffectEvidence("coulomb_friction at piston-joint", 0.3), explained=0.99),
     )  # fmt: skip
 
 
+def evidence_of(gap: dict[str, dict[str, float]], *effects: EffectEvidence, explained: float) -> Evidence:
+    """The evidence of errors by stage and channel."""
+    channels = tuple(gap["refit"])
+    rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
+    return Evidence(
+        channels, **rows, noise=tuple(gap["noise_floor"].values()), noise_known=(True,) * len(channels),
+        envelope=(0.05,) * len(channels), effects=effects, explained=explained,
+    )  # fmt: skip
+
+
+FIGURES = ("loops", "other_loops", "gap", "time", "residuals", "spectra", "plane", "law", "parameters")
 #: every kind of page of a diagnosis: its verdict and whether a table of the missing force is found
 KINDS = {
     "missing_effect": "missing_effect",
@@ -148,11 +163,7 @@ def of_kind(d: Diagnosis, kind: str) -> Diagnosis:
         for stage, says in (("before", traces[-1].before), ("refit", traces[-1].refit), ("after", traces[-1].after))
     }  # fmt: skip
     gap["noise_floor"] = d.gap["noise_floor"]
-    rows = {k: tuple(gap[k].values()) for k in ("before", "refit", "after")}
-    evidence = Evidence(
-        tuple(gap["refit"]), **rows, noise=tuple(gap["noise_floor"].values()), noise_known=(True,) * len(gap["refit"]),
-        envelope=(0.05,) * len(gap["refit"]), effects=(EffectEvidence("hysteresis at piston-joint", 0.3),), explained=0.42,
-    )  # fmt: skip
+    evidence = evidence_of(gap, EffectEvidence("hysteresis at piston-joint", 0.3), explained=0.42)
     best = BestCandidate(
         ("hysteresis",), (("piston", "joint"),), ({"level": 120.0},), 0.42, gap, tuple(g for g in gates_of(evidence) if not g.passed)
     )  # fmt: skip
@@ -349,12 +360,12 @@ def test_report_stands_alone_and_says_it_all(diagnosis, tmp_path):
     path = report.write_report(diagnosis, tmp_path / "found", about={"Model": "rig & co.json"})
     page = check_page(path)
     names = {p.name for p in path.parent.iterdir()}
-    pictures = {f"{n}.png" for n in ("gap", "time", "spectra", "plane", "law", "parameters")}
+    pictures = {f"{n}.png" for n in FIGURES}
     assert names == {"report.html", "diagnosis.json", "model.json"} | pictures
     for words in (
-        diagnosis.summary, "A physical effect is missing", "145.2 to 154.9", "hysteresis between piston and joint",
+        "Missing: Coulomb friction between piston and joint", "error in device travel on held-out data falls", "145.2 to 154.9", "hysteresis between piston and joint",
         "explains less <of it>", "significant", "jump by twice 150.0\u00a0N", "held out: two", "rig & co.json",
-        "velocity of piston-joint changes sign", "351.2\u00a0kg", "99.0\u00a0% of the squared error beyond noise",
+        "velocity of piston-joint changes sign", "351.2\u00a0kg", "confirm it with a new record", "Coulomb friction",
     ):  # fmt: skip
         assert words in page.text, words
     assert json.loads((path.parent / "diagnosis.json").read_text())["verdict"] == "missing_effect"
@@ -371,10 +382,6 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     # a known law gives nearly all of the force: the page must not say that none does
     assert page.text.count("no law of the library passes every gate") >= 1
     assert "no law of the library explains" not in page.text and "gives this force" not in page.text
-    assert (
-        "The best candidate is hysteresis between piston and joint. The candidate removes 42\u00a0%"
-        in page.text
-    )
     assert (
         page.text.count("with the force") == 3
     )  # heads of the gap and parameter tables, the words on the stages
@@ -393,9 +400,11 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
 
 def test_the_title_tells_a_certain_kind_from_several_explanations(diagnosis):
     d = of_kind(diagnosis, "ambiguous")
-    assert report.View(d).title == "Several effects explain the error equally well"
-    certain = report.View(replace(d, reason="kind_certain"))
-    assert certain.title == "The kind of the missing effect is certain, its law is not"
+    assert report.View(d).title == "An effect is missing; these data leave 2 candidates"
+    law = LawProbability("coulomb_friction", 0.5, {})
+    dry = Finding(("piston", "joint"), 1.0, "dry_friction", 0.97, (law,))
+    certain = report.View(replace(d, reason="kind_certain", findings=(dry,)))
+    assert certain.title == "Missing: dry friction between piston and joint; its law is open"
     assert report.View(d).tied and not certain.tied
 
 
@@ -452,8 +461,14 @@ def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
         )
     window = chart.choices["one (fitted)"][0].x
     assert window.low <= 1500 * STEP and window.high >= 1599 * STEP - 1e-9
-    (span,) = (i for i in chart.choices["one (fitted)"][1].items if isinstance(i, charts.Span))
-    assert (span.low, span.high) == (window.low, window.high)
+    typical = chart.choices["one (fitted)"][1]
+    assert typical.title == "typical stretch" and typical.x.high < 1500 * STEP
+    assert len(typical.items[0].x) == round(report.STRETCH / STEP)
+    residuals = report.draw_residuals(report.View(replace(diagnosis, traces=traces))).choices["one (fitted)"][
+        0
+    ]
+    spans = [(i.low, i.high) for i in residuals.items if isinstance(i, charts.Span)]
+    assert spans == [(window.low, window.high), (typical.x.low, typical.x.high)]
 
 
 def test_a_sensor_is_told_from_physics(diagnosis, tmp_path):
@@ -502,21 +517,20 @@ def test_the_law_of_a_series_effect_is_drawn_over_its_own_elongation(diagnosis, 
 
 def test_two_effects_are_told_as_two(diagnosis):
     says = "damping 2465 N s^2/m^2, stiffness 6.991e+05 N/m; error in device_travel falls (noise 1.8 %)"
-    view = report.View(replace(diagnosis, summary=says, effects=2 * diagnosis.effects))
+    view = report.View(replace(diagnosis, effects=2 * diagnosis.effects))
     assert view.title == "Two physical effects are missing" and view.labels["after"] == "with the effects"
     assert (
-        view.summary
+        view.printed(says)
         == "damping 2465 N·s²/m², stiffness 699100 N/m; error in device travel falls (noise 1.8\u00a0%)"
     )
 
 
 @pytest.mark.parametrize("effect", sorted(TYPES))
-def test_only_units_of_the_summary_are_set_as_units(diagnosis, effect):
+def test_only_units_of_a_sentence_are_set_as_units(diagnosis, effect):
     name = effect.replace("_", " ")
     says = f"The model lacks {name} between degree and rod (slope 0.5 N m s/rad, pitch 2 deg); 3 degressive laws at 0.1 deg/s."
-    view = report.View(replace(diagnosis, summary=says))
     assert (
-        view.summary
+        report.View(diagnosis).printed(says)
         == f"The model lacks {name} between degree and rod (slope 0.5 N·m·s/rad, pitch 2 °); 3 degressive laws at 0.1 °/s."
     )
 
@@ -684,7 +698,7 @@ def test_labels_do_not_cover_one_another():
 @pytest.mark.parametrize(
     ("value", "low", "high", "text"),
     [
-        (14.66, -900.0, 930.0, "15"),
+        (14.66, -900.0, 930.0, "14.7"),
         (296.61, 290.3, 303.0, "296.6"),
         (0.0149, -2.0, 2.0, "0.015"),
         (709e3, 700e3, 718e3, "709000"),
@@ -834,13 +848,16 @@ def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypa
     assert done.exit_code == 0, done.output
     assert d.summary in done.stdout and done.stderr.splitlines()[-1] == "report: found/report.html"
     page = reopened(d, Path("found/report.html"))
-    assert d.summary in page.text and report.TITLES[d.verdict] in page.text and "a.csv" in page.text
+    view = report.View(d)
+    assert all(s in page.text for s in (view.title, *view.finding, *view.remarks, *view.steps, "a.csv"))
     assert ("The next experiment" in page.text) == (d.verdict == "ambiguous")
     found = kind in ("missing_effect", "unknown_effect with a table", "ambiguous")
     assert ("the completed model;" in page.text) == found == ("the refitted model)" not in page.text)
     drawn = found and kind != "ambiguous"  # the curve of a law that is not certain is not drawn
     assert Path("found/law.png").exists() == drawn == ("chart-law" in page.data)
     assert ("with the effect" in page.text) == (kind == "missing_effect")
+    first = re.search(r'id="figure-(\w+)"', Path("found/report.html").read_text())[1]
+    assert first == ("gap" if d.verdict in ("no_discrepancy", "parameters_only") else "loops")
     assert Path("found/plane.png").exists() == (d.verdict != "no_discrepancy")
 
 
@@ -949,7 +966,7 @@ def test_the_live_chart_holds_the_record_that_was_measured(diagnosis, tmp_path):
             assert np.abs(unpacked(measured["y"]) - k * trace.measured[c]).max() < 2e-5 * k * np.ptp(
                 trace.measured[c]
             )
-    assert set(page.data) == {f"chart-{n}" for n in ("gap", "time", "spectra", "plane", "law", "parameters")}
+    assert set(page.data) == {f"chart-{n}" for n in FIGURES}
 
 
 def test_the_model_is_drawn_before_and_after(diagnosis, tmp_path):

@@ -9,12 +9,15 @@ import pytest
 
 from isd_gym.discrepancy.selection.criteria import CRITERIA
 from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.verdict.gates import Reason, decide, gate, table_gates
+from isd_gym.discrepancy.verdict.gates import Reason, decide, gate, gates_of, table_gates
 from isd_gym.discrepancy.verdict.wording import (
+    ADVICE,
     NOT_BORNE_OUT,
     described,
     failures,
     plain_number,
+    plain_value,
+    statements_of,
     summary_of,
     unit_summary_of,
 )
@@ -84,7 +87,8 @@ def test_a_name_that_the_records_to_report_by_do_not_bear_out_says_so() -> None:
     assert "falls from 30.0 % to 2.1 %" in summary_of(document(after=0.021))
     assert NOT_BORNE_OUT not in summary_of(document(after=0.021))
     assert "rises from 30.0 % to 90.0 %" in summary_of(document(after=0.9))
-    assert summary_of(document(after=0.9)).endswith(NOT_BORNE_OUT)
+    assert NOT_BORNE_OUT in summary_of(document(after=0.9))
+    assert "Next: repeat the test" in summary_of(document(after=0.9))
 
 
 def test_a_number_without_a_unit_has_none_in_the_text() -> None:
@@ -93,15 +97,15 @@ def test_a_number_without_a_unit_has_none_in_the_text() -> None:
 
 
 def test_a_refit_that_errs_more_than_the_model_as_given_is_told() -> None:
-    def said(before: float) -> str:
+    def said(before: float, evidence: Evidence = VAGUE) -> str:
         rows = {"before": before, "refit": 0.3, "after": 0.021, "noise_floor": 0.01}
-        return summary_of(
-            document(gap={"held_out": {k: {"travel": v} for k, v in rows.items()}, "closed": 0.99})
-        )
+        held_out = {k: {"travel": v} for k, v in rows.items()}
+        return summary_of(document(evidence, gap={"held_out": held_out, "closed": None}))
 
     words = "the refitted model errs more in travel (30.0 %) than the model as given (14.0 %)"
     assert words in said(before=0.14)
     assert "errs more" not in said(before=0.299) and "errs more" not in said(before=0.4)
+    assert "errs more" not in said(before=0.14, evidence=SEEN)  # an effect is named
 
 
 @pytest.mark.parametrize(("refit", "is_told"), [(1.053, True), (0.99, False)])
@@ -112,13 +116,71 @@ def test_a_refit_that_errs_more_than_a_constant_is_told(refit: float, is_told: b
     assert ("errs more in travel than a constant would" in said) == is_told
 
 
+def test_no_candidate_that_raises_the_error_is_best_and_nothing_is_said_to_explain_it() -> None:
+    worse = document(VAGUE)
+    worse["best_candidate"]["error"]["after"]["travel"] = 0.34
+    said = summary_of(worse)
+    assert (
+        "No known effect reduces the error on the test records" in said and "34.0 % (refitted 30.0 %)" in said
+    )
+    assert "best candidate" not in said and "explain" not in said
+    unseen = document(VAGUE, verdict="unknown_effect", best_table=tried(-0.15))
+    unseen["best_candidate"]["explained"] = -0.4
+    said = summary_of(unseen)
+    assert "No known effect reduces the error on the validation records." in said and "best" not in said
+    assert "No table of a force between two nodes reduces the held-out error." in said and "-15" not in said
+    alone = worse | {"verdict": "ambiguous"}
+    assert "no known effect reduces the error" in summary_of(alone) and "removes" not in summary_of(alone)
+
+
+def test_the_title_is_the_finding() -> None:
+    assert statements_of(document()).title == "Missing: Coulomb friction between mass and ground"
+    rivals = [
+        {"effects": [e], "where": [["mass", "ground"]], "excess": 0.01} for e in ("hysteresis", "backlash")
+    ]
+    for probabilities in ((0.62, 0.02), (0.5, 0.5)):
+        tied = document(VAGUE, verdict="ambiguous", alternatives=rivals, findings=dry(*probabilities))
+        assert statements_of(tied).title == "An effect is missing; these data leave 2 candidates"
+        assert "equally" not in summary_of(tied)
+    certain = document(VAGUE, verdict="ambiguous", reason="kind_certain", findings=dry(0.97, 0.03))
+    assert statements_of(certain).title == "Missing: dry friction between mass and ground; its law is open"
+    assert statements_of(document(VAGUE)).title == "An effect is missing, and no known law passes every gate"
+    assert statements_of(document(VAGUE, findings=dry(0.9))).title == (
+        "An effect is missing, probably dry friction between mass and ground"
+    )
+
+
+def dry(*probabilities: float) -> list[dict[str, Any]]:
+    """Findings of dry friction and then of an elastic force, with these probabilities."""
+    laws = [{"effect": "coulomb_friction", "probability": 0.4, "parameters": {}}]
+    return [
+        {
+            "place": ["mass", "ground"],
+            "place_probability": 1.0,
+            "kind": k,
+            "kind_probability": p,
+            "laws": laws,
+        }
+        for k, p in zip(("dry_friction", "elastic"), probabilities, strict=False)
+    ]
+
+
+def test_every_failed_gate_has_an_advice() -> None:
+    assert set(ADVICE) == {g.name for g in gates_of(SEEN)}
+
+
+def test_values_are_told_in_the_units_of_engineers() -> None:
+    assert plain_value(0.000790123456, "m") == "0.7901 mm" and plain_value(2e6, "N/m") == "2000 kN/m"
+    assert plain_value(1293.0, "N s/m") == "1293 N s/m" and plain_value(None, "m") == "unknown m"
+
+
 #: friction that takes the error from 30 to 7 %, whose level is known to a factor of 20 only
 VAGUE = replace(SEEN, effects=(EffectEvidence("coulomb_friction at mass-ground", share=0.4, spread=3.0),))
 
 
 def test_an_unnamed_effect_is_told_with_how_far_it_goes_and_the_gate_it_fails() -> None:
     said = summary_of(document(VAGUE))
-    assert "The best candidate, coulomb friction between mass and ground, reduces the error in travel" in said
+    assert "The best candidate, Coulomb friction between mass and ground, reduces the error in travel" in said
     assert "from 30.0 % to 7.0 % and fails 1 of 9 gates: determined (0.95, needed below 0.9)." in said
     nothing = summary_of(document(replace(SEEN, effects=(), after=SEEN.refit, richest=())))
     assert "No known effect reduces the held-out error by enough to be kept." in nothing
@@ -153,7 +215,9 @@ def test_so_is_one_that_the_reported_records_do_not_bear_out() -> None:
     assert "removes 60 % of the squared held-out error beyond noise" in said and "gas spring 88 %" in said
     assert "distance alone 97 %, rate alone 5 %" in said
     assert NOT_BORNE_OUT not in said
-    assert NOT_BORNE_OUT in summary_of(document(VAGUE, tabulated=table, gap=closed))
+    refuted = statements_of(document(VAGUE, tabulated=table, gap=closed))
+    assert NOT_BORNE_OUT in refuted.text and "repeat the test" in refuted.text
+    assert not refuted.title.startswith("Missing: a force")
 
 
 def test_the_length_of_stretches_is_the_one_that_was_compared() -> None:
@@ -183,7 +247,7 @@ def test_ambiguous_rivals_have_their_places_and_what_they_leave() -> None:
     ]
     abreast = replace(SEEN, indistinguishable=("hysteresis at mass-ground",), rival_loss=1.0)
     said = summary_of(document(abreast, alternatives=rivals, next_experiment={"do": "a sine"}))
-    assert "between 2 explanations: coulomb friction between mass and ground (leaves 1.0 %" in said
+    assert "between 2 candidates: Coulomb friction between mass and ground (leaves 1.0 %" in said
     assert said.endswith("Next: run the test in next_experiment.csv.")
     alone = summary_of(document(abreast, alternatives=rivals[:1]))
     assert "fails distinguishable (1, needed at most 0)" in alone
@@ -222,7 +286,7 @@ def test_a_small_effect_is_told_with_its_share_or_the_gate_it_fails() -> None:
     small = replace(SEEN, effects=(replace(SEEN.effects[0], share=0.02),), refit=(0.08,), envelope=(0.085,))
     small = replace(small, richest_share=0.02)
     said = summary_of(document(small))
-    assert "Too small to be named: coulomb friction between mass and ground (level 3 N), 2.0 %" in said
+    assert "Too small to be named: Coulomb friction between mass and ground (level 3 N), 2.0 %" in said
 
 
 def test_a_bound_of_the_noise_is_told() -> None:

@@ -21,7 +21,6 @@ from .estimation.direct_problem import prefer_direct_problem
 from .estimation.gauss_newton import Fitter, residuals
 from .estimation.noise import whitener
 from .hypotheses.library import hypotheses
-from .hypotheses.score_test import score_hypotheses
 from .records import (
     LEAD_IN,
     Feedback,
@@ -36,6 +35,7 @@ from .records import (
 )
 from .result import Diagnosis, Stretches
 from .result_builder import ResultBuilder
+from .selection.admissibility import admissible_starts
 from .selection.candidate import Candidate, white_noise
 from .selection.criteria import CRITERIA, Criteria
 from .selection.forward_backward import Search
@@ -453,6 +453,6 @@ class Workflow:
         """Return whether a law that is periodic in travel is among the first in the score test."""
         p, least = self.problem, self.search.least_noise
         filters = whitener(residuals(p, refitted.fit), white_noise(p, refitted.fit, least))
-        scored = score_hypotheses(p, Fitter(p, filters), refitted.fit, list(hypotheses(self.network)))
+        scored = admissible_starts(p, Fitter(p, filters), refitted.fit, hypotheses(self.network))
         first = list(dict.fromkeys(s.hypothesis for s in scored))[:FIRST]
         return any(h.kind.periodic for h in first)

@@ -41,6 +41,7 @@ from .base import (
     register,
     register_file,
     rms,
+    spoken,
 )
 from .drives import (
     DRIVE_ORDER,
@@ -126,4 +127,5 @@ __all__ = [
     "register",
     "register_file",
     "rms",
+    "spoken",
 ]

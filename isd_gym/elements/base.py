@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from ..network import Network
 
 GROUND = "ground"
+#: words of element types that are names of persons
+PERSONS = ("coulomb", "stribeck")
 
 #: kinds of physical effect that a diagnosis states, the values of `Element.mechanism`
 MECHANISMS = (
@@ -116,6 +118,18 @@ def plausible(of: Any, low: float = -math.inf, high: float = math.inf, *, reach:
 
 
 # --------------------------------------------------------------------------- what an element may look at
+
+
+def spoken(effect: str) -> str:
+    """Return the type of an element in words, such as ``Coulomb friction``.
+
+    Args:
+        effect: The type, such as ``coulomb_friction``.
+
+    Returns:
+        Words; only names of persons have a capital.
+    """
+    return " ".join(word.capitalize() if word in PERSONS else word for word in effect.split("_"))
 
 
 @dataclass(frozen=True)
@@ -326,6 +340,14 @@ class Element:
             Magnitude of the elongation [m]; 0 without such a span.
         """
         return 0.0
+
+    def period(self) -> float | None:
+        """Return the travel after which the force repeats.
+
+        Returns:
+            Period of the elongation [m], or [rad] where nodes turn; None for a law that does not repeat over travel.
+        """
+        return float(getattr(self, self.periodic[0])) if self.periodic else None
 
     def contact(self) -> tuple[float, float, float, float] | None:
         """Return the contact limits of a stop.

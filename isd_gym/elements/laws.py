@@ -170,6 +170,9 @@ class GravitySine(Element):
     torque: float = parameter("N", 1e-3, 1e4)  # [N m] at a rotation
     rest: float = parameter("rad", -math.pi, math.pi, default=0.0, minimum=-math.inf, fixed=True)
 
+    def period(self) -> float:
+        return TURN
+
     @classmethod
     def stands(cls, network: Network, where: tuple[str, ...]) -> bool:
         # for a body that rotates against gravity

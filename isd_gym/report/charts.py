@@ -533,7 +533,8 @@ def _panel(p: Panel) -> dict[str, Any]:
 
     items = [i for i in p.items if isinstance(i, Line)]
     grid = items and all(len(i.x) == len(items[0].x) and np.array_equal(i.x, items[0].x) for i in items)
-    lines = bool(grid) and not any(isinstance(i, Dots | Marks) for i in p.items)
+    rising = bool(grid) and bool(np.all(np.diff(items[0].x) > 0))  # a loop is no function of x
+    lines = rising and not any(isinstance(i, Dots | Marks) for i in p.items)
     return {
         "kind": "lines" if lines else "points",
         "title": p.title,

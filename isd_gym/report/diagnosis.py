@@ -15,10 +15,13 @@ import numpy as np
 
 from .. import elements as el
 from ..discrepancy.result import FOLDER, Effect
+from ..discrepancy.verdict.wording import is_gain, statements_of, unit_statements_of
 from ..errors import InputError, ReportError
 from ..files import check_folder, whole_folder, write_text
 from ..network import Network
+from ..units import practical
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
+from .forces import clouds, loops_of
 from .plots import (
     BLUE,
     INK,
@@ -43,20 +46,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from ..arrays import Array
-    from ..discrepancy import Contender, Diagnosis, Law, Quantity, Trace
+    from ..discrepancy import Contender, Diagnosis, Quantity, Trace
+    from .forces import Curve, Loops
 
 
-TITLES = {
-    "missing_effect": "A physical effect is missing",
-    "no_discrepancy": "The model agrees with the measurements",
-    "parameters_only": "Parameters were off; no effect is missing",
-    "unknown_effect": "An effect is missing, and no law of the library passes every gate",
-    "ambiguous": "Several effects explain the error equally well",
-}
+#: stages of a diagnosis: head of a column, and its meaning
 STAGES = {
     "before": ("as given", "the nominal model"),
     "refit": ("refitted", "the nominal model with its parameters refitted within their stated uncertainty"),
     "after": ("with the effect", "the refitted model with the addition"),
+    "candidate": (
+        "with the best candidate",
+        "the refitted model with the best candidate, which is not named",
+    ),
     "noise_floor": ("noise", "the measurement noise, which limits every model"),
 }
 RELATIONS = {"<": "<", "<=": "≤", ">": ">", ">=": "≥"}
@@ -183,21 +185,16 @@ class View:
         self.named = bool(d.effects)
         # whether the new model differs from the given model
         self.changed = self.named or d.tabulated is not None or d.verdict == "ambiguous"
-        self.title = TITLES.get(d.verdict, d.verdict)
-        if d.verdict == "unknown_effect" and not isinstance(d.base, Network):
-            self.title = "An effect is missing that no parameter of the FMU explains"
-        if d.verdict == "unknown_effect" and d.not_tried:
-            self.title = "An effect is missing; the time limit ended the search for it"
-        if self.named and all(e.channel for e in d.effects):
-            self.title = "A sensor has a fault; no physical effect is missing"
-        elif len(d.effects) > 1:
-            count = ("Two", "Three", "Four")[min(len(d.effects), 4) - 2]
-            self.title = f"{count} physical effects are missing"
+        self.inside = isinstance(d.base, Network)
+        document = d.to_dict()
+        told = (statements_of if self.inside else unit_statements_of)(document)
+        self.title = self.printed(told.title)
+        self.finding, self.remarks, self.steps = (
+            [self.printed(s) for s in part] for part in (told.finding, told.remarks, told.next_steps)
+        )
         # whether several candidates cannot be told apart
         self.tied = d.verdict == "ambiguous" and d.reason != "kind_certain"
         self.labels = {s: label for s, (label, _) in STAGES.items()}
-        if d.reason == "kind_certain":
-            self.title = "The kind of the missing effect is certain, its law is not"
         if d.verdict == "ambiguous":
             self.labels["after"] = "with the likeliest law"
         elif not self.named:
@@ -211,10 +208,17 @@ class View:
         self.trace: Trace | None = max(held, key=lambda t: len(t.time)) if held else None
         self.scales = {c: self._scale(c) for c in self.channels}
         self.order = sorted(self.channels, key=lambda c: -d.gap["refit"][c])
-        self.stages = [s for s in STAGES if s in d.gap and (s != "after" or self.changed)]
-        self.clouds = clouds(self) if self.trace is not None else []
+        # error by stage and channel
+        self.errors = {s: d.gap[s] for s in STAGES if s in d.gap and (s != "after" or self.changed)}
+        if d.best_candidate is not None and not self.changed and is_gain(document["best_candidate"]):
+            noise = self.errors.pop("noise_floor")
+            self.errors |= {"candidate": d.best_candidate.error["after"], "noise_floor": noise}
+        self.stages = list(self.errors)
+        self.clouds = clouds(d, self.trace) if self.trace is not None else []
+        self.notes = list(dict.fromkeys(d.notes))
+        self.spoken = el.spoken
+        self.loops = loops_of(d, self.trace, self.clouds) if self.trace is not None else []
         self.laws = list(d.laws)
-        self.inside = isinstance(d.base, Network)
 
     def _scale(self, name: str) -> Scale:
         unit = self.d.units.get(name) or next((c.unit for c in self.d.base.outputs if c.name == name), "")
@@ -266,12 +270,17 @@ class View:
             return "[]"
         return json.dumps([part for where in c.where for part in place_parts(self.d.base, where)])
 
-    @property
-    def summary(self) -> str:
-        """Summary of the diagnosis in a sentence, with units, numbers and channels in the style of the page."""
-        text = units_text(self.d.summary)
-        text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), text)
-        for c in self.channels:
+    def printed(self, sentence: str) -> str:
+        """Return a sentence with units, numbers and channels in the style of the page.
+
+        Args:
+            sentence: The sentence.
+
+        Returns:
+            Text.
+        """
+        text = re.sub(r"\b\d(\.\d+)?e[+-]\d\d\b", lambda m: number(float(m[0]), 4), units_text(sentence))
+        for c in self.d.gap.get("refit", {}):
             text = re.sub(rf"(?<!\w){re.escape(c)}(?!\w)", channel_text(c).replace("\\", r"\\"), text)
         return re.sub(r"(?<=\d) %", "\u00a0%", text)
 
@@ -315,11 +324,11 @@ class View:
             A phrase.
         """
         if e.channel is not None:
-            return f"{channel_text(e.effect)} in {channel_text(e.channel)}"
+            return f"{el.spoken(e.effect)} in {channel_text(e.channel)}"
         if not e.between:
-            return channel_text(e.effect)
+            return el.spoken(e.effect)
         how = f", in series with {e.behind or 'what stands'}" if el.TYPES[e.effect].series else ""
-        return f"{channel_text(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
+        return f"{el.spoken(e.effect)}{how} between {e.between[0]} and {e.between[1]}"
 
     def contender_text(self, c: Any) -> str:
         """Return a rival in words.
@@ -333,11 +342,11 @@ class View:
         parts = []
         for effect, where in zip(c.effects, c.where, strict=True):
             joined = " and ".join(channel_text(w) if len(where) == 1 else w for w in where)
-            parts.append(f"{channel_text(effect)} {'between' if len(where) == 2 else 'at'} {joined}")
+            parts.append(f"{el.spoken(effect)} {'between' if len(where) == 2 else 'at'} {joined}")
         return ", with ".join(parts)
 
     def quantity(self, q: Any) -> str:
-        """Return a value with its unit, such as ``296.6 N``, with the digits that its interval warrants.
+        """Return a value with a practical unit, such as ``296.6 N``, with the digits that its interval warrants.
 
         Args:
             q: The quantity.
@@ -345,7 +354,9 @@ class View:
         Returns:
             Text.
         """
-        return f"{_digits(q.value, q.low, q.high)}\u00a0{unit_text(q.unit)}".strip()
+        factor, unit = practical(q.value, q.unit)
+        value, low, high = factor * q.value, factor * q.low, factor * q.high
+        return f"{_digits(value, low, high)}\u00a0{unit_text(unit)}".strip()
 
     @staticmethod
     def figure(value: float) -> str:
@@ -385,9 +396,7 @@ class View:
     def nearest_text(self) -> str:
         """Known laws nearest to an unnamed force, with the share of the force that each law explains."""
         near = self.d.tabulated.nearest if self.d.tabulated is not None else ()
-        return ", ".join(
-            f"{channel_text(name)} ({percent(share, 0, sign=False)} of it)" for name, share in near
-        )
+        return ", ".join(f"{el.spoken(name)} ({percent(share, 0, sign=False)} of it)" for name, share in near)
 
     @property
     def shares_text(self) -> str:
@@ -395,19 +404,6 @@ class View:
         shares = self.d.tabulated.shares if self.d.tabulated is not None else ()
         return ", ".join(
             f"a function of {OVER[over]} alone gives {percent(x, 0, sign=False)} of it" for over, x in shares
-        )
-
-    @property
-    def best_text(self) -> str:
-        """Best candidate without an identified effect, with its explained share and failed gates; '' without a candidate."""
-        best = self.d.best_candidate
-        if self.named or best is None:
-            return ""
-        failed = "”, “".join(g.name for g in best.failed_gates)
-        return (
-            f"The best candidate is {self.contender_text(best)}. The candidate removes {percent(best.explained, 0, sign=False)} of the "
-            "squared held-out error beyond noise"
-            + (f" and fails the gate{'s' * (len(best.failed_gates) > 1)} “{failed}”." if failed else ".")
         )
 
     @property
@@ -424,7 +420,7 @@ class View:
         return ""
 
     def interval(self, q: Any) -> str:
-        """Return the interval of a quantity.
+        """Return the interval of a quantity in the unit of `quantity`.
 
         Args:
             q: The quantity.
@@ -432,7 +428,22 @@ class View:
         Returns:
             Text.
         """
-        return f"{_digits(q.low, q.low, q.high)} to {_digits(q.high, q.low, q.high)}"
+        factor, _ = practical(q.value, q.unit)
+        low, high = factor * q.low, factor * q.high
+        return f"{_digits(low, low, high)} to {_digits(high, low, high)}"
+
+    def other(self, value: float, q: Any) -> str:
+        """Return another value of a quantity, such as its prior, with the unit of the quantity.
+
+        Args:
+            value: The value [unit of the quantity].
+            q: The quantity.
+
+        Returns:
+            Text.
+        """
+        factor, unit = practical(q.value, q.unit)
+        return f"{number(factor * value, 4)}\u00a0{unit_text(unit)}".strip()
 
     def equation(self, e: Effect) -> str:
         """Return the equation of an effect.
@@ -490,13 +501,13 @@ class View:
             return ""
 
     @property
-    def sums(self) -> str:
-        """Share of the closable gap that is closed, in one clause."""
-        if self.d.closed is None:
-            return ""
-        if self.d.closed < 0:
-            return "the error on the test records is larger with this addition"
-        return f"{percent(self.d.closed, 1, sign=False)} of the squared error beyond noise is removed"
+    def first(self) -> str:
+        """Name of the figure on the first screen."""
+        if self.trace is None or self.d.verdict in ("no_discrepancy", "parameters_only"):
+            return "gap"
+        if self.loops:
+            return "loops"
+        return "plane" if self.named else "time" if len(self.channels) <= FEW else "gap"
 
     @property
     def parameters(self) -> list[tuple[str, Any, float | None]]:
@@ -514,115 +525,18 @@ class View:
 
 
 def _digits(value: float, low: float, high: float) -> str:
-    """Return a value to two digits of its interval's half width, at most six digits."""
+    """Return a value to four digits, or to two digits of its interval's half width where these are more, at most six."""
     half = 0.5 * abs(high - low)
     size = max(abs(low), abs(high))
     if not (np.isfinite(half) and half > 0 and size > half * 1e-12):
         return number(value, 4)
     if not 1e-3 <= size < 1e6:
         return number(value, int(np.clip(np.floor(np.log10(size / half)) + 2, 2, 5)))
-    places = 1 - math.floor(math.log10(half))
-    places = min(places, 5 - math.floor(math.log10(size)))
+    first = math.floor(math.log10(size))
+    places = min(max(1 - math.floor(math.log10(half)), 3 - first), 5 - first)
     if low < value < high and value != 0.0:  # a value within a wide interval must not vanish: 14.66 is not 0
         places = max(places, 1 - math.floor(math.log10(abs(value))))
     return f"{round(value, places) + 0.0:.{max(0, places)}f}".replace("-", "−")
-
-
-# ------------------------------------------------------------------------------------------ the missing force
-
-
-@dataclass(frozen=True)
-class Cloud:
-    """Force between two nodes that the measurements require, sample by sample, over the motion of the nodes.
-
-    Attributes:
-        pair: The two nodes.
-        laws: Identified laws between the nodes.
-        effects: Names of the effects.
-        travel: Elongation (n,) [m].
-        rate: Rate of elongation (n,) [m/s].
-        before: Force in addition to the refitted model (n,) [N].
-        after: Force in addition to the model with the result (n,) [N]; None without a result.
-    """
-
-    pair: tuple[str, str]
-    laws: tuple[Law, ...]
-    effects: tuple[str, ...]
-    travel: Array
-    rate: Array
-    before: Array
-    after: Array | None
-
-
-def clouds(view: View) -> list[Cloud]:
-    """Return a cloud for every pair of nodes with an effect, or for the best candidate.
-
-    Args:
-        view: The prepared diagnosis.
-
-    Returns:
-        Clouds.
-    """
-    d, trace = view.d, view.trace
-    assert trace is not None
-    laws = {law.element: law for law in d.laws}
-    pairs: dict[tuple[str, str], list[Effect]] = {}
-    for e in d.effects:
-        kind = el.TYPES.get(e.effect)
-        if e.between is not None and e.element in laws and kind is not None and kind.place == "between":
-            pairs.setdefault((e.between[0], e.between[1]), []).append(e)
-    if d.tabulated is not None and d.tabulated.element in laws:
-        pairs[d.tabulated.between] = []
-    elif not d.effects:
-        first = d.best_candidate or next(iter(d.contenders), None)
-        where = first.where[-1] if first else ()
-        if len(where) == 2:
-            pairs[(where[0], where[1])] = []
-    out = []
-    for pair, effects in pairs.items():
-        try:
-            drawn = [laws[e.element] for e in effects]
-            if d.tabulated is not None and d.tabulated.element in laws:
-                drawn = [laws[d.tabulated.element]]
-            cloud = _cloud(view, trace, pair, drawn, [e.effect for e in effects])
-        except (InputError, np.linalg.LinAlgError):
-            continue
-        if cloud is not None:
-            out.append(cloud)
-    return out
-
-
-def _cloud(
-    view: View, trace: Trace, pair: tuple[str, str], laws: list[Law], effects: list[str]
-) -> Cloud | None:
-    d = view.d
-    if not isinstance(d.refitted, Network) or not isinstance(d.model, Network):
-        return None
-    if not set(pair) <= {*d.refitted.nodes, "ground"}:
-        return None
-    names = [c.name for c in d.refitted.outputs if c.name in trace.refit]
-    noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
-    from ..discrepancy.hypotheses.missing_force import Deconvolution, motion
-
-    response = Deconvolution.of(d.refitted, pair, trace.time, {n: trace.measured[n] for n in names})
-    before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
-    after, new = None, bool(d.effects or d.tabulated)
-    if new:
-        after, _ = response.force({n: trace.measured[n] - trace.after[n] for n in names}, noise)
-    travel, rate = motion(d.model if new else d.refitted, trace, pair)
-    if not new:  # motion of the old model, plus the motion due to the missing force
-        travel, rate = travel + moved[:, 0], rate + moved[:, 1]
-    edge = max(1, len(trace.time) // 20)  # ends of the taper
-    keep = slice(edge, -edge)
-    return Cloud(
-        pair,
-        tuple(laws),
-        tuple(effects),
-        travel[keep],
-        rate[keep],
-        before[keep],
-        None if after is None else after[keep],
-    )
 
 
 # ------------------------------------------------------------------------------------------------- the figures
@@ -632,6 +546,10 @@ MEASURED = Look(INK, "-", "", 1.6)
 BEFORE = Look(VERMILLION, (0, (4, 1.5)), "D", 1.1)
 AFTER = Look(BLUE, "-", "o", 1.0)
 NOISE = Look(INK, (0, (1, 1.5)), "", 0.8)
+WORST = "worst stretch"
+STRETCH = 2.5  # length of the drawn stretches of a record [s]
+PERIODS = 4  # periods of the motion in a loop
+FEW = 2  # channels whose time histories fit on the first screen
 MOST_SAMPLES = 360_000  # largest number of samples of records in a page (about 1 MB)
 
 
@@ -644,14 +562,14 @@ def draw_gap(view: View) -> Chart:
     Returns:
         The chart.
     """
-    d = view.d
     looks = {
         "before": (Look(MUTED, "-", "s"), True, 6.5),
         "refit": (Look(VERMILLION, "-", "D"), True, 6.5),
         "after": (Look(BLUE, "-", "o"), False, 7.5),
+        "candidate": (Look(BLUE, "-", "o"), True, 7.5),
         "noise_floor": (Look(INK, "-", "|"), False, 13.0),
     }
-    values = {s: [max(100 * d.gap[s][c], 1e-3) for c in view.order] for s in view.stages}
+    values = {s: [max(100 * view.errors[s][c], 1e-3) for c in view.order] for s in view.stages}
     ends = [[f(values[s][k] for s in view.stages) for k in range(len(view.order))] for f in (min, max)]
     items: list[Item] = [
         Marks("", ends[0], range(len(view.order)), Look(PALE, "-", ""), (ends[0], ends[1]), bar=4.0)
@@ -659,7 +577,9 @@ def draw_gap(view: View) -> Chart:
     for stage in view.stages:
         look, hollow, size = looks[stage]
         label = view.labels[stage]
-        notes = [f"{channel_text(c)}, {label}: {percent(d.gap[stage][c], 2, sign=False)}" for c in view.order]
+        notes = [
+            f"{channel_text(c)}, {label}: {percent(view.errors[stage][c], 2, sign=False)}" for c in view.order
+        ]
         items.append(
             Marks(label, values[stage], range(len(view.order)), look, notes=notes, open=hollow, size=size)
         )
@@ -678,14 +598,16 @@ def draw_gap(view: View) -> Chart:
     )
 
 
-def _window(view: View, trace: Trace, seconds: float) -> slice:
-    """Return the stretch of a record with the largest error of the refitted model."""
+def _stretches(view: View, trace: Trace) -> dict[str, slice]:
+    """Return the stretches of a record in which the refitted model errs most, and as much as usual."""
     c = view.order[0]
     step = float(trace.time[1] - trace.time[0])
-    width = min(len(trace.time), max(10, round(seconds / step)))
+    width = min(len(trace.time), max(10, round(STRETCH / step)))
     power = np.concatenate([[0.0], np.cumsum((trace.measured[c] - trace.refit[c]) ** 2)])
-    start = int(np.argmax(power[width:] - power[:-width]))
-    return slice(start, start + width)
+    within = power[width:] - power[:-width]
+    usual = np.abs(within - np.median(within))
+    starts = {WORST: int(np.argmax(within)), "typical stretch": int(np.argmin(usual))}
+    return {name: slice(k, k + width) for name, k in starts.items()}
 
 
 def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
@@ -696,8 +618,62 @@ def _steady(axis: Axis, left: Sequence[np.ndarray], noise: float) -> Axis:
     return replace(axis, low=-1.5 * usual, high=1.5 * usual)
 
 
+@dataclass(frozen=True)
+class Records:
+    """The records that a chart over time shows.
+
+    Attributes:
+        traces: Records by the name in the chart; the record of the picture first.
+        every: Step between the drawn samples of each record.
+    """
+
+    traces: dict[str, Trace]
+    every: dict[str, int]
+
+    @classmethod
+    def of(cls, view: View, trace: Trace) -> Records:
+        """Return the records of a diagnosis, thinned to the size of a page.
+
+        Args:
+            view: The prepared diagnosis.
+            trace: The record of the picture.
+        """
+        chosen = [trace, *(t for t in view.traces if t is not trace)][:8]
+        each = 5 if view.changed else 3  # signals and residuals of a channel
+        share = MOST_SAMPLES / (each * len(view.order) * len(chosen))
+        names: dict[str, Trace] = {}
+        for k, t in enumerate(chosen):
+            name = f"{t.name} ({t.use})"
+            names[f"{name}, {k + 1}" if name in names else name] = t
+        return cls(names, {name: max(1, math.ceil(len(t.time) / share)) for name, t in names.items()})
+
+    def head(self, name: str) -> str:
+        """Return the beginning of a caption.
+
+        Args:
+            name: Name of the record in the chart.
+        """
+        thinned, t = self.every[name], self.traces[name]
+        note = f" One sample in {thinned} is drawn." if thinned > 1 else ""
+        return f"Record “{t.name}” ({t.use}).{note}"
+
+
+def _simulated(view: View, t: Trace) -> dict[str, tuple[dict[str, Array], Look]]:
+    """Return the simulations that charts show, with their styles."""
+    out = {"refitted model": (t.refit, BEFORE)}
+    return out | ({"completed model": (t.after, AFTER)} if view.changed else {})
+
+
+def _more(view: View, few: Sequence[str]) -> str:
+    return (
+        f" The picture shows the {len(few)} channels with the largest error."
+        if len(few) < len(view.order)
+        else ""
+    )
+
+
 def draw_time(view: View) -> Chart | None:
-    """Return the chart of all records with signals and residuals; the picture shows the stretch with the largest error.
+    """Return the chart of all records over time: the stretch with the largest error, and a typical stretch.
 
     Args:
         view: The prepared diagnosis.
@@ -705,90 +681,187 @@ def draw_time(view: View) -> Chart | None:
     Returns:
         The chart; None without records.
     """
-    trace = view.trace
-    if trace is None:
+    if view.trace is None:
         return None
     few = view.order[:5]
-    traces = [trace, *(t for t in view.traces if t is not trace)][:8]
-    each = 5 if view.changed else 3  # number of series per channel
-    share = MOST_SAMPLES / (each * len(view.order) * len(traces))
-
-    def panels(t: Trace, names: Sequence[str], shown: tuple[float, float]) -> list[Panel]:
-        every = max(1, math.ceil(len(t.time) / share)) if share > 0 else 1
-        time = t.time[::every]
-        inside = (t.time >= shown[0]) & (t.time <= shown[1])
-        out = []
-        for c in names:
-            k = view.scales[c].factor
-            says = {"measured": t.measured[c], "refitted model": t.refit[c]}
-            if view.changed:
-                says["completed model"] = t.after[c]
-            looks = dict(zip(says, (MEASURED, BEFORE, AFTER), strict=False))
-            # the measured signal first: its broader line remains visible under the others
-            lines = [Line(n, time, k * y[::every], looks[n]) for n, y in says.items()]
-            low, high = (f(float(f(k * y[inside])) for y in says.values()) for f in (min, max))
-            room = 0.05 * (high - low) or 1.0
-            y_axis = Axis(channel_text(c).replace(" ", "\n", 1), view.scales[c].unit or "–")
-            x_axis = Axis("time", "s", low=shown[0], high=shown[1])
-            zoomed = replace(y_axis, low=low - room, high=high + room)
-            out.append(Panel(x_axis, zoomed, tuple(lines), title="signals", link="time"))
-            rest: list[Item] = [
-                Line(
-                    n,
-                    time,
-                    k * (t.measured[c] - y)[::every],
-                    replace(looks[n], line="-", width=0.7, marker=""),
-                )
-                for n, y in list(says.items())[1:]
-            ]
-            noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(t.measured[c]))
-            rest += [Rule("y", y, look=NOISE) for y in (-noise, noise)] + [Span(*shown)]
-            out.append(
-                Panel(
-                    Axis("time", "s", low=float(time[0]), high=float(time[-1])),
-                    _steady(y_axis, [k * (t.measured[c] - y) for y in list(says.values())[1:]], noise),
-                    tuple(rest),
-                    title="measured minus simulated",
-                    link="rest",
-                )
-            )
-        return [p if k < 2 else replace(p, title="") for k, p in enumerate(out)]
-
-    lines = ": orange without, blue with the addition" if view.changed else ""
-    more = (
-        f" The picture shows the {len(few)} channels with the largest error."
-        if len(few) < len(view.order)
-        else ""
-    )
-
-    def caption(t: Trace, shown: tuple[float, float]) -> str:
-        thinned = max(1, math.ceil(len(t.time) / share))
-        return (
-            f"Record “{t.name}” ({t.use}). Left: the {shown[1] - shown[0]:.3g} s with the largest error of the refitted model (shaded on "
-            f"the right). Right: the residual{lines}. Dotted: twice the noise. Peaks of a few samples may exceed the axis."
-            f"{more if t is trace else ''}" + (f" One sample in {thinned} is drawn." if thinned > 1 else "")
-        )
-
+    records = Records.of(view, view.trace)
     choices, captions = {}, {}
-    for k, t in enumerate(traces):
-        cut = _window(view, t, min(2.5, float(t.time[-1] - t.time[0])))
-        shown = (float(t.time[cut][0]), float(t.time[cut][-1]))
-        name = f"{t.name} ({t.use})"
-        name = f"{name}, {k + 1}" if name in choices else name
-        choices[name], captions[name] = panels(t, view.order, shown), caption(t, shown)
+    for name, t in records.traces.items():
+        every, panels = slice(None, None, records.every[name]), []
+        stretches = _stretches(view, t)
+        for c in view.order:
+            k = view.scales[c].factor
+            says = {"measured": (t.measured, MEASURED), **_simulated(view, t)}
+            for title, cut in stretches.items():
+                # the worst stretch is a view of the whole record, the typical one is a part of the record
+                drawn = every if title == WORST else slice(cut.start, cut.stop, every.step)
+                # the measured signal first: its broader line remains visible under the others
+                lines = [Line(n, t.time[drawn], k * y[c][drawn], look) for n, (y, look) in says.items()]
+                low, high = (f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max))
+                room = 0.05 * (high - low) or 1.0
+                unit = view.scales[c].unit or "–"
+                y_axis = Axis(channel_text(c).replace(" ", "\n", 1), unit, low=low - room, high=high + room)
+                x_axis = Axis("time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1]))
+                heading = title if c == view.order[0] else ""
+                panels.append(Panel(x_axis, y_axis, tuple(lines), title=heading, link=title))
+        length = float(np.ptp(t.time[next(iter(stretches.values()))]))
+        choices[name] = panels
+        captions[name] = (
+            f"{records.head(name)} Left: the {length:.3g} s in which the refitted model errs most in "
+            f"{channel_text(view.order[0])}. Right: a stretch with the median error.{_more(view, few)}"
+        )
     return Chart(
         "time",
         "In time",
-        "Measured and simulated signals, and residuals over time",
+        "Measured and simulated signals over time: the stretch with the largest error, and a typical stretch",
         next(iter(captions.values())),
         choices,
         columns=2,
         size=(7.6, 1.45 * len(few) + 0.7),
         walk=True,
-        widths=(1.15, 1.0),
         still=2 * len(few),
         captions=captions,
     )
+
+
+def draw_residuals(view: View) -> Chart | None:
+    """Return the chart of the residuals of all records.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without records.
+    """
+    if view.trace is None:
+        return None
+    few = view.order[:5]
+    records = Records.of(view, view.trace)
+    choices, captions = {}, {}
+    for name, t in records.traces.items():
+        every, panels = slice(None, None, records.every[name]), []
+        spans = [Span(float(t.time[cut][0]), float(t.time[cut][-1])) for cut in _stretches(view, t).values()]
+        for c in view.order:
+            k = view.scales[c].factor
+            rest = {n: (k * (t.measured[c] - y[c]), look) for n, (y, look) in _simulated(view, t).items()}
+            noise = 2 * k * view.d.gap["noise_floor"][c] * float(np.std(t.measured[c]))
+            items: list[Item] = [
+                Line(n, t.time[every], r[every], replace(look, line="-", width=0.7, marker=""))
+                for n, (r, look) in rest.items()
+            ]
+            items += [*(Rule("y", y, look=NOISE) for y in (-noise, noise)), *spans]
+            y_axis = Axis(channel_text(c).replace(" ", "\n", 1), view.scales[c].unit or "–")
+            x_axis = Axis("time", "s", low=float(t.time[0]), high=float(t.time[-1]))
+            y_axis = _steady(y_axis, [r for r, _ in rest.values()], noise)
+            panels.append(Panel(x_axis, y_axis, tuple(items), link="time"))
+        choices[name] = panels
+        captions[name] = (
+            f"{records.head(name)} Dotted: twice the noise. Shaded: the stretches of the figure above. Peaks of a few samples may "
+            f"exceed the axis.{_more(view, few)}"
+        )
+    return Chart(
+        "residuals",
+        "Residuals",
+        "Measured minus simulated signals over time",
+        next(iter(captions.values())),
+        choices,
+        size=(7.6, 1.1 * len(few) + 0.7),
+        walk=True,
+        still=len(few),
+        captions=captions,
+    )
+
+
+def draw_loops(view: View) -> Chart | None:
+    """Return the chart of the force at the place of the finding over velocity and over travel.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without a force or its motion.
+    """
+    return _loops_chart(view, "loops", view.loops[:1])
+
+
+def draw_other_loops(view: View) -> Chart | None:
+    """Return the chart of the other forces over velocity and over travel.
+
+    Args:
+        view: The prepared diagnosis.
+
+    Returns:
+        The chart; None without other forces.
+    """
+    return _loops_chart(view, "other_loops", view.loops[1:4])
+
+
+def _loops_chart(view: View, name: str, forces: Sequence[Loops]) -> Chart | None:
+    """Return loops in the measurement, the model as given, and the completed (or refitted) model."""
+    trace = view.trace
+    if trace is None or not forces:
+        return None
+    new, look = ("completed model", AFTER) if view.changed else ("refitted model", BEFORE)
+    choices = {}
+    for title, stretch in _stretches(view, trace).items():
+        panels = []
+        for loops in forces:
+            own = _cycles(loops, stretch, float(trace.time[1] - trace.time[0]))
+            curves = {
+                "measured": (loops.measured, replace(MEASURED, width=2.6)),
+                "model as given": (loops.nominal, Look(MUTED, (0, (4, 1.5)), "", 1.1)),
+                new: (loops.new, replace(look, line="-", marker="", width=1.2)),
+            }
+            shown = {n: (c.part(own), style) for n, (c, style) in curves.items() if c is not None}
+            panels += _loop_panels(view, loops, shown)
+        choices[title] = panels
+    rebuilt = [f"{x.pair[0]} and {x.pair[1]}" for x in forces if not x.is_measured]
+    note = (
+        f" No channel measures the force between {' or '.join(rebuilt)}: “measured” is the simulated force plus the force that the "
+        "residuals require."
+        if rebuilt
+        else ""
+    )
+    return Chart(
+        name,
+        "Other forces over velocity and travel"
+        if name == "other_loops"
+        else "Force over velocity and travel",
+        "Loops of the force over velocity and over travel, measured and simulated",
+        f"Force, positive in tension, over the motion of its terminals: about {PERIODS} periods from the stretch of the record "
+        f"“{trace.name}” ({trace.use}).{note}",
+        choices,
+        columns=2,
+        size=(7.4, 2.5 * len(forces) + 0.4),
+    )
+
+
+def _cycles(loops: Loops, stretch: slice, step: float) -> slice:
+    """Return some periods of the motion in the middle of a stretch of the record."""
+    from ..discrepancy.simulation.problem import pace
+
+    period = 2 * math.pi * pace(loops.measured.rate, step) / step
+    count, whole = len(loops.measured.travel), stretch.stop - stretch.start
+    width = min(count, max(10, min(whole, round(PERIODS * period))))
+    start = (stretch.start + stretch.stop - width) // 2 - loops.samples.start
+    start = min(max(start, 0), count - width)
+    return slice(start, start + width)
+
+
+def _loop_panels(view: View, loops: Loops, curves: Mapping[str, tuple[Curve, Look]]) -> list[Panel]:
+    """Return the panels of a force over rate and over travel."""
+    turns = view.turns(loops.pair)
+    unit = "N·m" if turns else "N"
+    top = max(float(np.abs(c.force).max()) for c, _ in curves.values())
+    scale, unit = (1e-3, f"k{unit}") if top >= 1e4 else (1.0, unit)
+    y = Axis(channel_text(loops.name), unit)
+    panels = []
+    for kind in ("rate", "travel"):
+        factor, x = _law_axis(kind, turns)
+        x = replace(x, label=f"{x.label} of {loops.pair[0]}–{loops.pair[1]}")
+        items = [Line(n, factor * getattr(c, kind), scale * c.force, look) for n, (c, look) in curves.items()]
+        panels.append(Panel(x, y, (Rule("x", 0.0), Rule("y", 0.0), *items)))
+    return panels
 
 
 def draw_spectra(view: View) -> Chart | None:
@@ -864,8 +937,8 @@ def draw_spectra(view: View) -> Chart | None:
 
 def _law_axis(kind: str, turns: bool) -> tuple[float, Axis]:
     if turns:
-        return 1.0, Axis("rate", "rad/s") if kind == "rate" else Axis("angle", "rad")
-    return (1.0, Axis("rate", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
+        return 1.0, Axis("angular velocity", "rad/s") if kind == "rate" else Axis("angle", "rad")
+    return (1.0, Axis("velocity", "m/s")) if kind == "rate" else (1e3, Axis("travel", "mm"))
 
 
 def _force_axis(label: str, turns: bool, low: float, high: float) -> Axis:
@@ -886,7 +959,8 @@ def draw_plane(view: View) -> Chart | None:
         return _draw_channel_plane(view)
     panels = []
     for cloud in view.clouds:
-        kind = cloud.laws[0].kind if cloud.laws else "rate"
+        law = cloud.law
+        kind = law.kind if law is not None else "rate"
         over = {"rate": cloud.rate, "travel": cloud.travel}
         if cloud.after is not None:
             parts = [
@@ -898,30 +972,26 @@ def draw_plane(view: View) -> Chart | None:
                 (k, cloud.before, f"missing in the refitted model, over {k}", VERMILLION)
                 for k in ("rate", "travel")
             ]
-        law = _sum_of_laws(cloud)
         top = float(np.quantile(np.abs(cloud.before), 0.98)) * 1.25
         if law is not None:
-            top = max(top, 1.15 * float(np.abs(law[1]).max()))
+            top = max(top, 1.15 * float(np.abs(law.force).max()))
         for k, (axis_kind, force, title, colour) in enumerate(parts):
             turns = view.turns(cloud.pair)
             factor, x = _law_axis(axis_kind, turns)
             x = replace(x, label=f"{x.label} of {cloud.pair[0]}–{cloud.pair[1]}")
             items, x = _dots(x, factor * over[axis_kind], force, colour)
             if law is not None and k == 0:
-                axis, middle, low, high = law
                 look = Look(BLUE, "-", "", 1.6)
-                items.append(Line("fitted law", factor * axis, middle, look, band=(low, high)))
+                items.append(Line("added law", factor * law.axis, law.force, look, band=(law.low, law.high)))
             y = _force_axis("missing force", turns, -top, top)
             panels.append(Panel(x, y, tuple(items), title=title))
-    drawn = any(cloud.laws for cloud in view.clouds)
-    where = (
-        "the reconstruction does not use the law that is drawn over the dots"
-        if drawn
-        else "no law is assumed"
-    )
-    short = ""
+    drawn = any(cloud.law is not None for cloud in view.clouds)
+    where = "no law is assumed"
     if drawn:
-        short = " Where the dots lie below the law, refitted parameters of the nominal model compensate a part of the force."
+        where = (
+            "the reconstruction does not use the law. The added law is the force of the completed model minus the force of the "
+            "refitted model between these nodes, so that law and dots are the same quantity"
+        )
     assert view.trace is not None
     return Chart(
         "plane",
@@ -929,22 +999,11 @@ def draw_plane(view: View) -> Chart | None:
         "The missing force, or residual, over travel or rate, before and after",
         "Each dot is the force that the model lacks at one sample. The force is reconstructed from the residuals of all channels of "
         f"the record “{view.trace.name}” ({view.trace.use}) through the linear model; {where}. The limited resolution of the sensors "
-        f"smooths corners. Up to 2 % of the dots lie outside the axis.{short}",
+        f"smooths corners. Up to 2 % of the dots lie outside the axis.",
         {"all": panels},
         columns=2,
         size=(7.4, 2.9 * len(view.clouds) + 0.4),
     )
-
-
-def _sum_of_laws(cloud: Cloud) -> tuple[Array, Array, Array, Array] | None:
-    """Return the sum of the laws over one axis; laws over another axis cannot be added."""
-    if not cloud.laws:
-        return None
-    same = [law for law in cloud.laws if law.kind == cloud.laws[0].kind]
-    axis = same[0].axis
-    parts = [np.stack([np.interp(axis, w.axis, y) for y in (w.force, w.low, w.high)]) for w in same]
-    middle, low, high = np.sum(parts, axis=0)
-    return axis, middle, low, high
 
 
 def _trend(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
@@ -1081,7 +1140,7 @@ def draw_law(view: View) -> Chart | None:
             Rule("x", 0.0),
             Rule("y", 0.0),
         )
-        title = channel_text(e.effect) if len(laws) > 1 else ""
+        title = el.spoken(e.effect) if len(laws) > 1 else ""
         panels.append(
             Panel(
                 replace(axis, label=text, low=float(x[0]), high=float(x[-1])),
@@ -1196,8 +1255,11 @@ def draw_parameters(view: View) -> Chart | None:
 
 
 FIGURES: Sequence[Callable[[View], Chart | None]] = (
+    draw_loops,
+    draw_other_loops,
     draw_gap,
     draw_time,
+    draw_residuals,
     draw_spectra,
     draw_plane,
     draw_law,

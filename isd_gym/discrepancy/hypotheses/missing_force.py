@@ -17,10 +17,12 @@ from ..estimation.gauss_newton import Fitter
 from ..estimation.noise import white_filters
 from ..estimation.structure import base_structure
 from ..simulation.problem import Array, Problem, Record, pace
+from .forces import element_forces
+from .library import pairs
 from .motion import motions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -140,8 +142,32 @@ def _moved_by_a_force(network: Network, pair: tuple[str, str]) -> tuple[str, str
     return out if out[0] != out[1] else None
 
 
-def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array, Array]:
-    """Return travel [m] and rate [m/s] between two nodes in a model that starts like the record."""
+@dataclass(frozen=True)
+class PairMotion:
+    """Simulated motion of two nodes, and the force between them."""
+
+    travel: Array  # elongation (n,) [m]
+    rate: Array  # rate of elongation (n,) [m/s]
+    force: Array  # force of all elements between the nodes (n,) [N], positive in tension
+
+
+def pair_motion(
+    network: Network, trace: Trace, pair: tuple[str, str], series: Sequence[str] = ()
+) -> PairMotion:
+    """Simulate two nodes of a model that starts like a record.
+
+    Args:
+        network: The model.
+        trace: The record.
+        pair: The two nodes.
+        series: Elements in series with others between the nodes; their force counts too.
+
+    Returns:
+        Motion and force.
+
+    Raises:
+        InputError: The model has no motion between the nodes, or its simulation breaks down.
+    """
     network = replace(network, uncertainty={})
     step = float(trace.time[1] - trace.time[0])
     measured = np.stack([trace.measured[c.name] for c in network.outputs], axis=1)
@@ -149,11 +175,18 @@ def motion(network: Network, trace: Trace, pair: tuple[str, str]) -> tuple[Array
     fit = Fitter(problem, white_filters(measured.std(axis=0))).fit(
         base_structure(network), frozen=True, iterations=3
     )
-    found = motions(problem, fit)
+    found = motions(problem, fit, () if pair[::-1] in pairs(network) else (pair,))
     if pair in found:
         m, sign = found[pair], 1.0
     elif pair[::-1] in found:
         m, sign = found[pair[::-1]], -1.0
     else:
         raise InputError(f"no motion between {pair[0]} and {pair[1]}")
-    return sign * m.d, sign * m.v
+    force = np.zeros(len(m.d))
+    for values in element_forces(problem, fit, pair).values():
+        force = force + values
+    for name in series:
+        where = network.element(name).between
+        along = 1.0 if where[0] == pair[0] or where[1] == pair[1] else -1.0
+        force = force + along * element_forces(problem, fit, where)[name]
+    return PairMotion(sign * m.d, sign * m.v, force)

@@ -17,6 +17,8 @@ from ...errors import InputError
 from .missing_force import Deconvolution
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ...elements import Motion
     from ..estimation.gauss_newton import Fit
     from ..simulation.problem import Array, Problem
@@ -33,9 +35,9 @@ MATERIAL = (
 )
 
 
-def typical_advance(travel: Array) -> float:
-    """Return the median distance between consecutive samples of a travel (n,), samples at rest left out."""
-    way = np.abs(np.diff(travel))
+def typical_advance(travels: Sequence[Array]) -> float:
+    """Return the median distance between consecutive samples of travels (n,) each, samples at rest left out."""
+    way = np.abs(np.concatenate([np.diff(d) for d in travels]))
     moving = way[way > 1e-3 * way.max(initial=0.0)]
     return float(np.median(moving)) if len(moving) else 0.0
 
@@ -56,7 +58,8 @@ def spectral_pitches(
         At most `LINES` periods [m, or rad where the nodes turn], the strongest line first; none where the records cannot show one.
     """
     span = float(np.ptp(motion.d))
-    advance = typical_advance(motion.d)
+    edges = np.cumsum([problem.records[i].samples for i in problem.estimation])[:-1]
+    advance = typical_advance(np.split(motion.d, edges))
     if span <= 0 or advance <= 0:
         return ()
     most = min(span / (RESOLVED * advance), MOST_PERIODS)

@@ -12,6 +12,7 @@ from ..estimation.noise import innovations, refined_noise, trusted_noise, white_
 from ..estimation.structure import Hypothesis, Structure, rebuilt
 from ..hypotheses.motion import motions
 from ..simulation.problem import BROKEN
+from .admissibility import is_admissible, travels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -176,6 +177,7 @@ def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hyp
     network = candidate.fit.network
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion = motions(problem, candidate.fit)
+    known = travels(problem, problem.network, motion)
     out = []
     for k, (h, values) in enumerate(found):
         swaps: list[list[tuple[Hypothesis, dict[str, float]]]] = [[]] if len(found) > 1 else []
@@ -188,6 +190,8 @@ def simpler_structures(problem: Problem, candidate: Candidate) -> list[tuple[Hyp
                 h, effect=simple, options=(), behind=h.behind if el.TYPES[simple].series else ""
             )
             if plainer.behind and not plainer.stands(problem.network):
+                continue
+            if not is_admissible(plainer, known):
                 continue
             swaps.append([(plainer, special)])
         for swap in swaps:

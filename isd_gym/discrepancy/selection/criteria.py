@@ -122,6 +122,18 @@ class Criteria:
         "a periodic law must be seen to repeat within the travel",
         "a single period may be any curve with a hump",
     )
+    passes: float = limit(
+        1.5,
+        "passes through a travel",
+        "a travel that no output tells must return within a record: else a force of travel is any force of time",
+        "half of the travel is passed twice; a coast-down passes each travel once, a full swing twice",
+    )
+    repetitions: float = limit(
+        3.0,
+        "periods",
+        "periods within a travel that no output tells and that does not return",
+        "two repetitions: start and phase of each record are free, and one repetition is any curve with three bends",
+    )
     travel: float = limit(
         0.95,
         "share of samples",

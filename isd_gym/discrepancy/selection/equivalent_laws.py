@@ -14,6 +14,7 @@ from ..hypotheses.forces import element_forces, place_forces
 from ..hypotheses.library import hypotheses
 from ..hypotheses.motion import motions, setting
 from ..simulation.problem import BROKEN
+from .admissibility import is_admissible, travels
 from .candidate import Candidate, parameter_values
 from .criteria import CRITERIA
 
@@ -42,6 +43,7 @@ def equivalent_structures(
     """
     found = [(h, parameter_values(e)) for h, e in zip(candidate.hypotheses, candidate.elements, strict=True)]
     motion, forces = motions(problem, candidate.fit), place_forces(problem, candidate.fit)
+    known = travels(problem, problem.network, motion)
     for k, element in enumerate(candidate.elements):
         m = motion.get(element.between) if element.place == "between" else None
         # without visible repetition a periodic law is a mere curve
@@ -54,7 +56,9 @@ def equivalent_structures(
         others = [
             h
             for h in curves(problem, element)
-            if element.type not in h.kind.contains and h.effect not in (element.type, *element.contains)
+            if is_admissible(h, known)
+            and element.type not in h.kind.contains
+            and h.effect not in (element.type, *element.contains)
         ]
         matches = _match_laws(problem, others, [element], m, forces.at, absorbing)
         yield from _rebuild(problem, ([*found[:k], match, *found[k + 1 :]] for match in matches))

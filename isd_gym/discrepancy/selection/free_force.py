@@ -28,6 +28,7 @@ from ..hypotheses.library import hypotheses, pairs
 from ..hypotheses.motion import motions, setting
 from ..result import BestTable, Over, Tabulated
 from ..simulation.problem import BROKEN, Array, Problem, bare
+from .admissibility import travels
 from .candidate import Candidate, settle, transfer, white_noise, with_fit
 
 if TYPE_CHECKING:
@@ -161,6 +162,7 @@ def gain(problem: Problem, fitter: Fitter, base: Candidate, structure: Table) ->
 def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForces) -> list[Table]:
     """Return tables over rate and over elongation at every pair, largest expected gain first, on as few samples as the motion needs."""
     motion = motions(problem, base.fit)
+    known = travels(problem, base.fit.network, motion)
     problem, base = problem.rough, _coarse(problem, base, floors)
     fitter = Fitter(problem, whitener(residuals(problem, base.fit), white_noise(problem, base.fit, floors)))
     ranked: list[tuple[float, Table]] = []
@@ -169,12 +171,21 @@ def _ranked(problem: Problem, base: Candidate, floors: Array, forces: PlaceForce
         if m is None or el.rms(m.d) <= 1e-9 or el.rms(m.v) <= 1e-9:
             continue
         for over in PLANES:
+            if over == "elongation" and not known[pair].is_known():
+                continue
             try:
                 built = table(base.fit, pair, over, m, LENGTHS[over][0], STRONG * forces.at(pair))
                 ranked.append((gain(problem, fitter, base, built), built))
             except BROKEN:
                 continue
     return [s for _, s in sorted(ranked, key=lambda t: -t[0])]
+
+
+def is_told(problem: Problem, fit: Fit, pair: tuple[str, str], motion: el.Motion) -> bool:
+    """Return whether the records show a force over the distance of two nodes."""
+    return (
+        not order_told(fit.network, pair) and travels(problem, fit.network, {pair: motion})[pair].is_known()
+    )
 
 
 @dataclass(frozen=True)
@@ -210,7 +221,7 @@ def fit_free_force(
     if found is not None and found.gain_over(evaluator, base)[0] < ENOUGH:
         motion = motions(problem, base.fit)
         for pair in list(dict.fromkeys(s.network.element(s.element).between for s in ranked))[:BOTH]:
-            if order_told(base.fit.network, pair):  # the inputs do not tell the elongation
+            if not is_told(problem, base.fit, pair, motion[pair]):
                 continue
             built = table(base.fit, pair, "both", motion[pair], LENGTHS["both"][0], STRONG * forces.at(pair))
             c = _fit_table(problem, base, built, floors)
@@ -253,6 +264,8 @@ def fit_in_place_of(
     if motion is None:
         return None
     over, sigma = over or named.plane, STRONG * place_forces(problem, base.fit).at(pair)
+    if over != "rate" and not is_told(problem, base.fit, pair, motion):
+        return None
     try:
         return _fit_table(
             problem, base, table(base.fit, pair, over, motion, LENGTHS[over][0], sigma), evaluator.least_noise

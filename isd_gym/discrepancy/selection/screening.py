@@ -25,9 +25,10 @@ from ..estimation.structure import Structure, add
 from ..hypotheses.library import Hypothesis, hypotheses
 from ..hypotheses.neighbouring_periods import try_neighbouring_periods
 from ..hypotheses.position_spectrum import thinning_loses
-from ..hypotheses.score_test import ScoredStart, score_hypotheses, with_fitted_effects
+from ..hypotheses.score_test import ScoredStart, with_fitted_effects
 from ..simulation.problem import BROKEN
 from ..simulation.time_limit import adopt, running
+from .admissibility import admissible_starts
 from .candidate import (
     Candidate,
     deviance,
@@ -179,7 +180,7 @@ class Screening:
         moved = set(self.problem.network.moved_nodes)
         groups: dict[object, list[ScoredStart]] = {}
         any_sign = self.has_lost_phase or self.is_lightly_damped  # a shifted phase may turn a sign around
-        found = score_hypotheses(self.problem, self.fitter, self.current, tried, any_sign)
+        found = admissible_starts(self.problem, self.fitter, self.current, tried, any_sign)
         for s in found:
             always = s.hypothesis.kind.series and bool(set(s.hypothesis.where) & moved)
             if s.hypothesis in groups or len(groups) < self.entries or always:

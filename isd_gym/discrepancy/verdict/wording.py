@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...elements import TYPES
+from ...elements import TYPES, spoken
+from ...units import practical
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 #: an addition that makes the error on the test records larger
-NOT_BORNE_OUT = (
-    "On the test records the error is larger with this addition: confirm the addition with a new record."
-)
+NOT_BORNE_OUT = "On the test records the error is larger with this addition."
+#: what to do about a failed gate, most urgent first
+ADVICE = {
+    "sensor": "check the zero, the scale and the clock of the sensor before you trust a fault of it",
+    "distinguishable": "record another excitation: other amplitudes, speeds or frequencies",
+    "lack of fit": "compare the curve of the missing force with a law of your own (--elements): no known law has its shape",
+    "adequate": "log further motions or inputs: the candidate leaves a part of the error, so another effect is missing beside it",
+    "confirmed": "repeat the test: the test records do not confirm the candidate",
+    "determined": "record a test in which the effect is larger, or state smaller uncertainties of the parameters that you know",
+    "probable": "record more data of the same kind: several candidates share the probability",
+    "material": "record larger amplitudes: the effect is small in these records",
+    "predicts better": "record more data of the same kind: the gain is within its statistical error",
+}
 #: error of which a candidate removes a share (`Evidence.explained`)
 EXCESS = "the squared held-out error beyond noise"
 RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
@@ -39,34 +51,76 @@ KINDS = {
 }
 
 
+@dataclass(frozen=True)
+class Statements:
+    """Sentences about a diagnosis, by their use."""
+
+    #: what is missing, in a line
+    title: str
+    #: what was found and how far it goes
+    finding: tuple[str, ...]
+    #: limits of the data and of the model
+    remarks: tuple[str, ...]
+    #: what to do next
+    next_steps: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """All sentences but the title."""
+        steps = [f"Next: {step}" for step in self.next_steps]
+        return " ".join(s for s in (*self.finding, *self.remarks, *steps) if s)
+
+
 def summary_of(document: Mapping[str, Any]) -> str:
-    """Return the summary of a diagnosis.
+    """Return the summary of a diagnosis: the finding, the limits of the data, and what to do next.
 
     Args:
         document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
 
     Returns:
-        Sentences: the finding with its figures, the reason, the limits of the data, and what to do next.
+        Sentences.
     """
-    verdict = document["verdict"]
+    return statements_of(document).text
+
+
+def statements_of(document: Mapping[str, Any]) -> Statements:
+    """Return the sentences about a diagnosis of a network.
+
+    Args:
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
+
+    Returns:
+        Sentences by their use.
+    """
+    verdict, remarks = document["verdict"], []
     if verdict == "missing_effect":
-        parts = [_missing(document), _remaining(document)]
+        finding = [_missing(document), _remaining(document)]
     elif verdict == "ambiguous":
-        parts = [_likely(document), _ambiguous(document)]
+        finding = [_ambiguous(document)]
+        remarks = [_likely(document)]
+        if document["reason"] == "kind_certain":
+            finding, remarks = [*remarks, *finding], []
     elif verdict == "unknown_effect":
-        parts = [_unknown(document), _likely(document), _best_candidate(document), _table(document)]
+        table, shape = _table(document)
+        finding, remarks = [_unknown(document), _likely(document), _best_candidate(document)], [table]
+        if document["tabulated"]:
+            finding, remarks = [table, finding[2]], [finding[0], finding[1], shape]
+        remarks.append(_where(document))
     else:
-        parts = [_agreement(document), _reason(document), _changes(document)]
-    if verdict in {"missing_effect", "ambiguous", "unknown_effect"}:
-        parts += [_worse_refit(document), _worse_than_constant(document)]
-    parts += [
+        finding = [_agreement(document), _reason(document), _changes(document)]
+    if _is_open(document):
+        remarks += [_worse_refit(document), _worse_than_constant(document)]
+    remarks += [
         _small(document),
         _noise(document),
         _limits(document),
         _stretches(document),
         _closed_loop(document),
     ]
-    return " ".join(p for p in (_not_tried(document), *parts) if p)
+    finding = [_not_tried(document), *finding]
+    return Statements(
+        _title(document), _kept(finding), _kept(remarks), _kept([*_urgent(document), _next(document)])
+    )
 
 
 def _not_tried(d: Mapping[str, Any]) -> str:
@@ -81,28 +135,66 @@ def _not_tried(d: Mapping[str, Any]) -> str:
 
 
 def unit_summary_of(document: Mapping[str, Any]) -> str:
-    """Return the summary of a diagnosis whose model is an FMU."""
+    """Return the summary of a diagnosis whose model is an FMU.
+
+    Args:
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
+
+    Returns:
+        Sentences.
+    """
+    return unit_statements_of(document).text
+
+
+def unit_statements_of(document: Mapping[str, Any]) -> Statements:
+    """Return the sentences about a diagnosis of an FMU.
+
+    Args:
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
+
+    Returns:
+        Sentences by their use.
+    """
     gap, verdict = document["gap"]["held_out"], document["verdict"]
+    title, steps, remarks = _title(document), [_next(document)], [_noise(document), _limits(document)]
     if verdict == "no_discrepancy":
-        worst = _widest(gap)
-        text = f"The FMU agrees with the measurements; no effect is missing ({_errors(gap, worst, 'refit')})."
+        finding = [
+            f"The FMU agrees with the measurements; no effect is missing ({_errors(gap, _widest(gap), 'refit')})."
+        ]
     elif verdict == "parameters_only":
         most = _most_gained(gap, "before", "refit")
-        text = f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
-    else:
-        worst = _widest(gap)
-        parts = [
-            f"An effect is missing that no parameter values of the FMU explain ({_errors(gap, worst, 'before', 'refit')}).",
-            _where(document),
-            "The equations inside an FMU are hidden. To find the effect and its place, diagnose a network model of the rig (isd-model/1).",
-            *(
-                f"A constant offset is {_percent(share, 0)} of the squared error in {name}: check the zero of the sensor."
-                for name, share in document["constant"].items()
-                if share is not None and share > 0.5
-            ),
+        finding = [
+            f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
         ]
-        text = " ".join(p for p in parts if p)
-    return " ".join(p for p in (text, _noise(document), _limits(document)) if p)
+    else:
+        title = "An effect is missing that no parameter of the FMU explains"
+        finding = [
+            f"An effect is missing that no parameter values of the FMU explain ({_errors(gap, _widest(gap), 'before', 'refit')}).",
+            _where(document),
+        ]
+        shifted = [n for n, share in document["constant"].items() if share is not None and share > 0.5]
+        remarks = [
+            *(
+                f"A constant offset is {_percent(document['constant'][n], 0)} of the squared error in {n}."
+                for n in shifted
+            ),
+            *remarks,
+        ]
+        steps = [f"check the zero of the sensor of {n}." for n in shifted]
+        steps.append(
+            "diagnose a network model of the rig (isd-model/1): the equations inside an FMU are hidden, so the effect and its place are not searched."
+        )
+    return Statements(title, _kept(finding), _kept(remarks), _kept(steps))
+
+
+def _kept(sentences: Iterable[str]) -> tuple[str, ...]:
+    """Return the sentences that are not empty, each once."""
+    return tuple(dict.fromkeys(s for s in sentences if s))
+
+
+def _is_open(d: Mapping[str, Any]) -> bool:
+    """Return whether an effect is missing and neither its name nor its kind is certain."""
+    return d["verdict"] in ("ambiguous", "unknown_effect") and d["reason"] != "kind_certain"
 
 
 # ---------------------------------------------------------------------------------------------- numbers and names
@@ -118,24 +210,42 @@ def plain_number(value: float | None, digits: int = 4) -> str:
 
 def described(effect: Mapping[str, Any]) -> str:
     """Return an effect of the JSON with its place and values."""
-    spot = f"in channel {effect['channel']}" if "channel" in effect else _between(effect["between"] or ())
-    what, kind = effect["effect"].replace("_", " "), TYPES.get(effect["effect"])
-    if kind is not None and kind.series:
-        what, spot = f"{what},", f"in series with {effect.get('behind') or 'all elements'} {spot}"
     figures = ", ".join(_parameter(k, q) for k, q in effect["parameters"].items() if q["value"] is not None)
-    return f"{what} {spot} ({figures})"
+    return f"{_placed(effect)} ({figures})"
+
+
+def _placed(effect: Mapping[str, Any]) -> str:
+    """Return an effect of the JSON with its place."""
+    kind = TYPES.get(effect["effect"])
+    if "channel" in effect:
+        return f"{spoken(effect['effect'])} in channel {effect['channel']}"
+    spot = _between(effect["between"] or ())
+    if kind is not None and kind.series:
+        spot = f"in series with {effect.get('behind') or 'all elements'} {spot}"
+    return f"{spoken(effect['effect'])}{',' if kind is not None and kind.series else ''} {spot}"
 
 
 def _parameter(name: str, quantity: Mapping[str, Any]) -> str:
     """Return a parameter with its value and unit, such as ``level 1.2 N`` or ``exponent 2``."""
-    unit = "" if quantity["unit"] == "-" else f" {quantity['unit']}"
-    return f"{name.replace('_', ' ')} {plain_number(quantity['value'])}{unit}"
+    return f"{spoken(name)} {plain_value(quantity['value'], quantity['unit'])}"
+
+
+def plain_value(value: float | None, unit: str) -> str:
+    """Return a value with four digits in a practical unit, such as ``0.79 mm`` for 0.00079 m."""
+    factor, unit = (1.0, unit) if value is None else practical(value, unit)
+    text = plain_number(None if value is None else factor * value)
+    return text if unit in ("", "-") else f"{text} {unit}"
+
+
+def _in_unit_of(other: float, value: float, unit: str) -> str:
+    """Return a value in the practical unit of another value, without the unit."""
+    return plain_number(practical(other, unit)[0] * value)
 
 
 def candidate_text(candidate: Mapping[str, Any]) -> str:
     """Return the effects of a candidate (an item of `alternatives`, or `best_candidate`) with their places."""
     named = zip(candidate["effects"], candidate["where"], strict=True)
-    return " and ".join(f"{effect.replace('_', ' ')} {_spot(where)}" for effect, where in named)
+    return " and ".join(f"{spoken(effect)} {_spot(where)}" for effect, where in named)
 
 
 def _spot(where: Sequence[str]) -> str:
@@ -187,6 +297,95 @@ def failures(gates: Iterable[Mapping[str, Any]]) -> str:
 # ------------------------------------------------------------------------------------------------- the verdicts
 
 
+def _title(d: Mapping[str, Any]) -> str:
+    """Return the finding in a line."""
+    effects, verdict = d["effects"], d["verdict"]
+    if effects and all("channel" in e for e in effects):
+        return "A sensor has a fault; no physical effect is missing"
+    if len(effects) > 1:
+        return f"{('Two', 'Three', 'Four')[min(len(effects), 4) - 2]} physical effects are missing"
+    if effects:
+        return f"Missing: {_placed(effects[0])}"
+    if verdict in ("no_discrepancy", "parameters_only"):
+        if not _agrees(d):
+            return "No missing effect can be named"
+        return (
+            "The model agrees with the measurements"
+            if verdict == "no_discrepancy"
+            else "Parameters were off; no effect is missing"
+        )
+    if verdict == "unknown_effect" and d.get("not_tried"):
+        return "An effect is missing; the time limit ended the search for it"
+    kinds, places = _likely_kinds(d), _certain_places(d)
+    if d["reason"] == "kind_certain" and kinds:
+        place = f" {_spot(kinds[0]['place'])}; its law is" if kinds[0]["place"] else "; its place and law are"
+        return f"Missing: {_lower(KINDS[kinds[0]['kind']])}{place} open"
+    if d["tabulated"] and not _is_table_refuted(d):
+        return f"Missing: a force {_between(d['tabulated']['between'])}; its law is open"
+    if verdict == "ambiguous" and len(d["alternatives"]) > 1:
+        return f"An effect is missing; these data leave {len(d['alternatives'])} candidates"
+    if kinds:
+        place = f" {_spot(kinds[0]['place'])}" if kinds[0]["place"] else ""
+        return f"An effect is missing, probably {_lower(KINDS[kinds[0]['kind']])}{place}"
+    if places:
+        return f"An effect is missing {_spot(next(iter(places)))}; its kind is open"
+    return "An effect is missing, and no known law passes every gate"
+
+
+def _next(d: Mapping[str, Any]) -> str:
+    """Return what to do next about the finding."""
+    verdict = d["verdict"]
+    if verdict in ("no_discrepancy", "parameters_only"):
+        if not _agrees(d):
+            return "log further motions or inputs, or record larger amplitudes."
+        if verdict == "parameters_only":
+            return (
+                "use the refitted parameters (model.json), and test them with a record of another excitation."
+            )
+        return (
+            "record other amplitudes, speeds or frequencies to see effects that these records do not excite."
+        )
+    if verdict == "missing_effect":
+        gap = d["gap"]["held_out"]
+        c = _most_gained(gap, "refit", "after")
+        if not _square(gap["after"][c]) <= _square(gap["refit"][c]):
+            return "repeat the test: the test records do not confirm the addition."
+        return f"confirm it with a new record: the error of model.json in {c} must be about {_percent(gap['after'][c])}."
+    if d.get("closed_loop"):
+        return ""
+    if d["tabulated"]:
+        if _is_table_refuted(d):
+            return "repeat the test: the test records do not confirm the force."
+        return (
+            "confirm the force with a new record, and compare its curve with a law of your own (--elements)."
+        )
+    if d["next_experiment"]:
+        return "run the test in next_experiment.csv."
+    failed = {g["gate"] for g in (d["best_candidate"] or {}).get("failed_gates", ()) if not g["passed"]}
+    advice = next((text for name, text in ADVICE.items() if name in failed), None)
+    return f"{advice or 'log further motions or inputs: the missing force may depend on a quantity that is not measured'}."
+
+
+def _is_table_refuted(d: Mapping[str, Any]) -> bool:
+    """Return whether the table of the missing force makes the error on the test records larger."""
+    closed = d["gap"]["closed"]
+    return closed is not None and closed < 0
+
+
+def _urgent(d: Mapping[str, Any]) -> list[str]:
+    """Return what to do before anything else."""
+    steps = []
+    if d.get("closed_loop"):
+        steps.append("repeat the test with an input that does not depend on the outputs.")
+    if _is_open(d) and _worse_than_constant(d):
+        steps.append("check values, stated uncertainty, signs and units of the model.")
+    return steps
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
 def _missing(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _most_gained(gap, "refit", "after")
@@ -219,10 +418,7 @@ def _worse_than_constant(d: Mapping[str, Any]) -> str:
     c = _widest(gap)
     if not _square(gap["refit"][c]) > 1.0:
         return ""
-    return (
-        f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation): first check values, "
-        "stated uncertainty, signs and units of the model."
-    )
+    return f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation)."
 
 
 def _remaining(d: Mapping[str, Any]) -> str:
@@ -242,19 +438,27 @@ def _remaining(d: Mapping[str, Any]) -> str:
     return text
 
 
+def _likely_kinds(d: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the findings whose kind is probable."""
+    least = d["criteria"]["probable"]
+    return [f for f in d["findings"] if f["kind"] != "other" and f["kind_probability"] >= least]
+
+
+def _certain_places(d: Mapping[str, Any]) -> dict[tuple[str, ...], float]:
+    """Return the places that are certain, with their probabilities."""
+    least = d["criteria"]["certain"]
+    return {
+        tuple(f["place"]): f["place_probability"] for f in d["findings"] if f["place_probability"] >= least
+    }
+
+
 def _likely(d: Mapping[str, Any]) -> str:
     """Return the most specific statements that are likely, with probabilities: kinds, or else places that are certain."""
     certain, findings = d["criteria"]["certain"], d["findings"]
-    kinds = [
-        f for f in findings if f["kind"] != "other" and f["kind_probability"] >= d["criteria"]["probable"]
-    ]
-    sentences = []
+    kinds, sentences = _likely_kinds(d), []
     for f in kinds:
-        explains = (
-            "explains the error"
-            if f["kind_probability"] >= certain
-            else "probably explains a part of the error"
-        )
+        sure = "is missing" if f["kind_probability"] >= certain else "is probably missing"
+        chance = f"(probability {f['kind_probability']:.2f})"
         if not f["place"]:
             open_places = " or ".join(
                 f"{_spot(g['place'])} ({g['place_probability']:.2f})"
@@ -262,26 +466,19 @@ def _likely(d: Mapping[str, Any]) -> str:
                 if g["place"] and g["kind"] == f["kind"]
             )
             sentences.append(
-                f"{KINDS[f['kind']]} {explains} (probability {f['kind_probability']:.2f}), but the data do not determine "
-                f"its place: {open_places}."
+                f"{KINDS[f['kind']]} {sure} {chance}, but the data do not determine its place: {open_places}."
             )
             continue
         laws = " or ".join(
-            f"{law['effect'].replace('_', ' ')} (probability {law['probability']:.2f}{_law_values(law)})"
+            f"{spoken(law['effect'])} (probability {law['probability']:.2f}{_law_values(law)})"
             for law in f["laws"][:LAWS]
             if law is f["laws"][0] or law["probability"] >= d["criteria"]["reported"]
         )
-        sentences.append(
-            f"{KINDS[f['kind']]} {_spot(f['place'])} {explains} (probability {f['kind_probability']:.2f}). "
-            f"Likeliest: {laws}."
-        )
+        sentences.append(f"{KINDS[f['kind']]} {_spot(f['place'])} {sure} {chance}. Likeliest law: {laws}.")
     if not kinds:
-        places = {
-            tuple(f["place"]): f["place_probability"] for f in findings if f["place_probability"] >= certain
-        }
         sentences = [
             f"An effect is missing {_spot(place)} (probability {chance:.2f}); the data do not determine its kind."
-            for place, chance in places.items()
+            for place, chance in _certain_places(d).items()
         ]
     others = [
         f
@@ -298,7 +495,7 @@ def _likely(d: Mapping[str, Any]) -> str:
     ):
         if kinds and told:
             listed = (
-                f"{KINDS[f['kind']].lower()} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
+                f"{_lower(KINDS[f['kind']])} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
                 for f in told
             )
             sentences.append(f"{words}: {' or '.join(listed)}.")
@@ -311,25 +508,19 @@ def _law_values(law: Mapping[str, Any]) -> str:
 
 
 def _ambiguous(d: Mapping[str, Any]) -> str:
-    rivals = d["alternatives"]
-    if d["reason"] == "kind_certain":
-        best = d["best_candidate"]
-        return (
-            f"The law is not certain: {candidate_text(best)} removes {_percent(best['explained'], 0)} of {EXCESS}, "
-            f"but fails {failures(best['failed_gates'])}."
-        )
-    if len(rivals) > 1:
+    rivals, best = d["alternatives"], d["best_candidate"]
+    if d["reason"] != "kind_certain" and len(rivals) > 1:
         names = " or ".join(f"{candidate_text(r)} (leaves {_left(r)})" for r in rivals)
-        text = (
-            f"An effect is missing, and these data do not decide between {len(rivals)} explanations: {names}."
+        return (
+            f"An effect is missing, and these data do not decide between {len(rivals)} candidates: {names}."
         )
-    else:
-        text = (
-            f"An effect is missing. {_capital(candidate_text(d['best_candidate']))} explains the error, but fails "
-            f"{failures(d['best_candidate']['failed_gates'])}."
-        )
-    test = d["next_experiment"]
-    return f"{text} Next: run the test in next_experiment.csv." if test else text
+    subject = "The law is not certain" if d["reason"] == "kind_certain" else "An effect is missing"
+    if not is_gain(best):
+        return f"{subject}: {_no_gain(best)}"
+    return (
+        f"{subject}: {candidate_text(best)} removes {_percent(best['explained'], 0)} of {EXCESS}, "
+        f"but fails {failures(best['failed_gates'])}."
+    )
 
 
 def _left(rival: Mapping[str, Any]) -> str:
@@ -341,15 +532,40 @@ def _unknown(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _widest(gap)
     why = "the search for it is not finished" if d.get("not_tried") else "no known effect passes every gate"
-    return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')}). {_where(d)}".rstrip()
+    return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')})."
 
 
 def _where(d: Mapping[str, Any]) -> str:
+    """Return the channel with most of the error, and the motion at which the error is largest."""
     if not d["where"] or not d["where"][0]["share"]:
         return ""
     first = d["where"][0]
-    most = f"; the gap is largest when {first['when']}" if first["when"] != "everywhere" else ""
-    return f"{_percent(first['share'], 0)} of the gap is in {first['channel']}{most}."
+    parts = [f"{_percent(first['share'], 0)} of the gap is in {first['channel']}"] * (len(d["where"]) > 1)
+    parts += [f"the gap is largest when {first['when']}"] * (first["when"] != "everywhere")
+    return f"{_capital('; '.join(parts))}." if parts else ""
+
+
+def is_gain(candidate: Mapping[str, Any] | None) -> bool:
+    """Return whether a candidate reduces the error on validation records, and on test records over all channels.
+
+    Args:
+        candidate: Entry `best_candidate` of the JSON document; None without a candidate.
+    """
+    if candidate is None or not (candidate["explained"] or 0.0) > 0.0:
+        return False
+    before, after = (sum(map(_square, candidate["error"][s].values())) for s in ("refit", "after"))
+    return after < before
+
+
+def _no_gain(candidate: Mapping[str, Any]) -> str:
+    if not (candidate["explained"] or 0.0) > 0.0:
+        return "no known effect reduces the error on the validation records."
+    error = candidate["error"]
+    c = _most_gained(error, "after", "refit")
+    return (
+        f"no known effect reduces the error on the test records. With the likeliest, {candidate_text(candidate)}, the error in {c} is "
+        f"{_percent(error['after'][c])} (refitted {_percent(error['refit'][c])})."
+    )
 
 
 def _best_candidate(d: Mapping[str, Any]) -> str:
@@ -358,21 +574,23 @@ def _best_candidate(d: Mapping[str, Any]) -> str:
         return ""
     if best is None:
         return "No known effect reduces the held-out error by enough to be kept."
+    if not is_gain(best):
+        return _capital(_no_gain(best))
     error = best["error"]
     c = _most_gained(error, "refit", "after")
-    down = _square(error["after"][c]) <= _square(error["refit"][c])
     failed = [g for g in best["failed_gates"] if not g["passed"]]
     return (
-        f"The best candidate, {candidate_text(best)}, {'reduces' if down else 'raises'} the error in {c} from "
+        f"The best candidate, {candidate_text(best)}, reduces the error in {c} from "
         f"{_percent(error['refit'][c])} to {_percent(error['after'][c])} and fails {len(failed)} of {len(d['gates'])} gates: "
         f"{failures(failed)}."
     )
 
 
-def _table(d: Mapping[str, Any]) -> str:
+def _table(d: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the statement about the table of the missing force, and what is known of its shape."""
     t, tried = d["tabulated"], d["best_table"]
     if t:
-        near = ", ".join(f"{x['effect'].replace('_', ' ')} {_percent(x['share'], 0)}" for x in t["nearest"])
+        near = ", ".join(f"{spoken(x['effect'])} {_percent(x['share'], 0)}" for x in t["nearest"])
         alone = ", ".join(
             f"{OVER[k].removeprefix('their ')} alone {_percent(v, 0)}" for k, v in t["shares"].items()
         )
@@ -380,12 +598,16 @@ def _table(d: Mapping[str, Any]) -> str:
             f"A force {_between(t['between'])} that depends on {OVER[t['over']]} removes {_percent(t['explained'], 0)} of {EXCESS}. "
             f"In model.json the force is the table '{t['element']}'."
         )
-        text += f" Share of its power by argument: {alone}." if alone else ""
-        text += f" Share of its power that the nearest known laws give: {near}." if near else ""
-        closed = d["gap"]["closed"]
-        return f"{text} {NOT_BORNE_OUT}" if closed is not None and closed < 0 else text
+        text += f" {NOT_BORNE_OUT}" if _is_table_refuted(d) else ""
+        shape = [f"Share of its power by argument: {alone}."] if alone else []
+        shape += [f"Share of its power that the nearest known laws give: {near}."] if near else []
+        return text, " ".join(shape)
     if tried is None and d.get("not_tried"):
-        return ""
+        return "", ""
+    return _rejected_table(tried), ""
+
+
+def _rejected_table(tried: Mapping[str, Any] | None) -> str:
     if tried is None:
         return "No table of a force between two nodes could be fitted."
     explains = next(g for g in tried["gates"] if g["gate"] == "explains")
@@ -393,6 +615,8 @@ def _table(d: Mapping[str, Any]) -> str:
         f"The best table of a force, {_between(tried['between'])} over {OVER[tried['over']]}, removes "
         f"{_percent(tried['explained'], 0)} of {EXCESS}"
     )
+    if not (tried["explained"] or 0.0) > 0.0:
+        return "No table of a force between two nodes reduces the held-out error."
     if not explains["passed"]:
         return (
             f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, on an input, or "
@@ -402,11 +626,17 @@ def _table(d: Mapping[str, Any]) -> str:
     return f"{text}, but fails {failed}." if failed else f"{text}, but its interval cannot be computed."
 
 
+def _agrees(d: Mapping[str, Any]) -> bool:
+    """Return whether the refitted model errs by no material amount more than the noise."""
+    gap = d["gap"]["held_out"]
+    c = _most_gained(gap, "refit", "noise_floor")
+    return _square(gap["refit"][c]) - _square(gap["noise_floor"][c]) <= d["criteria"]["material"] ** 2
+
+
 def _agreement(d: Mapping[str, Any]) -> str:
-    gap, least = d["gap"]["held_out"], d["criteria"]["material"] ** 2
-    refit, noise = gap["refit"], gap["noise_floor"]
-    worst = max(refit, key=lambda c: _square(refit[c]) - _square(noise[c]))
-    if _square(refit[worst]) - _square(noise[worst]) > least:
+    gap = d["gap"]["held_out"]
+    worst = _most_gained(gap, "refit", "noise_floor")
+    if not _agrees(d):
         return f"No missing effect can be named ({_errors(gap, worst, 'before', 'refit')})."
     if d["verdict"] == "no_discrepancy":
         return (
@@ -461,7 +691,7 @@ def _changes(d: Mapping[str, Any]) -> str:
         and not q["low"] <= q["prior"] <= q["high"]
     ]  # fmt: skip
     stated = [
-        f"{path} from {plain_number(q['prior'])} to {plain_number(q['value'])} {q['unit']} ({q['value'] / q['prior'] - 1.0:+.1%})"
+        f"{path} from {_in_unit_of(q['value'], q['prior'], q['unit'])} to {plain_value(q['value'], q['unit'])} ({q['value'] / q['prior'] - 1.0:+.1%})"
         for _, path, q in sorted(moved, key=lambda t: -t[0])[:CHANGES]
     ]
     more = f" and {len(moved) - CHANGES} more" if len(moved) > CHANGES else ""
@@ -513,7 +743,7 @@ def _closed_loop(d: Mapping[str, Any]) -> str:
     ]
     return (
         f"The records are of a closed loop: {'; '.join(inputs)}. A control law can look like an element, such as a spring to the "
-        "ground. Next: repeat the test with an input that does not depend on the outputs."
+        "ground."
     )
 
 

@@ -1,0 +1,97 @@
+"""Which laws the motion of the records can show: laws of travel and their periods."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from isd_gym.data import Table
+from isd_gym.discrepancy import diagnose
+from isd_gym.discrepancy.estimation.gauss_newton import Fitter
+from isd_gym.discrepancy.estimation.noise import white_filters
+from isd_gym.discrepancy.estimation.structure import base_structure
+from isd_gym.discrepancy.hypotheses.library import hypotheses
+from isd_gym.discrepancy.hypotheses.score_test import ScoredStart, score_hypotheses
+from isd_gym.discrepancy.selection.admissibility import Travel, admissible_starts, is_observed
+from isd_gym.discrepancy.simulation.problem import Problem, Record
+from isd_gym.network import Network
+
+DRUM = {
+    "schema": "isd-model/1",
+    "name": "drum",
+    "inertias": {"drum": 14.0},
+    "elements": [
+        {"name": "bearing", "type": "linear_damping", "between": ["drum", "ground"], "damping": 0.1}
+    ],
+    "inputs": [],
+    "outputs": [{"name": "speed", "quantity": "angular_velocity", "at": "drum", "unit": "rad/s"}],
+    "uncertainty": {"bearing.damping": 2.0},
+}
+
+
+def coast_down(speed: float, seed: int, friction: float, drag: float) -> Table:
+    """Return the speed of a drum that coasts down by friction [N m], damping and drag [N m s^2/rad^2], with noise of an encoder."""
+
+    def slowing(_: float, v: np.ndarray) -> np.ndarray:
+        return -(friction + 0.02 * v + drag * v * abs(v)) / 14.0
+
+    time = np.arange(0.0, 80.0, 0.2)
+    found = solve_ivp(slowing, (0.0, time[-1]), [speed], t_eval=time, rtol=1e-9, atol=1e-9)
+    noise = 0.02 * np.random.default_rng(seed).standard_normal(len(time))
+    return Table(time, {"speed": found.y[0] + noise}, f"run{seed}")
+
+
+def test_a_coast_down_whose_speed_alone_is_measured_shows_no_spring() -> None:
+    runs = [coast_down(v, k, 4.0, 0.003) for k, v in enumerate((42.0, 43.0, 39.0, 45.0))]
+    d = diagnose(runs[:2], DRUM, validate=runs[2:])
+    stated = {e.effect for e in d.effects} | {e for c in d.contenders for e in c.effects}
+    assert stated
+    assert not stated & {"cubic_stiffness", "linear_stiffness", "bump_stop", "gas_spring", "hysteresis"}
+
+
+def test_the_angle_follows_from_a_sensor_or_from_a_spring_but_not_from_a_speed() -> None:
+    pair = ("drum", "ground")
+    spring = {"name": "s", "type": "linear_stiffness", "between": [*pair], "stiffness": 3.0}
+    angle = {"name": "angle", "quantity": "angle", "at": "drum", "unit": "rad"}
+    held = DRUM | {"elements": [*DRUM["elements"], spring]}
+    seen = DRUM | {"outputs": [angle]}
+    offset = DRUM | {"outputs": [angle | {"offset": "record"}]}
+    told = [is_observed(Network.load(m), pair) for m in (DRUM, held, seen, offset)]
+    assert told == [False, True, True, False]
+
+
+def test_no_pitch_is_offered_that_is_finer_than_the_samples() -> None:
+    time = np.arange(100) * 0.05
+    angle = {"name": "angle", "quantity": "angle", "at": "drum", "unit": "rad"}
+    network = Network.load(DRUM | {"outputs": [angle]})
+    measured = (5.0 * time + 0.1 * np.sin(9.0 * time))[:, None]
+    problem = Problem(network, [Record("spin", 0.05, {}, measured)])
+    fitter = Fitter(problem, white_filters(np.array([0.01])))
+    fit = fitter.fit(base_structure(network))
+    offered = [h for h in hypotheses(network) if h.kind.periodic]
+
+    def pitches(starts: list[ScoredStart]) -> list[float]:
+        return [s.values["pitch"] for s in starts]
+
+    every = pitches(score_hypotheses(problem, fitter, fit, offered))
+    kept = pitches(admissible_starts(problem, fitter, fit, offered))
+    finest = 2.5 * 0.25  # samples of a period times travel of a sample [rad]
+    assert min(every) < finest < 1.05 * min(kept)
+    assert len(kept) < len(every)
+
+
+@pytest.mark.parametrize(
+    ("travel", "period", "is_seen"),
+    [
+        (Travel(is_observed=True, passes=1.0, span=10.0, advance=0.1), 0.3, True),
+        (Travel(is_observed=True, passes=1.0, span=10.0, advance=0.2), 0.3, False),  # finer than the samples
+        (Travel(is_observed=False, passes=1.0, span=10.0, advance=0.1), 2.0, True),
+        (Travel(is_observed=False, passes=1.0, span=10.0, advance=0.1), 4.0, False),  # one repetition
+        (Travel(is_observed=False, passes=2.0, span=10.0, advance=0.1), 4.0, True),
+    ],
+)
+def test_a_period_is_seen_where_samples_resolve_it_and_the_travel_holds_it_often(
+    travel: Travel, period: float, is_seen: bool
+) -> None:
+    assert travel.shows_period(period) == is_seen
