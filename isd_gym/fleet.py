@@ -33,7 +33,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 SCHEMA = "isd-fleet/1"
-SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".parquet", ".mf4", ".mdf")
+SUFFIXES = (
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".dat",
+    ".xlsx",
+    ".mat",
+    ".parquet",
+    ".mf4",
+    ".mdf",
+    ".tdms",
+    ".uff",
+    ".unv",
+)
 FOLDER = ("fleet", "fleet.json", ("fleet.json", "fleet.html", "cases"))
 DATE = re.compile(r"(\d{4})-?(\d{2})-?(\d{2})")
 

@@ -179,7 +179,7 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "broken.parquet": (b"PAR1 and no more", "cannot be read"),
     "broken.mat": (b"MATLAB no more" * 20, "cannot be read|not a MATLAB file"),
     "broken.mf4": (b"MDF     4.10    " * 8, "is not an MDF file"),
-    "record.xlsx": ("", "cannot tell the format from suffix '.xlsx'"),
+    "record.docx": ("", "cannot tell the format from suffix '.docx'"),
 }
 
 
@@ -468,9 +468,6 @@ def test_mat_structs_are_read_and_objects_refused(tmp_path: Path) -> None:
     io.savemat(path, {"time": time, "x": cell})
     with pytest.raises(InputError, match="refused"):
         read_table(path, expected={"x": "m"})
-    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
-    with pytest.raises(InputError, match="'-v7'"):
-        read_table(path)
 
 
 def test_mdf_rasters_units_and_formulas(tmp_path: Path) -> None:

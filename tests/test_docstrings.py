@@ -11,8 +11,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("isd_gym", "baselines", "agents")
-#: compiled functions; the diagnosis, of which only the documented names are checked; a program
-INTERNAL = ("isd_gym/kernel", "isd_gym/discrepancy", "isd_gym/schemas/__main__.py")
+#: compiled functions; the diagnosis, of which only the documented names are checked; the readers of a helper process; a program
+INTERNAL = ("isd_gym/kernel", "isd_gym/discrepancy", "isd_gym/formats", "isd_gym/schemas/__main__.py")
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -766,6 +766,12 @@ def table(tmp_path, suffix, n=100):
     return path
 
 
+#: begin of a helper's program whose reader of .mat files is another one
+OTHER = (
+    f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.formats.mat as m; "
+)
+
+
 def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):
     from isd_gym.data import isolated
 
@@ -773,14 +779,12 @@ def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, mo
     isolated._stop()  # a helper that has read many files ends with the next one
     read_table(path)
     assert isolated._helper is not None
-    program = Path(isolated.__file__).with_name("_tables.py").read_text()
-    faulty = program.replace("content = loadmat(path,", "os.kill(os.getpid(), 11) or loadmat(path,")
-    assert faulty != program
-    monkeypatch.setattr(isolated.resources, "files", lambda package: tmp_path)
-    (tmp_path / "_tables.py").write_text(faulty)
+    monkeypatch.setattr(
+        isolated, "PROGRAM", OTHER + "m.read = lambda *a: os.kill(os.getpid(), 11)" + isolated.PROGRAM
+    )
     isolated._stop()
     refused(lambda: read_table(path), "library that reads it crashed")
-    (tmp_path / "_tables.py").write_text(program)
+    monkeypatch.undo()
     assert len(read_table(path)) == 100
 
 
@@ -789,12 +793,9 @@ def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
     from isd_gym.data import isolated
 
     path = table(tmp_path, ".mat")
-    program = Path(isolated.__file__).with_name("_tables.py").read_text()
-    monkeypatch.setattr(isolated.resources, "files", lambda package: tmp_path)
     monkeypatch.setattr(isolated, "SECONDS", 0.1)
-    (tmp_path / "_tables.py").write_text(
-        program.replace("content = loadmat(path,", "while True: pass\n        (path,")
-    )
+    endless = "m.read = lambda *a: [None for _ in iter(int, 1)]"
+    monkeypatch.setattr(isolated, "PROGRAM", OTHER + endless + isolated.PROGRAM)
     isolated._stop()
     refused(lambda: read_table(path), "more than 0 s")
     isolated._stop()

@@ -853,7 +853,7 @@ def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypa
     assert ("The next experiment" in page.text) == (d.verdict == "ambiguous")
     found = kind in ("missing_effect", "unknown_effect with a table", "ambiguous")
     assert ("the completed model;" in page.text) == found == ("the refitted model)" not in page.text)
-    drawn = found and kind != "ambiguous"  # the likeliest of several laws is in a table
+    drawn = found and kind != "ambiguous"  # the curve of a law that is not certain is not drawn
     assert Path("found/law.png").exists() == drawn == ("chart-law" in page.data)
     assert ("with the effect" in page.text) == (kind == "missing_effect")
     first = re.search(r'id="figure-(\w+)"', Path("found/report.html").read_text())[1]

@@ -43,7 +43,7 @@ def command(
     data: Annotated[
         list[Path],
         typer.Argument(
-            help="Measured records with time and the model's channels (CSV, Parquet, .mat, .mf4). Join files of several loggers "
+            help="Measured records with time and the model's channels (CSV, Excel, Parquet, .mat, .mf4, .tdms, .uff, .gz). Join files of several loggers "
             "by +: body.csv+wheel.mf4."
         ),
     ],

@@ -1,4 +1,4 @@
-"""Binary tables, read by `_tables` in a separate process.
+"""Binary tables, read by `isd_gym.formats` in a separate process.
 
 One helper process serves all files, so that libraries are loaded once; the helper ends with this process. A
 crash, an endless loop or a decompression bomb ends the helper alone and gives a one-line error.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import atexit
 import os
 import threading
-from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, how_to_install
@@ -17,17 +17,38 @@ from ..guarded import Guarded
 from ..inputs import memory_limit, plain_file, too_large
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import numpy as np
 
 SECONDS, SECONDS_PER_MB = 5.0, 1.0  # processor time per file [s]
 PATIENCE = 20.0  # multiple of the processor time, in wall-clock time: a busy machine is no endless loop
 
+#: program of the helper; the package may lie in a folder that is no entry of the path
+PROGRAM = f"""
+import sys
+sys.path.append({str(Path(__file__).parents[2])!r})
+from isd_gym.formats.host import main
+main()
+"""
+#: pyarrow must not reserve memory; HDF5 must not load plugins; XML is read by the standard library
+ENVIRONMENT = {
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "HDF5_PLUGIN_PRELOAD": "::",
+    "OPENPYXL_LXML": "False",
+}
+#: extra of the library for each kind of file
+EXTRAS = {
+    "parquet": "io",
+    "mat": "io",
+    "mdf": "io",
+    "mat73": "files",
+    "tdms": "files",
+    "uff": "files",
+    "xlsx": "files",
+}
+
 
 def _begin() -> Guarded:
-    program = (resources.files("isd_gym.data") / "_tables.py").read_text(encoding="utf-8")
-    return Guarded(program, {"ARROW_DEFAULT_MEMORY_POOL": "system"})
+    return Guarded(PROGRAM, ENVIRONMENT)
 
 
 def _counts(head: dict[str, Any]) -> list[int]:
@@ -65,14 +86,14 @@ def read(
     """Return the header and the columns of a binary table.
 
     Args:
-        kind: 'parquet', 'mat' or 'mdf'.
+        kind: A kind of `isd_gym.formats`, such as 'parquet'.
         path: The file.
         wanted: Names of the wanted columns; None for all.
         axis: Name of the time column.
         resample: Interpolate channels linearly to the finest raster; 'own' keeps each channel's raster.
 
     Returns:
-        Header of `_tables`'s answer, and the columns (n,) in its order.
+        Header of the answer, and the columns (n,) in its order. A workbook has its `text` in the header, and no columns.
 
     Raises:
         InputError: The file cannot be read, or needs too much memory or time.
@@ -101,7 +122,9 @@ def read(
         )
     head, arrays = found
     if "lacks" in head:
-        raise InputError(f"{path}: reading {path.suffix} needs {head['lacks']}: {how_to_install('io')}")
+        raise InputError(
+            f"{path}: reading {path.suffix} needs {head['lacks']}: {how_to_install(EXTRAS[kind])}"
+        )
     if "refused" in head:
         raise InputError(f"{path}: {head['refused']}")
     if "too_large" in head:

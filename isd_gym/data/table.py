@@ -1,4 +1,4 @@
-"""Tables of measured channels, read from and written to CSV, Parquet, MATLAB ``.mat`` and MDF ``.mf4`` files."""
+"""Tables of measured channels: read from text, Parquet, MATLAB, MDF, TDMS, universal and Excel files, packed or not; written."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import csv
 import os
 import re
 import sys
+import tempfile
 import warnings
+import zlib
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +18,7 @@ import numpy as np
 
 from ..errors import InputError, MissingColumn, how_to_install, shown
 from ..files import whole
-from ..inputs import plain_file
+from ..inputs import memory_limit, plain_file, too_large
 from ..units import convert
 from .columns import (
     TIME,
@@ -33,12 +36,16 @@ from .signals import even_stamps, stamp_rounding
 from .text import read_text, read_text_rasters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     Reader = Callable[[Path, Choice, str, bool, Sequence[str] | None], Columns]
 
 #: suffixes of files with possibly several rasters
-RASTERS = (".mf4", ".mdf", ".lvm")
+RASTERS = (".mf4", ".mdf", ".lvm", ".tdms", ".uff", ".unv")
+#: suffix of a packed file, such as test.csv.gz
+PACKED = ".gz"
+#: bytes unpacked at a time
+UNPACKED = 1 << 20
 
 
 def _vector(values: Any) -> np.ndarray:
@@ -149,17 +156,18 @@ def read_columns(
     """
     path = Path(path)
     try:
-        reader = _READERS[path.suffix.lower()]
+        reader = _READERS[suffix_of(path)]
     except KeyError:
         known = " ".join(_READERS)
         raise InputError(
-            f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known})"
+            f"{path}: cannot tell the format from suffix {shown(path.suffix)} (known: {known}, or with {PACKED})"
         ) from None
     if os.path.isdir(path):
         raise InputError(f"{path}: is a folder, not a table")
     plain_file(path)
     try:
-        return reader(path, wanted, axis, resample, columns)
+        with unpacked(path) as file:
+            return reader(file, wanted, axis, resample, columns)
     except InputError:
         raise
     except ImportError as error:
@@ -187,25 +195,83 @@ def read_rasters(path: str | Path, columns: Sequence[str] | None = None) -> list
         InputError: The file cannot be read (see `read_columns`).
     """
     path = Path(path)
-    if path.suffix.lower() == ".lvm":
-        plain_file(path)
-        return read_lvm_rasters(path, columns)
-    if _READERS.get(path.suffix.lower()) is read_text:
-        plain_file(path)
-        return read_text_rasters(path, columns)
-    if path.suffix.lower() not in RASTERS:
+    suffix = suffix_of(path)
+    own = suffix in RASTERS or suffix == ".xlsx" or _READERS.get(suffix) is read_text
+    if not own:
         return [read_columns(path, columns=columns)]
+    plain_file(path)
+    with unpacked(path) as file:
+        if suffix == ".lvm":
+            return read_lvm_rasters(file, columns)
+        if suffix == ".xlsx":
+            return read_text_rasters(file, columns, _workbook(file))
+        if suffix not in RASTERS:
+            return read_text_rasters(file, columns)
+        return _own_rasters(file, _KINDS[suffix])
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix that gives the format of a file, in small letters; of test.csv.gz, the suffix .csv.
+
+    Args:
+        path: The file.
+    """
+    suffix = path.suffix.lower()
+    return Path(path.stem).suffix.lower() if suffix == PACKED else suffix
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """Give the content of a packed file as a temporary file; other files as they are.
+
+    Args:
+        path: The file.
+
+    Yields:
+        Path of the content.
+
+    Raises:
+        InputError: The file cannot be unpacked, or needs more memory than `inputs.memory_limit`. Errors within the block name the packed
+            file.
+    """
+    if path.suffix.lower() != PACKED:
+        yield path
+        return
+    import gzip
+
+    limit, size = memory_limit(), 0
+    with tempfile.TemporaryDirectory() as folder:
+        content = Path(folder) / Path(path.stem).name
+        try:
+            with gzip.open(path) as packed, content.open("wb") as out:
+                while part := packed.read(UNPACKED):
+                    size += len(part)
+                    if size > limit:
+                        raise too_large(str(path), size, limit)
+                    out.write(part)
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError(f"{path}: cannot be unpacked ({_one_line(error)})") from None
+        try:
+            yield content
+        except InputError as error:
+            error.args = (str(error).replace(str(content), str(path)), *error.args[1:])
+            raise
+
+
+def _own_rasters(path: Path, kind: str) -> list[Columns]:
+    """Return the rasters of a binary file, each with time stamps of its own; tables without stamps are rasters too."""
     from . import isolated
 
-    plain_file(path)
-    head, arrays = isolated.read("mdf", path, None, TIME, "own")
+    _check_library(kind)
+    head, arrays = isolated.read(kind, path, None, TIME, "own")
     rasters: dict[str, Columns] = {}
     for (full, _), values in zip(head["columns"], arrays, strict=True):
         number, _, name = full.partition(" ")
+        raster = rasters.setdefault(number, Columns({}, {}))
         if not name:
-            rasters[number] = Columns({TIME: values}, {TIME: "s"})
+            raster.values[TIME], raster.units[TIME] = values, "s"
             continue
-        rasters[number].values[name] = values
+        raster.values[name] = values
         if name in head["units"]:
             rasters[number].units[name] = head["units"][name]
     return list(rasters.values())
@@ -223,8 +289,8 @@ def read_table(
 ) -> Table:
     """Read a table of channels over time from a file.
 
-    The suffix gives the format: .csv .txt .tsv .dat .lvm .parquet .mat .mf4 .mdf. No content of a file is
-    executed. Among columns that differ only by their unit, such as "Force (V)" and "Force (N)", the name
+    The suffix gives the format: .csv .txt .tsv .dat .lvm .xlsx .parquet .mat .mf4 .mdf .tdms .uff .unv, each
+    also with .gz. No content of a file is executed. Among columns that differ only by their unit, such as "Force (V)" and "Force (N)", the name
     "Force" means the column whose unit fits the channel.
 
     Args:
@@ -339,10 +405,10 @@ def _isolated(kind: str) -> Reader:
     ) -> Columns:
         from . import isolated
 
-        if sys.modules.get(_LIBRARIES[kind], 0) is None:  # treated as not installed in this process
-            raise ModuleNotFoundError(name=_LIBRARIES[kind])
+        own = "mat73" if kind == "mat" and _is_hdf5(path) else kind
+        _check_library(own)
         given = None if callable(wanted) else wanted
-        head, arrays = isolated.read(kind, path, given, axis, resample)
+        head, arrays = isolated.read(own, path, given, axis, resample)
         if "no_channel" in head:
             name = head["no_channel"]
             raise InputError(f"{path}: no channel {shown(name)}; {did_you_mean(name, head['names'])}")
@@ -368,18 +434,62 @@ def _isolated(kind: str) -> Reader:
     return read
 
 
+def _check_library(kind: str) -> None:
+    """Raise `InputError` for a library that this process treats as not installed."""
+    from .isolated import EXTRAS
+
+    if sys.modules.get(_LIBRARIES[kind], 0) is None:
+        raise InputError(f"reading needs {_LIBRARIES[kind]}: {how_to_install(EXTRAS[kind])}")
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Return whether a MATLAB file has version 7.3."""
+    with path.open("rb") as stream:
+        return stream.read(10) == b"MATLAB 7.3"
+
+
+def _workbook(path: Path) -> str:
+    """Return the text of the first sheet with numbers of a workbook."""
+    from . import isolated
+
+    _check_library("xlsx")
+    return str(isolated.read("xlsx", path, None, TIME, False)[0]["text"])
+
+
+def _read_workbook(
+    path: Path, wanted: Choice, axis: str, resample: bool, columns: Sequence[str] | None = None
+) -> Columns:
+    return read_text(path, wanted, axis, resample, columns, _workbook(path))
+
+
 _NO_NUMBERS = np.empty(0, object)
-_LIBRARIES = {"parquet": "pyarrow", "mat": "scipy.io", "mdf": "asammdf"}
+_LIBRARIES = {
+    "parquet": "pyarrow",
+    "mat": "scipy.io",
+    "mat73": "h5py",
+    "mdf": "asammdf",
+    "tdms": "nptdms",
+    "uff": "pyuff",
+    "xlsx": "openpyxl",
+}
+#: kind of each suffix of a binary file (`isd_gym.formats`)
+_KINDS = {
+    ".parquet": "parquet",
+    ".mat": "mat",
+    ".mf4": "mdf",
+    ".mdf": "mdf",
+    ".tdms": "tdms",
+    ".uff": "uff",
+    ".unv": "uff",
+}
 _READERS: dict[str, Reader] = {
     ".csv": read_text,
     ".txt": read_text,
     ".tsv": read_text,
     ".dat": read_text,
     ".lvm": read_lvm,
-    ".parquet": _isolated("parquet"),
-    ".mat": _isolated("mat"),
-    ".mf4": _isolated("mdf"),
-    ".mdf": _isolated("mdf"),
+    ".xlsx": _read_workbook,
+    **{suffix: _isolated(kind) for suffix, kind in _KINDS.items()},
 }
 
 

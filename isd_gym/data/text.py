@@ -423,9 +423,9 @@ class _Text:
         return found
 
 
-def _read(path: Path, columns: Sequence[str] | None) -> _Text:
+def _read(path: Path, columns: Sequence[str] | None, text: str | None = None) -> _Text:
     # lines end at line feeds and carriage returns, not at every separator of Unicode
-    lines = text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = (text_of(path) if text is None else text).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     told = [(i, s) for i, s in enumerate(lines, 1) if s.strip()]
     rows = [(i, s) for i, s in told if s.lstrip()[0] not in "#%"]
     comments = [(i, s) for i, s in told if s.lstrip()[0] in "#%" and len(s) <= LINE_LIMIT]
@@ -445,7 +445,12 @@ def _read(path: Path, columns: Sequence[str] | None) -> _Text:
 
 
 def read_text(
-    path: Path, wanted: Choice, time: str, resample: bool, columns: Sequence[str] | None = None
+    path: Path,
+    wanted: Choice,
+    time: str,
+    resample: bool,
+    columns: Sequence[str] | None = None,
+    text: str | None = None,
 ) -> Columns:
     """Return columns of a text table, including the time column.
 
@@ -455,6 +460,7 @@ def read_text(
         time: Name of the wanted time column.
         resample: Without effect; a text table has one raster.
         columns: Names of all columns, for a file without a header row.
+        text: Content; None for that of the file.
 
     Returns:
         Values, units and line numbers.
@@ -463,7 +469,7 @@ def read_text(
         SideBySide: The file holds several tables, each with its own time column.
         InputError: The file is empty, too wide, lacks a column, or holds text in a wanted column.
     """
-    return _columns(path, _read(path, columns), wanted, time)
+    return _columns(path, _read(path, columns, text), wanted, time)
 
 
 def _columns(path: Path, text: _Text, wanted: Choice, time: str) -> Columns:
@@ -502,12 +508,15 @@ def _columns(path: Path, text: _Text, wanted: Choice, time: str) -> Columns:
     return Columns(_cell_by_cell(path, rows, names, used, needed, like), units, numbers)
 
 
-def read_text_rasters(path: Path, columns: Sequence[str] | None = None) -> list[Columns]:
+def read_text_rasters(
+    path: Path, columns: Sequence[str] | None = None, content: str | None = None
+) -> list[Columns]:
     """Return the tables of a text file: one, or several side by side with their own time columns.
 
     Args:
         path: The file.
         columns: Names of all columns, for a file without a header row.
+        content: Content; None for that of the file.
 
     Returns:
         Values, units and line numbers of each table. Rows without a time stamp are left out where tables stand
@@ -516,7 +525,7 @@ def read_text_rasters(path: Path, columns: Sequence[str] | None = None) -> list[
     Raises:
         InputError: The file cannot be read (see `read_text`).
     """
-    text = _read(path, columns)
+    text = _read(path, columns, content)
     bare = [split_header(n)[0] for n in text.names]
     tables = text.tables()
     if not tables:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ..data import Table, read_table
 from ..data.columns import split_header
-from ..data.table import RASTERS
+from ..data.table import RASTERS, suffix_of
 from ..data.text import SideBySide
 from ..errors import InputError, MissingColumn, hint, plain, shown
 from ..network import Channel, Network, without
@@ -58,7 +58,7 @@ def records_of(
     sources = {n: c for c, n in (rename or {}).items()}
     for option, given in (("--unit", units or {}), ("--sign", signs or {})):
         _check_used(option, given, files, network, sources, columns)
-    if by is None and rate is None and len(files) == 1 and files[0].suffix.lower() not in RASTERS:
+    if by is None and rate is None and len(files) == 1 and suffix_of(files[0]) not in RASTERS:
         expected = {c.name: c.unit for c in wanted}
         try:
             table = read_table(

@@ -1,0 +1,250 @@
+"""Files of other programs: Excel, MATLAB 7.3, TDMS, universal files, and packed ones; good, broken and hostile."""
+
+import gzip
+import zipfile
+
+import numpy as np
+import pytest
+
+from isd_gym.data import Table, read_table, write_table
+from isd_gym.data.table import read_rasters
+from isd_gym.errors import InputError
+from isd_gym.loggers.record_reading import records_of
+from isd_gym.network import Network
+
+openpyxl = pytest.importorskip("openpyxl")
+h5py = pytest.importorskip("h5py")
+nptdms = pytest.importorskip("nptdms")
+pyuff = pytest.importorskip("pyuff")
+
+TIME = np.arange(200) * 0.01
+FORCE = 3.0 * np.sin(7.0 * TIME)
+
+
+def excel(path, rows, before=()):
+    book = openpyxl.Workbook()
+    for title in before:
+        book.create_sheet(title, 0).append(["notes", "of the day"])
+    for row in rows:
+        book.worksheets[-1].append(row)
+    book.save(path)
+
+
+def refused(path, *words):
+    with pytest.raises(InputError) as told:
+        read_table(path)
+    assert "\n" not in str(told.value) and str(path) in str(told.value)
+    assert all(w in str(told.value) for w in words), told.value
+
+
+def tdms(path, groups):
+    with nptdms.TdmsWriter(path) as writer:
+        for group, name, values, properties in groups:
+            writer.write_segment([nptdms.ChannelObject(group, name, values, properties)])
+
+
+def uff(path, channels, binary=0):
+    file = pyuff.UFF(str(path))
+    for k, (name, x, y, unit) in enumerate(channels):
+        file.write_sets(
+            pyuff.prepare_58(
+                binary=binary, func_type=1, rsp_node=k + 1, rsp_dir=3, ref_dir=3, ref_node=1, data=y, x=x, id1=name,
+                id2="", id3="", id4="", id5="", ord_data_type=4, num_pts=len(y), abscissa_spacing=1, abscissa_min=x[0],
+                abscissa_inc=x[1] - x[0], abscissa_spec_data_type=17, ordinate_spec_data_type=12,
+                ordinate_axis_units_lab=unit, orddenom_spec_data_type=0, ver_num=0, load_case_id=0, z_axis_value=0.0,
+                rsp_ent_name="NONE", ref_ent_name="NONE", orddenom_axis_units_lab="NONE", z_axis_axis_units_lab="NONE",
+                abscissa_axis_units_lab="s",
+            ),
+            "add",
+        )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------- Excel
+def test_a_workbook_is_read_like_a_text_table(tmp_path):
+    rows = [["Test 7, bench 3"], [], ["time [ms]", "force (kN)"], *zip(1000 * TIME, FORCE, strict=True)]
+    excel(tmp_path / "a.xlsx", [list(r) for r in rows], before=["notes"])
+    read = read_table(tmp_path / "a.xlsx", expected={"force": "N"})
+    assert np.allclose(read.time, TIME) and np.allclose(read["force"], 1000 * FORCE)
+    (raster,) = read_rasters(tmp_path / "a.xlsx")
+    assert set(raster.values) == {"time", "force"}
+
+
+def test_two_runs_side_by_side_in_a_workbook_are_rasters(tmp_path):
+    rows = [["time1", "force1", "time2", "force2"], *zip(TIME, FORCE, TIME, 2 * FORCE, strict=True)]
+    excel(tmp_path / "a.xlsx", [list(r) for r in rows])
+    first, second = read_rasters(tmp_path / "a.xlsx")
+    assert np.allclose(2 * first.values["force"], second.values["force"])
+
+
+def test_a_bad_workbook_is_one_line(tmp_path, monkeypatch):
+    excel(tmp_path / "a.xlsx", [["only", "text"], ["no", "numbers"]])
+    refused(tmp_path / "a.xlsx", "no sheet with rows of numbers")
+    (tmp_path / "b.xlsx").write_bytes(b"PK no archive")
+    refused(tmp_path / "b.xlsx", "not an Excel workbook")
+    excel(tmp_path / "c.xlsx", [["time", "force"], [0, 1], [1, 2]])
+    whole = (tmp_path / "c.xlsx").read_bytes()
+    (tmp_path / "c.xlsx").write_bytes(whole[: len(whole) // 2])
+    refused(tmp_path / "c.xlsx", "not an Excel workbook")
+    with zipfile.ZipFile(tmp_path / "d.xlsx", "w", zipfile.ZIP_DEFLATED) as bomb:
+        bomb.writestr("xl/worksheets/sheet1.xml", bytes(60_000_000))
+    monkeypatch.setenv("ISD_GYM_READ_LIMIT_GB", "0.02")
+    refused(tmp_path / "d.xlsx", "the limit is 0.02")
+
+
+# ------------------------------------------------------------------------------------------- MATLAB 7.3
+def matlab(path, fill):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        fill(file)
+    with open(path, "r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+def variable(group, name, values, kind="double"):
+    group.create_dataset(name, data=values).attrs["MATLAB_class"] = np.bytes_(kind)
+
+
+def text(group, name, words):
+    variable(group, name, np.array([[ord(c)] for c in words], np.uint16), "char")
+
+
+def test_a_matlab_7_3_file_has_its_vectors_and_units(tmp_path):
+    def fill(file):
+        log = file.create_group("log")
+        variable(log, "time", TIME[None])
+        variable(log, "force", FORCE[:, None])
+        variable(log, "rate", np.array([[100.0]]))
+        text(log.create_group("units"), "force", "kN")
+        text(file, "note", "bench")
+        file.create_group("#refs#")
+
+    matlab(tmp_path / "a.mat", fill)
+    read = read_table(tmp_path / "a.mat", expected={"force": "N"})
+    assert np.array_equal(read.time, TIME) and np.allclose(read["force"], 1000 * FORCE)
+    assert list(read_table(tmp_path / "a.mat").columns) == ["force"]
+
+
+def test_a_matlab_7_3_file_leads_to_no_other_file(tmp_path, monkeypatch):
+    (tmp_path / "secret").write_bytes(FORCE.tobytes())
+
+    def outside(file):
+        variable(file, "time", TIME[None])
+        file.create_dataset("x", shape=(200,), dtype=float, external=[(str(tmp_path / "secret"), 0, 1600)])
+
+    def linked(file):
+        variable(file, "time", TIME[None])
+        file["x"] = h5py.ExternalLink(str(tmp_path / "a.mat"), "/time")
+
+    def large(file):
+        file.create_dataset("x", shape=(10**9,), dtype=float, compression="gzip", chunks=(10**5,))
+
+    matlab(tmp_path / "a.mat", outside)
+    refused(tmp_path / "a.mat", "lies in another file")
+    matlab(tmp_path / "b.mat", linked)
+    with pytest.raises(InputError, match="no column 'x'"):
+        read_table(tmp_path / "b.mat", expected={"x": "m"})
+    matlab(tmp_path / "c.mat", large)
+    refused(tmp_path / "c.mat", "the limit is 1")
+    (tmp_path / "d.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(400))
+    refused(tmp_path / "d.mat", "cannot be read")
+
+
+# ------------------------------------------------------------------------------------------- TDMS
+WAVE = {"wf_increment": 0.01, "wf_start_offset": 0.0}
+
+
+def test_channels_of_a_tdms_file_have_their_stamps_and_units(tmp_path):
+    late = WAVE | {"wf_start_time": np.datetime64("2026-01-01T00:00:00.5")}
+    early = WAVE | {"wf_start_time": np.datetime64("2026-01-01T00:00:00.0"), "unit_string": "kN"}
+    tdms(tmp_path / "a.tdms", [("a", "force", FORCE, early), ("b", "travel", TIME, late)])
+    first, second = read_rasters(tmp_path / "a.tdms")
+    assert first.units["force"] == "kN" and np.allclose(first.values["time"], TIME)
+    assert np.allclose(second.values["time"], TIME + 0.5)
+    assert np.allclose(read_table(tmp_path / "a.tdms", expected={"force": "N"})["force"], 1000 * FORCE)
+    refused(tmp_path / "a.tdms", "different rasters")
+    with pytest.raises(InputError, match="no channel 'frce'; did you mean 'force'"):
+        read_table(tmp_path / "a.tdms", expected={"frce": "N"})
+
+
+def test_a_tdms_file_without_waveforms_is_a_table(tmp_path):
+    tdms(tmp_path / "a.tdms", [("log", "time", TIME, {}), ("log", "force", FORCE, {"unit_string": "kN"})])
+    assert np.allclose(read_table(tmp_path / "a.tdms", expected={"force": "N"})["force"], 1000 * FORCE)
+    spring = {"name": "spring", "type": "linear_stiffness", "between": ["mass", "ground"], "stiffness": 1.0}
+    data = {"schema": "isd-model/1", "name": "m", "masses": {"mass": 1.0}, "elements": [spring],
+            "inputs": [{"name": "force", "quantity": "force", "at": "mass", "unit": "N"}],
+            "outputs": [{"name": "a", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"}]}  # fmt: skip
+    network = Network.load(data)
+    (record,) = records_of(tmp_path / "a.tdms", network, network.inputs)
+    assert isinstance(record, Table) and np.allclose(record["force"], 1000 * FORCE)
+
+
+def test_a_bad_tdms_file_is_one_line(tmp_path):
+    (tmp_path / "a.tdms").write_bytes(b"no")
+    refused(tmp_path / "a.tdms", "not a TDMS file")
+    tdms(tmp_path / "b.tdms", [("log", "force", FORCE, WAVE)])
+    (tmp_path / "b.tdms").write_bytes((tmp_path / "b.tdms").read_bytes()[:60])
+    refused(tmp_path / "b.tdms")
+    tdms(tmp_path / "c.tdms", [("log", "note", ["a", "b"], {})])
+    refused(tmp_path / "c.tdms", "no numeric channel")
+
+
+# ------------------------------------------------------------------------------------------- universal files
+@pytest.mark.filterwarnings("ignore")  # pyuff leaves files open when it writes
+@pytest.mark.parametrize("binary", [0, 1])
+def test_time_series_of_a_universal_file_are_channels(tmp_path, binary):
+    uff(tmp_path / "a.uff", [("force", TIME, FORCE, "N"), ("NONE", TIME, 2 * FORCE, "NONE")], binary)
+    (raster,) = read_rasters(tmp_path / "a.uff")
+    assert set(raster.values) == {"time", "force", "node 2 +Z"} and raster.units["force"] == "N"
+    assert np.allclose(raster.values["time"], TIME, atol=1e-6)
+    assert np.allclose(raster.values["force"], FORCE, atol=1e-5)
+    assert np.allclose(read_table(tmp_path / "a.uff", expected={"force": "N"})["force"], FORCE, atol=1e-5)
+
+
+def test_a_bad_universal_file_is_one_line(tmp_path):
+    (tmp_path / "a.uff").write_text("hello\n" * 10)
+    refused(tmp_path / "a.uff")
+    (tmp_path / "b.unv").write_text("    -1\n    58\nforce\n    -1\n")
+    refused(tmp_path / "b.unv")
+
+
+# ------------------------------------------------------------------------------------------- packed
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".lvm"])
+def test_a_packed_file_is_read_like_its_content(tmp_path, suffix):
+    plain = tmp_path / f"a{suffix}"
+    if suffix == ".lvm":
+        head = "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\nChannels\t1\n***End_of_Header***\n"
+        plain.write_text(
+            head + "X_Value\tforce\n" + "".join(f"{t}\t{f}\n" for t, f in zip(TIME, FORCE, strict=True))
+        )
+    else:
+        write_table(plain, Table(TIME, {"force": FORCE}))
+    packed = tmp_path / f"b{suffix}.gz"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    assert np.array_equal(read_table(packed)["force"], read_table(plain)["force"])
+    assert len(read_rasters(packed)) == len(read_rasters(plain)) == 1
+
+
+def test_a_bad_packed_file_is_one_line_with_its_name(tmp_path, monkeypatch):
+    (tmp_path / "a.csv.gz").write_bytes(b"time,force\n0,1\n")
+    refused(tmp_path / "a.csv.gz", "cannot be unpacked")
+    (tmp_path / "b.csv.gz").write_bytes(gzip.compress(b"time,force\n0,1\n1,2\n")[:-12])
+    refused(tmp_path / "b.csv.gz", "cannot be unpacked")
+    (tmp_path / "c.csv.gz").write_bytes(gzip.compress(b"time,force\n"))
+    refused(tmp_path / "c.csv.gz")
+    (tmp_path / "d.gz").write_bytes(gzip.compress(b"time,force\n0,1\n"))
+    refused(tmp_path / "d.gz", "cannot tell the format")
+    (tmp_path / "e.csv.gz").write_bytes(gzip.compress(bytes(60_000_000)))
+    monkeypatch.setenv("ISD_GYM_READ_LIMIT_GB", "0.02")
+    refused(tmp_path / "e.csv.gz", "the limit is 0.02")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "module"), [(".xlsx", "openpyxl"), (".tdms", "nptdms"), (".uff", "pyuff")]
+)
+def test_the_extra_of_a_missing_library_is_named(tmp_path, monkeypatch, suffix, module):
+    import sys
+
+    (tmp_path / f"a{suffix}").write_bytes(b"TDSm")
+    monkeypatch.setitem(sys.modules, module, None)
+    refused_words = r'pip install "\.\[files\]"'
+    with pytest.raises(InputError, match=refused_words):
+        read_table(tmp_path / f"a{suffix}")
