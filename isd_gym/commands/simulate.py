@@ -79,7 +79,7 @@ def command(
 
     Example: isd-gym simulate force-rig test.csv --out force.csv
 
-    Errors: isd-gym simulate found/model.json new1.csv new2.csv --compare
+    Example: isd-gym simulate found/model.json new1.csv new2.csv --compare
     """
     from ..network import Network
 

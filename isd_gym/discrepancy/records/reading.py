@@ -14,8 +14,9 @@ from ...data.quality import CAR, Scale, admit, known_check, rises_unevenly
 from ...errors import InputError, MissingColumn
 from ...loggers.recording import Recording, Signal
 from ...network import Channel, Network, own_time, slowest_time, without
+from ...simulate import COARSE
 from ...units import HELD, convert
-from ..simulation.problem import COARSE, Array, Problem, Record, thinned
+from ..simulation.problem import Array, Problem, Record, thinned
 from .filtering import count_derivatives
 from .multirate import build_record, check_recording
 
