@@ -167,6 +167,9 @@ def unit_statements_of(document: Mapping[str, Any]) -> Statements:
         finding = [
             f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
         ]
+        steps = [
+            "use the refitted parameters (parameters.ssv), and test them with a record of another excitation."
+        ]
     else:
         title = "An effect is missing that no parameter of the FMU explains"
         finding = [
