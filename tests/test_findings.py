@@ -102,9 +102,7 @@ def test_the_summary_says_that_the_place_is_open():
     front, rear = [friction(FRONT)], [friction(REAR)]
     findings = [f.to_dict() for f in found((0.55, front), (0.43, rear), (0.02, []), own=front)]
     text = summary_of(document(VAGUE, findings=findings))
-    assert (
-        "Dry friction is missing (probability 0.93), but the data do not determine its place:" in text
-    )
+    assert "Dry friction is missing (probability 0.93), but the data do not determine its place:" in text
     assert "between body_front and wheel_front (0.53) or between body_rear and wheel_rear (0.42)." in text
     assert "Also possible" not in text
 

@@ -378,7 +378,7 @@ def test_the_page_of_an_unknown_law_shows_it(diagnosis, tmp_path):
     path = report.write_report(d, tmp_path / "x")
     page = reopened(d, path)
     assert "Force between piston and joint, as a table over rate" in page.text
-    assert "coulomb friction (98\u00a0% of it)" in page.text
+    assert "Coulomb friction (98\u00a0% of it)" in page.text
     # a known law gives nearly all of the force: the page must not say that none does
     assert page.text.count("no law of the library passes every gate") >= 1
     assert "no law of the library explains" not in page.text and "gives this force" not in page.text
@@ -464,7 +464,9 @@ def test_every_record_has_a_caption_and_a_window_of_its_own(diagnosis):
     typical = chart.choices["one (fitted)"][1]
     assert typical.title == "typical stretch" and typical.x.high < 1500 * STEP
     assert len(typical.items[0].x) == round(report.STRETCH / STEP)
-    residuals = report.draw_residuals(report.View(replace(diagnosis, traces=traces))).choices["one (fitted)"][0]
+    residuals = report.draw_residuals(report.View(replace(diagnosis, traces=traces))).choices["one (fitted)"][
+        0
+    ]
     spans = [(i.low, i.high) for i in residuals.items if isinstance(i, charts.Span)]
     assert spans == [(window.low, window.high), (typical.x.low, typical.x.high)]
 
@@ -873,6 +875,7 @@ def test_diagnose_renames_and_converts(told, tmp_path, monkeypatch):
         (["--validate", "none.csv"], r"none\.csv: no such file"),
         (["--rename", "road"], "--rename wants COLUMN=CHANNEL"),
         (["--unit", "road=furlong"], "furlong"),
+        (["--uncertain", "body.mass=5"], "wants a share from 0 to 1"),
         (["--out", "taken"], r"taken.*notes\.txt"),
         (["--json", "no/such/x.json"], "no folder"),
         (["--model", "nowhere.json"], "nowhere"),

@@ -291,7 +291,8 @@ def _title(d: Mapping[str, Any]) -> str:
     if effects and all("channel" in e for e in effects):
         return "A sensor has a fault; no physical effect is missing"
     if len(effects) > 1:
-        return f"{('Two', 'Three', 'Four')[min(len(effects), 4) - 2]} physical effects are missing"
+        kind = "" if any("channel" in e for e in effects) else "physical "
+        return f"{('Two', 'Three', 'Four')[min(len(effects), 4) - 2]} {kind}effects are missing"
     if effects:
         return f"Missing: {_placed(effects[0])}"
     if verdict in ("no_discrepancy", "parameters_only"):
@@ -325,7 +326,9 @@ def _next(d: Mapping[str, Any]) -> str:
         if not _agrees(d):
             return "log further motions or inputs, or record larger amplitudes."
         if verdict == "parameters_only":
-            return "use the refitted parameters (model.json), and test them with a record of another excitation."
+            return (
+                "use the refitted parameters (model.json), and test them with a record of another excitation."
+            )
         return (
             "record other amplitudes, speeds or frequencies to see effects that these records do not excite."
         )
@@ -345,7 +348,8 @@ def _next(d: Mapping[str, Any]) -> str:
         )
     if d["next_experiment"]:
         return "run the test in next_experiment.csv."
-    failed = {g["gate"] for g in (d["best_candidate"] or {}).get("failed_gates", ()) if not g["passed"]}
+    best = d["best_candidate"]
+    failed = {g["gate"] for g in best["failed_gates"] if not g["passed"]} if best and is_gain(best) else set()
     advice = next((text for name, text in ADVICE.items() if name in failed), None)
     return f"{advice or 'log further motions or inputs: the missing force may depend on a quantity that is not measured'}."
 
@@ -515,7 +519,9 @@ def _left(rival: Mapping[str, Any]) -> str:
 def _unknown(d: Mapping[str, Any]) -> str:
     gap = d["gap"]["held_out"]
     c = _widest(gap)
-    return f"An effect is missing, and no known effect passes every gate ({_errors(gap, c, 'before', 'refit')})."
+    return (
+        f"An effect is missing, and no known effect passes every gate ({_errors(gap, c, 'before', 'refit')})."
+    )
 
 
 def _where(d: Mapping[str, Any]) -> str:
