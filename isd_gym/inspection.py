@@ -217,7 +217,7 @@ def head(raster: Raster) -> str:
         from datetime import UTC, datetime
 
         begin = f"from {datetime.fromtimestamp(float(t[0]), UTC):%Y-%m-%d %H:%M:%S} UTC"
-    rate = f"{1 / raster.step:.5g} Hz" if raster.step > 0 else "no rate"
+    rate = f"{raster.rate:.5g} Hz" if raster.rate > 0 else "no rate"
     return f"{raster.name}: {len(raster)} samples, {rate}, {span:.5g} s {begin}"
 
 

@@ -581,3 +581,16 @@ def test_a_diagnosis_refuses_a_dead_output_in_one_line(tmp_path, run, program):
         assert "travel: is constant (0)" in message and "out of the model's outputs" in message
         assert "\n" not in message and "--accept" not in message
     assert not (tmp_path / "out" / "diagnosis.json").exists()
+
+
+def test_the_rate_is_that_of_the_mean_step_without_gaps():
+    """Stamps that jitter between 2 and 3 ms, twice as often 2 ms, with a gap: the median step would give 500 Hz."""
+    from isd_gym.inspection import head
+    from isd_gym.loggers.recording import Raster
+
+    steps = np.tile([0.002, 0.002, 0.0025], 400)
+    steps[600] = 0.5
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    raster = Raster("a.csv", time, {"x": np.zeros(len(time))})
+    assert raster.step == pytest.approx(0.002)
+    assert "461.5" in head(raster)

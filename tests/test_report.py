@@ -876,6 +876,7 @@ def test_diagnose_renames_and_converts(told, tmp_path, monkeypatch):
         (["--validate", "none.csv"], r"none\.csv: no such file"),
         (["--rename", "road"], "--rename wants COLUMN=CHANNEL"),
         (["--unit", "road=furlong"], "furlong"),
+        (["--uncertain", "body.mass=5"], "wants a share from 0 to 1"),
         (["--out", "taken"], r"taken.*notes\.txt"),
         (["--json", "no/such/x.json"], "no folder"),
         (["--model", "nowhere.json"], "nowhere"),

@@ -170,7 +170,7 @@ def test_every_failed_gate_has_an_advice() -> None:
 
 
 def test_values_are_told_in_the_units_of_engineers() -> None:
-    assert plain_value(0.000790123456, "m") == "0.7901 mm" and plain_value(2e6, "N/m") == "2000 kN/m"
+    assert plain_value(0.000790123456, "m") == "0.7901 mm" and plain_value(2e6, "N/m") == "2 MN/m"
     assert plain_value(1293.0, "N s/m") == "1293 N s/m" and plain_value(None, "m") == "unknown m"
 
 

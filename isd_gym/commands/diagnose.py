@@ -139,6 +139,8 @@ def command(
     A folder with records, validation*.csv and model.json is one case. A folder of such folders (VEHICLE_2024-05-01) is a
     fleet: every case is diagnosed, and the table is DIR/fleet.html. The same command continues an interrupted fleet.
 
+    A folder of cases takes --model, --map, --accept, --max-lag, --seed, --jobs and --engine only.
+
     Without a measured road, --cut diagnoses the part above a node with an accelerometer, and --unmeasured refits the
     model by its likelihood (DIR/unmeasured.json, DIR/model.json).
 
@@ -266,4 +268,6 @@ def _shares(uncertain: list[str] | None) -> dict[str, float]:
             out[name] = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
         except ValueError:
             raise InputError(f"--uncertain {name}: wants a share such as 0.05, not {shown(text)}") from None
+        if not 0.0 <= out[name] <= 1.0:
+            raise InputError(f"--uncertain {name}: wants a share from 0 to 1 (0.05 or 5%), not {shown(text)}")
     return out

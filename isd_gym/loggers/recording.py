@@ -63,6 +63,15 @@ class Raster:
         return float(np.median(d[d > 0])) if (d > 0).any() else math.nan
 
     @property
+    def rate(self) -> float:
+        """Mean rate [Hz] without gaps; NaN without a step."""
+        d = np.diff(self.time)
+        whole = d[(d > 0) & (d < 1.5 * self.step)]
+        if not len(whole):
+            return math.nan
+        return 1.0 / (self.step if stamp_rounding(self.time) else float(whole.mean()))
+
+    @property
     def name(self) -> str:
         """Name of the file."""
         return plain(Path(self.source).name, 60)

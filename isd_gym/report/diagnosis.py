@@ -313,8 +313,8 @@ class View:
         """
         full, width = 60, 60 * min(max(share, 0.0), 1.0)
         return (
-            f'<svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" style="fill:var(--pale)"/>'
-            f'<rect width="{width:.1f}" height="10" style="fill:var(--accent)"/></svg> {share:.2f}'
+            f'<span class="whole"><svg width="{full}" height="10" role="img" aria-label="{share:.2f}"><rect width="{full}" height="10" style="fill:var(--pale)"/>'
+            f'<rect width="{width:.1f}" height="10" style="fill:var(--accent)"/></svg> {share:.2f}</span>'
         )
 
     def effect_text(self, e: Any) -> str:
@@ -705,13 +705,12 @@ def draw_time(view: View) -> Chart | None:
                 unit = view.scales[c].unit or "–"
                 y_axis = Axis(channel_text(c).replace(" ", "\n", 1), unit, low=low - room, high=high + room)
                 x_axis = Axis("time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1]))
-                heading = title if c == view.order[0] else ""
-                panels.append(Panel(x_axis, y_axis, tuple(lines), title=heading, link=title))
+                panels.append(Panel(x_axis, y_axis, tuple(lines), title=title, link=title))
         length = float(np.ptp(t.time[next(iter(stretches.values()))]))
         choices[name] = panels
         captions[name] = (
-            f"{records.head(name)} Left: the {length:.3g} s in which the refitted model errs most in "
-            f"{channel_text(view.order[0])}. Right: a stretch with the median error.{_more(view, few)}"
+            f"{records.head(name)} The worst stretch: the {length:.3g} s in which the refitted model errs most in "
+            f"{channel_text(view.order[0])}. The typical stretch: as long, with the median error.{_more(view, few)}"
         )
     return Chart(
         "time",
@@ -720,7 +719,7 @@ def draw_time(view: View) -> Chart | None:
         next(iter(captions.values())),
         choices,
         columns=2,
-        size=(7.6, 1.45 * len(few) + 0.7),
+        size=(7.6, 1.65 * len(few) + 0.7),
         walk=True,
         still=2 * len(few),
         captions=captions,

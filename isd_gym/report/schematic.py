@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import elements as el
 from ..errors import InputError
+from ..units import practical
 from .plots import channel_text, number, unit_text
 
 if TYPE_CHECKING:
@@ -330,28 +331,17 @@ def values_text(e: el.Element | Lever, network: Network) -> list[str]:
             continue
         # rotational elements have other units than the class states
         unit = unit_text(network.unit_of(f"{e.name}.{f.name}"))
-        scaled, prefix = _prefixed(float(value), unit)
-        out.append(f"{scaled} {prefix}{unit}" if unit else f"{channel_text(f.name)} {scaled}")
+        factor, unit = practical(float(value), unit)
+        scaled = number(factor * value, _digits(value))
+        out.append(f"{scaled} {unit}" if unit else f"{channel_text(f.name)} {scaled}")
     return out[:3]
 
 
 def _briefly(e: el.Element, network: Network) -> str:
     """Return an element without terminals and its parameters in words, such as ``sensor gain 1.13``."""
-    name = channel_text(e.type)
+    name = el.spoken(e.type)
     values = (v.removeprefix(f"{name.split()[-1]} ") for v in values_text(e, network))
     return " ".join([name, *values])
-
-
-def _prefixed(value: float, unit: str) -> tuple[str, str]:
-    """Return a number and a prefix of the unit, such as ``709 k`` for 709000, if the unit takes a prefix."""
-    if unit[:1] in ("N", "m") and not unit.startswith(("m³", "m²")):
-        if abs(value) >= 1e6:
-            return number(value / 1e6, _digits(value)), "M"
-        if abs(value) >= 1e4:
-            return number(value / 1e3, _digits(value)), "k"
-        if unit == "m" and 0 < abs(value) < 0.1:
-            return number(value * 1e3, _digits(value)), "m"
-    return number(value, _digits(value)), ""
 
 
 def _digits(value: float) -> int:

@@ -148,7 +148,7 @@ class PairMotion:
 
     travel: Array  # elongation (n,) [m]
     rate: Array  # rate of elongation (n,) [m/s]
-    force: Array  # force of all elements between the nodes (n,) [N], positive in tension
+    force: Array  # force of all elements between the nodes but drives (n,) [N], positive in tension
 
 
 def pair_motion(
@@ -183,8 +183,9 @@ def pair_motion(
     else:
         raise InputError(f"no motion between {pair[0]} and {pair[1]}")
     force = np.zeros(len(m.d))
-    for values in element_forces(problem, fit, pair).values():
-        force = force + values
+    for name, values in element_forces(problem, fit, pair).items():
+        if network.element(name).mechanism != "drive":
+            force = force + values
     for name in series:
         where = network.element(name).between
         along = 1.0 if where[0] == pair[0] or where[1] == pair[1] else -1.0

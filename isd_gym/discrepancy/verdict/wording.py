@@ -307,7 +307,8 @@ def _title(d: Mapping[str, Any]) -> str:
     if effects and all("channel" in e for e in effects):
         return "A sensor has a fault; no physical effect is missing"
     if len(effects) > 1:
-        return f"{('Two', 'Three', 'Four')[min(len(effects), 4) - 2]} physical effects are missing"
+        kind = "" if any("channel" in e for e in effects) else "physical "
+        return f"{('Two', 'Three', 'Four')[min(len(effects), 4) - 2]} {kind}effects are missing"
     if effects:
         return f"Missing: {_placed(effects[0])}"
     if verdict in ("no_discrepancy", "parameters_only"):
@@ -365,7 +366,8 @@ def _next(d: Mapping[str, Any]) -> str:
         )
     if d["next_experiment"]:
         return "run the test in next_experiment.csv."
-    failed = {g["gate"] for g in (d["best_candidate"] or {}).get("failed_gates", ()) if not g["passed"]}
+    best = d["best_candidate"]
+    failed = {g["gate"] for g in best["failed_gates"] if not g["passed"]} if best and is_gain(best) else set()
     advice = next((text for name, text in ADVICE.items() if name in failed), None)
     return f"{advice or 'log further motions or inputs: the missing force may depend on a quantity that is not measured'}."
 
