@@ -77,7 +77,8 @@ def intervals(
             q.back(max(x - Z95 * s, -700.0)),
             q.back(min(x + Z95 * s, 700.0)) if q.log else x + Z95 * s,
         )
-        out[q.path] = Quantity(q.back(x), *sorted(ends), f.network.unit_of(q.path), prior.get(q.path))
+        low, high = sorted(ends)
+        out[q.path] = Quantity(q.back(x), low, high, f.network.unit_of(q.path), prior.get(q.path))
     return out
 
 
