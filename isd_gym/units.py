@@ -121,7 +121,7 @@ def practical(value: float, unit: str) -> tuple[float, str]:
     if not math.isfinite(size) or size == 0.0 or unit.startswith(("m/", "mm", "ms")):
         return 1.0, unit
     if unit[:1] == "N":
-        large = ((1e7, 1e-6, "M"), (1e4, 1e-3, "k"))
+        large = ((1e6, 1e-6, "M"), (1e4, 1e-3, "k"))
         return next(((f, prefix + unit) for least, f, prefix in large if size >= least), (1.0, unit))
     if unit in ("m", "s"):
         steps = ((0.1, 1.0, ""), (1e-4, 1e3, "m"), (0.0, 1e6, "u"))
