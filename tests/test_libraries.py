@@ -132,6 +132,8 @@ def test_pictures_of_a_batch_are_those_of_its_cars():
 
 @theirs
 def test_videos(tmp_path):
+    if not hasattr(vector, "RecordVideo"):
+        pytest.skip("this Gymnasium has no recorder of batches")
     pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
     pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
     import imageio.v3 as iio
@@ -153,6 +155,8 @@ def test_videos(tmp_path):
 
 @theirs
 def test_videos_of_50_pictures_per_second(tmp_path):
+    if not hasattr(vector, "RecordVideo"):
+        pytest.skip("this Gymnasium has no recorder of batches")
     pytest.importorskip("pygame", reason="pictures need isd-gym[render]")
     pytest.importorskip("moviepy", reason="RecordVideo needs isd-gym[render]")
     import imageio.v3 as iio

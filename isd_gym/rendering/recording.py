@@ -6,12 +6,17 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from gymnasium import wrappers
-from gymnasium.wrappers import vector
 
 from ..errors import InputError, shown
 
 if TYPE_CHECKING:
     import gymnasium as gym
+    from gymnasium.wrappers.vector import RecordVideo as _VectorRecorder
+else:
+    from gymnasium.wrappers import vector
+
+    #: the recorder of batches; Gymnasium has had one since a version later than the oldest allowed
+    _VectorRecorder = getattr(vector, "RecordVideo", object)
 
 FPS = 50.0  # pictures per simulated second
 
@@ -78,7 +83,7 @@ class RecordVideo(_EveryNthStep, wrappers.RecordVideo):
         self._set_pace(fps)
 
 
-class RecordVectorVideo(_EveryNthStep, vector.RecordVideo):
+class RecordVectorVideo(_EveryNthStep, _VectorRecorder):
     """Record all cars of a vector environment side by side, like `gymnasium.wrappers.vector.RecordVideo` with 50 pictures per second.
 
     Args:
@@ -88,12 +93,14 @@ class RecordVectorVideo(_EveryNthStep, vector.RecordVideo):
         options: Further arguments of Gymnasium's wrapper; `video_length` is a number of steps.
 
     Raises:
-        InputError: The frame rate is invalid.
+        InputError: The frame rate is invalid, or the installed Gymnasium has no recorder of batches.
     """
 
     def __init__(
         self, env: gym.vector.VectorEnv[Any, Any, Any], video_folder: str, *, fps: float = FPS, **options: Any
     ) -> None:
+        if _VectorRecorder is object:
+            raise InputError("this version of gymnasium has no recorder of batches: pip install -U gymnasium")
         _checked(fps)
         super().__init__(env, video_folder, **options)
         self._set_pace(fps)
