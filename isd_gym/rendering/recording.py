@@ -99,7 +99,7 @@ class RecordVectorVideo(_EveryNthStep, _VectorRecorder):
     def __init__(
         self, env: gym.vector.VectorEnv[Any, Any, Any], video_folder: str, *, fps: float = FPS, **options: Any
     ) -> None:
-        if _VectorRecorder is object:
+        if not hasattr(_VectorRecorder, "start_recording"):
             raise InputError("this version of gymnasium has no recorder of batches: pip install -U gymnasium")
         _checked(fps)
         super().__init__(env, video_folder, **options)
