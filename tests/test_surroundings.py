@@ -158,3 +158,19 @@ def test_errors_of_files_that_are_read_stay_what_they_are(tmp_path):
         (tmp_path / "missing.csv").read_text()
     with pytest.raises(InputError, match=r"out.txt' \(No space"), whole(tmp_path / "out.txt"):
         raise OSError(28, "No space left on device")
+
+
+def test_a_kernel_of_an_unknown_module_is_compiled_again(tmp_path):
+    """A law of a notebook or of generated code has no module in another process: numba compiles after an OSError."""
+    import importlib
+
+    from isd_gym.kernel.jit import _Files
+
+    class Foreign:
+        def __reduce__(self):
+            return importlib.import_module, ("<dynamic>",)
+
+    files = _Files(str(tmp_path), "law", "stamp")
+    files._save_data("law.1.nbc", Foreign())
+    with pytest.raises(OSError, match="dynamic"):
+        files._load_data("law.1.nbc")

@@ -39,7 +39,10 @@ class _Files(IndexDataCacheFile):
             digest, data = file.read(32), file.read()
         if hashlib.sha256(data).digest() != digest:
             raise OSError(errno.EIO, "damaged", path)  # numba compiles again
-        return pickle.loads(data)
+        try:
+            return pickle.loads(data)
+        except ImportError as error:  # compiled with a law whose module this process has not
+            raise OSError(errno.EIO, str(error), path) from error
 
     def _save_data(self, name: str, data: Any) -> None:
         dumped = self._dump(data)
