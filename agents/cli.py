@@ -88,9 +88,8 @@ def train(
 ) -> None:
     """Train a policy; a repeated call with the same folder continues an unfinished run.
 
-    The policy first imitates the friction-aware MPC, then PPO or SAC trains it; with --from-nothing it learns from
-    its own experience alone. A policy of a half or full
-    car commands one current per motor, and knows the road ahead of the rear wheels from the front wheels.
+    The policy first imitates the friction-aware MPC, then PPO or SAC trains it; --from-nothing leaves the imitation
+    out. A policy of a half or full car commands one current per motor, and knows the road ahead of the rear wheels from the front wheels.
     Ctrl-C saves the run and prints the command that continues it. Shows the cost J on validation roads, after
     the costs of the passive car and the baselines. The best policy is in DIR/policy, for `isd-gym score
     DIR/policy`; the log of TensorBoard is in DIR/tensorboard.

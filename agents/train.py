@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym.baselines.controller import steps_ahead
-from isd_gym.batch import with_posterior
+from isd_gym.batch import with_found_ranges
 from isd_gym.errors import InputError, how_to_install, shown
 from isd_gym.files import claim_folder, held, write_text, writing
 from isd_gym.inputs import read_json
@@ -151,7 +151,7 @@ def train(
         spread, seen = robust()
         senses = seen if senses.perfect else senses
     else:
-        spread = with_posterior(plant, randomize or None) or None
+        spread = with_found_ranges(plant, randomize or None) or None
     run = Run(Path(out), algorithm, seed, plant, road, float(speed), spread, senses, settings, say, progress)
     return run.go()
 

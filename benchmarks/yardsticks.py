@@ -29,6 +29,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from isd_gym.arrays import rms
 from isd_gym.data import Table, read_table, write_table
 from isd_gym.discrepancy.estimation.initial_state_fit import initial_state
 from isd_gym.discrepancy.records import differentiate_inputs, read_record
@@ -194,11 +195,6 @@ def free_run_error(network: Network, table: Table, window: int) -> np.ndarray:
     name = fixed.outputs[0].name
     outputs = simulate(fixed, table.time, inputs, initial=begun.state, interpolation="auto")
     return np.asarray(table[name] - outputs[name])[window:]
-
-
-def rms(values: np.ndarray) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def stretch_error(network: Network, table: Table, window: int) -> float:

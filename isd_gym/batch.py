@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import elements as el
+from .arrays import Z95
 from .errors import InputError
 from .kernel import layout as place
 from .kernel.layout import TOGETHER, WIDTH, aligned
@@ -586,8 +587,8 @@ class Batch:
         return np.roll(ahead, -begin, axis=1)[:, :points] - self.track_heights[track][:, None]
 
 
-#: quantile of a normal distribution for a 95 % interval, and smallest factor on a parameter
-Z95, LEAST_FACTOR = 1.96, 0.01
+#: smallest factor on a parameter
+LEAST_FACTOR = 0.01
 
 
 def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[float, float]]:
@@ -627,7 +628,7 @@ def posterior_ranges(network: Network, found: str | Path) -> dict[str, tuple[flo
     return out
 
 
-def with_posterior(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
+def with_found_ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> dict[str, Any]:
     """Return ranges of `randomize` with the intervals of a diagnosis in place of its folder.
 
     Args:
@@ -666,7 +667,7 @@ def ranges(network: Network, given: Mapping[str, Any] | str | Path | None) -> di
     """
     known = network.parameters
     out: dict[str, Any] = {}
-    for key, value in with_posterior(network, given).items():
+    for key, value in with_found_ranges(network, given).items():
         if key == "road":
             if not isinstance(value, list | tuple) or not value:
                 raise InputError("randomize: 'road' must be a list of roads")

@@ -204,12 +204,12 @@ class Task:
     ) -> None:
         """Create `count` cars."""
         assert isinstance(options.network, Network) and isinstance(options.cost, StageCost)
-        assert isinstance(options.sensors, Sensors)
+        assert isinstance(options.sensors, Sensors) and isinstance(options.randomize, Mapping)
         self.options, self.network, self.cost = options, options.network, options.cost
         self.vehicle: Vehicle = vehicle(self.network)
         self.measured = self.vehicle.measured
         self.step_info = (*self.vehicle.costs, *self.vehicle.tyre_loads, *EXCEEDS)
-        control_step, varied = options.control_step, ranges(self.network, options.randomize)
+        control_step, varied = options.control_step, options.randomize
         speed, speeds = options.speed, varied.get("speed", (options.speed,))
         self.slowest = min(speed, *speeds)
         self.decision = control_step * options.hold

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from rigs import pushed_mass
 from typer.testing import CliRunner
 
 from isd_gym import cli, schemas, simulate
@@ -34,27 +35,13 @@ jsonschema = pytest.importorskip("jsonschema")
 image = pytest.importorskip("matplotlib.image")
 
 RATE = 100.0
-OWN = Network.load(
-    {
-        "schema": "isd-model/1",
-        "name": "pushed",
-        "masses": {"mass": 5.0},
-        "elements": [
-            {
-                "name": "spring",
-                "type": "linear_stiffness",
-                "between": ["mass", "ground"],
-                "stiffness": 2000.0,
-            },
-            {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 30.0},
-        ],
-        "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
-        "outputs": [
-            {"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"},
-            {"name": "felt", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
-        ],
-        "uncertainty": {"spring.stiffness": 0.1, "damper.damping": 0.1},
-    }
+OWN = pushed_mass(
+    "pushed",
+    [
+        {"name": "travel", "quantity": "displacement", "at": "mass", "unit": "m"},
+        {"name": "felt", "quantity": "acceleration", "at": "mass", "unit": "m/s^2"},
+    ],
+    uncertainty={"spring.stiffness": 0.1, "damper.damping": 0.1},
 )
 PLACE = frozenset({"mass", "ground"})
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import pushed_mass
 from typer.testing import CliRunner
 
 from isd_gym import cli, simulate
@@ -17,25 +18,8 @@ from isd_gym.env import ISDSuspensionEnv
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 
-RIG = Network.load(
-    {
-        "schema": "isd-model/1",
-        "name": "rig",
-        "masses": {"mass": 5.0},
-        "elements": [
-            {
-                "name": "spring",
-                "type": "linear_stiffness",
-                "between": ["mass", "ground"],
-                "stiffness": 2000.0,
-            },
-            {"name": "damper", "type": "linear_damping", "between": ["mass", "ground"], "damping": 30.0},
-        ],
-        "inputs": [{"name": "push", "quantity": "force", "at": "mass", "unit": "N"}],
-        "outputs": [
-            {"name": "travel", "quantity": "displacement", "at": "mass", "unit": "mm", "offset": "record"}
-        ],
-    }
+RIG = pushed_mass(
+    "rig", [{"name": "travel", "quantity": "displacement", "at": "mass", "unit": "mm", "offset": "record"}]
 )
 TIME = np.arange(2000) / 200.0
 PUSH = 40.0 * np.sin(2 * np.pi * 2.1 * TIME) + 20.0 * np.sin(2 * np.pi * 3.7 * TIME + 1.0)

@@ -88,7 +88,7 @@ def test_reset_and_step_tell_the_same(mode):
 
 
 def test_handed_out_speeds_are_those_of_the_step():
-    """What a step told stays what it was when cars start again at other speeds."""
+    """The `info` of a step does not change when cars start again at other speeds."""
     env = cars(randomize={"speed": (10.0, 30.0)}, autoreset_mode="same_step")
     _, info = env.reset(seed=0)
     before, kept = info["speed"], info["speed"].copy()

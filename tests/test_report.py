@@ -285,7 +285,7 @@ class Page(html.parser.HTMLParser):
 
 
 def check_page(path: Path) -> Page:
-    """It stands alone: nothing fetched, no script but those it names, every picture with words for who cannot see it."""
+    """Check that a page needs no other file: nothing is fetched, every script is named, every picture has a description."""
     page = Page(path)
     assert page.links == [] and "link" not in page.tags
     assert not re.search(r"url\((?!#\$)", path.read_text()) and "@import" not in path.read_text()
@@ -838,7 +838,7 @@ def test_diagnose_whose_report_fails_tells_the_verdict_and_ends_in_1(told, tmp_p
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypatch, kind):
-    """The command from its records to its files; the search alone, which takes minutes, is replaced by a result."""
+    """The command from records to files, with a given result in place of the search, which takes minutes."""
     monkeypatch.chdir(tmp_path)
     tables(tmp_path, "a.csv")
     d = of_kind(diagnosis, kind)

@@ -1,4 +1,4 @@
-"""The program where its surroundings are not those of a developer: closed streams, other encodings, damaged files, full disks."""
+"""The program with closed streams, other encodings, damaged files and full disks."""
 
 import json
 import os

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..arrays import channel_rms
 from ..errors import InputError
 from ..network import Network
 from .estimation.clock_lag import align_clocks
@@ -119,7 +120,7 @@ def prediction_errors(
         groups.append(("all records", [r.measured for r in problem.records], left))
     rows = []
     for name, measured, errors in groups:
-        rms = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+        rms = channel_rms(errors)
         deviation = deviation_within(measured, range(len(measured)))
         for j, c in enumerate(network.outputs):
             known = float(floors[j].deviation / deviation[j]) if floors[j].known else None

@@ -1,4 +1,4 @@
-"""Channels with different time stamps: each on its own, or all on one raster."""
+"""Channels with different time stamps: one raster per channel, or one raster for all channels."""
 
 from __future__ import annotations
 

@@ -20,6 +20,7 @@ from ..discrepancy.verdict.wording import is_gain, statements_of, unit_statement
 from ..errors import InputError, ReportError
 from ..files import check_folder, whole_folder, write_text
 from ..network import Network
+from ..simulate import pace
 from ..units import practical
 from .charts import Axis, Chart, Dots, Item, Line, Marks, Panel, Rule, Span, decades, log_ticks, picture
 from .forces import clouds, loops_of
@@ -667,6 +668,11 @@ def _simulated(view: View, t: Trace) -> dict[str, tuple[dict[str, Array], Look]]
     return out | ({"completed model": (t.after, AFTER)} if view.changed else {})
 
 
+def _signal_axis(view: View, c: str) -> Axis:
+    """Return the axis of a channel, its name in two lines."""
+    return Axis(channel_text(c).replace(" ", "\n", 1), view.scales[c].unit or "–")
+
+
 def _more(view: View, few: Sequence[str]) -> str:
     return (
         f" The picture shows the {len(few)} channels with the largest error."
@@ -702,8 +708,7 @@ def draw_time(view: View) -> Chart | None:
                 lines = [Line(n, t.time[drawn], k * y[c][drawn], look) for n, (y, look) in says.items()]
                 low, high = (f(float(f(k * y[c][cut])) for y, _ in says.values()) for f in (min, max))
                 room = 0.05 * (high - low) or 1.0
-                unit = view.scales[c].unit or "–"
-                y_axis = Axis(channel_text(c).replace(" ", "\n", 1), unit, low=low - room, high=high + room)
+                y_axis = replace(_signal_axis(view, c), low=low - room, high=high + room)
                 x_axis = Axis("time", "s", low=float(t.time[cut][0]), high=float(t.time[cut][-1]))
                 panels.append(Panel(x_axis, y_axis, tuple(lines), title=title, link=title))
         length = float(np.ptp(t.time[next(iter(stretches.values()))]))
@@ -752,9 +757,8 @@ def draw_residuals(view: View) -> Chart | None:
                 for n, (r, look) in rest.items()
             ]
             items += [*(Rule("y", y, look=NOISE) for y in (-noise, noise)), *spans]
-            y_axis = Axis(channel_text(c).replace(" ", "\n", 1), view.scales[c].unit or "–")
             x_axis = Axis("time", "s", low=float(t.time[0]), high=float(t.time[-1]))
-            y_axis = _steady(y_axis, [r for r, _ in rest.values()], noise)
+            y_axis = _steady(_signal_axis(view, c), [r for r, _ in rest.values()], noise)
             panels.append(Panel(x_axis, y_axis, tuple(items), link="time"))
         choices[name] = panels
         captions[name] = (
@@ -840,8 +844,6 @@ def _loops_chart(view: View, name: str, forces: Sequence[Loops]) -> Chart | None
 
 def _cycles(loops: Loops, stretch: slice, step: float) -> slice:
     """Return some periods of the motion in the middle of a stretch of the record."""
-    from ..discrepancy.simulation.problem import pace
-
     period = 2 * math.pi * pace(loops.measured.rate, step) / step
     count, whole = len(loops.measured.travel), stretch.stop - stretch.start
     width = min(count, max(10, min(whole, round(PERIODS * period))))
@@ -1001,7 +1003,7 @@ def draw_plane(view: View) -> Chart | None:
         "The missing force, or residual, over travel or rate, before and after",
         "Each dot is the force that the model lacks at one sample. The force is reconstructed from the residuals of all channels of "
         f"the record “{view.trace.name}” ({view.trace.use}) through the linear model; {where}. The limited resolution of the sensors "
-        f"smooths corners. Up to 2 % of the dots lie outside the axis.",
+        "smooths corners. Up to 2 % of the dots lie outside the axis.",
         {"all": panels},
         columns=2,
         size=(7.4, 2.9 * len(view.clouds) + 0.4),

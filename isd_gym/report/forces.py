@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import elements as el
+from ..discrepancy.hypotheses.missing_force import Deconvolution, pair_motion
+from ..discrepancy.result import Law
 from ..errors import InputError
 from ..network import GROUND, Network
+from ..simulate import pace
 from ..units import convert
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from ..arrays import Array
-    from ..discrepancy import Diagnosis, Effect, Law, Trace
     from ..discrepancy.hypotheses.missing_force import PairMotion
+    from ..discrepancy.result import Diagnosis, Effect, Trace
 
 #: share of a record at either end in which the reconstruction fades out
 TAPER = 20
@@ -142,8 +145,6 @@ def _cloud(
         return None
     names = [c.name for c in refitted.outputs if c.name in trace.refit]
     noise = {n: d.gap["noise_floor"][n] * float(np.std(trace.measured[n])) for n in names}
-    from ..discrepancy.hypotheses.missing_force import Deconvolution, pair_motion
-
     response = Deconvolution.of(refitted, pair, trace.time, {n: trace.measured[n] for n in names})
     before, moved = response.force({n: trace.measured[n] - trace.refit[n] for n in names}, noise)
     after, is_new = None, bool(d.effects or d.tabulated)
@@ -172,8 +173,6 @@ def _cloud(
 
 def _nominal(base: Network, trace: Trace, pair: tuple[str, str], keep: slice) -> Curve | None:
     """Return the force of the model as given between two nodes; None where the simulation breaks down."""
-    from ..discrepancy.hypotheses.missing_force import pair_motion
-
     try:
         seen = pair_motion(base, trace, pair)
     except (InputError, np.linalg.LinAlgError):
@@ -207,8 +206,6 @@ def _difference(refitted: Network, model: Network, pair: tuple[str, str], laws: 
 
     A law that replaces an element counts as its difference to that element, and so do parallel elements with other parameters.
     """
-    from ..discrepancy import Law
-
     same = [law for law in laws if law.kind == laws[0].kind]
     if not same:
         return None
@@ -264,8 +261,6 @@ def _force_channels(network: Network) -> Iterator[tuple[str, tuple[str, str], fl
 
 
 def _loops_of(d: Diagnosis, trace: Trace, name: str, pair: tuple[str, str], factor: float) -> Loops:
-    from ..discrepancy.hypotheses.missing_force import pair_motion
-
     assert isinstance(d.base, Network) and isinstance(d.model, Network)
     step = float(trace.time[1] - trace.time[0])
     simulated = pair_motion(d.model, trace, pair)
@@ -300,8 +295,6 @@ def _displacement(network: Network, pair: tuple[str, str]) -> tuple[str, float] 
 def _rate(travel: Array, step: float) -> Array:
     """Return the rate of a measured travel, smoothed over a tenth of the period of the motion."""
     from scipy.signal import savgol_filter
-
-    from ..discrepancy.simulation.problem import pace
 
     width = 2 * round(0.1 * np.pi * pace(travel, step) / step) + 1
     width = min(max(width, 5), len(travel) - 1 + len(travel) % 2)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...arrays import Z95
 from ...errors import InputError
 from ..records.multirate import build_record
 from ..simulation.problem import Array, Problem, Record
@@ -141,7 +142,7 @@ def _estimate_lags(problem: Problem, fit: Fit, index: int, doubt: str) -> list[L
         s = slope[:, own] / size[own]
         score, information = (s * residual[:, own] / size[own]).sum(axis=1), (s**2).sum(axis=1)
         parts = np.array([p.sum() for p in np.array_split(score - score.mean(), BLOCKS)])
-        half = 1.96 * math.sqrt(float(np.sum(parts**2))) / max(float(information.sum()), 1e-300)
+        half = Z95 * math.sqrt(float(np.sum(parts**2))) / max(float(information.sum()), 1e-300)
         value = r.lags[clock] + float(fit.offset[index][len(problem.channels) + k])
         out.append(Lag(r.name, clock, value, value - half, value + half, doubt))
     return out

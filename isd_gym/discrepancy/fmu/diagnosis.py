@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...arrays import channel_rms
 from ...data import Table, check, read_table
 from ...data.quality import admit, known_check
 from ...errors import InputError, shown
@@ -237,7 +238,7 @@ def _fit_and_measure(refit: FmuRefit, progress: Progress) -> _Errors:
     found = refit.fit(floors, progress)
     deviation = _deviation(refit, held_out=True)
     before, after = (refit.residuals(m, held_out=True) for m in (c.model, found.model))
-    errors = [np.sqrt(np.mean(np.concatenate(r) ** 2, axis=0)) / deviation for r in (before, after)]
+    errors = [channel_rms(r) / deviation for r in (before, after)]
     noise = np.array([
         min(noise_of([r[:, j] for r in after], step, time=c.time_scale).deviation, k.deviation)
         for j, k in enumerate(known)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import elements as el
+from ...arrays import Z95
 from ...elements.starts import generic_starts
 from ...errors import InputError
 from ...network import Network, assemble
@@ -370,7 +371,7 @@ def _tabulated(problem: Problem, floors: Array, best: Candidate, explained: floa
     covariance = np.linalg.inv(f.hessian + np.diag(1 / structure.sigma**2))[own:, own:]
     force = structure.basis @ best.fit.x[own:]
     variance = np.einsum("ij,jk,ik->i", structure.basis, covariance, structure.basis)
-    spread = 1.96 * np.sqrt(np.maximum(variance, 0.0))
+    spread = Z95 * np.sqrt(np.maximum(variance, 0.0))
     e = best.fit.network.element(structure.element)
     assert isinstance(e, el.TabulatedForce)
     force, low, high = (y.reshape(structure.shape) for y in (force, force - spread, force + spread))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..simulation.time_limit import TimeLimit as TimeLimit
-
 
 @dataclass(frozen=True)
 class SearchSettings:

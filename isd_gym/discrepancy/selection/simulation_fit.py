@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...arrays import channel_rms
 from ...network import assemble
 from ..estimation.gauss_newton import Fitter
 from ..estimation.least_squares import bounded_step, damped_step
@@ -64,7 +65,7 @@ def fit_simulation_error(
     try:
         before = run_freely(whole, old.structure, old.x, evaluator.least_noise)
         deviation = whole.deviation(data)
-        noise = np.maximum(_rms([before[i] for i in data]), evaluator.least_noise)
+        noise = np.maximum(channel_rms([before[i] for i in data]), evaluator.least_noise)
         if not float(np.mean(noise / deviation)) < LOST:
             return None
         structure, x = _minimise(whole, old.structure, old.x, noise, evaluator.least_noise)
@@ -76,7 +77,7 @@ def fit_simulation_error(
     pieces = {"data": everything, "held_out": {i: held[i] for i in others or data}}
     error = {}
     for name, places in pieces.items():
-        rows = [_rms([e[i][place] for i, place in places.items()]) for e in (before, after)]
+        rows = [channel_rms([e[i][place] for i, place in places.items()]) for e in (before, after)]
         gain = 1.0 - float(np.mean((rows[1] / np.maximum(rows[0], 1e-300)) ** 2))
         if not gain >= (LEAST_GAIN if name == "data" else 0.0):
             return None
@@ -191,9 +192,3 @@ def run_freely(
         e = problem.records[i].measured - problem.shifted(i, y[:, :, 0], offset)
         residuals[i] = e - np.where(problem.record_offset, e.mean(axis=0), 0.0)
     return residuals
-
-
-def _rms(residuals: Sequence[Array]) -> Array:
-    """Return the RMS of residuals [(samples, channels), ...], not finite where a simulation diverged (channels,)."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0)), dtype=np.float64)

@@ -111,6 +111,6 @@ def adopt(limit: TimeLimit | None) -> None:
     """Make a limit that of the running thread.
 
     Args:
-        limit: Result of `running` in the thread that started this one.
+        limit: Result of `running` in the parent thread.
     """
     _RUNNING.set(limit)

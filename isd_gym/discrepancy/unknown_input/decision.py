@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ...arrays import Array
     from ...network import Network
     from ..estimation.structure import Hypothesis
-    from ..selection.settings import TimeLimit
+    from ..simulation.time_limit import TimeLimit
     from ..verdict.gates import Relation, Verdict
     from .estimation import Estimates, ModelFit
     from .kalman import Prediction

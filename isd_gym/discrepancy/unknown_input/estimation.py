@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import elements as el
+from ...arrays import Z95
 from ...errors import InputError
 from ..estimation.structure import add
 from ..result import Quantity
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from ...arrays import Array
     from ...network import Network
     from ..estimation.structure import Hypothesis, Structure
-    from ..selection.settings import TimeLimit
+    from ..simulation.time_limit import TimeLimit
     from .kalman import Prediction
 
 #: Linear effects and the index of the coefficient in `Element.linear`.
@@ -236,7 +237,7 @@ def estimate_uncertainty(network: Network, fit: ModelFit) -> Estimates:
 
     def quantity(v: float, s: float, unit: str, log: bool = True, prior: float | None = None) -> Quantity:
         back = _exp if log else float
-        return Quantity(back(v), back(v - 1.96 * s), back(v + 1.96 * s), unit, prior)
+        return Quantity(back(v), back(v - Z95 * s), back(v + Z95 * s), unit, prior)
 
     quantities = {
         f.path: quantity(v, s, u, f.log, network.parameters.get(f.path))

@@ -17,8 +17,8 @@ from ..estimation.noise import floors_of
 from ..estimation.structure import base_structure, unchecked
 from ..hypotheses.library import hypotheses
 from ..records import read_record
-from ..selection.settings import TimeLimit
 from ..simulation.problem import Problem
+from ..simulation.time_limit import TimeLimit
 from .decision import decide
 from .estimation import LINEAR, build_model, fit_effect, fit_model
 
