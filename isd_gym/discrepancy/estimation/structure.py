@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import elements as el
+from ...arrays import Z95
 from ...errors import InputError
 from ...network import GROUND, Channel, Network
 
@@ -21,6 +22,10 @@ REACH = 3.0
 WIDE, FAR = 5.0, math.log(1e4)
 #: standard deviation of the logarithm of a parameter that stays near its start value
 SURE = 1e-4
+
+
+#: largest logarithm of a value within an interval
+LARGEST_LOG = 700.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,13 @@ class Free:
 
     def back(self, x: float) -> float:
         return math.exp(x) if self.log else x
+
+    def interval(self, x: float, sigma: float) -> tuple[float, float]:
+        """Return the ends of the 95 % interval of a value, from its mean and deviation (transformed)."""
+        half = Z95 * sigma
+        if not self.log:
+            return x - half, x + half
+        return self.back(max(x - half, -LARGEST_LOG)), self.back(min(x + half, LARGEST_LOG))
 
     def step(self, x: float) -> float:
         """Return the step of a finite difference at `x` (transformed)."""

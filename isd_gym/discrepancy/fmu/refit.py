@@ -182,10 +182,9 @@ class FmuRefit:
         variance = np.diag(np.linalg.inv(hessian + prior)) if len(found.x) else np.zeros(0)
         out, model = {}, self.comparison.model
         for f, x, v in zip(self.free, found.x, np.minimum(variance, self.sigma**2), strict=True):
-            half = 1.96 * math.sqrt(v)
-            low, high = sorted((f.back(x - half), f.back(x + half)))
+            ends = f.interval(float(x), math.sqrt(v))
             unit, nominal = model.unit_of(f.path), model.parameters[f.path]
-            out[f.path] = Quantity(f.back(float(x)), low, high, unit, nominal)
+            out[f.path] = Quantity(f.back(float(x)), *ends, unit, nominal)
         return out
 
     def parameters_at_limits(self, x: Array) -> tuple[str, ...]:

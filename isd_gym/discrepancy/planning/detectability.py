@@ -160,10 +160,8 @@ class SimulatedEffect:
                 continue
             sigma = min(math.sqrt(max(float(variance), 0.0)) / scale, free.sigma)
             x = free.forward(getattr(element, free.path.rpartition(".")[2]))
-            low = free.back(max(x - 1.96 * sigma, -700.0))
-            high = free.back(min(x + 1.96 * sigma, 700.0)) if free.log else x + 1.96 * sigma
             unit = self.structure.network.unit_of(free.path)
-            quantities[free.path] = Quantity(free.back(x), low, high, unit)
+            quantities[free.path] = Quantity(free.back(x), *free.interval(x, sigma), unit)
         covariance = self.covariance / scale**2
         apart = differing_part(self.bench.network, self.structure, self.structure.start, element, covariance)
         return relative_uncertainty(element, quantities, apart)

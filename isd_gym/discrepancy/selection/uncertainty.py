@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ... import elements as el
+from ...arrays import Z95
 from ..estimation.gauss_newton import Fitter
 from ..result import Quantity
 from ..simulation.problem import BROKEN
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from .candidate import Candidate
     from .held_out import HeldOutEvaluator
 
-#: quantile of a normal distribution for a 95 % interval
-Z95 = 1.96
 #: largest relative standard deviation that a model states
 MOST_UNCERTAIN = 100.0
 #: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
@@ -72,13 +71,8 @@ def intervals(
     variance = np.minimum(np.maximum(np.diag(matrix), 0.0), f.structure.sigma**2)
     prior = problem.network.parameters
     for k, q in enumerate(f.structure.free):
-        s, x = math.sqrt(variance[k]), f.x[k]
-        ends = (
-            q.back(max(x - Z95 * s, -700.0)),
-            q.back(min(x + Z95 * s, 700.0)) if q.log else x + Z95 * s,
-        )
-        low, high = sorted(ends)
-        out[q.path] = Quantity(q.back(x), low, high, f.network.unit_of(q.path), prior.get(q.path))
+        ends = q.interval(f.x[k], math.sqrt(variance[k]))
+        out[q.path] = Quantity(q.back(f.x[k]), *ends, f.network.unit_of(q.path), prior.get(q.path))
     return out
 
 
