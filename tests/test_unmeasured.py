@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from isd_gym import cli, simulate
 from isd_gym.data import Table, write_table
 from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.selection.settings import TimeLimit
+from isd_gym.discrepancy.simulation.time_limit import TimeLimit
 from isd_gym.discrepancy.unknown_input import estimation, identification, identify
 from isd_gym.discrepancy.unknown_input.decision import (
     check_fit,
