@@ -29,8 +29,8 @@ import stock as stock_study
 import study
 import tracks as tracks_of
 
-from isd_gym.baselines.ceiling import known
 from isd_gym.benchmark import cards
+from isd_gym.contrib.ceilings.ceiling import known
 from isd_gym.discrepancy.selection import criteria
 from isd_gym.registration import ENVIRONMENTS
 from isd_gym.task import Options

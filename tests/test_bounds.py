@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isd_gym.baselines import bounds
+from isd_gym.contrib.ceilings import bounds
 from isd_gym.errors import InputError
 from isd_gym.road import paper_road
 from isd_gym.simulate import Plant

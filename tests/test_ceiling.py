@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from isd_gym.baselines.ceiling import (
+from isd_gym.baselines.model import Weights, prediction_model, preview_regulator, regulator
+from isd_gym.contrib.ceilings.ceiling import (
     Ceiling,
     CeilingSettings,
     NewsValue,
@@ -17,8 +18,7 @@ from isd_gym.baselines.ceiling import (
     passive_cost,
     stitch,
 )
-from isd_gym.baselines.clairvoyant import Episode, Schedule
-from isd_gym.baselines.model import Weights, prediction_model, preview_regulator, regulator
+from isd_gym.contrib.ceilings.clairvoyant import Episode, Schedule
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
@@ -145,7 +145,7 @@ def test_bad_input_is_one_line():
 
 def test_the_shipped_ceiling_is_above_every_causal_controller():
     found = ceiling(compute=False)
-    assert found is not None, "regenerate: isd-gym ceiling --store baselines/ceiling.json"
+    assert found is not None, "regenerate: isd-gym ceiling --store isd_gym/bounds/ceiling.json"
     assert found.standard_error / found.passive < 0.003
     # proven is farther away than what is searched, and nearer than the clairvoyant's proven bound
     assert -0.6 < found.proven.mean() / found.passive - 1 < found.change < -0.24
@@ -181,7 +181,7 @@ def test_the_sentence_names_the_sight():
 def test_a_score_quotes_no_ceiling_of_few_roads(tmp_path, monkeypatch):
     """Two roads have no standard error to speak of."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    import isd_gym.baselines.ceiling as module
+    import isd_gym.contrib.ceilings.ceiling as module
 
     kept = {600_000 + i: {"reached": 0.6, "proven": 0.5} for i in range(3)}
     monkeypatch.setattr(module, "read", lambda key, file: dict(kept))

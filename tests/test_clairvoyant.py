@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from isd_gym.baselines import clairvoyant as oracle
+from isd_gym.contrib.ceilings import clairvoyant as oracle
 from isd_gym.cost import StageCost
 from isd_gym.errors import InputError
 from isd_gym.network import Network
@@ -25,7 +25,7 @@ def _convex() -> Network:
 
 def test_shipped_values_are_those_of_the_score():
     found = oracle.reference()
-    assert found is not None, "regenerate: python -m isd_gym.baselines.clairvoyant"
+    assert found is not None, "regenerate: python -m isd_gym.contrib.ceilings.clairvoyant"
     assert found["value"].shape == (32,)
     assert np.all(found["lower"] < found["value"])
     # the cost belongs to the triple

@@ -5,13 +5,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from isd_gym import elements as el
+from isd_gym.contrib.fmi.export import Running
 from isd_gym.data import Table
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure, free_of
 from isd_gym.discrepancy.planning import infer_rig
 from isd_gym.discrepancy.records import read_record
 from isd_gym.env import ISDSuspensionEnv
 from isd_gym.errors import InputError
-from isd_gym.fmu import Running
 from isd_gym.network import Network, linearise
 from isd_gym.simulate import effective_current, simulate
 from isd_gym.units import convert

@@ -7,9 +7,20 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym.cli import app
+from isd_gym.contrib.fleet.cases import (
+    Case,
+    _task,
+    case_itself,
+    cases_of,
+    check,
+    fleet,
+    lines,
+    merge,
+    page,
+    write_page,
+)
 from isd_gym.data import Table, write_table
 from isd_gym.errors import InputError, ReportError
-from isd_gym.fleet import Case, _task, case_itself, cases_of, check, fleet, lines, merge, page, write_page
 
 
 def case(folder, name, *files):
@@ -131,11 +142,11 @@ def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
     case(tmp_path, "fleet/van_2024-01-01", "a.csv", "model.json")
     cases, tasks, found = results({"2024-01-01": (300.0, 8.0)})
     merged = merge(cases, tasks, found)
-    monkeypatch.setattr("isd_gym.fleet.merge", lambda *args: merged)
+    monkeypatch.setattr("isd_gym.contrib.fleet.cases.merge", lambda *args: merged)
     words = ["diagnose", str(tmp_path / "fleet"), "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(app, words)
     assert (tmp_path / "out" / "fleet.html").exists()
-    monkeypatch.setattr("isd_gym.fleet.page", lambda merged: 1 / 0)
+    monkeypatch.setattr("isd_gym.contrib.fleet.cases.page", lambda merged: 1 / 0)
     with pytest.raises(ReportError, match="page of the fleet could not be drawn"):
         write_page(merged, tmp_path / "out")
     done = CliRunner().invoke(app, words)
@@ -147,7 +158,7 @@ def test_a_page_that_cannot_be_drawn_leaves_the_results(tmp_path, monkeypatch):
 
 
 def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
-    from isd_gym import fleet as module
+    from isd_gym.contrib.fleet import cases as module
 
     case(tmp_path / "cases", "van_2024-05-01", "a.csv")
     _, _, found = results({"2024-05-01": (500.0, 5.0)})

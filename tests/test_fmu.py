@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym import cli
+from isd_gym.contrib.fmi.export import Running, base_units, export_fmu, identifier
 from isd_gym.elements import ActuatorLag, SensorGain
 from isd_gym.errors import InputError
-from isd_gym.fmi.export import Running, base_units, export_fmu, identifier
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
 

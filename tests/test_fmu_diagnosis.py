@@ -8,11 +8,11 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym import cli
-from isd_gym.cosimulation import Unit
+from isd_gym.contrib.fmi.cosimulation import Unit
+from isd_gym.contrib.fmi.export import export_fmu
+from isd_gym.contrib.fmi.identification import diagnose_unit
 from isd_gym.data import Table, write_table
-from isd_gym.discrepancy import diagnose_unit
 from isd_gym.errors import InputError
-from isd_gym.fmu import export_fmu
 from isd_gym.network import Network
 from isd_gym.simulate import simulate
 
@@ -122,8 +122,8 @@ def test_what_agrees_is_left_alone_and_what_the_unit_hides_is_not_named(unit):
 
 def test_the_unit_is_stepped_so_that_its_inputs_are_not_late(unit):
     """A unit knows an input at the beginning of a step alone: run naively it would be a step late, 1 % noise or none."""
-    from isd_gym.discrepancy.fmu.comparison import FmuComparison
-    from isd_gym.discrepancy.fmu.diagnosis import _read
+    from isd_gym.contrib.fmi.identification.comparison import FmuComparison
+    from isd_gym.contrib.fmi.identification.diagnosis import _read
 
     r, ports = _read(record(RIG, 4, "a", 800), unit.model, [], [])
     c = FmuComparison(unit, unit.model, [r], ports)

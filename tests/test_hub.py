@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isd_gym.agents import hub
 from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import cards
+from isd_gym.contrib.hub import folder as hub
 from isd_gym.errors import InputError
 
 pytest.importorskip("pygame", reason="films need isd-gym[render]")

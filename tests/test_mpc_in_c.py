@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from isd_gym import baselines
-from isd_gym.baselines.plain_c import export_c
+from isd_gym.contrib.exports.mpc_in_c import export_c
 from isd_gym.errors import InputError
 
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from isd_gym.agents.memory import Memory
-from isd_gym.agents.plain_c import export_c
 from isd_gym.agents.policy import SHIPPED, Head, Policy
+from isd_gym.contrib.exports.policy_in_c import export_c
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.vehicle import vehicle
@@ -129,7 +129,7 @@ def test_a_history_of_a_whole_car_is_the_same_in_c(speed, tmp_path):
 
 def test_onnx_does_not_pretend_to_know_the_road(tmp_path):
     pytest.importorskip("onnx")
-    from isd_gym.agents.onnx import export_onnx
+    from isd_gym.contrib.exports.onnx import export_onnx
 
     with pytest.raises(InputError, match="--c DIR"):
         export_onnx(Policy.load("ppo-preview-0.1"), tmp_path / "p.onnx")

@@ -4,10 +4,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from isd_gym.contrib.minari.dataset import write_dataset
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 from isd_gym.policies import Idle, find, passive
-from isd_gym.record import write_dataset
 from isd_gym.scoring import Entry
 from isd_gym.vehicle import vehicle
 

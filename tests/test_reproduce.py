@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from isd_gym.baselines.reproduce import page, rig, show
-from isd_gym.baselines.reproduce.device import device
-from isd_gym.baselines.reproduce.study import SCHEMA
+from isd_gym.contrib.reproduce import page, rig, show
+from isd_gym.contrib.reproduce.device import device
+from isd_gym.contrib.reproduce.study import SCHEMA
 from isd_gym.errors import InputError
 from isd_gym.network import Network
 
@@ -87,8 +87,8 @@ def test_whole_page(tmp_path):
 
 def test_the_road_level_claims_no_travel_that_does_not_come_out(tmp_path):
     """Table 7's passive row: acceleration and tyre load within 1 %, travel 6 % short."""
-    from isd_gym.baselines.reproduce.road_level import road_level
-    from isd_gym.baselines.reproduce.study import Study
+    from isd_gym.contrib.reproduce.road_level import road_level
+    from isd_gym.contrib.reproduce.study import Study
 
     study = Study(tmp_path, True, lambda task, share: None)
     section = road_level(study)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from isd_gym.benchmark.grid import Grid
-from isd_gym.sweep import sweep
+from isd_gym.contrib.sweep.conditions import sweep
 
 ROOT = Path(__file__).parent.parent
 

@@ -17,7 +17,7 @@ import pytest
 from isd_gym.benchmark import engine
 from isd_gym.benchmark.engine import Task
 from isd_gym.benchmark.grid import Condition, Grid
-from isd_gym.benchmark.sweep import _watched, drive_item, overall, sweep
+from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
 from isd_gym.driving import Entry
 from isd_gym.errors import InputError
 from isd_gym.network import Network

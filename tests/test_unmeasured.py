@@ -8,17 +8,13 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym import cli, simulate
+from isd_gym.contrib.no_road import estimation, identification, identify
+from isd_gym.contrib.no_road.decision import check_fit, compute_coloured_shares, find_plausible_range
+from isd_gym.contrib.no_road.estimation import ModelFit, estimate_uncertainty
+from isd_gym.contrib.no_road.identification import prepare_model
 from isd_gym.data import Table, write_table
 from isd_gym.discrepancy import diagnose
 from isd_gym.discrepancy.simulation.time_limit import TimeLimit
-from isd_gym.discrepancy.unknown_input import estimation, identification, identify
-from isd_gym.discrepancy.unknown_input.decision import (
-    check_fit,
-    compute_coloured_shares,
-    find_plausible_range,
-)
-from isd_gym.discrepancy.unknown_input.estimation import ModelFit, estimate_uncertainty
-from isd_gym.discrepancy.unknown_input.identification import prepare_model
 from isd_gym.errors import InputError
 from isd_gym.loggers import Recording, Signal
 from isd_gym.network import Network

@@ -13,7 +13,6 @@ co-simulation FMU), `unknown_input` (identification without a measured road).
 
 from typing import TYPE_CHECKING, Any
 
-from .fmu import diagnose_unit
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
 from .selection.criteria import CRITERIA, Criteria
 from .selection.settings import SearchSettings
@@ -40,7 +39,6 @@ __all__ = [
     "SearchSettings",
     "Trace",
     "diagnose",
-    "diagnose_unit",
     "plan",
 ]
 
