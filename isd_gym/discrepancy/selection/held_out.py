@@ -14,6 +14,7 @@ from ...errors import InputError
 from ...simulate import effective_current
 from ..estimation.gauss_newton import Fit, Fitter, residuals
 from ..estimation.initial_states import next_states, transfer_states
+from ..estimation.multiple_shooting import is_lightly_damped
 from ..estimation.noise import (
     Floor,
     Noise,
@@ -25,7 +26,7 @@ from ..estimation.noise import (
     whitener,
 )
 from ..estimation.structure import Structure, base_structure
-from ..hypotheses.forces import element_forces, place_forces
+from ..hypotheses.forces import element_forces, place_forces, work_share
 from ..hypotheses.unmodelled_effects import simulate_unmodelled_effects
 from ..simulation.problem import BROKEN
 from .candidate import Candidate, white_noise
@@ -384,7 +385,11 @@ class HeldOutEvaluator:
 
 
 def effect_size(problem: Problem, fit: Fit, name: str) -> float:
-    """Return the RMS of what an element does over the RMS of what is there: force, current or signal."""
+    """Return the RMS of what an element does over the RMS of what is there: force, current or signal.
+
+    In a lightly damped structure, forces that dissipate are small beside forces that store energy, and damping decides the motion all the
+    same: there an element has its share of the dissipated work, if that share is larger.
+    """
     net = fit.network
     e = net.element(name)
     if e.place == "channel":
@@ -397,8 +402,10 @@ def effect_size(problem: Problem, fit: Fit, name: str) -> float:
         forces = element_forces(problem, fit, e.where)
     except InputError:
         return 1.0
-    own = forces[name] * e.own_share([net.element(x) for x in forces])
-    return rms(own) / max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
+    part = e.own_share([net.element(x) for x in forces])
+    total = max(rms(np.sum([*forces.values()], axis=0)), _force_around(problem, fit, e), 1e-300)
+    work = work_share(problem, fit, name) if is_lightly_damped(problem.network) else 0.0
+    return part * max(rms(forces[name]) / total, work)
 
 
 def _force_around(problem: Problem, fit: Fit, e: el.Element) -> float:

@@ -205,7 +205,7 @@ def _large_or_closing(x: EffectEvidence, c: Criteria, moves: str) -> Gate:
         x.share,
         ">=",
         c.share,
-        f"share of the force, current or signal at the place of {x.label}; {moves}",
+        f"share of the force, current or signal at the place of {x.label}, or of the work dissipated where damping is slight; {moves}",
     )
     instead = f"the force of {x.label} is only {100 * x.share:.1f} % of the force at its place (otherwise needed {100 * c.share:.0f} %); {moves}"
     closes = gate(
