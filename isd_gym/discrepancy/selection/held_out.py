@@ -87,6 +87,25 @@ class HeldOutScore:
         """
         return np.asarray(np.sqrt(np.maximum(self.nrmse**2 - noise**2, 0.0)), dtype=np.float64)
 
+    def explained_on_test(self, before: HeldOutScore, noise: Array, noise_score: float) -> float:
+        """Return the share of the excess error of another score that this score removes on the test records.
+
+        The whitened error counts, or the plain error where the plain error falls by more. Where the other score is no more than noise, the
+        share is relative to a hundredth of the noise.
+
+        Args:
+            before: The other score, whitened by the same filters.
+            noise: Noise of the test records (channels,), as a share of a channel's deviation.
+            noise_score: Mean whitened square of pure noise.
+        """
+        whitened = before.test_mean_square - self.test_mean_square
+        whitened /= max(before.test_mean_square - noise_score, 0.01 * noise_score)
+        power = noise**2
+        weights = 1.0 / np.maximum(power, 1e-24)
+        top = float(np.sum((before.test_nrmse**2 - self.test_nrmse**2) * weights))
+        excess = float(np.sum(np.maximum(before.test_nrmse**2 - power, 0.0) * weights))
+        return max(whitened, top / max(excess, 0.01))
+
 
 class HeldOutEvaluator:
     """Scores candidates on the held-out records of a problem.
@@ -340,6 +359,10 @@ class HeldOutEvaluator:
         """Return the noise as a share of each channel's deviation (channels,), at most the error itself."""
         deviation = np.array([n.deviation for n in self.channel_noise(score)]) / self.validation_deviation
         return np.asarray(np.minimum(deviation, score.nrmse), dtype=np.float64)
+
+    def test_noise(self, noise: Array) -> Array:
+        """Return the noise as a share of the deviation on the test records, from that on the validation records (channels,)."""
+        return np.asarray(noise * self.validation_deviation / self.test_deviation)
 
     def expected_noise_score(self, score: HeldOutScore, filters: Whitener) -> float:
         """Return the mean whitened square of pure noise."""
