@@ -33,6 +33,8 @@ class CandidateComparison:
     chosen: Candidate = field(init=False)
     #: best candidate with an effect, passed or not; the refitted nominal model if no effect was fitted
     foremost: Candidate = field(init=False)
+    #: special cases of the chosen laws with one more effect each
+    with_special_cases: list[Candidate] = field(default_factory=list, init=False)
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -112,20 +114,9 @@ class CandidateComparison:
         return _removed_where_widest(powers[0], powers[1], envelope)
 
     def explained_on_test(self, candidate: Candidate) -> float:
-        """Return the share of the refitted model's excess error that a candidate removes on the test records.
-
-        The whitened error counts, or the plain error where the plain error falls by more. Where the refitted model errs by no more
-        than noise on the test records, the share is relative to a hundredth of the noise.
-        """
+        """Return the share of the refitted model's excess error that a candidate removes on the test records."""
         refit, after = self.score(self.refitted), self.score(candidate)
-        least = 0.01 * self.noise_score
-        whitened = refit.test_mean_square - after.test_mean_square
-        whitened /= max(refit.test_mean_square - self.noise_score, least)
-        noise = self.test_noise**2
-        weights = 1.0 / np.maximum(noise, 1e-24)
-        top = float(np.sum((refit.test_nrmse**2 - after.test_nrmse**2) * weights))
-        excess = float(np.sum(np.maximum(refit.test_nrmse**2 - noise, 0.0) * weights))
-        return max(whitened, top / max(excess, 0.01))
+        return after.explained_on_test(refit, self.test_noise, self.noise_score)
 
     def test_excess_ratio(self, candidate: Candidate, envelope: Array) -> float:
         """Return the largest ratio, over channels, of the power left on the test records to the power of unmodelled effects."""
@@ -135,8 +126,7 @@ class CandidateComparison:
     @property
     def test_noise(self) -> Array:
         """Noise of the test records as a share of the deviation there (channels,)."""
-        e = self.evaluator
-        return np.asarray(self.noise * e.validation_deviation / e.test_deviation)
+        return self.evaluator.test_noise(self.noise)
 
     # -- candidates ---------------------------------------------------------------------------------------
     def rivals(self) -> list[Candidate]:
@@ -145,11 +135,18 @@ class CandidateComparison:
         stage = self.stages[count - 1][:RIVALS] if 0 < count <= len(self.stages) else []
         return [r for r in stage if r is not self.foremost and self.can_score(r)]
 
+    def opponents(self) -> list[Candidate]:
+        """Return the candidates with more effects than the foremost one and no more parameters."""
+        count, most = len(self.foremost.hypotheses), len(self.foremost.fit.x)
+        deeper = [r for stage in self.stages[count:] for r in stage[:RIVALS]] if count else []
+        found = [r for r in (*self.with_special_cases, *deeper) if len(r.fit.x) <= most]
+        return [r for r in found if len(r.hypotheses) > count and self.can_score(r)]
+
     def candidates(self) -> list[Candidate]:
-        """Return the chosen and the foremost candidate, the path, and at most `RIVALS` candidates of each stage."""
+        """Return the chosen and the foremost candidate, the path, at most `RIVALS` candidates of each stage, and the opponents."""
         stages = [r for stage in self.stages for r in stage[:RIVALS]]
         found: list[Candidate] = []
-        for r in [self.chosen, self.foremost, *self.path, *stages]:
+        for r in [self.chosen, self.foremost, *self.path, *stages, *self.with_special_cases]:
             if not any(r is q for q in found):
                 found.append(r)
         return found
