@@ -1,11 +1,11 @@
 """MissingPhysBench: rigs with a known model, an unknown missing effect and a sealed truth, for any identification tool.
 
-python benchmarks/missing_physics.py make FOLDER --seed N           FOLDER (cases) and FOLDER.truth (truth, for the scorer)
+python benchmarks/missing_physics.py make FOLDER --seed N [--full]  FOLDER (cases) and FOLDER.truth (truth, for the scorer)
 python benchmarks/missing_physics.py run FOLDER --tool NAME --out ANSWERS
 python benchmarks/missing_physics.py score FOLDER ANSWERS [--json FILE]
 
 `score` needs Python and numpy; this file alone is enough. `make` needs a source tree of isd_gym. `run` needs the
-packages of the tool (missing_physics_tools.py). The format of cases and answers: docs/validation/missing-physics.md.
+packages of the tool (missing_physics_tools.py). `make` draws every kind at one noise level, with --full at both. The format of cases and answers: docs/validation/missing-physics.md.
 """
 
 from __future__ import annotations
@@ -15,16 +15,23 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
 
 #: the six sets: name -> kinds, "rig.what"
 SETS: dict[str, tuple[str, ...]] = {
     "nothing": ("shaken.none", "pushed.none"),
-    "one effect": ("shaken.friction_ground", "shaken.asymmetric", "two_masses.cubic_upper", "pushed.quadratic"),
+    "one effect": (
+        "shaken.friction_ground",
+        "shaken.asymmetric",
+        "two_masses.cubic_upper",
+        "pushed.quadratic",
+    ),
     "two effects": ("shaken.friction_ground_and_cubic", "pushed.friction_and_cubic"),
     "outside the library": ("shaken.tanh", "pushed.switched"),
     "faulty sensor": ("two_masses.gain", "pushed.delay"),
@@ -121,7 +128,9 @@ def prediction_error(truth: Columns, prediction: Columns) -> float:
     return float(np.sqrt(np.mean(errors)))
 
 
-def score_case(truth: Mapping[str, Any], test: Columns, answer: Answer | None, prediction: Columns | None) -> dict[str, Any]:
+def score_case(
+    truth: Mapping[str, Any], test: Columns, answer: Answer | None, prediction: Columns | None
+) -> dict[str, Any]:
     """Score the answer for one case.
 
     Args:
@@ -237,36 +246,43 @@ def table(figures: Mapping[str, Any]) -> str:
 
 
 # -------------------------------------------------------------------------------------------------------------- make
-def make(folder: Path, seed: int) -> None:
+def plan(full: bool) -> list[tuple[str, str, int]]:
+    """Return set, kind and noise level of every case: every set has both levels."""
+    return [
+        (which, kind, level)
+        for which, kinds in SETS.items()
+        for k, kind in enumerate(kinds)
+        for level in (LEVELS if full else (LEVELS[k % len(LEVELS)],))
+    ]
+
+
+def make(folder: Path, seed: int, full: bool = False) -> None:
     """Write the cases of a seed, and their truth beside them.
 
     Args:
         folder: New folder of the cases; the truth is in `sealed(folder)`.
         seed: Seed of all random numbers.
+        full: Whether every kind is drawn at both noise levels.
     """
     import missing_physics_rigs as rigs
 
     truth_folder = sealed(folder)
     folder.mkdir(parents=True)
     truth_folder.mkdir()
-    truths, number = {}, 0
-    order = np.random.default_rng(seed).permutation(sum(map(len, SETS.values())) * len(LEVELS))
-    for which, kinds in SETS.items():
-        for kind in kinds:
-            for level in LEVELS:
-                name = f"case_{order[number] + 1:02d}"  # the number says nothing about the set
-                number += 1
-                files, test, truth = rigs.make_case(kind, seed, level, SAMPLES)
-                place = folder / name
-                place.mkdir()
-                for file, columns in files.items():
-                    if file == "model":
-                        (place / "model.json").write_text(json.dumps(columns, indent=1) + "\n", encoding="utf-8")
-                    else:
-                        write_csv(place / f"{file}.csv", columns)
-                write_csv(truth_folder / f"{name}.csv", test)
-                truths[name] = {"set": which, "kind": kind, "noise_db": level, **truth}
-                print(name, which, kind, level, f"{truth['nominal_error']:.3f}", flush=True)
+    wanted, truths = plan(full), {}
+    order = np.random.default_rng(seed).permutation(len(wanted))  # the number says nothing about the set
+    for number, (which, kind, level) in zip(order, wanted, strict=True):
+        name = f"case_{number + 1:02d}"
+        files, test, truth = rigs.make_case(kind, seed, level, SAMPLES)
+        model = files.pop("model")
+        place = folder / name
+        place.mkdir()
+        (place / "model.json").write_text(json.dumps(model, indent=1) + "\n", encoding="utf-8")
+        for file, columns in files.items():
+            write_csv(place / f"{file}.csv", columns)
+        write_csv(truth_folder / f"{name}.csv", test)
+        truths[name] = {"set": which, "kind": kind, "noise_db": level, **truth}
+        print(name, which, kind, f"{level} dB", f"nominal error {truth['nominal_error']:.3f}", flush=True)
     ordered = dict(sorted(truths.items()))
     (truth_folder / "truth.json").write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
     head = {
@@ -324,6 +340,7 @@ def main() -> None:
     for each in (of_make, of_run, of_score):
         each.add_argument("folder", type=Path)
     of_make.add_argument("--seed", type=int, required=True)
+    of_make.add_argument("--full", action="store_true")
     of_run.add_argument("--tool", required=True)
     of_run.add_argument("--out", type=Path, required=True)
     of_run.add_argument("--only", nargs="+")
@@ -331,7 +348,7 @@ def main() -> None:
     of_score.add_argument("--json", type=Path, help="add the figures to this file, under the name of ANSWERS")
     given = parser.parse_args()
     if given.command == "make":
-        make(given.folder, given.seed)
+        make(given.folder, given.seed, given.full)
     elif given.command == "run":
         run(given.folder, given.tool, given.out, given.only)
     else:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import copy
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +23,9 @@ from families.bench import Drive, Fit, Rig, outputs, run, set_relative
 from families.draw import Tempo, log, rough
 from families.effects import NOTHING, at, unknown
 from families.plant import Run, Signal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 SOIL, BASE, UPPER = drawn.SOIL, drawn.BASE, drawn.UPPER
 #: stiffness of the position controller over that of the spring, and its damping ratio
@@ -96,7 +98,8 @@ KINDS = {
     "cubic": at("cubic_stiffness", fx.hardening, SOIL),
     "friction_ground_and_cubic": at("coulomb_friction", fx.coulomb, SOIL)
     & at("cubic_stiffness", fx.hardening, BASE),
-    "friction_and_cubic": at("coulomb_friction", fx.coulomb, SOIL) & at("cubic_stiffness", fx.hardening, SOIL),
+    "friction_and_cubic": at("coulomb_friction", fx.coulomb, SOIL)
+    & at("cubic_stiffness", fx.hardening, SOIL),
     "tanh": unknown(fx.tanh_spring, BASE),
     "switched": unknown(fx.switched_spring, SOIL),
     "gain": at("sensor_gain", fx.sensor_gain, "upper_travel"),
@@ -138,7 +141,10 @@ def make_case(
     records = [case.estimation, case.validation]
     name = owner["inputs"][0]["name"]
     if which == "loop":
-        owner, driven = _opened(owner, rig), [_push(true, rig, r, d) for r, d in zip(ran, rig.drives, strict=True)]
+        owner, driven = (
+            _opened(owner, rig),
+            [_push(true, rig, r, d) for r, d in zip(ran, rig.drives, strict=True)],
+        )
         records = [{**t, name: d.value} for t, d in zip(records, driven[:2], strict=True)]
         drives = tuple(Drive({name: d}, {}) for d in driven)
         rig = replace(rig, model=_opened(rig.model, rig), drives=drives)
@@ -151,10 +157,12 @@ def make_case(
     }
     test = {"time": time, **seen[2]}
     truth = {
-        "effects": [{"law": law, "place": place} for law, place in case.answer] if case.answer != "unknown" else [],
+        "effects": [{"law": law, "place": place} for law, place in case.answer]
+        if case.answer != "unknown"
+        else [],
         "places": [p for p in map(_place, case.truth["hidden"]) if p],
         "hidden": case.truth["hidden"],
-        "nuisances": [{"law": e["type"], "place": e["between"]} for e in case.truth["nuisances"]],
+        "nuisances": [{**e, "law": e["type"], "place": e["between"]} for e in case.truth["nuisances"]],
         "parameters": _true_values(owner, true),
         "nominal_error": _nominal_error(rig, seen, owner["uncertainty"]),
     }
@@ -189,7 +197,9 @@ def _push(true: dict[str, Any], rig: Rig, ran: Run, drive: Drive) -> Signal:
     stiffness, damping = gains["loop_stiffness"]["stiffness"], gains["loop_damping"]["damping"]
     (target,) = drive.inputs.values()
     force = stiffness * (target.value - ran.position["mass"]) + damping * (target.rate - ran.velocity["mass"])
-    rate = stiffness * (target.rate - ran.velocity["mass"]) + damping * (target.second - ran.acceleration["mass"])
+    rate = stiffness * (target.rate - ran.velocity["mass"]) + damping * (
+        target.second - ran.acceleration["mass"]
+    )
     return Signal(force, rate, np.gradient(rate, rig.interval))
 
 
