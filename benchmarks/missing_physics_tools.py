@@ -17,8 +17,8 @@ import numpy as np
 from missing_physics import STATED, read_csv
 
 if TYPE_CHECKING:
-    from pathlib import Path
     from collections.abc import Callable
+    from pathlib import Path
 
 Columns = dict[str, np.ndarray]
 Answer = dict[str, Any]
