@@ -226,8 +226,10 @@ def score(folder: Path, answers: Path) -> dict[str, Any]:
         )
     kinds = list(dict.fromkeys(r["set"] for r in rows.values()))
     levels = sorted({r["noise_db"] for r in rows.values()}, reverse=True)
+    about = answers / "run.json"
     return {
         "seed": seal["seed"],
+        **(json.loads(about.read_text(encoding="utf-8")) if about.exists() else {}),
         "all": summarise(rows.values()),
         "sets": {k: summarise(r for r in rows.values() if r["set"] == k) for k in kinds},
         "noise": {str(n): summarise(r for r in rows.values() if r["noise_db"] == n) for n in levels},
@@ -309,6 +311,10 @@ def run(folder: Path, tool: str, answers: Path, only: list[str] | None = None) -
     import missing_physics_tools as tools
 
     names = json.loads((folder / "benchmark.json").read_text(encoding="utf-8"))["cases"]
+    answers.mkdir(parents=True, exist_ok=True)
+    (answers / "run.json").write_text(
+        json.dumps({"tool": tool, "packages": tools.versions(tool)}), encoding="utf-8"
+    )
     for name in only or names:
         out = answers / name
         if (out / "answer.json").exists():

@@ -35,8 +35,8 @@ LAWS = {
 TABLE = 8
 #: rate below which dry friction is linear, as a share of the RMS rate
 CREEP = 0.05
-#: window [samples] and order of the filter that differentiates records
-WINDOW, ORDER = 21, 3
+#: windows [samples] and order of the filter that differentiates records; a tool chooses among the windows
+WINDOWS, ORDER = (7, 11, 21, 41), 3
 
 
 @numba.njit(cache=True)
@@ -136,6 +136,7 @@ class Plant:
 
     def __init__(self, case: Path) -> None:
         self.model: dict[str, Any] = json.loads((case / "model.json").read_text(encoding="utf-8"))
+        self.window = WINDOWS[2]
         self.masses = list(self.model["masses"])
         self.moved = {i["at"]: i["name"] for i in self.model["inputs"] if i["quantity"] == "displacement"}
         self.pushed = {i["at"]: i["name"] for i in self.model["inputs"] if i["quantity"] == "force"}
@@ -226,7 +227,9 @@ class Plant:
         if not hasattr(self, "_typical"):
             names = [o["name"] for o in self.outputs if o["quantity"] == "displacement"]
             step = float(table["time"][1] - table["time"][0])
-            self._typical = max(float(np.std(savgol_filter(table[n], WINDOW, ORDER, 1, step))) for n in names)
+            self._typical = max(
+                float(np.std(savgol_filter(table[n], WINDOWS[2], ORDER, 1, step))) for n in names
+            )
         return self._typical
 
     def fit(
@@ -311,7 +314,8 @@ class Plant:
                     if second in node and first not in node:
                         node[first] = node[second] + table[o["name"]]
         return tuple(  # type: ignore[return-value]
-            {k: savgol_filter(x, WINDOW, ORDER, order, step) for k, x in node.items()} for order in range(3)
+            {k: savgol_filter(x, self.window, ORDER, order, step) for k, x in node.items()}
+            for order in range(3)
         )
 
     def residual_forces(
@@ -328,6 +332,6 @@ class Plant:
             for node, sign in ((i, 1.0), (j, -1.0)):
                 if node in force:
                     force[node] = force[node] + sign * f
-        inner = slice(WINDOW, -WINDOW)  # the filter extrapolates at the ends
+        inner = slice(self.window, -self.window)  # the filter extrapolates at the ends
         at = {p: (x[p[0]] - x[p[1]], v[p[0]] - v[p[1]]) for p in self.places}
         return {n: f[inner] for n, f in force.items()}, {p: (d[inner], w[inner]) for p, (d, w) in at.items()}

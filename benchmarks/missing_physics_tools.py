@@ -6,6 +6,7 @@ gplearn or scikit-learn.
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import resource
@@ -22,6 +23,21 @@ if TYPE_CHECKING:
 
 Columns = dict[str, np.ndarray]
 Answer = dict[str, Any]
+
+
+#: packages that a tool is made of
+PACKAGES = {
+    "isd_gym": ("isd-gym",),
+    "sindy": ("pysindy",),
+    "symbolic": ("gplearn",),
+    "gp": ("scikit-learn",),
+    "narx": ("sysidentpy",),
+}
+
+
+def versions(tool: str) -> dict[str, str]:
+    """Return the versions of the packages of a tool."""
+    return {name: importlib.metadata.version(name) for name in (*PACKAGES.get(tool, ()), "numpy", "scipy")}
 
 
 def processor_seconds() -> float:
@@ -117,9 +133,25 @@ class Rig:
         outputs = self.plant.simulate(theta, extras, self.test)
         return {"effects": effects, "parameters": parameters}, {"time": self.test["time"], **outputs}
 
-    def is_better(self, theta: np.ndarray, extras: list[Any]) -> bool:
-        """Return whether the free run over the validation record errs by `GAIN` less than that of the refitted model."""
-        return self.plant.error(theta, extras, self.validation) < (1.0 - GAIN) * self.refit_error
+    def best(
+        self, attempt: Callable[[], tuple[list[dict[str, Any]], np.ndarray, list[Any]]]
+    ) -> tuple[Answer, Columns]:
+        """Return the answer of the window of the differentiating filter with the smallest error over the validation record.
+
+        The refitted model stands unless the free run over the validation record errs by `GAIN` less.
+
+        Args:
+            attempt: Function without arguments that returns effects, parameters and extras for the present window.
+        """
+        from missing_physics_plant import WINDOWS
+
+        least, found = (1.0 - GAIN) * self.refit_error, ([], self.theta, [])
+        for self.plant.window in WINDOWS:
+            effects, theta, extras = attempt()
+            error = self.plant.error(theta, extras, self.validation)
+            if error < least:
+                least, found = error, (effects, theta, extras)
+        return self.answer(*found)
 
     def forces(self, table: Columns) -> tuple[Columns, dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]]:
         return self.plant.residual_forces(self.theta, table)
@@ -221,9 +253,6 @@ def sindy(case: Path, out: Path) -> tuple[Answer, Columns]:
     Thresholds are shares of the residual force; the sparsest equation within 1.5 times the best error on the validation record is
     kept. Coefficients are then fitted by output error.
     """
-    import pysindy as ps
-    from missing_physics_plant import Extra
-
     rig = Rig(case)
     terms = {
         "d": ("linear_stiffness", lambda d, v: d),
@@ -234,6 +263,14 @@ def sindy(case: Path, out: Path) -> tuple[Answer, Columns]:
         "v|v|": ("quadratic_damping", lambda d, v: v * np.abs(v)),
         "max(v,0)": ("asymmetric_damping", lambda d, v: np.maximum(v, 0.0)),
     }
+    return rig.best(lambda: equation(rig, terms))
+
+
+def equation(rig: Rig, terms: dict[str, Any]) -> tuple[list[dict[str, Any]], np.ndarray, list[Any]]:
+    """Return the effects of the sparse equation, and parameters and extras fitted by output error."""
+    import pysindy as ps
+    from missing_physics_plant import Extra
+
     like, motion = rig.forces(rig.train)
     scale = {p: (float(np.std(d)), float(np.std(v))) for p, (d, v) in motion.items()}
     size = {n: float(np.std(f)) for n, f in like.items()}
@@ -289,9 +326,7 @@ def sindy(case: Path, out: Path) -> tuple[Answer, Columns]:
             Extra(law, place, (2.0 * travel, c / travel) if law == "bump_stop" else (c / by[term],))
         )
     theta, fitted, _, _ = rig.plant.fit([rig.train], extras)
-    if not extras or not rig.is_better(theta, fitted):
-        return rig.answer([], rig.theta, [])
-    return rig.answer([{"law": e.law, "place": list(e.place)} for e in fitted], theta, fitted)
+    return [{"law": e.law, "place": list(e.place)} for e in fitted], theta, fitted
 
 
 # ------------------------------------------------------------------------- one force over distance and rate at one place
@@ -344,10 +379,12 @@ def gp(case: Path, out: Path) -> tuple[Answer, Columns]:
         return GaussianProcessRegressor(kernel, random_state=0).fit(X, y).predict
 
     rig = Rig(case)
-    place, extra, _, _ = surface(rig, fit)
-    if not rig.is_better(rig.theta, [extra]):
-        return rig.answer([], rig.theta, [])
-    return rig.answer([{"law": None, "place": list(place)}], rig.theta, [extra])
+
+    def attempt() -> tuple[list[dict[str, Any]], np.ndarray, list[Any]]:
+        place, extra, _, _ = surface(rig, fit)
+        return [{"law": None, "place": list(place)}], rig.theta, [extra]
+
+    return rig.best(attempt)
 
 
 def symbolic(case: Path, out: Path) -> tuple[Answer, Columns]:
@@ -372,16 +409,32 @@ def symbolic(case: Path, out: Path) -> tuple[Answer, Columns]:
         return model.predict
 
     rig = Rig(case)
-    place, extra, predict, (travel, rate) = surface(rig, fit)
-    if not rig.is_better(rig.theta, [extra]):
-        return rig.answer([], rig.theta, [])
-    _, at = rig.forces(rig.train)
-    d, v = at[place][0] / travel, at[place][1] / rate
-    force = predict(np.column_stack([d, v]))
+
+    def attempt() -> tuple[list[dict[str, Any]], np.ndarray, list[Any]]:
+        place, extra, predict, (travel, rate) = surface(rig, fit)
+        _, at = rig.forces(rig.train)
+        d, v = at[place][0] / travel, at[place][1] / rate
+        law = closest_law(d, v, predict(np.column_stack([d, v])))
+        return [{"law": law, "place": list(place)}], rig.theta, [extra]
+
+    return rig.best(attempt)
+
+
+def closest_law(d: np.ndarray, v: np.ndarray, force: np.ndarray) -> str | None:
+    """Return the law that is closest to a force, beside a line in distance and rate; None where a quarter of the rest is left.
+
+    Args:
+        d: Distance at unit deviation.
+        v: Rate at unit deviation.
+        force: Force.
+    """
     shapes = {
-        "coulomb_friction": np.sign(v), "quadratic_damping": v * np.abs(v), "asymmetric_damping": np.maximum(v, 0.0),
-        "cubic_stiffness": d**3, "bump_stop": np.sign(d) * np.maximum(np.abs(d) - 1.5, 0.0),
-    }  # fmt: skip
+        "coulomb_friction": np.sign(v),
+        "quadratic_damping": v * np.abs(v),
+        "asymmetric_damping": np.maximum(v, 0.0),
+        "cubic_stiffness": d**3,
+        "bump_stop": np.sign(d) * np.maximum(np.abs(d) - 1.5, 0.0),
+    }
     line = np.column_stack([np.ones(len(d)), d, v])
 
     def left(*more: np.ndarray) -> float:
@@ -389,12 +442,8 @@ def symbolic(case: Path, out: Path) -> tuple[Answer, Columns]:
         return float(np.mean((force - X @ np.linalg.lstsq(X, force, rcond=None)[0]) ** 2))
 
     beyond, (least, law) = left(), min((left(x), n) for n, x in shapes.items())
-    linear = beyond < 0.01 * float(np.var(force))
-    return rig.answer(
-        [{"law": law if not linear and least < 0.25 * beyond else None, "place": list(place)}],
-        rig.theta,
-        [extra],
-    )
+    is_line = beyond < 0.01 * float(np.var(force))
+    return None if is_line or least > 0.25 * beyond else law
 
 
 # -------------------------------------------------------------------------------------------------------------- NARX
