@@ -749,6 +749,66 @@ def yardstick_models() -> str:
     return markdown(heads, body, "llrllr")
 
 
+#: tools of MissingPhysBench, in the order of the table
+TOOLS = {
+    "isd_gym": "**`isd-gym diagnose`**",
+    "aic": "AIC over a fixed list",
+    "sindy": "residual SINDy (pysindy)",
+    "symbolic": "symbolic regression (gplearn)",
+    "gp": "Gaussian-process residual",
+    "narx": "polynomial NARX (SysIdentPy)",
+    "refit": "refit of the parameters",
+}
+
+
+def _missing_physics() -> dict[str, Any]:
+    return json.loads((BENCHMARKS / "missing_physics.json").read_text(encoding="utf-8"))
+
+
+def missing_physics() -> str:
+    """Figures of every tool on MissingPhysBench, over all cases."""
+    found, body = _missing_physics(), []
+    for tool, label in TOOLS.items():
+        f = found[tool]["all"]
+        cells = [f["place_f1"], f["law_accuracy"], f["wrong_names"], f["abstention"], f["brier"]]
+        shown = ["–" if v is None else f"{v:.2f}" for v in cells]
+        parameters = "–" if f["parameter_error"] is None else f"{100 * f['parameter_error']:.1f} %"
+        reduction = "–" if f["error_reduction"] is None else f"{f['error_reduction']:.2f}".replace("-", "−")
+        body.append([label, *shown, parameters, reduction, f"{f['seconds']:.0f} s"])
+    heads = ["tool", "place F1", "law", "wrong", "abstention", "Brier", "parameters", "reduction", "time"]
+    return markdown(heads, body, "lrrrrrrrr")
+
+
+def missing_physics_sets() -> str:
+    """Law accuracy of every tool on the sets of MissingPhysBench, with the number of cases with a wrong name."""
+    found, body = _missing_physics(), []
+    sets = list(found["isd_gym"]["sets"])
+    for tool, label in TOOLS.items():
+        cells = []
+        for name in sets:
+            f = found[tool]["sets"][name]
+            law = "–" if f["law_accuracy"] is None else f"{f['law_accuracy']:.2f}"
+            cells.append(f"{law} ({round(f['wrong_names'] * f['cases'])})")
+        body.append([label, *cells])
+    return markdown(["tool", *sets], body, "l" + "r" * len(sets))
+
+
+def missing_physics_cases() -> str:
+    """Truth and answer of the diagnosis on every case of MissingPhysBench."""
+
+    def told(names: list[list[str]]) -> str:
+        return "; ".join(f"{law.replace('_', ' ')} at {'–'.join(place)}" for law, *place in names)
+
+    body = []
+    for name, r in _missing_physics()["isd_gym"]["rows"].items():
+        truth = told(r["truth"]) or ("nothing" if r["set"] == "nothing" else "a law outside the list")
+        hit, false, _ = r["place"]
+        place = "the place, no law" if hit else "a wrong place, no law" if false else "nothing"
+        reduction = f"{r['reduction']:.2f}".replace("-", "−") if "reduction" in r else "–"
+        body.append([name, r["set"], f"{r['noise_db']} dB", truth, told(r["named"]) or place, reduction])
+    return markdown(["case", "set", "noise", "truth", "answer", "reduction"], body, "lllllr")
+
+
 # ------------------------------------------------------------------------------------------------------ pages
 
 #: page -> its tables
@@ -766,6 +826,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),
     "docs/validation/yardsticks.md": (yardsticks, yardstick_models),
+    "docs/validation/missing-physics.md": (missing_physics, missing_physics_sets, missing_physics_cases),
     "docs/reference/environment.md": (environment,),
     "docs/reference/tracks.md": (tracks, half_car_card, full_car_card, regeneration),
     "docs/reference/limits.md": (gates, limits, shares, search),

@@ -201,6 +201,11 @@ class Fit:
 
     def left(self, rounds: int = 5) -> dict[str, float]:
         """NRMSE per channel that is left, by Levenberg's steps."""
+        _, r = self.fitted(rounds)
+        return dict(zip(self.truth, (_rms(c) for c in np.split(r, len(self.truth))), strict=True))
+
+    def fitted(self, rounds: int = 5) -> tuple[Array, Array]:
+        """Logarithms of the factors of the parameters after Levenberg's steps, and the residual there."""
         theta, damp = np.zeros(len(self.sigma)), 1e-3
         r = self.residual(theta)
         for _ in range(rounds if len(theta) else 0):
@@ -211,7 +216,7 @@ class Fit:
             r, theta = rn, new
             if gain < 0.01 * self.cost(r, theta):
                 break
-        return dict(zip(self.truth, (_rms(c) for c in np.split(r, len(self.truth))), strict=True))
+        return theta, r
 
     def step(self, r: Array, theta: Array, damp: float) -> tuple[Array, Array, float]:
         """A step that does better, or the last that was tried."""
