@@ -161,7 +161,7 @@ def test_the_shipped_ceiling_is_above_every_causal_controller():
 def test_the_ceiling_is_told_in_one_sentence(page):
     """Searched, with the proven bound beside it; the shipped figures."""
     found = known("quarter-car-isd")
-    text = " ".join((Path(__file__).parents[1] / page).read_text(encoding="utf-8").split())
+    text = " ".join((Path(__file__).parents[2] / page).read_text(encoding="utf-8").split())
     assert found["sentence"] in text.replace("−", "-").replace("±", "+-")
     assert found["proven_without_stops"] < found["change"]
     for other in ("no controller can pass", "What no controller", "can pass that sees"):

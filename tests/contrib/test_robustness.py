@@ -13,7 +13,7 @@ import pytest
 from isd_gym.benchmark.grid import Grid
 from isd_gym.contrib.sweep.conditions import sweep
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
