@@ -2,7 +2,6 @@
 
 python benchmarks/stock.py train --out runs/stock [--only ppo-2min ...] [--seeds 5]     # one core; goes on where it stopped
 python benchmarks/stock.py collect runs/stock                                           # scores all, writes benchmarks/stock.json
-python benchmarks/stock.py draw docs/figures/stock_curves.svg                           # the learning curves
 
 `ppo-2min` is the recipe of docs/tutorials/train.md. The models with default settings have all default hyperparameters of the
 library. The interval of a mean over training seeds is a stratified bootstrap over seeds and roads, as in study.py.
@@ -19,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import study
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "benchmarks" / "stock.json"
@@ -42,7 +40,6 @@ class Recipe:
     rate: float | None = None  # first learning rate, falling to 0; None: the default
     arguments: dict[str, Any] = dataclasses.field(default_factory=dict)
     options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of the environment
-    pink: bool = False  # exploration by pink noise of deviation 0.5 (package pink-noise-rl)
     normalized: bool = False  # VecNormalize with its defaults
     environment: str = "ISDSuspensionLearning-v0"
 
@@ -50,9 +47,7 @@ class Recipe:
 RECIPES = {
     "ppo-2min": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED),
     "ppo-defaults": Recipe("PPO", 32, 1_900_000),
-    "sac-defaults": Recipe("SAC", 8, 320_000),
-    "td3-defaults": Recipe("TD3", 8, 320_000),
-    "tqc-defaults": Recipe("TQC", 8, 160_000),
+    "sac-defaults": Recipe("SAC", 32, 1_000_000),
     "ppo-half-car": Recipe("PPO", 512, 25_000_000, 1e-3, TUNED, environment="ISDHalfCarLearning-v0"),
     # half of the recipe, with one thing changed
     "half": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED),
@@ -67,15 +62,13 @@ RECIPES = {
     "half, own cost": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"reward": "cost"}),
     "half, one observation": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"observation": "measured"}),
     "half, current": Recipe("PPO", 512, 12_500_000, 1e-3, TUNED, {"action": "current"}),
-    "td3, pink noise": Recipe("TD3", 8, 320_000, pink=True),
 }  # fmt: skip
 
 
 def train(name: str, seed: int, folder: Path) -> None:
     """Train a recipe with a seed; do nothing where the model exists."""
     import torch
-    from stable_baselines3 import PPO, SAC, TD3
-    from stable_baselines3.common.noise import VectorizedActionNoise
+    from stable_baselines3 import PPO, SAC
     from stable_baselines3.common.vec_env import VecNormalize
 
     from isd_gym.sb3 import ScoreCallback, make_vec_env
@@ -85,27 +78,13 @@ def train(name: str, seed: int, folder: Path) -> None:
         return
     torch.set_num_threads(1)
     recipe = RECIPES[name]
-    kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC, "TD3": TD3}
-    if recipe.algorithm == "TQC":
-        from sb3_contrib import TQC
-
-        kinds["TQC"] = TQC
+    kinds: dict[str, Any] = {"PPO": PPO, "SAC": SAC}
     cars: Any = make_vec_env(recipe.cars, cars_per_road=8, env_id=recipe.environment, **recipe.options)
     env = VecNormalize(cars) if recipe.normalized else cars
     more: dict[str, Any] = {}
     if recipe.rate is not None:
         first = recipe.rate
         more["learning_rate"] = lambda left: first * left
-    if recipe.pink:
-        from pink import PinkActionNoise
-
-        each = [
-            PinkActionNoise([0.5], 500, 1, rng=np.random.default_rng([seed, car]))
-            for car in range(recipe.cars)
-        ]
-        noise = VectorizedActionNoise(each[0], recipe.cars)
-        noise.noises = each  # not copies of one stream
-        more["action_noise"] = noise
     model = kinds[recipe.algorithm]("MlpPolicy", env, seed=seed, device="cpu", **recipe.arguments, **more)
     env.seed(seed * 1_000_003 + 12_345)
 
@@ -185,40 +164,6 @@ def change(own: np.ndarray, ground: np.ndarray, draws: int = 2000) -> tuple[floa
     return float(own.mean() / ground.mean() - 1.0), float(low), float(high)
 
 
-def draw(path: Path) -> None:
-    """Draw the learning curves: interquartile mean and 95 % interval over training seeds (stratified bootstrap)."""
-    import matplotlib
-
-    matplotlib.use("svg")
-    import matplotlib.pyplot as plt
-
-    rows = json.loads(RESULT.read_text(encoding="utf-8"))["recipes"]
-    shown = [name for name, row in rows.items() if row["network"] == "quarter-car-isd" and "half" not in name]
-    plt.rcParams["svg.hashsalt"] = "stock"
-    figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")
-    rng = np.random.default_rng(0)
-    for name in shown:
-        curves = [np.array(curve) for curve in rows[name].get("curves", []) if curve]
-        if not curves:
-            continue
-        length = min(map(len, curves))
-        time_, change_ = (
-            np.mean([c[:length, 0] for c in curves], axis=0),
-            np.array([c[:length, 3] for c in curves]),
-        )
-        drawn = study.iqm(change_[rng.integers(len(curves), size=(500, len(curves)))].swapaxes(0, 1))
-        (line,) = axes.plot(time_, study.iqm(change_), label=f"{name} ({len(curves)} seeds)")
-        axes.fill_between(
-            time_, *np.quantile(drawn, [0.025, 0.975], axis=0), color=line.get_color(), alpha=0.2
-        )
-    for reference, change_ in next((rows[n]["beside"] for n in shown if rows[n].get("beside")), {}).items():
-        axes.axhline(change_, color="0.5", linestyle=":", linewidth=1)
-        axes.text(0, change_, reference, va="bottom", fontsize=8, color="0.3")
-    axes.set(xlabel="processor time [s]", ylabel="J against passive on validation roads [%]", xscale="log")
-    axes.legend()
-    figure.savefig(path, metadata={"Date": None})
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -229,14 +174,10 @@ def main() -> None:
     one.add_argument("--only", nargs="+", choices=list(RECIPES), default=list(RECIPES))
     one.add_argument("--seeds", type=int, default=5)
     commands.add_parser("collect").add_argument("folder", type=Path)
-    commands.add_parser("draw").add_argument("picture", type=Path)
     given = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     if given.command == "collect":
         collect(given.folder)
-        return
-    if given.command == "draw":
-        draw(given.picture)
         return
     for name in given.only:
         for seed in range(given.seeds):

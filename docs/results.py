@@ -437,6 +437,8 @@ def stock() -> str:
     found = json.loads((BENCHMARKS / "stock.json").read_text(encoding="utf-8"))
     body = []
     for name, row in found["recipes"].items():
+        if name.partition(",")[0] == "half":
+            continue
         own = np.array(row["costs"])
         ground = {k: np.array(v) for k, v in found["references"][row["network"]].items()}
         rival = "mpc" if "mpc" in ground else "lqg-wheelbase"
@@ -467,6 +469,23 @@ def stock() -> str:
         "against the reference",
     ]
     return markdown(heads, body, "lrrrrrr")
+
+
+def stock_options() -> str:
+    """Half of the recipe with one option changed, over two training seeds."""
+    found = json.loads((BENCHMARKS / "stock.json").read_text(encoding="utf-8"))
+    body = []
+    for name, row in found["recipes"].items():
+        first, _, changed = name.partition(", ")
+        if first != "half":
+            continue
+        passive = np.mean(found["references"][row["network"]]["passive"])
+        each = [percent(np.mean(costs) / passive - 1.0) for costs in row["costs"]]
+        seconds = f"{np.mean(row['processor_seconds']):.0f} s"
+        body.append(
+            [changed or "nothing", seconds, percent(np.mean(row["costs"]) / passive - 1.0), ", ".join(each)]
+        )
+    return markdown(["changed", "processor time", "J against `passive`", "each seed"], body, "lrrr")
 
 
 def study_table() -> str:
@@ -821,7 +840,7 @@ PAGES: dict[str, tuple[Callable[[], str], ...]] = {
     "docs/explanation/road.md": (pulling, lift_off),
     "docs/explanation/study.md": (study_table, learned_preview, learned_half_car),
     "docs/validation/controllers.md": (scores, ceilings, steps),
-    "docs/validation/learning.md": (learned, learned_preview, learned_half_car),
+    "docs/validation/learning.md": (learned, learned_preview, learned_half_car, stock_options),
     "docs/validation/diagnosis.md": (suites, calibration),
     "docs/validation/public-measurements.md": (measurements, first_looks, first_looks_by_rig),
     "docs/validation/public-data.md": (sources,),
