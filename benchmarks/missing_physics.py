@@ -5,7 +5,7 @@ python benchmarks/missing_physics.py run FOLDER --tool NAME --out ANSWERS
 python benchmarks/missing_physics.py score FOLDER ANSWERS [--json FILE]
 
 `score` needs Python and numpy; this file alone is enough. `make` needs a source tree of isd_gym. `run` needs the
-packages of the tool (missing_physics_tools.py). `make` draws every kind at one noise level, with --full at both. The format of cases and answers: docs/validation/missing-physics.md.
+packages of the tool (missing_physics_tools.py). `make` draws every kind at one noise level, with --full at both. The format of cases and answers: docs/guides/missing-physics.md.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def score(folder: Path, answers: Path) -> dict[str, Any]:
 
 def table(figures: Mapping[str, Any]) -> str:
     """Return the figures over all cases and by set, as text."""
-    heads = ["set", "cases", "place F1", "law", "wrong", "abst.", "Brier", "par.", "reduct.", "s"]
+    heads = ["set", "cases", "place F1", "law", "wrong", "abst.", "Brier", "par.", "reduc.", "s"]
     lines = ["".join(f"{h:>9s}" if k else f"{h:22s}" for k, h in enumerate(heads))]
     for name, f in {**figures["sets"], "all": figures["all"]}.items():
         cells = [f"{v:9.2f}" if isinstance(v, float) else f"{'-' if v is None else v:>9}" for v in f.values()]

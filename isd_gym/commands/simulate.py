@@ -85,13 +85,14 @@ def command(
 ) -> None:
     """Simulate a model with the inputs of a table, and write its outputs at the same times.
 
-    With --compare, print how far the model is from measured outputs: the test of a found model on records of another day.
+    With --compare, print how far the model is from measured outputs: the test of a found model on records of another day. With
+    --against, print how far a model that was found on one rig transfers to another.
 
     Example: isd-gym simulate force-rig test.csv --out force.csv
 
     Example: isd-gym simulate found/model.json new1.csv new2.csv --compare
 
-    Transfer to another rig: isd-gym simulate found/model.json rig-b.csv --compare --against rig-b.json
+    Example: isd-gym simulate found/model.json rig-b.csv --compare --against rig-b.json
     """
     from ..network import Network
 
