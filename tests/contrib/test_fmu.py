@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
-from isd_gym import cli
+from isd_gym.contrib.fmi.command import command
 from isd_gym.contrib.fmi.export import Running, base_units, export_fmu, identifier
 from isd_gym.elements import ActuatorLag, SensorGain
 from isd_gym.errors import InputError
@@ -167,7 +168,9 @@ def test_the_unit_validates_and_simulates_to_the_kernels_result(tmp_path):
     out = tmp_path / "car.fmu"
     model = replace(Network.load("quarter-car-isd"), description='odd "names" & <marks>')
     (tmp_path / "model.json").write_text(json.dumps(model.to_dict()))
-    done = CliRunner().invoke(cli.app, ["export", str(tmp_path / "model.json"), "--fmu", str(out)])
+    program = typer.Typer()
+    program.command()(command)
+    done = CliRunner().invoke(program, [str(tmp_path / "model.json"), "--fmu", str(out)])
     assert done.exit_code == 0, done.output
     assert validate_fmu(str(out)) == []
     described = fmpy.read_model_description(str(out))

@@ -8,7 +8,7 @@ import pytest
 
 from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import cards
-from isd_gym.contrib.hub import folder as hub
+from isd_gym.contrib import hub
 from isd_gym.errors import InputError
 
 pytest.importorskip("pygame", reason="films need isd-gym[render]")

@@ -395,7 +395,7 @@ def export_fmu(model: Network | str | Path, path: str | Path, *, step: float = P
     name = identifier(network.name)
     Plant(network, step)  # raises an error for models that cannot be simulated
     text = (
-        f"from isd_gym import fmu\n\n\nclass {name}(fmu.NetworkSlave):\n"
+        f"from isd_gym.contrib.fmi import export\n\n\nclass {name}(export.NetworkSlave):\n"
         f"    MODEL = {json.dumps(network.to_dict())!r}\n    STEP = {float(step)!r}\n"
     )
     with tempfile.TemporaryDirectory() as folder:
