@@ -26,7 +26,17 @@ def diagnose_fleet(
     engine: str,
     json_file: Path | None,
 ) -> None:
-    """Diagnose every case of a folder; write and print the table. Exit with status 1 where a case has no result."""
+    """Diagnose every case of a folder; write and print the table. Exit with status 1 where a case has no result.
+
+    Args:
+        folder: Folder of the cases.
+        out: Folder of the results.
+        model: Model of cases without one of their own; None for none.
+        options: Options of every diagnosis: map, accept, seed, max_lag [s].
+        jobs: Number of processes.
+        engine: Engine that runs them.
+        json_file: File of the merged result; None for none.
+    """
 
     check(folder, out)
     with resumable(), counted("cases") as update:

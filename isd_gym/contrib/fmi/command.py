@@ -50,7 +50,20 @@ def diagnose_unit(
     named: dict[str, Any],
     shares: dict[str, float],
 ) -> Any:
-    """Return the diagnosis of an FMU. Warn that compiled code runs."""
+    """Return the diagnosis of an FMU. Warn that compiled code runs.
+
+    Args:
+        model: File of the FMU.
+        trust: Whether its compiled code may run.
+        data: Files of the records.
+        validate: Files of the held-out records.
+        accept: Checks that the user accepts.
+        named: How the files are read: columns, units, signs.
+        shares: Relative uncertainty of parameters by name.
+
+    Returns:
+        The diagnosis.
+    """
     from isd_gym.data import read_table
 
     from .cosimulation import WHY_TRUST, Unit

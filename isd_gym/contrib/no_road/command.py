@@ -26,7 +26,18 @@ def identify_without_road(
     out: Path,
     json_file: Path | None,
 ) -> None:
-    """Refit a model by its likelihood, without the measured road; write and print the result."""
+    """Refit a model by its likelihood, without the measured road; write and print the result.
+
+    Args:
+        data: Files of the records.
+        network: The model.
+        road: Name of the input that was not measured.
+        accept: Checks that the user accepts.
+        options: How the files are read.
+        max_seconds: Time limit [s]; None for the default.
+        out: Folder of the result.
+        json_file: File of the result as JSON; None for none.
+    """
     from isd_gym.files import check_folder
     from isd_gym.loggers.record_reading import outputs_of, records_of
 
