@@ -6,8 +6,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
-
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
 from isd_gym.discrepancy.hypotheses.library import hypotheses
 from isd_gym.discrepancy.hypotheses.score_test import ScoredStart
@@ -53,9 +51,7 @@ def test_a_second_stop_is_a_hypothesis_where_the_first_is_known_for_sure() -> No
     found = add(base_structure(car), stops(car)[0], {"clearance": 0.01, "stiffness": 2e5})
     stage = cast(
         "Screening",
-        SimpleNamespace(
-            current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car), most=np.inf
-        ),
+        SimpleNamespace(current=SimpleNamespace(structure=found), problem=SimpleNamespace(network=car)),
     )
     assert not any(Screening.is_sensible(stage, h) for h in stops(found.network))
     # two springs are one spring

@@ -81,13 +81,6 @@ class Hypothesis:
         return self.kind.place
 
     @property
-    def parameters(self) -> int:
-        """Number of parameters that a fit moves."""
-        held = self.kind.held(dict(self.options))
-        own = el.parameter_fields(self.kind)
-        return sum(1 for f in own if not f.metadata["fixed"] and f.name not in held)
-
-    @property
     def choices(self) -> dict[str, str]:
         """Choices that are not numbers: options, and the partner in series."""
         return dict(self.options) | ({"behind": self.behind} if self.behind else {})

@@ -33,8 +33,6 @@ class CandidateComparison:
     chosen: Candidate = field(init=False)
     #: best candidate with an effect, passed or not; the refitted nominal model if no effect was fitted
     foremost: Candidate = field(init=False)
-    #: special cases of the chosen laws with one more effect each
-    with_special_cases: list[Candidate] = field(default_factory=list, init=False)
     notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -135,18 +133,11 @@ class CandidateComparison:
         stage = self.stages[count - 1][:RIVALS] if 0 < count <= len(self.stages) else []
         return [r for r in stage if r is not self.foremost and self.can_score(r)]
 
-    def opponents(self) -> list[Candidate]:
-        """Return the candidates with more effects than the foremost one and no more parameters."""
-        count, most = len(self.foremost.hypotheses), len(self.foremost.fit.x)
-        deeper = [r for stage in self.stages[count:] for r in stage[:RIVALS]] if count else []
-        found = [r for r in (*self.with_special_cases, *deeper) if len(r.fit.x) <= most]
-        return [r for r in found if len(r.hypotheses) > count and self.can_score(r)]
-
     def candidates(self) -> list[Candidate]:
-        """Return the chosen and the foremost candidate, the path, at most `RIVALS` candidates of each stage, and the opponents."""
+        """Return the chosen and the foremost candidate, the path, and at most `RIVALS` candidates of each stage."""
         stages = [r for stage in self.stages for r in stage[:RIVALS]]
         found: list[Candidate] = []
-        for r in [self.chosen, self.foremost, *self.path, *stages, *self.with_special_cases]:
+        for r in [self.chosen, self.foremost, *self.path, *stages]:
             if not any(r is q for q in found):
                 found.append(r)
         return found

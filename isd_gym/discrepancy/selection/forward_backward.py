@@ -25,7 +25,7 @@ from .inclusion_tests import InclusionTests
 from .screening import screen_effects
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from ..estimation.structure import Structure
     from ..simulation.problem import Array, Problem
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from .held_out import HeldOutEvaluator
     from .settings import SearchSettings
 
-#: hypotheses of the first round where one stage of the search only serves a comparison
-HINTS = 3
 #: stages of forward addition, in words
 ORDINALS = ("a first", "a second", "a third", "a further")
 
@@ -159,10 +157,7 @@ class Search:
     def _hint(self, now: Candidate) -> Candidate | None:
         """Return the best addition to a model that errs by noise, from few hypotheses: a signal as broad as noise hides its own misfit."""
         result = screen_effects(
-            self.problem,
-            now.fit,
-            self.least_noise,
-            replace(self.settings, first_round=HINTS, finals=HINTS - 1),
+            self.problem, now.fit, self.least_noise, replace(self.settings, first_round=3, finals=2)
         )
         before = deviance_with_noise_of(
             self.problem, now, now, np.maximum(self.least_noise, 0.1 * result.noise)
@@ -226,37 +221,7 @@ class Search:
         if simplest is not chosen:  # a rival has not been simplified yet
             simplest = self._eliminate(scores, simplest)
         scores.chosen = scores.foremost = simplest
-        scores.with_special_cases = list(self._special_cases_with_one_more(scores, simplest))
         return scores
-
-    def _special_cases_with_one_more(
-        self, scores: CandidateComparison, chosen: Candidate
-    ) -> Iterator[Candidate]:
-        """Yield rivals with as many parameters as a law that is more general than another: this other law and one more effect.
-
-        The special case must predict better than the refitted model, and the further effect must be worth its parameters.
-        """
-        known = [r for stage in scores.stages for r in stage]
-        few = replace(self.settings, first_round=HINTS, finals=HINTS - 1)
-        for _, structure in simpler_structures(self.problem, chosen):
-            spare = len(chosen.fit.structure.free) - len(structure.free)
-            if len(structure.hypotheses) < len(chosen.hypotheses) or spare < 1:
-                continue
-            special = self._fit_simpler(structure, chosen, known)
-            if special is None or not scores.can_score(special):
-                continue
-            if not self.tests.predicts_better(scores, special, scores.refitted):
-                continue
-            for r in screen_effects(self.problem, special.fit, self.least_noise, few, spare).ranked:
-                is_other = len(r.hypotheses) > len(chosen.hypotheses) and not self.tests.states_the_same(
-                    r, chosen
-                )
-                if (
-                    is_other
-                    and scores.can_score(r)
-                    and self.tests.is_worth_more_parameters(scores, r, special)
-                ):
-                    yield r
 
     def _eliminate(self, scores: CandidateComparison, chosen: Candidate) -> Candidate:
         """Remove effects, and replace laws by their special cases, as long as the prediction is not worse."""

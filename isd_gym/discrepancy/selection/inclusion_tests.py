@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -150,7 +149,7 @@ class InclusionTests:
         scores.notes.append(
             f"{after.hypotheses[-1].label}: {f'removes {share:.0%} of' if share > 0 else 'adds to'} the held-out excess "
             f"error (needed {c.half:.0%}), moves a channel by {moved:.1%} of its deviation (needed {c.material:.0%}), "
-            f"gives {size:.1%} of the force, current or signal at its place, or of the work dissipated (needed {c.share:.0%})"
+            f"gives {size:.1%} of the force, current or signal at its place (needed {c.share:.0%})"
         )
         return (
             removes
@@ -193,10 +192,8 @@ class InclusionTests:
         """Return whether a rival states the same as the best candidate.
 
         The last effects are the same law at the same place, or in series along the same force, or the rival contains the best law as a
-        special case, or all effects consist of the same forces: asymmetric friction is friction beside a constant force.
+        special case.
         """
-        if _forces(rival) == _forces(best):
-            return True
         a, b = rival.hypotheses[-1], best.hypotheses[-1]
         if a.effect == b.effect:
             network = self.evaluator.problem.network
@@ -205,20 +202,12 @@ class InclusionTests:
         return is_special_case(a, b)
 
     def indistinguishable(self, scores: CandidateComparison) -> list[Candidate]:
-        """Return the sound rivals that the foremost candidate is not distinguished from.
-
-        Rivals are candidates with as many effects, and candidates with more effects and no more parameters.
-        """
+        """Return the sound rivals of another kind that the foremost candidate is not distinguished from."""
         best = scores.foremost
         return [
             r
-            for r in (*scores.rivals(), *scores.opponents())
+            for r in scores.rivals()
             if is_sound(self.evaluator.problem, r, self.criteria)
             and not self.is_dominated(scores, r, best)
             and not self.states_the_same(r, best)
         ]
-
-
-def _forces(candidate: Candidate) -> Counter[tuple[str, frozenset[str]]]:
-    """Return type and place of each force that the effects of a candidate consist of."""
-    return Counter((part.type, frozenset(e.where)) for e in candidate.elements for part in e.parts() or (e,))

@@ -107,8 +107,6 @@ class Screening:
     settings: SearchSettings
     #: whether the simulation has lost the phase of a free decay, so that small effects say nothing about large ones
     has_lost_phase: bool = False
-    #: largest number of parameters of an effect
-    most: float = math.inf
 
     @cached_property
     def first_noise(self) -> Array:
@@ -201,11 +199,8 @@ class Screening:
     def is_sensible(self, h: Hypothesis) -> bool:
         """Return False for hypotheses that repeat an effect already in the model, in series or in parallel.
 
-        A periodic law at a node without mass, which an element in series brought, is not sensible either, nor is an effect with too many
-        parameters.
+        A periodic law at a node without mass, which an element in series brought, is not sensible either.
         """
-        if h.parameters > self.most:
-            return False
         if h.place != "between":
             return True
         network, found = self.current.structure.network, self.current.structure.names
@@ -425,7 +420,7 @@ def _misfit(screening: Screening, tries: Sequence[Structure]) -> Array | None:
 
 
 def screen_effects(
-    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings, most: float = math.inf
+    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings
 ) -> ScreeningResult:
     """Run one stage of forward addition.
 
@@ -436,15 +431,14 @@ def screen_effects(
         current: The fit to which an effect is added.
         least_noise: Smallest noise of weights (channels,).
         settings: Settings of the search.
-        most: Largest number of parameters of an effect.
     """
     if problem.network.inputs or gap(problem, current) < settings.lost_phase:
-        return Screening(problem, current, least_noise, settings, most=most).run()
-    return _screen_growing(problem, current, least_noise, settings, most)
+        return Screening(problem, current, least_noise, settings).run()
+    return _screen_growing(problem, current, least_noise, settings)
 
 
 def _screen_growing(
-    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings, most: float
+    problem: Problem, current: Fit, least_noise: Array, settings: SearchSettings
 ) -> ScreeningResult:
     share, part, fit = 1.0, problem, current
     longest = max(map(len, problem.records))
@@ -454,7 +448,7 @@ def _screen_growing(
         # from the measured state: a state that is fitted at a wrong frequency is no estimate
         fit = Fitter(part, white_filters(least_noise)).fit(current.structure, current.x, iterations=0)
     many = replace(settings, first_round=100, finals=8)
-    ranked = list(Screening(part, fit, least_noise, many, True, most).run().ranked)
+    ranked = list(Screening(part, fit, least_noise, many, has_lost_phase=True).run().ranked)
 
     def change_each(change: Callable[[Candidate], Candidate]) -> None:
         for r in list(ranked):

@@ -115,7 +115,8 @@ def weigh_candidates(
     """Weigh the candidates of a search on the blocks of validation and training records.
 
     A candidate takes part if its values agree with its names. A candidate with more parameters than the foremost one takes part only
-    if it predicts better by more than the envelope of unmodelled effects.
+    if it predicts better by more than the envelope of unmodelled effects. A candidate whose further effects close a gap within this
+    envelope makes no statement.
 
     Args:
         search: The search.
@@ -137,12 +138,12 @@ def weigh_candidates(
             or not is_sound(search.problem, r, search.criteria)
         ):
             continue
-        if len(r.fit.x) > len(best.fit.x):
-            if not search.tests.is_worth_more_parameters(scores, r, best):
-                continue
-            is_more = len(r.hypotheses) > len(best.hypotheses) > 0
-            if is_more and not search.tests.exceeds_envelope(scores, r, best):
-                continue
+        if len(r.fit.x) > len(best.fit.x) and not search.tests.is_worth_more_parameters(scores, r, best):
+            continue
+        if len(r.hypotheses) > len(best.hypotheses) > 0 and not search.tests.exceeds_envelope(
+            scores, r, best
+        ):
+            continue
         taking_part.append(r)
     for r in extra:
         if scores.can_score(r):
