@@ -325,7 +325,7 @@ def run(folder: Path, tool: str, answers: Path, only: list[str] | None = None) -
             answer, prediction = tools.TOOLS[tool](folder / name, out)
         except Exception as error:  # a tool that fails has made no statement
             answer, prediction = {"effects": [], "error": f"{type(error).__name__}: {error}"}, None
-        # `seconds` is processor time; a tool in a process of its own states it itself
+        # `seconds` is processor time; a tool with a process of its own measures there
         answer = {"seconds": tools.processor_seconds(), **answer} if "seconds" not in answer else answer
         if prediction is not None:
             write_csv(out / "prediction.csv", prediction)

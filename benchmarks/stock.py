@@ -22,7 +22,6 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "benchmarks" / "stock.json"
 POINTS = 25  # of a learning curve
-SCALE = ("mpc", "skyhook")  # beside a learning curve
 PASSIVE = {"quarter-car-isd": ("passive", "skyhook", "mpc", "mpc-friction"), "half-car-isd": ("passive", "lqg-wheelbase", "mpc-wheelbase")}  # fmt: skip
 TUNED: dict[str, Any] = {
     "n_steps": 256, "batch_size": 2048, "n_epochs": 1, "gamma": 0.99, "gae_lambda": 1.0,
@@ -96,14 +95,14 @@ def train(name: str, seed: int, folder: Path) -> None:
             super()._evaluate()
             self.begun += time.process_time() - self.begun - self.spent[-1]
 
-    curve = Curve(recipe.decisions // POINTS, references=SCALE, verbose=0)
+    curve = Curve(recipe.decisions // POINTS, references=(), verbose=0)
     curve.spent, curve.begun = [], time.process_time()
     model.learn(recipe.decisions, callback=curve)
     out.parent.mkdir(parents=True, exist_ok=True)
     seconds = round(curve.spent[-1], 1)
     points = [[round(t, 1), *row] for t, row in zip(curve.spent, curve.history, strict=True)]
     (folder / name / f"{seed}.json").write_text(
-        json.dumps({"processor_seconds": seconds, "curve": points, "references": curve.references}) + "\n"
+        json.dumps({"processor_seconds": seconds, "curve": points}) + "\n"
     )
     if recipe.normalized:
         env.save(str(out.with_name(f"{seed}_vecnormalize.pkl")))
@@ -140,7 +139,7 @@ def collect(folder: Path) -> None:
             "decisions": recipe.decisions,
             "seeds": [int(m.stem) for m in models], "processor_seconds": spent, "costs": costs,
             # processor time [s], decisions, J, change against `passive` [%] on the validation roads
-            "curves": [each.get("curve", []) for each in told], "beside": told[0].get("references", {}),
+            "curves": [each.get("curve", []) for each in told],
         }  # fmt: skip
         print(
             f"{name}: {[round(100 * (np.mean(c) / np.mean(grounds[network]['passive']) - 1), 2) for c in costs]} %"

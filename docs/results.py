@@ -56,6 +56,11 @@ def percent(share: float, digits: int = 1) -> str:
     return f"{100 * share:+.{digits}f} %".replace("-", "−")
 
 
+def ratio(value: float | None) -> str:
+    """A number with two digits; a dash for None."""
+    return "–" if value is None else f"{value:.2f}".replace("-", "−")
+
+
 def interval(low: float, high: float, digits: int = 1) -> str:
     """A 95 % interval of a share, in per cent."""
     return f"[{100 * low:+.{digits}f}, {100 * high:+.{digits}f}]".replace("-", "−")
@@ -790,10 +795,10 @@ def missing_physics() -> str:
     for tool, label in TOOLS.items():
         f = found[tool]["all"]
         cells = [f["place_f1"], f["law_accuracy"], f["wrong_names"], f["abstention"], f["brier"]]
-        shown = ["–" if v is None else f"{v:.2f}" for v in cells]
         parameters = "–" if f["parameter_error"] is None else f"{100 * f['parameter_error']:.1f} %"
-        reduction = "–" if f["error_reduction"] is None else f"{f['error_reduction']:.2f}".replace("-", "−")
-        body.append([label, *shown, parameters, reduction, f"{f['seconds']:.0f} s"])
+        body.append(
+            [label, *map(ratio, cells), parameters, ratio(f["error_reduction"]), f"{f['seconds']:.0f} s"]
+        )
     heads = ["tool", "place F1", "law", "wrong", "abstention", "Brier", "parameters", "reduction", "time"]
     return markdown(heads, body, "lrrrrrrrr")
 
@@ -806,8 +811,7 @@ def missing_physics_sets() -> str:
         cells = []
         for name in sets:
             f = found[tool]["sets"][name]
-            law = "–" if f["law_accuracy"] is None else f"{f['law_accuracy']:.2f}"
-            cells.append(f"{law} ({round(f['wrong_names'] * f['cases'])})")
+            cells.append(f"{ratio(f['law_accuracy'])} ({round(f['wrong_names'] * f['cases'])})")
         body.append([label, *cells])
     return markdown(["tool", *sets], body, "l" + "r" * len(sets))
 
@@ -823,8 +827,8 @@ def missing_physics_cases() -> str:
         truth = told(r["truth"]) or ("nothing" if r["set"] == "nothing" else "a law outside the list")
         hit, false, _ = r["place"]
         place = "the place, no law" if hit else "a wrong place, no law" if false else "nothing"
-        reduction = f"{r['reduction']:.2f}".replace("-", "−") if "reduction" in r else "–"
-        body.append([name, r["set"], f"{r['noise_db']} dB", truth, told(r["named"]) or place, reduction])
+        answer = told(r["named"]) or place
+        body.append([name, r["set"], f"{r['noise_db']} dB", truth, answer, ratio(r.get("reduction"))])
     return markdown(["case", "set", "noise", "truth", "answer", "reduction"], body, "lllllr")
 
 

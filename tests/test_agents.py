@@ -1,4 +1,4 @@
-"""Policies: what they remember, how they are stored, and that numpy alone does what Stable-Baselines3 would."""
+"""Policies: memory, files, and the same actions in numpy as in Stable-Baselines3."""
 
 from __future__ import annotations
 

@@ -174,7 +174,7 @@ def test_what_noise_may_hide_is_no_finding() -> None:
     )
     assert decide(replace(clean, richest=())).verdict == "parameters_only"
     assert decide(replace(clean, richest=(), refit=(0.071,), after=(0.071,))).verdict == "unknown_effect"
-    # what gains something is looked at whatever the noise
+    # an effect with a gain is judged, however large the noise
     small = replace(
         clean, effects=(FRICTION,), after=(0.041,), elpd_diff=900.0, explained=0.6, lack_of_fit=0.7
     )

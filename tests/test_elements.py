@@ -208,7 +208,7 @@ def test_drive_laws_are_not_tried_where_every_command_has_one_size():
     for kind, options in ((el.DriveDeadZone, {}), (el.QuadraticThrust, {"form": "signed"})):
         assert not kind.starts(setting(("drive",), bang, **options))
         assert kind.starts(setting(("drive",), rich, **options))
-    # for a command of one sign both forms are one law
+    # a command of one sign cannot tell the square from the signed square
     assert not el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="square"))
     assert el.QuadraticThrust.starts(setting(("drive",), np.abs(rich), form="signed"))
     # the start is the square that comes nearest to proportion

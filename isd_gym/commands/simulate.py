@@ -103,9 +103,8 @@ def command(
         if out or initial:
             raise InputError("--compare writes no simulation: leave out --out and --initial")
         other = Network.load(against) if against else None
-        if (
-            other and against and other.name == network.name
-        ):  # a completed model has the name of its nominal model
+        # a completed model has the name of its nominal model
+        if other and against and other.name == network.name:
             network, other = replace(network, name=model), replace(other, name=against)
         _compare(network, data, named, json_file, other)
         return

@@ -144,9 +144,8 @@ def removed_share(found: PredictionErrors, other: PredictionErrors) -> dict[str,
         model errs more. None where the other model errs by no more than noise, or the noise is not known.
     """
     shares: dict[str, float | None] = {}
-    for mine, theirs in zip(
-        found.rows, other.rows, strict=True
-    ):  # the last row of a channel is over all records
+    # the last row of a channel is over all records
+    for mine, theirs in zip(found.rows, other.rows, strict=True):
         noise = theirs.noise
         if noise is None or theirs.nrmse <= ABOVE_NOISE * noise:
             shares[mine.channel] = None

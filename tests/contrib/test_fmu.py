@@ -1,4 +1,4 @@
-"""A network as a unit for co-simulation: it validates, and it says what the kernel says."""
+"""A network as an FMU for co-simulation: FMPy validates it and simulates it to the result of the kernel."""
 
 import json
 import pickle

@@ -1,4 +1,4 @@
-"""Rollouts as a Minari data set: what is in it is what the environment gives."""
+"""Rollouts as a Minari data set: its replay in the environment gives the same observations and rewards."""
 
 import gymnasium as gym
 import numpy as np

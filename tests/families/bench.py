@@ -1,4 +1,4 @@
-"""A rig on its bench: one simulation of it, its channels, and how near its model comes without what is hidden."""
+"""A rig on its bench: one simulation, its channels, and the error of its model without the hidden effect."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def outputs(rig: Rig, model: Model, ran: Run) -> dict[str, Array]:
         if o["quantity"] == "force":
             if "at" in o:
                 y = ran.load[o["at"]]
-            else:  # a force cell reads all that acts between its element's terminals
+            else:  # a force cell reads the sum of the elements between its two nodes
                 here = next(e["between"] for e in model["elements"] if e["name"] == o["element"])
                 y = sum(ran.link[e["name"]] for e in model["elements"] if e.get("between") == here)
         else:
