@@ -25,18 +25,11 @@ from typing import Any
 
 import numpy as np
 
+from isd_gym.contrib.forecast import EffectForecast, Plan, plan
 from isd_gym.data import Table
 from isd_gym.discrepancy import diagnose
 from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
-from isd_gym.discrepancy.planning import (
-    EffectForecast,
-    Plan,
-    Rig,
-    infer_rig,
-    make_excitation,
-    make_record,
-    plan,
-)
+from isd_gym.discrepancy.planning import Rig, infer_rig, make_excitation, make_record
 from isd_gym.elements import TYPES
 from isd_gym.network import Network
 from isd_gym.simulate import simulate

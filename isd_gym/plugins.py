@@ -25,6 +25,7 @@ OWN = {
         "train": "isd_gym.agents.cli:train",
         "convert": "isd_gym.agents.cli:convert",
         "export": "isd_gym.contrib.fmi.command:command",
+        "plan": "isd_gym.contrib.forecast.command:command",
         "record": "isd_gym.contrib.minari.command:command",
         "sweep": "isd_gym.contrib.sweep.command:command",
         "reproduce": "isd_gym.contrib.reproduce:command",

@@ -13,7 +13,12 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("isd_gym", "baselines", "agents")
 #: compiled functions; the diagnosis, of which only the documented names are checked; the readers of a helper process; a program
 #: the diagnosis, and its kinds outside the core
-DIAGNOSIS = ("isd_gym/discrepancy", "isd_gym/contrib/no_road", "isd_gym/contrib/fmi/identification")
+DIAGNOSIS = (
+    "isd_gym/discrepancy",
+    "isd_gym/contrib/forecast",
+    "isd_gym/contrib/no_road",
+    "isd_gym/contrib/fmi/identification",
+)
 INTERNAL = ("isd_gym/kernel", *DIAGNOSIS, "isd_gym/formats", "isd_gym/schemas/__main__.py")
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef

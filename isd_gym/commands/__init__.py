@@ -10,7 +10,6 @@ from . import (
     diagnose,
     inspect,
     networks,
-    plan,
     policies,
     score,
     show,
@@ -31,7 +30,6 @@ for _name, _command in (
     ("simulate", simulate.command),
     ("inspect", inspect.command),
     ("diagnose", diagnose.command),
-    ("plan", plan.command),
     ("warm", warm.command),
 ):
     app.command(name=_name, cls=SeveralValuesCommand if _name == "diagnose" else FiniteCommand)(_command)

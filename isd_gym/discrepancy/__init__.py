@@ -10,10 +10,8 @@ Data go one way, from the first of these packages to the last:
 - `verdict`: evidence, what it allows to say, and the words.
 
 `workflow` runs all of it, `result_builder` makes the `result` of what it found, `prediction_errors` judges a model as it is, and
-`planning` predicts what a test can show.
+`planning` designs the test that would decide between candidates.
 """
-
-from typing import TYPE_CHECKING, Any
 
 from .result import Contender, Diagnosis, Effect, Law, Place, Quantity, Trace
 from .selection.criteria import CRITERIA, Criteria
@@ -21,9 +19,6 @@ from .selection.settings import SearchSettings
 from .verdict.evidence import EffectEvidence, Evidence
 from .verdict.gates import Gate
 from .workflow import diagnose
-
-if TYPE_CHECKING:
-    from .planning import Plan, plan
 
 __all__ = [
     "CRITERIA",
@@ -36,18 +31,8 @@ __all__ = [
     "Gate",
     "Law",
     "Place",
-    "Plan",
     "Quantity",
     "SearchSettings",
     "Trace",
     "diagnose",
-    "plan",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    if name in ("Plan", "plan"):
-        from . import planning
-
-        return getattr(planning, name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

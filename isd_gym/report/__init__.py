@@ -1,4 +1,4 @@
-"""Self-contained pages of a diagnosis, a plan and a score.
+"""Self-contained pages of a diagnosis and a score.
 
 `plots` sets the style and assembles pages. `charts` describes a chart once, for the picture and for the live
 page.
@@ -7,7 +7,6 @@ page.
 from __future__ import annotations
 
 from .diagnosis import check_target, signal_picture, write_report
-from .plan import write_plan
 from .score import check_report, score_report
 
-__all__ = ["check_report", "check_target", "score_report", "signal_picture", "write_plan", "write_report"]
+__all__ = ["check_report", "check_target", "score_report", "signal_picture", "write_report"]

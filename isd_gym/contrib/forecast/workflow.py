@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...data import Table, read_table
-from ...errors import InputError
-from ...network import Network
-from ...units import convert
-from ..selection.criteria import CRITERIA, Criteria
-from ..simulation.problem import Array, Record
-from .excitation import Excitation, Rig, infer_rig, make_excitation, make_record
-from .forecast import forecast_effects
-from .plan_result import Plan
+from isd_gym.data import Table, read_table
+from isd_gym.discrepancy.planning.excitation import Excitation, Rig, infer_rig, make_excitation, make_record
+from isd_gym.discrepancy.selection.criteria import CRITERIA, Criteria
+from isd_gym.discrepancy.simulation.problem import Array, Record
+from isd_gym.errors import InputError
+from isd_gym.network import Network
+from isd_gym.units import convert
+
+from .effects import forecast_effects
+from .result import Plan
 from .sensitivity import Sensitivities, select_hypotheses
 from .sensors import list_additional_sensors, rank_sensors
 from .virtual_bench import VirtualBench, measured_noise
@@ -24,7 +25,7 @@ from .virtual_bench import VirtualBench, measured_noise
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from .plan_result import Progress
+    from isd_gym.discrepancy.planning.design import Progress
 
 LEAST_SAMPLES = 400  # of a test
 

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...network import Channel, Network, assemble
-from ..simulation.problem import BROKEN, bare
-from .plan_result import SensorGain
+from isd_gym.discrepancy.simulation.problem import BROKEN, bare
+from isd_gym.network import Channel, Network, assemble
+
+from .result import SensorGain
 from .sensitivity import FARTHEST
 
 if TYPE_CHECKING:
-    from .plan_result import Progress
+    from isd_gym.discrepancy.planning.design import Progress
+
     from .sensitivity import Sensitivities
 
 

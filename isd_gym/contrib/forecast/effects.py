@@ -9,23 +9,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...elements import parameter_fields
-from ..estimation.structure import owner_pair
-from ..simulation.problem import BROKEN
-from ..verdict.gates import decide
+from isd_gym.discrepancy.estimation.structure import owner_pair
+from isd_gym.discrepancy.simulation.problem import BROKEN
+from isd_gym.discrepancy.verdict.gates import decide
+from isd_gym.elements import parameter_fields
+
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
-from .plan_result import Amount, EffectForecast
+from .result import Amount, EffectForecast
 from .sensitivity import FARTHEST, NEGLIGIBLE, is_rival
 from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ...elements import Start
-    from ..estimation.structure import Hypothesis
-    from ..simulation.problem import Array
+    from isd_gym.discrepancy.estimation.structure import Hypothesis
+    from isd_gym.discrepancy.planning.design import Progress
+    from isd_gym.discrepancy.simulation.problem import Array
+    from isd_gym.elements import Start
+
     from .detectability import SimulatedEffect
-    from .plan_result import Progress
     from .sensitivity import Distances, LawShape, Sensitivities
     from .virtual_bench import VirtualBench
 

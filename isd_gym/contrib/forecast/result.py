@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...files import write_text
-from ..result import _plain
+from isd_gym.discrepancy.result import _plain
+from isd_gym.files import write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ...arrays import Array
-    from ...network import Network
-    from ..simulation.problem import Record
+    from isd_gym.arrays import Array
+    from isd_gym.discrepancy.simulation.problem import Record
+    from isd_gym.network import Network
 
 #: function that receives the stage and the finished share
-Progress = Callable[[str, float], None]
 
 SCHEMA = "isd-plan/1"
 #: status of an effect, in words

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..files import check_file, whole, write_text
-from .plots import Picture, channel_text, embedded, figure, page, pixels, save, style, unit_text
+from isd_gym.files import check_file, whole, write_text
+from isd_gym.report.plots import Picture, channel_text, embedded, figure, page, pixels, save, style, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..discrepancy.planning import EffectForecast, Plan
+    from .result import EffectForecast, Plan
 
 SHADES = 3.0  # decades of distance between black and white
 
@@ -33,7 +33,7 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
     Raises:
         InputError: The file cannot be written.
     """
-    from ..discrepancy.planning import STATUS
+    from .result import STATUS
 
     check_file(path)
     with style(), tempfile.TemporaryDirectory() as folder:
@@ -109,7 +109,7 @@ def size_of(e: EffectForecast, amounts: dict[str, Any]) -> str:
     Returns:
         Text.
     """
-    from ..discrepancy.verdict.wording import plain_number
+    from isd_gym.discrepancy.verdict.wording import plain_number
 
     def one(key: str) -> str:
         text = f"{channel_text(key)} {plain_number(amounts[key].value)} {unit_text(amounts[key].unit)}"

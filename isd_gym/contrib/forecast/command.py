@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..console import check_file, printer, progress
-from ..errors import InputError, plain, shown
-from ._options import (
+from isd_gym.commands._options import (
     ColumnsOption,
     ElementsOption,
     MapOption,
@@ -22,11 +20,15 @@ from ._options import (
     UnitOption,
     channel_names,
 )
+from isd_gym.console import check_file, printer, progress
+from isd_gym.errors import InputError, plain, shown
 
 if TYPE_CHECKING:
-    from ..data import Table
-    from ..discrepancy.planning import Plan, Rig
-    from ..network import Network
+    from isd_gym.data import Table
+    from isd_gym.discrepancy.planning import Rig
+    from isd_gym.network import Network
+
+    from .result import Plan
 
 AMOUNT = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*)")
 
@@ -109,10 +111,11 @@ def command(
 
     Example: isd-gym plan car.json --limit road=15mm --html plan.html
     """
-    from .. import elements as el
-    from ..discrepancy.planning import plan as run
-    from ..loggers import files_of
-    from ..network import Network
+    from isd_gym import elements as el
+    from isd_gym.loggers import files_of
+    from isd_gym.network import Network
+
+    from .workflow import plan as run
 
     for file in (design, out, html):
         check_file(file, model, after, *(f for word in data or () for f in files_of(word)), *elements or ())
@@ -159,7 +162,7 @@ DECIDED = {
 
 def _check_undecided(after: Path) -> None:
     """Raise `InputError` for a diagnosis without a question for another test."""
-    from ..inputs import read_json
+    from isd_gym.inputs import read_json
 
     data = read_json(after)
     verdict = data.get("verdict") if isinstance(data, dict) else None
@@ -169,10 +172,10 @@ def _check_undecided(after: Path) -> None:
 
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
     """Return the records of DATA with the inputs of the model, and the outputs if complete."""
-    from ..data import Table
-    from ..loggers.record_reading import outputs_of, records_of
-    from ..loggers.resampling import inputs_of
-    from ..units import convert
+    from isd_gym.data import Table
+    from isd_gym.loggers.record_reading import outputs_of, records_of
+    from isd_gym.loggers.resampling import inputs_of
+    from isd_gym.units import convert
 
     out = []
     for word in data:
@@ -201,8 +204,10 @@ def _made(
     options: dict[str, Any],
 ) -> Plan:
     """Return the plan of a generated test, and write the test on request."""
-    from ..discrepancy.planning import Limits, infer_rig, read_planned_record
-    from ..discrepancy.planning import plan as run
+    from isd_gym.discrepancy.planning import Limits, infer_rig
+
+    from .workflow import plan as run
+    from .workflow import read_planned_record
 
     limit, band, length, rate = bounds
     records = [read_planned_record(table, network) for table in data]
@@ -237,8 +242,10 @@ def _designed(
     notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
-    from ..discrepancy.planning import design_general_test, design_test, estimate_output_noise, read_rivals
-    from ..discrepancy.planning import plan as run
+    from isd_gym.discrepancy.planning import design_test
+
+    from .general_test import design_general_test, estimate_output_noise, read_rivals
+    from .workflow import plan as run
 
     update = options["progress"]
     noise = estimate_output_noise(network, rig, options["noise"], records)
@@ -279,7 +286,7 @@ def amounts(
     Raises:
         InputError: A name is unknown, or a value cannot be converted.
     """
-    from ..units import convert
+    from isd_gym.units import convert
 
     out = {}
     for text in values or ():
@@ -317,7 +324,7 @@ def _save(found: Plan, out: Path | None, html: Path | None) -> None:
     if out is not None:
         found.save(out)
     if html is not None:
-        from ..report.plan import write_plan
+        from .page import write_plan
 
         write_plan(found, html)
 
@@ -330,8 +337,8 @@ def _print(found: Plan) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from ..discrepancy.planning import STATUS
-    from ..report.plan import size_of
+    from .page import size_of
+    from .result import STATUS
 
     console = printer()
     console.print(f"Test: {plain(found.test, 300)}")

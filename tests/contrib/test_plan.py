@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from isd_gym.contrib.forecast import plan, read_rivals
 from isd_gym.data import Table, read_table
-from isd_gym.discrepancy import Criteria, diagnose, plan
+from isd_gym.discrepancy import Criteria, diagnose
 from isd_gym.discrepancy.planning import (
     KINDS,
     Excitation,
@@ -22,7 +23,6 @@ from isd_gym.discrepancy.planning import (
     list_excitations,
     make_excitation,
     make_record,
-    read_rivals,
 )
 from isd_gym.errors import InputError
 from isd_gym.network import Network
@@ -32,7 +32,7 @@ from isd_gym.simulate import simulate
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from isd_gym.discrepancy.planning import Plan
+    from isd_gym.contrib.forecast import Plan
 
 MASS: dict[str, Any] = {
     "schema": "isd-model/1",
@@ -224,7 +224,7 @@ def test_a_rig_that_cannot_be_is_refused_with_one_line(choice: dict[str, Any], w
 def run(*words: str) -> Any:
     import typer
 
-    from isd_gym.commands.plan import command
+    from isd_gym.contrib.forecast.command import command
 
     app = typer.Typer()
     app.command()(command)
@@ -312,7 +312,7 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
         raise InputError("enough")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("isd_gym.discrepancy.planning.plan", kept)
+        patch.setattr("isd_gym.contrib.forecast.workflow.plan", kept)
         assert "enough" in str(run(str(model), str(log), *named, *more).exception)
         from isd_gym.units import convert
 
