@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.errors import InputError, shown
-from isd_gym.files import writing
-from isd_gym.inputs import is_number, read_json
+from isd_gym.common.errors import InputError, shown
+from isd_gym.common.files import writing
+from isd_gym.common.inputs import is_number, read_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from isd_gym.commands._options import TrainedOption
-from isd_gym.plugins import wing
+from isd_gym.common.plugins import wing
 
 #: plant unless given
 DEFAULT = "quarter-car-isd"
@@ -97,7 +97,7 @@ def train(
 
     Example: isd-gym train sac --out runs/sac
     """
-    from isd_gym.errors import InputError
+    from isd_gym.common.errors import InputError
 
     from .train import train as run
 
@@ -125,7 +125,7 @@ def train(
             progress=progress,
         )
     if json_file is not None:
-        from isd_gym.files import write_text
+        from isd_gym.common.files import write_text
 
         write_text(json_file, json.dumps(report, indent=1) + "\n")
 
@@ -203,7 +203,7 @@ def convert(
 
     Example: isd-gym convert model.zip --normalize norm.pkl --out my-policy
     """
-    from isd_gym.errors import InputError
+    from isd_gym.common.errors import InputError
 
     from .convert import convert as run
     from .convert import trained_options
@@ -230,7 +230,7 @@ def convert(
     if onnx is not None:
         typer.echo(f"ONNX in '{wing('exports').export_onnx(policy, onnx)}'")
     if hub is not None:
-        from isd_gym.console import progress
+        from isd_gym.commands.console import progress
 
         with progress() as update:
             typer.echo(f"'{wing('hub').write(policy, hub, progress=update)}' can be uploaded")
@@ -239,7 +239,7 @@ def convert(
 def _controller(name: str, out: Path | None, onnx: Path | None, plain_c: Path | None, network: str) -> bool:
     """Write the baseline of a name as C; return False for other names."""
     from isd_gym.baselines import CONTROLLERS, make
-    from isd_gym.errors import InputError
+    from isd_gym.common.errors import InputError
 
     if name not in CONTROLLERS:
         return False

@@ -19,19 +19,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.batch import CURRENT_LIMIT
-from isd_gym.errors import InputError, shown
-from isd_gym.history import BOUND
-from isd_gym.inputs import number, parse_json, read_bytes, too_large
-from isd_gym.network import Network
-from isd_gym.vehicle import SLEW_RATE, vehicle
+from isd_gym.physics.batch import CURRENT_LIMIT
+from isd_gym.common.errors import InputError, shown
+from isd_gym.env.history import BOUND
+from isd_gym.common.inputs import number, parse_json, read_bytes, too_large
+from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import SLEW_RATE, vehicle
 
 from .memory import Memory
 from .pickles import STORAGES, Name, Stored, Thing, array, mapping, read_pickle, tensor
 from .policy import Head, Policy
 
 if TYPE_CHECKING:
-    from isd_gym.vehicle import Vehicle
+    from isd_gym.physics.vehicle import Vehicle
 
 #: limit of the total unpacked size of an archive's parts [bytes]
 ARCHIVE_LIMIT = 512 * 2**20

@@ -7,14 +7,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.driving import Entry
-from isd_gym.errors import InputError
+from isd_gym.benchmark.driving import Entry
+from isd_gym.common.errors import InputError
 
 from .policy import SHIPPED, Policy
 
 if TYPE_CHECKING:
-    from isd_gym.cost import StageCost
-    from isd_gym.network import Network
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Network
 
 
 def open_policy(

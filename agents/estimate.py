@@ -9,14 +9,14 @@ import numpy as np
 from isd_gym.baselines import noisy
 from isd_gym.baselines.lqg import Lqg, LqgSettings
 from isd_gym.baselines.model import N_SENSORS
-from isd_gym.batch import SLEW_LIMIT
-from isd_gym.env import ISDSuspensionVectorEnv
-from isd_gym.errors import InputError
+from isd_gym.physics.batch import SLEW_LIMIT
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.common.errors import InputError
 
 from .memory import Filter, tuples
 
 if TYPE_CHECKING:
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
 CARS, STEPS, FORGET = 32, 1500, 300  # drive that gives the spread of the state
 SEED = 800_000  # seed of roads without other use

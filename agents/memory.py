@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.errors import InputError, shown
-from isd_gym.history import LARGEST, SIGNALS, History, Remembered, history_of
-from isd_gym.inputs import number
+from isd_gym.common.errors import InputError, shown
+from isd_gym.env.history import LARGEST, SIGNALS, History, Remembered, history_of
+from isd_gym.common.inputs import number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from isd_gym.vehicle import Vehicle
+    from isd_gym.physics.vehicle import Vehicle
 
 #: limit of a policy's file: states of a filter
 STATES = 64

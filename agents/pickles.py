@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from isd_gym.errors import InputError, shown
+from isd_gym.common.errors import InputError, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

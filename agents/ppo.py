@@ -18,7 +18,7 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 
-from isd_gym.errors import InputError
+from isd_gym.common.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Generator

@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from isd_gym.network import Network
-from isd_gym.sensors import Sensors
-from isd_gym.vehicle import Vehicle, vehicle
+from isd_gym.physics.network import Network
+from isd_gym.env.sensors import Sensors
+from isd_gym.physics.vehicle import Vehicle, vehicle
 
 from .memory import Memory
 from .policy import Head

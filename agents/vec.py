@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from isd_gym.road import road
+from isd_gym.physics.road import road
 
 from .policy import FEATURE_LIMIT, Head
 

@@ -15,7 +15,7 @@ import torch
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from isd_gym.driving import Entry
+    from isd_gym.benchmark.driving import Entry
 
     from .settings import PPOSettings, SACSettings
 

@@ -21,20 +21,20 @@ from scipy.linalg import block_diag, expm, solve_discrete_are
 from isd_gym.baselines.car import CarWeights, WholeCar, columns
 from isd_gym.baselines.lqg import LawSettings
 from isd_gym.baselines.model import dry, equations, white_covariance
-from isd_gym.batch import SLEW_LIMIT
-from isd_gym.cost import StageCost
-from isd_gym.env import ISDSuspensionVectorEnv
-from isd_gym.errors import InputError
-from isd_gym.road import paper_road
-from isd_gym.sensors import ANGULAR_NOISE, NOISE
-from isd_gym.vehicle import state_channels, vehicle
+from isd_gym.physics.batch import SLEW_LIMIT
+from isd_gym.physics.cost import StageCost
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.common.errors import InputError
+from isd_gym.physics.road import paper_road
+from isd_gym.env.sensors import ANGULAR_NOISE, NOISE
+from isd_gym.physics.vehicle import state_channels, vehicle
 
 from .memory import Echo, Filter, Memory, tuples
 
 if TYPE_CHECKING:
-    from isd_gym import elements as el
-    from isd_gym.network import Network
-    from isd_gym.vehicle import Vehicle
+    from isd_gym.physics import elements as el
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.vehicle import Vehicle
 
 LAG = 2  # age of the estimated rise [control steps]: later measurements correct the estimate
 ROAD_MEMORY = 2.0  # time constant of the estimated height of the road [s]

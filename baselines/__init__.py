@@ -11,11 +11,11 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.cost import StageCost
-from isd_gym.driving import Idle
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.vehicle import require_quarter_car, vehicle
+from isd_gym.physics.cost import StageCost
+from isd_gym.benchmark.driving import Idle
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import require_quarter_car, vehicle
 
 from .controller import Controller
 
@@ -112,12 +112,12 @@ def noisy(share: float) -> Any:
     """Return the sensor noise that an estimator should assume.
 
     Args:
-        share: Noise as a share of the robust track's noise (`isd_gym.sensors.NOISE`) [-].
+        share: Noise as a share of the robust track's noise (`isd_gym.env.sensors.NOISE`) [-].
 
     Returns:
         Standard deviations of the measured signals.
     """
-    from isd_gym.sensors import NOISE
+    from isd_gym.env.sensors import NOISE
 
     from .model import Sensors
 

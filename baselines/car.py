@@ -19,29 +19,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm
 
-from isd_gym import elements as el
-from isd_gym.batch import state_channels
-from isd_gym.vehicle import Vehicle, vehicle
+from isd_gym.physics import elements as el
+from isd_gym.physics.batch import state_channels
+from isd_gym.physics.vehicle import Vehicle, vehicle
 
-from .model import (
-    ROAD_INTENSITY,
-    Laws,
-    Sensors,
-    _riccati,
-    device_reach,
-    equations,
-    lift,
-    stationary,
-    steady_gain,
-    white_covariance,
-)
+from .model import ROAD_INTENSITY, Laws, Sensors, _riccati, device_reach, equations, lift, stationary, steady_gain, white_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from isd_gym.cost import StageCost
-    from isd_gym.network import Network
-    from isd_gym.vehicle import Corner
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.vehicle import Corner
 
     from .model import Equations
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
-from isd_gym.env import MEASURED
-from isd_gym.errors import InputError
-from isd_gym.vehicle import vehicle
+from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
+from isd_gym.env.environment import MEASURED
+from isd_gym.common.errors import InputError
+from isd_gym.physics.vehicle import vehicle
 
 if TYPE_CHECKING:
-    from isd_gym.network import Network
-    from isd_gym.vehicle import Vehicle
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.vehicle import Vehicle
 
 _BOUNDS = np.array([[bound] for _, _, bound in MEASURED])
 CURRENT = 5  # index of the present current in the observation

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.cost import StageCost
-from isd_gym.vehicle import vehicle
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.vehicle import vehicle
 
 from .controller import Controller
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isd_gym.network import Network
-    from isd_gym.vehicle import Vehicle
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.vehicle import Vehicle
 
 #: measured signals of a corner, in the order of a quarter car's observation after the acceleration
 OWN = ("suspension_travel", "suspension_travel_rate", "device_travel", "device_travel_rate", "current")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.driving import Entry
+from isd_gym.benchmark.driving import Entry
 
 if TYPE_CHECKING:
-    from isd_gym.cost import StageCost
-    from isd_gym.network import Network
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Network
 
 
 def open_policy(

@@ -7,23 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.batch import state_channels
-from isd_gym.cost import StageCost
-from isd_gym.vehicle import SLEW_RATE
+from isd_gym.physics.batch import state_channels
+from isd_gym.physics.cost import StageCost
+from isd_gym.physics.vehicle import SLEW_RATE
 
 from .controller import BatchController, rises, steps_ahead
 from .estimator import Estimator
-from .model import (
-    ROAD_INTENSITY,
-    Sensors,
-    Weights,
-    device_reach,
-    prediction_model,
-    preview_regulator,
-)
+from .model import ROAD_INTENSITY, Sensors, Weights, device_reach, prediction_model, preview_regulator
 
 if TYPE_CHECKING:
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
 STEEPEST = 0.1  # largest rise of a road per control step [m]
 

@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from isd_gym import elements as el
-from isd_gym.batch import signal_channels, state_channels
-from isd_gym.errors import InputError
-from isd_gym.network import Network, assemble
-from isd_gym.road import paper_road
-from isd_gym.vehicle import require_quarter_car
+from isd_gym.physics import elements as el
+from isd_gym.physics.batch import signal_channels, state_channels
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network, assemble
+from isd_gym.physics.road import paper_road
+from isd_gym.physics.vehicle import require_quarter_car
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.cost import StageCost
-    from isd_gym.network import Channel
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Channel
 
     from .car import CarModel
 

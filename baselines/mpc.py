@@ -19,27 +19,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from isd_gym.batch import CURRENT_LIMIT
-from isd_gym.cost import StageCost
-from isd_gym.errors import InputError
-from isd_gym.vehicle import SLEW_RATE
+from isd_gym.physics.batch import CURRENT_LIMIT
+from isd_gym.physics.cost import StageCost
+from isd_gym.common.errors import InputError
+from isd_gym.physics.vehicle import SLEW_RATE
 
 from .controller import CURRENT, BatchController
 from .estimator import Estimator
-from .model import (
-    ROAD_INTENSITY,
-    Model,
-    Sensors,
-    Weights,
-    device_reach,
-    move_regulator,
-    prediction_model,
-    statistical_linearisation,
-)
+from .model import ROAD_INTENSITY, Model, Sensors, Weights, device_reach, move_regulator, prediction_model, statistical_linearisation
 from .qp import Program, program
 
 if TYPE_CHECKING:
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
 ACCELERATION_LIMIT = 5.0  # m/s^2, Table 5
 TRAVEL_LIMIT = 0.08  # m, Table 5

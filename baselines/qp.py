@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy import sparse
 
-from isd_gym.errors import InputError
+from isd_gym.common.errors import InputError
 
 SOLVERS = ("osqp", "daqp", "piqp")
 

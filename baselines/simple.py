@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym import elements as el
-from isd_gym.vehicle import SLEW_RATE, require_quarter_car
+from isd_gym.physics import elements as el
+from isd_gym.physics.vehicle import SLEW_RATE, require_quarter_car
 
 from .controller import BatchController
 from .model import SLIDING
 
 if TYPE_CHECKING:
-    from isd_gym.cost import StageCost
-    from isd_gym.network import Network
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.network import Network
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.cost import StageCost
-from isd_gym.errors import InputError
+from isd_gym.physics.cost import StageCost
+from isd_gym.common.errors import InputError
 
 from .car import CarWeights, car_model, car_regulator
 from .controller import Signals, WholeCarController
@@ -29,7 +29,7 @@ from .lqg import STEEPEST, LawSettings
 from .model import prediction_model
 
 if TYPE_CHECKING:
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
     from .car import CarModel
 

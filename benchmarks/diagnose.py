@@ -51,7 +51,7 @@ import grading
 from grading import Row
 
 from isd_gym.benchmark import engine
-from isd_gym.errors import InputError
+from isd_gym.common.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -143,8 +143,8 @@ def load(job: Job, place: Path) -> tuple[Case, Any, Any]:
     import families
     import hidden
 
-    from isd_gym.data import Table, write_table
-    from isd_gym.network import Network
+    from isd_gym.records.data import Table, write_table
+    from isd_gym.physics.network import Network
 
     case = (hidden if job.suite == "home" else families).make_case(job.kind, job.seed)
 
@@ -211,7 +211,7 @@ def run(limit: float, **case: Any) -> Row:
 
 def command(files: Case, out: Path) -> Any:
     """Run `isd-gym diagnose` and return its diagnosis.json. Raises where the command, or its report, fails."""
-    from isd_gym.cli import app
+    from isd_gym.commands import app
 
     held = ["--validate", *files.held] if files.held else []
     mapping = ["--map", files.mapping] if files.mapping else []

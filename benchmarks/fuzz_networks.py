@@ -19,10 +19,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 import random_networks
 
-from isd_gym.env import ISDSuspensionEnv
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.simulate import simulate
+from isd_gym.env.environment import ISDSuspensionEnv
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 TIME = np.arange(201) * 1e-3
 PAIRS = [("body", "wheel"), ("piston", "joint"), ("joint", "wheel"), ("wheel", "road"), ("body", "piston")]

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from isd_gym.discrepancy.selection.criteria import CRITERIA
-from isd_gym.elements import TYPES
+from isd_gym.diagnosis.selection.criteria import CRITERIA
+from isd_gym.physics.elements import TYPES
 
 Row = dict[str, Any]
 Name = tuple[str, frozenset[str]]

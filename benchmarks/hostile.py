@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.data import Table, check, read_table, write_table
-from isd_gym.errors import InputError
-from isd_gym.files import claim_folder, whole_folder, write_text
-from isd_gym.network import Network, builtin_networks, linearise
-from isd_gym.road import road
+from isd_gym.records.data import Table, check, read_table, write_table
+from isd_gym.common.errors import InputError
+from isd_gym.common.files import claim_folder, whole_folder, write_text
+from isd_gym.physics.network import Network, builtin_networks, linearise
+from isd_gym.physics.road import road
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -389,7 +389,7 @@ def networks(rng: Rng, folder: Path) -> None:
     """Networks of any shape whose numbers lie anywhere within the hard limits."""
     from dataclasses import fields
 
-    from isd_gym import elements as el
+    from isd_gym.physics import elements as el
 
     nodes = [f"n{i}" for i in range(int(rng.integers(1, 8)))]
     kinds = [t for t, c in el.TYPES.items() if c.place == "between" and not c.scheduled]
@@ -611,7 +611,7 @@ def roads(rng: Rng, folder: Path) -> None:
 
 def inspections(rng: Rng, folder: Path) -> None:
     """Loggers' files, with stamps of all sorts, gaps and repeats, looked at as `isd-gym inspect` does."""
-    from isd_gym.inspection import inspect, lines
+    from isd_gym.view.inspection import inspect, lines
 
     n = int(rng.integers(2, 80))
     way = int(rng.integers(4))
@@ -642,7 +642,7 @@ def _car() -> Network:
 
 def maps(rng: Rng, folder: Path) -> None:
     """Test channel maps with random contents."""
-    from isd_gym.loggers import ChannelMap
+    from isd_gym.records.loggers import ChannelMap
 
     tree = {
         "schema": "isd-map/1",

@@ -55,7 +55,7 @@ class Case:
 
 def cli(line: str) -> Callable[[], None]:
     def run() -> None:
-        from isd_gym.cli import main
+        from isd_gym.commands import main
 
         sys.argv = ["isd-gym", *line.split()]
         main()
@@ -109,9 +109,9 @@ def rig(folder: Path) -> None:
     """A mass on a spring that is pushed; its friction is what the model lacks."""
     import numpy as np
 
-    from isd_gym.data import Table, write_table
-    from isd_gym.network import Network
-    from isd_gym.simulate import simulate
+    from isd_gym.records.data import Table, write_table
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.simulate import simulate
 
     model = {
         "schema": "isd-model/1",
@@ -213,7 +213,7 @@ def begin(run: Callable[[], None], folder: Path, log: Path, before: Callable[[],
     except SystemExit as error:
         code = error.code if isinstance(error.code, int) else 98 * (error.code is not None)
     except BaseException as error:
-        from isd_gym.errors import InputError
+        from isd_gym.common.errors import InputError
 
         if isinstance(error, InputError | OSError):  # as the command line would
             print(f"isd-gym: {error}", file=sys.stderr)
@@ -431,7 +431,7 @@ def places(place: Path, tally: Tally) -> None:
     score = [
         sys.executable,
         "-m",
-        "isd_gym.cli",
+        "isd_gym.commands",
         *COLD.split(),
     ]
     usual = {

@@ -57,7 +57,7 @@ def isd_gym(case: Path, out: Path) -> tuple[Answer, Columns]:
     """
     found, predicted = out / "found", out / "simulated.csv"
     begun = resource.getrusage(resource.RUSAGE_CHILDREN)
-    program = [sys.executable, "-m", "isd_gym.cli"]
+    program = [sys.executable, "-m", "isd_gym"]
     records = [case / "train.csv", "--validate", case / "validation.csv"]
     words = ["diagnose", *records, "--model", case / "model.json", "--out", found, "--jobs", 1]
     _call([*program, *words], found)

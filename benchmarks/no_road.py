@@ -43,8 +43,8 @@ def case(kind: str, seed: int, known: bool) -> dict[str, Any]:
     """One car, and what was said of it."""
     from hidden import make
 
-    from isd_gym.data import Table, write_table
-    from isd_gym.network import Network
+    from isd_gym.records.data import Table, write_table
+    from isd_gym.physics.network import Network
 
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     snr = float(rng.choice([26.0, 32.0, 40.0]))
@@ -100,8 +100,8 @@ def command(place: Path, more: list[str]) -> dict[str, Any]:
     Raises:
         RuntimeError: Where the command fails or one of its files is absent.
     """
-    from isd_gym.cli import app
-    from isd_gym.network import Network
+    from isd_gym.commands import app
+    from isd_gym.physics.network import Network
 
     out = place / "found"
     words = ["diagnose", place / "estimation.csv", "--validate", place / "validation.csv"]

@@ -30,14 +30,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import diagnose
 import grading
 
-from isd_gym.discrepancy import workflow
-from isd_gym.discrepancy.selection.settings import SearchSettings
+from isd_gym.diagnosis import workflow
+from isd_gym.diagnosis.selection.settings import SearchSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
 FILE = Path(__file__).with_name("ablation-search.json")
-SELECTION = "isd_gym.discrepancy.selection"
+SELECTION = "isd_gym.diagnosis.selection"
 
 #: suite and kind of each rig: several families, known and unknown laws, forces, sensors, one and two effects, none
 SAMPLE = (

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 import gymnasium as gym
 import numpy as np
 
-from isd_gym.network import Network
-from isd_gym.road import paper_road
-from isd_gym.simulate import Plant
+from isd_gym.physics.network import Network
+from isd_gym.physics.road import paper_road
+from isd_gym.physics.simulate import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,9 +25,9 @@ import numpy as np
 from isd_gym.agents.policy import SHIPPED, Policy
 from isd_gym.benchmark import engine
 from isd_gym.benchmark.grid import Condition, Grid
-from isd_gym.errors import InputError
-from isd_gym.files import write_text
-from isd_gym.network import Network
+from isd_gym.common.errors import InputError
+from isd_gym.common.files import write_text
+from isd_gym.physics.network import Network
 
 SCHEMA = "isd-study/2"
 #: by network; of the quarter car's MPCs the best (`isd-gym score` has all of them)

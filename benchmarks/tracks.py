@@ -2,9 +2,9 @@
 
 python benchmarks/tracks.py [--episodes 32] [--only ISDHalfCar-v0 robust ...] [--jobs 1]
 
-One score per track (`isd-gym score`), one card per environment (`isd-gym card --write`, into isd_gym/references), one sweep for
+One score per track (`isd-gym score`), one card per environment (`isd-gym card --write`, into isd_gym/benchmark/references), one sweep for
 the robust track (benchmarks/robust-track.json); then the tables of the pages. The file benchmarks/tracks.json keeps the
-processor time of each track. The last lines are the reward thresholds for `isd_gym.registration`.
+processor time of each track. The last lines are the reward thresholds for `isd_gym.env.registration`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from isd_gym.benchmark import cards
-from isd_gym.registration import ENVIRONMENTS, EPISODE_STEPS
+from isd_gym.env.registration import ENVIRONMENTS, EPISODE_STEPS
 
 ROOT = Path(__file__).resolve().parents[1]
 TIMES = ROOT / "benchmarks" / "tracks.json"
@@ -84,7 +84,7 @@ def reward_threshold(card: dict[str, Any]) -> float:
 def run(words: list[str]) -> float:
     """Run a command of the program, and return its processor time [s]."""
     before = os.times()
-    subprocess.run([sys.executable, "-m", "isd_gym.cli", *words], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "isd_gym", *words], check=True, stdout=subprocess.DEVNULL)
     after = os.times()
     return after.children_user + after.children_system - before.children_user - before.children_system
 

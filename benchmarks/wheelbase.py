@@ -29,8 +29,8 @@ def entry(name: str, network: Any, speed: float) -> Any:
     """A controller that knows the speed."""
     from isd_gym import baselines
     from isd_gym.baselines.model import ROAD_INTENSITY
-    from isd_gym.policies import find
-    from isd_gym.scoring import Entry
+    from isd_gym.benchmark.policies import find
+    from isd_gym.benchmark.scoring import Entry
 
     if name in ("isd-passive", "skyhook"):
         return find(name, network)
@@ -41,7 +41,7 @@ def entry(name: str, network: Any, speed: float) -> Any:
 
 def drive(network: Any, speed: float, episodes: int, seed: int, duration: float) -> dict[str, Any]:
     """Return the figures of all controllers at one speed."""
-    from isd_gym.scoring import compare, measures, score
+    from isd_gym.benchmark.scoring import compare, measures, score
 
     entries = [entry(name, network, speed) for name in POLICIES]
     found = score(entries, network, speed=speed, episodes=episodes, seed=seed, duration=duration)
@@ -58,7 +58,7 @@ def drive(network: Any, speed: float, episodes: int, seed: int, duration: float)
 def bound(network: Any, speed: float) -> dict[str, Any] | None:
     """Return the change of the cost at the linear-quadratic bound, with and without knowledge of the rear road."""
     from isd_gym.contrib.ceilings.bounds import wheelbase_bound
-    from isd_gym.errors import InputError
+    from isd_gym.common.errors import InputError
 
     try:
         found = wheelbase_bound(network, speed=speed)
@@ -69,8 +69,8 @@ def bound(network: Any, speed: float) -> dict[str, Any] | None:
 
 def main(argv: list[str] | None = None) -> None:
     """Drive, print a line for each speed, and write the file."""
-    from isd_gym.network import Network
-    from isd_gym.vehicle import vehicle
+    from isd_gym.physics.network import Network
+    from isd_gym.physics.vehicle import vehicle
 
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

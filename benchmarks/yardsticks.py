@@ -29,14 +29,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from isd_gym.arrays import rms
-from isd_gym.data import Table, read_table, write_table
-from isd_gym.discrepancy.estimation.initial_state_fit import initial_state
-from isd_gym.discrepancy.records import differentiate_inputs, read_record
-from isd_gym.discrepancy.simulation.interpolation import differences
-from isd_gym.discrepancy.simulation.problem import Problem, low_pass
-from isd_gym.network import Network
-from isd_gym.simulate import simulate
+from isd_gym.common.arrays import rms
+from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.diagnosis.estimation.initial_state_fit import initial_state
+from isd_gym.diagnosis.records import differentiate_inputs, read_record
+from isd_gym.diagnosis.simulation.interpolation import differences
+from isd_gym.diagnosis.simulation.problem import Problem, low_pass
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -170,7 +170,7 @@ def diagnose(yardstick: Yardstick, folder: Path, out: Path) -> tuple[float, floa
     model = out.with_suffix(".json")
     model.write_text(json.dumps(yardstick.model), encoding="utf-8")
     train = folder / yardstick.folder / "train.csv"
-    words = [sys.executable, "-m", "isd_gym.cli", "diagnose", train, "--model", model, "--out", out]
+    words = [sys.executable, "-m", "isd_gym", "diagnose", train, "--model", model, "--out", out]
     start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     subprocess.run(list(map(str, words)), check=True)
     used = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before

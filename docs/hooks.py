@@ -21,7 +21,7 @@ FORMULA = re.compile(
 
 def on_files(files, config):
     """Add the shipped schemas to the files of the site."""
-    from isd_gym import schemas
+    from isd_gym.records import schemas
 
     for name in schemas.NAMES:
         text = schemas.dumps(schemas.load(name))
@@ -46,7 +46,7 @@ def on_page_content(content, page, config, files):
 
 def elements() -> str:
     """Every element type: law, parameters with units and plausible ranges, what tells it apart, source."""
-    from isd_gym.elements import TYPES, parameter_fields
+    from isd_gym.physics.elements import TYPES, parameter_fields
 
     where = {"between": "between two nodes", "element": "at a motor", "channel": "at a channel"}
     parts = []
@@ -71,8 +71,8 @@ def elements() -> str:
 
 def commands() -> str:
     """`--help` of every command."""
-    from isd_gym.cli import app
-    from isd_gym.plugins import COMMANDS, plugins
+    from isd_gym.commands import app
+    from isd_gym.common.plugins import COMMANDS, plugins
 
     known = {c.name or c.callback.__name__ for c in app.registered_commands}
     for point in plugins(COMMANDS):

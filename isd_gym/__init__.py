@@ -1,7 +1,7 @@
 """A vehicle suspension with a hydraulic electric inerter, for control, learning and diagnosis.
 
 Importing the package makes its environments known to Gymnasium and loads nothing else: the names below, and the modules
-(`isd_gym.env`, `isd_gym.road`, ...), come with their first use.
+(`isd_gym.env.environment`, `isd_gym.physics.road`, ...), come with their first use.
 
 What a suspension is: `elements`, `network`, `networks` (the built-in models). How it moves: `kernel`, `road`, `simulate`,
 `vehicle`, `batch`. Records: `data`, `schemas`. Functional mock-up units: `fmi`. The environment: `task`, `env`, `cost`, `sb3`;
@@ -11,25 +11,25 @@ program: `commands`.
 
 from __future__ import annotations
 
-from . import _autoload  # noqa: F401  registers the environments, now or after the import of Gymnasium
+from .env import autoload as _autoload  # noqa: F401  registers the environments, now or after the import of Gymnasium
 
 TYPE_CHECKING = False  # typing's own import costs 10 ms
 if TYPE_CHECKING:
     from typing import Any
 
-    from .benchmark.scoring import Score as Score
-    from .benchmark.scoring import score as score
-    from .cost import StageCost as StageCost
-    from .data import Table as Table
-    from .data import read_table as read_table
-    from .discrepancy import Diagnosis as Diagnosis
-    from .discrepancy import diagnose as diagnose
-    from .env import ISDSuspensionEnv as ISDSuspensionEnv
-    from .env import ISDSuspensionVectorEnv as ISDSuspensionVectorEnv
-    from .errors import InputError as InputError
-    from .network import Network as Network
-    from .network import linearise as linearise
-    from .simulate import simulate as simulate
+    from .benchmark.scoring import Score
+    from .benchmark.scoring import score
+    from .physics.cost import StageCost
+    from .records.data import Table
+    from .records.data import read_table
+    from .diagnosis import Diagnosis
+    from .diagnosis import diagnose
+    from .env.environment import ISDSuspensionEnv
+    from .env.environment import ISDSuspensionVectorEnv
+    from .common.errors import InputError
+    from .physics.network import Network
+    from .physics.network import linearise
+    from .physics.simulate import simulate
 
 __version__ = "0.1.0"
 

@@ -18,15 +18,15 @@ from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from .batch import CURRENT_LIMIT
+from .physics.batch import CURRENT_LIMIT
 from .benchmark.driving import Entry
 from .benchmark.policies import find, passive
 from .benchmark.scoring import drive
-from .env import CONTROL_STEP, ISDSuspensionVectorEnv
-from .errors import InputError
-from .files import check_file, whole
-from .history import history_of
-from .vehicle import SLEW_RATE
+from .env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
+from .common.errors import InputError
+from .common.files import check_file, whole
+from .env.history import history_of
+from .physics.vehicle import SLEW_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-    from .task import Task
+    from .env.task import Task
 
 
 class BatchedVecEnv(VecEnv):
@@ -263,7 +263,7 @@ class ScoreCallback(BaseCallback):
 
     Args:
         every: Number of transitions between evaluations; None for as often as costs a twentieth of the time.
-        references: Policies to compare with, which drive once; names for `isd_gym.policies.find`.
+        references: Policies to compare with, which drive once; names for `isd_gym.benchmark.policies.find`.
         roads: Number of validation roads.
         duration: Length of a validation road [s].
         save: File (.zip) of the best model on the validation roads, replaced at every improvement; a VecNormalize

@@ -1,6 +1,6 @@
 """Rigs that several tests measure."""
 
-from isd_gym.network import Network
+from isd_gym.physics.network import Network
 
 
 def pushed_mass(name, outputs, **more):

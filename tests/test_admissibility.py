@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from isd_gym.data import Table
-from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import white_filters
-from isd_gym.discrepancy.estimation.structure import base_structure
-from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.discrepancy.hypotheses.score_test import ScoredStart, score_hypotheses
-from isd_gym.discrepancy.selection.admissibility import Travel, admissible_starts, is_observed
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.network import Network
+from isd_gym.records.data import Table
+from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis.estimation.gauss_newton import Fitter
+from isd_gym.diagnosis.estimation.noise import white_filters
+from isd_gym.diagnosis.estimation.structure import base_structure
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.hypotheses.score_test import ScoredStart, score_hypotheses
+from isd_gym.diagnosis.selection.admissibility import Travel, admissible_starts, is_observed
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.physics.network import Network
 
 DRUM = {
     "schema": "isd-model/1",

@@ -34,10 +34,10 @@ from isd_gym.agents.policy import (
     write_safetensors,
 )
 from isd_gym.agents.settings import MEMORY, SETTINGS
-from isd_gym.cost import StageCost
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.policies import conventional
+from isd_gym.physics.cost import StageCost
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.benchmark.policies import conventional
 
 needs_sb3 = pytest.mark.skipif(
     find_spec("stable_baselines3") is None, reason="Stable-Baselines3 (and torch) not installed"
@@ -307,7 +307,7 @@ def test_shipped_policies_are_scored_beside_the_baselines_without_torch(tmp_path
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name in ('torch', 'stable_baselines3'): raise ModuleNotFoundError(name)\n"
         "sys.meta_path.insert(0, Without())\n"
-        "from isd_gym.cli import main\n"
+        "from isd_gym.commands import main\n"
         "sys.argv = ['isd-gym', 'score', 'passive', 'lqg', 'ppo', 'sac', '--episodes', '2', '--json', 's.json']\n"
         "main()"
     )
@@ -742,7 +742,7 @@ def test_a_training_that_diverges_or_has_nothing_to_learn_is_one_line(sb3, brief
 @needs_sb3
 def test_two_trainings_do_not_share_a_folder(sb3, tmp_path):
     from isd_gym.agents.train import FOLDER, train
-    from isd_gym.files import claim_folder, held
+    from isd_gym.common.files import claim_folder, held
 
     taken = held(claim_folder(tmp_path / "run", *FOLDER), "training run")
     with taken, pytest.raises(InputError, match="another process"):

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from isd_gym.data import Table
-from isd_gym.data.quality import known_check
-from isd_gym.discrepancy import diagnose, workflow
-from isd_gym.discrepancy.records import find_misreading, read_record
-from isd_gym.discrepancy.simulation.problem import Problem
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.simulate import simulate
+from isd_gym.records.data import Table
+from isd_gym.records.data.quality import known_check
+from isd_gym.diagnosis import diagnose, workflow
+from isd_gym.diagnosis.records import find_misreading, read_record
+from isd_gym.diagnosis.simulation.problem import Problem
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 CAR = {
     "schema": "isd-model/1",
@@ -167,7 +167,7 @@ SHARED = Path("/work/shared")
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared rigs are not here")
 @pytest.mark.parametrize("family", ["rigs", "blind", "real"])
 def test_no_shared_rig_is_refused(family, monkeypatch):
-    from isd_gym.loggers.record_reading import records_of
+    from isd_gym.records.loggers.record_reading import records_of
 
     class Compared(Exception):
         pass

@@ -5,9 +5,9 @@ import pytest
 from scipy.signal import butter, sosfiltfilt, welch
 
 from isd_gym import simulate
-from isd_gym.discrepancy.records import choose_decimation, count_derivatives, differentiate_inputs
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.network import Network, linearise, natural_frequencies, transfer
+from isd_gym.diagnosis.records import choose_decimation, count_derivatives, differentiate_inputs
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.physics.network import Network, linearise, natural_frequencies, transfer
 
 SAMPLES = 12_000
 OUTPUT_NOISE = 0.01  # RMS of a sensor's noise, relative to the deviation of its signal

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import reference
 
-import isd_gym.simulate
+import isd_gym.physics.simulate
 from isd_gym import simulate
-from isd_gym.errors import InputError
-from isd_gym.kernel.layout import GENERAL
-from isd_gym.network import Channel, Network, assemble, cut, linearise, rejoin, transfer
+from isd_gym.common.errors import InputError
+from isd_gym.physics.kernel.layout import GENERAL
+from isd_gym.physics.network import Channel, Network, assemble, cut, linearise, rejoin, transfer
 
 OLD = ("force-rig", "force-rig-eq6", "quarter-car-eq8", "quarter-car-isd", "quarter-car-passive")
 CARS = ("half-car-isd", "half-car-passive", "full-car-isd", "full-car-passive")
@@ -69,8 +69,8 @@ def test_with_a_pitch_inertia_of_m_a_b_each_corner_is_a_quarter_car(drive, end, 
     quarter = simulate("quarter-car-isd", drive["time"], own)
     for name in SIGNALS:
         assert np.std(half[f"{name}_{end}"]) == pytest.approx(np.std(quarter[name]), rel=1e-3)
-    numbers = isd_gym.simulate._law_numbers
-    monkeypatch.setattr(isd_gym.simulate, "_law_numbers", lambda *a: (GENERAL, *numbers(*a)[1:]))
+    numbers = isd_gym.physics.simulate._law_numbers
+    monkeypatch.setattr(isd_gym.physics.simulate, "_law_numbers", lambda *a: (GENERAL, *numbers(*a)[1:]))
     half = simulate(decoupled(), drive["time"], inputs(drive))
     quarter = simulate("quarter-car-isd", drive["time"], own)
     assert np.abs(quarter["device_travel"]).max() > 0.02465  # the end stop acts

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from isd_gym.benchmark import cards
-from isd_gym.cli import main
-from isd_gym.errors import InputError
-from isd_gym.scoring import score
+from isd_gym.commands import main
+from isd_gym.common.errors import InputError
+from isd_gym.benchmark.scoring import score
 
 ON = {"episodes": 4, "duration": 0.5}
 
@@ -193,7 +193,7 @@ def tracks():
 def test_the_reward_threshold_is_the_best_classical_controller(name, tracks):
     from gymnasium.envs.registration import registry
 
-    from isd_gym.registration import EPISODE_STEPS, REWARD_THRESHOLDS
+    from isd_gym.env.registration import EPISODE_STEPS, REWARD_THRESHOLDS
 
     card = cards.load(name)
     threshold = tracks.reward_threshold(card)

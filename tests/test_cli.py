@@ -9,13 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from isd_gym.data import read_table
-from isd_gym.network import Network
+from isd_gym.records.data import read_table
+from isd_gym.physics.network import Network
 
 
 def run(*args, cwd=None, env=None):
     return subprocess.run(
-        [sys.executable, "-m", "isd_gym.cli", *map(str, args)],
+        [sys.executable, "-m", "isd_gym", *map(str, args)],
         capture_output=True,
         text=True,
         check=False,
@@ -40,7 +40,7 @@ def test_importing_the_package_stays_light():
 def test_help_is_light_and_knows_the_commands_of_all_packages():
     """--help lists train, reproduce, ... with the first sentence of each, and imports none of their libraries."""
     code = (
-        "import sys; sys.argv = ['isd-gym', '--help']; from isd_gym.cli import main\n"
+        "import sys; sys.argv = ['isd-gym', '--help']; from isd_gym.commands import main\n"
         "try: main()\n"
         "except SystemExit: print([m for m in ('numpy', 'numba', 'torch', 'gymnasium') if m in sys.modules])"
     )
@@ -289,7 +289,7 @@ def test_the_version_is_told():
 def test_a_missing_extra_is_named(missing, args, extra, tmp_path):
     code = (
         f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['isd-gym', *{args!r}]\n"
-        "from isd_gym.cli import main; main()"
+        "from isd_gym.commands import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
@@ -313,7 +313,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(tmp_path):
         "def stopping(*args, **kwargs):\n"
         "    import os, signal; os.kill(os.getpid(), signal.SIGINT); return drive(*args, **kwargs)\n"
         "s.drive = stopping; sys.argv = ['isd-gym', 'score', 'passive', '--report', 'r', '--json', 's.json']\n"
-        "from isd_gym.cli import main; main()"
+        "from isd_gym.commands import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
@@ -336,7 +336,7 @@ def test_ctrl_c_in_a_callback_that_swallows_it(then):
         "def swallowing(*args, **kwargs):\n"
         f"    callback(); {then}\n"
         "s.drive = swallowing; sys.argv = ['isd-gym', 'score', 'passive']\n"
-        "from isd_gym.cli import main; main()"
+        "from isd_gym.commands import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "isd-gym: stopped\n")
@@ -347,7 +347,7 @@ def test_the_answer_into_a_pipe_a_full_disk_or_a_link(tmp_path):
     """A device is written into, not replaced; a link stays one; what cannot be written is one line."""
     (tmp_path / "link.json").symlink_to("target.json")
     (tmp_path / "target.json").write_text("old")
-    program = f"{sys.executable} -m isd_gym.cli"
+    program = f"{sys.executable} -m isd_gym"
     told = f"{program} score passive --episodes 1 --duration 0.1 --json"
     for command, code, error in (
         (f"{told} link.json", 0, ""),
@@ -374,7 +374,7 @@ def test_nowhere_to_keep_the_kernel_is_one_line():
         "import sys, numba.core.caching as c\n"
         "c.CacheImpl._locator_classes = []\n"
         "sys.argv = ['isd-gym', 'score', 'passive']\n"
-        "from isd_gym.cli import main; main()"
+        "from isd_gym.commands import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
@@ -389,8 +389,8 @@ def test_the_list_of_commands_is_not_cut():
 
 
 def test_policies_lists_what_can_be_scored(tmp_path):
-    from isd_gym.network import Network
-    from isd_gym.policies import available, find
+    from isd_gym.physics.network import Network
+    from isd_gym.benchmark.policies import available, find
 
     done = run("policies", "--json", str(tmp_path / "p.json"))
     known = json.loads((tmp_path / "p.json").read_text())["policies"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from isd_gym.network import Network, transfer
+from isd_gym.physics.network import Network, transfer
 
 FREQUENCY = np.geomspace(0.2, 30.0, 12)
 LINEAR = {

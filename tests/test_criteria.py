@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from isd_gym.discrepancy.selection.criteria import CRITERIA, Criteria, table
-from isd_gym.discrepancy.selection.equivalent_laws import repeats
-from isd_gym.discrepancy.selection.held_out import HeldOutScore
-from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.verdict.gates import COMPARE, Gate, confidence, decide, gates_of, table_gates
-from isd_gym.elements import TYPES, Motion
+from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria, table
+from isd_gym.diagnosis.selection.equivalent_laws import repeats
+from isd_gym.diagnosis.selection.held_out import HeldOutScore
+from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis.verdict.gates import COMPARE, Gate, confidence, decide, gates_of, table_gates
+from isd_gym.physics.elements import TYPES, Motion
 
 FRICTION = EffectEvidence(
     "coulomb_friction at mass-ground", share=0.4, spread=0.05, removed=0.995, width=0.3, beyond_small=True

@@ -14,18 +14,19 @@ import pytest
 from rigs import pushed_mass
 from typer.testing import CliRunner
 
-from isd_gym import cli, schemas, simulate
-from isd_gym.data import Table, read_table, write_table
-from isd_gym.discrepancy import SearchSettings, diagnose, workflow
-from isd_gym.discrepancy.estimation.structure import Hypothesis
-from isd_gym.discrepancy.records import thin_long_record
-from isd_gym.discrepancy.selection import forward_backward
-from isd_gym.discrepancy.selection.forward_backward import Search
-from isd_gym.discrepancy.simulation.problem import Record
-from isd_gym.discrepancy.simulation.time_limit import TimeLimit
-from isd_gym.discrepancy.verdict.wording import summary_of, unit_summary_of
-from isd_gym.errors import InputError
-from isd_gym.network import Network
+from isd_gym import commands as cli, simulate
+from isd_gym.records import schemas
+from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.diagnosis import SearchSettings, diagnose, workflow
+from isd_gym.diagnosis.estimation.structure import Hypothesis
+from isd_gym.diagnosis.records import thin_long_record
+from isd_gym.diagnosis.selection import forward_backward
+from isd_gym.diagnosis.selection.forward_backward import Search
+from isd_gym.diagnosis.simulation.problem import Record
+from isd_gym.diagnosis.simulation.time_limit import TimeLimit
+from isd_gym.diagnosis.verdict.wording import summary_of, unit_summary_of
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
 
 if TYPE_CHECKING:
     from collections.abc import Callable

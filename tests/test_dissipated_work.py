@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isd_gym import elements as el
-from isd_gym.discrepancy.estimation.gauss_newton import Fit, Fitter
-from isd_gym.discrepancy.estimation.noise import white_filters
-from isd_gym.discrepancy.estimation.structure import Hypothesis, rebuilt
-from isd_gym.discrepancy.hypotheses.forces import dissipated_work
-from isd_gym.discrepancy.selection.held_out import effect_size
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.network import Network
+from isd_gym.physics import elements as el
+from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
+from isd_gym.diagnosis.estimation.noise import white_filters
+from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
+from isd_gym.diagnosis.hypotheses.forces import dissipated_work
+from isd_gym.diagnosis.selection.held_out import effect_size
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.physics.network import Network
 
 STIFFNESS = 250e3  # [N/m]; the mass is 1 kg, so that a period takes 12.6 ms
 LEVEL = 0.8  # [N] of friction, beside 250 N of elastic force at the beginning

@@ -14,12 +14,12 @@ PACKAGES = ("isd_gym", "baselines", "agents")
 #: compiled functions; the diagnosis, of which only the documented names are checked; the readers of a helper process; a program
 #: the diagnosis, and its kinds outside the core
 DIAGNOSIS = (
-    "isd_gym/discrepancy",
+    "isd_gym/diagnosis",
     "isd_gym/contrib/forecast",
     "isd_gym/contrib/no_road",
     "isd_gym/contrib/fmi/identification",
 )
-INTERNAL = ("isd_gym/kernel", *DIAGNOSIS, "isd_gym/formats", "isd_gym/schemas/__main__.py")
+INTERNAL = ("isd_gym/physics/kernel", *DIAGNOSIS, "isd_gym/records/formats", "isd_gym/records/schemas/__main__.py")
 SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises", "References")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

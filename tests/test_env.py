@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from isd_gym.cost import StageCost
-from isd_gym.env import ISDSuspensionEnv, ISDSuspensionVectorEnv
-from isd_gym.errors import InputError
-from isd_gym.network import Network
+from isd_gym.physics.cost import StageCost
+from isd_gym.env.environment import ISDSuspensionEnv, ISDSuspensionVectorEnv
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
 
 IDS = ["ISDSuspension-v0", "ISDSuspensionEq8-v0"]
 
@@ -257,7 +257,7 @@ def test_preview_shows_the_road_that_comes():
 
 
 def test_model_file_with_found_effects_runs_as_env(tmp_path):
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
     net = Network.load("quarter-car-isd")
     for extra in (

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 from test_words import VAGUE, document
 
-from isd_gym.discrepancy.result_builder import ResultBuilder
-from isd_gym.discrepancy.selection.criteria import CRITERIA
-from isd_gym.discrepancy.selection.weights import FREE_FORCE, Statement, WeightedCandidate
-from isd_gym.discrepancy.verdict.findings import find
-from isd_gym.discrepancy.verdict.wording import summary_of
+from isd_gym.diagnosis.result_builder import ResultBuilder
+from isd_gym.diagnosis.selection.criteria import CRITERIA
+from isd_gym.diagnosis.selection.weights import FREE_FORCE, Statement, WeightedCandidate
+from isd_gym.diagnosis.verdict.findings import find
+from isd_gym.diagnosis.verdict.wording import summary_of
 
 FRONT, REAR = ("body_front", "wheel_front"), ("body_rear", "wheel_rear")
 NO_LAWS = SimpleNamespace(

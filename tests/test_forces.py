@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from isd_gym.arrays import rms
-from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import white_filters
-from isd_gym.discrepancy.estimation.structure import base_structure
-from isd_gym.discrepancy.hypotheses.forces import PlaceForces, place_forces
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.network import Network
+from isd_gym.common.arrays import rms
+from isd_gym.diagnosis.estimation.gauss_newton import Fitter
+from isd_gym.diagnosis.estimation.noise import white_filters
+from isd_gym.diagnosis.estimation.structure import base_structure
+from isd_gym.diagnosis.hypotheses.forces import PlaceForces, place_forces
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.physics.network import Network
 
 STEP, BODY = 5e-3, 400.0
 

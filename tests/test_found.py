@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import isd_gym
-from isd_gym import plugins
+from isd_gym.common import plugins
 
 ROOT = Path(__file__).parents[1]
 #: source folder -> where an installation has it
@@ -122,10 +122,10 @@ def test_modules_after_the_dot():
 def test_simulate_is_a_module_and_a_function():
     time = np.arange(100) * 1e-3
     inputs = {"displacement": 0.01 * np.sin(20 * time)}
-    import isd_gym.simulate as module
-    from isd_gym.simulate import simulate
+    import isd_gym.physics.simulate as module
+    from isd_gym.physics.simulate import simulate
 
-    assert isd_gym.simulate is module and inspect.ismodule(module)
+    assert isd_gym.physics.simulate is module and inspect.ismodule(module)
     np.testing.assert_array_equal(
         isd_gym.simulate("force-rig", time, inputs)["force"], simulate("force-rig", time, inputs)["force"]
     )
@@ -161,7 +161,7 @@ def test_other_packages_named_agents_and_baselines(tmp_path):
     code = (
         "import sys, gymnasium, isd_gym.baselines, isd_gym.agents.train, isd_gym.agents.policy\n"
         "gymnasium.make('ISDSuspension-v0').reset(seed=0)\n"
-        "from isd_gym.cli import main\n"
+        "from isd_gym.commands import main\n"
         "sys.argv = ['isd-gym', 'score', 'passive', 'mpc', 'ppo', '--episodes', '1', '--duration', '1']\n"
         "try: main()\n"
         "except SystemExit as end: assert not end.code, end.code\n"

@@ -7,13 +7,13 @@ import pytest
 
 from isd_gym import baselines
 from isd_gym.baselines.decentralised import Decentralised
-from isd_gym.driving import Crew, Entry, Idle, travel
-from isd_gym.env import ISDSuspensionVectorEnv
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.policies import conventional, find, passive
-from isd_gym.scoring import drive, score
-from isd_gym.vehicle import vehicle
+from isd_gym.benchmark.driving import Crew, Entry, Idle, travel
+from isd_gym.env.environment import ISDSuspensionVectorEnv
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.benchmark.policies import conventional, find, passive
+from isd_gym.benchmark.scoring import drive, score
+from isd_gym.physics.vehicle import vehicle
 
 HALF, FULL = Network.load("half-car-isd"), Network.load("full-car-isd")
 KINDS = {"half-car-isd": "half car", "full-car-passive": "full car"}
@@ -117,7 +117,7 @@ def test_on_a_decoupled_half_car_each_corner_is_driven_as_a_quarter_car(policy):
 def test_a_full_car_has_a_controller_at_each_corner():
     run = drive(find("skyhook", FULL), FULL, episodes=2, duration=2.0)
     base = drive(find("isd-passive", FULL), FULL, episodes=2, duration=2.0)
-    from isd_gym.cost import FULL_CAR
+    from isd_gym.physics.cost import FULL_CAR
 
     assert (run.cost(FULL_CAR) < base.cost(FULL_CAR)).all()
     assert all(np.abs(run.signals[f"current_{c.name}"]).max() > 0.1 for c in run.car.corners)

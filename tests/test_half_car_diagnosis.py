@@ -14,14 +14,14 @@ from families.plant import Signal, integrate
 from reference import simulate as by_reference
 
 from isd_gym import simulate
-from isd_gym.data import Table
-from isd_gym.discrepancy import Diagnosis, SearchSettings, diagnose
-from isd_gym.discrepancy.estimation.structure import in_line
-from isd_gym.discrepancy.hypotheses.forces import _measured_force
-from isd_gym.discrepancy.hypotheses.library import pairs
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.elements.base import held_still
-from isd_gym.network import Network
+from isd_gym.records.data import Table
+from isd_gym.diagnosis import Diagnosis, SearchSettings, diagnose
+from isd_gym.diagnosis.estimation.structure import in_line
+from isd_gym.diagnosis.hypotheses.forces import _measured_force
+from isd_gym.diagnosis.hypotheses.library import pairs
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.physics.elements.base import held_still
+from isd_gym.physics.network import Network
 
 FREE = ("stiffness", "damping")
 

@@ -19,12 +19,12 @@ from scipy.io import savemat
 from isd_gym.agents.convert import convert, read_normalize, read_torch
 from isd_gym.agents.pickles import array, read_pickle
 from isd_gym.agents.policy import JSON_NAME, SHIPPED, WEIGHTS_NAME, Head, Policy
-from isd_gym.data import Table, read_table, write_table
-from isd_gym.errors import InputError, markdown, plain, shown
-from isd_gym.files import claim_folder, whole, whole_folder
-from isd_gym.network import Network
-from isd_gym.road import road
-from isd_gym.simulate import simulate
+from isd_gym.records.data import Table, read_table, write_table
+from isd_gym.common.errors import InputError, markdown, plain, shown
+from isd_gym.common.files import claim_folder, whole, whole_folder
+from isd_gym.physics.network import Network
+from isd_gym.physics.road import road
+from isd_gym.physics.simulate import simulate
 
 
 def refused(run, match=None):
@@ -38,7 +38,7 @@ def refused(run, match=None):
 
 def cli(*args, cwd, env=None, **options):
     return subprocess.run(
-        [sys.executable, "-m", "isd_gym.cli", *map(str, args)],
+        [sys.executable, "-m", "isd_gym", *map(str, args)],
         capture_output=True, text=True, check=False, cwd=cwd, env=env, **options,
     )  # fmt: skip
 
@@ -66,7 +66,7 @@ def cli(*args, cwd, env=None, **options):
     ],
 )
 def test_a_huge_number_on_the_command_line_is_one_line(words, says, tmp_path, monkeypatch, capsys):
-    from isd_gym.cli import main
+    from isd_gym.commands import main
 
     monkeypatch.setattr(sys, "argv", ["isd-gym", *words.format(tmp=tmp_path / "out").split()])
     with pytest.raises(SystemExit) as end:
@@ -119,8 +119,8 @@ def test_names_are_shown_in_one_line_that_steers_nothing():
 )
 def test_a_name_that_no_file_can_have_is_one_line(name, tmp_path):
     from isd_gym.benchmark.grid import Grid
-    from isd_gym.elements.base import register_file
-    from isd_gym.policies import find
+    from isd_gym.physics.elements.base import register_file
+    from isd_gym.benchmark.policies import find
 
     for use in (Network.load, Policy.load, read_table, road, Grid.load, register_file):
         refused(lambda use=use: use(name))
@@ -578,7 +578,7 @@ def test_a_model_may_hold_anything(data, says):
 def test_every_number_of_every_element_has_a_hard_limit():
     from dataclasses import fields
 
-    from isd_gym import elements as el
+    from isd_gym.physics import elements as el
 
     for kind, cls in el.TYPES.items():
         where = ("a", "b") if cls.place == "between" else ("a",)
@@ -603,7 +603,7 @@ def test_every_number_of_every_element_has_a_hard_limit():
 def test_large_networks_answer_or_are_refused_within_seconds():
     import time
 
-    from isd_gym.network import linearise
+    from isd_gym.physics.network import linearise
 
     def chain(n):
         nodes = ["ground", *(f"n{i}" for i in range(n))]
@@ -716,7 +716,7 @@ def test_a_converted_policy_goes_nowhere_but_its_folder(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-import isd_gym.files as files
+import isd_gym.common.files as files
 where, when = sys.argv[1], sys.argv[2]
 die = lambda *a: os.kill(os.getpid(), signal.SIGKILL)
 if when == "fallback":  # a system that cannot exchange, killed between the two renames
@@ -768,12 +768,12 @@ def table(tmp_path, suffix, n=100):
 
 #: begin of a helper's program whose reader of .mat files is another one
 OTHER = (
-    f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.formats.mat as m; "
+    f"import os, sys; sys.path.append({str(Path(__file__).parents[1])!r}); import isd_gym.records.formats.mat as m; "
 )
 
 
 def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, monkeypatch):
-    from isd_gym.data import isolated
+    from isd_gym.records.data import isolated
 
     path = table(tmp_path, ".mat")
     isolated._stop()  # a helper that has read many files ends with the next one
@@ -790,7 +790,7 @@ def test_a_fault_of_a_library_is_an_error_and_the_next_file_is_read(tmp_path, mo
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of a process")
 def test_an_endless_file_is_given_up(tmp_path, monkeypatch):
-    from isd_gym.data import isolated
+    from isd_gym.records.data import isolated
 
     path = table(tmp_path, ".mat")
     monkeypatch.setattr(isolated, "SECONDS", 0.1)
@@ -891,8 +891,8 @@ def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
     path = table(tmp_path, ".mf4")
     path.write_bytes(path.read_bytes()[:700] + bytes(4000))
     code = (
-        "import sys, os; from isd_gym.data import read_table; from isd_gym.data import isolated\n"
-        "from isd_gym.errors import InputError\n"
+        "import sys, os; from isd_gym.records.data import read_table; from isd_gym.records.data import isolated\n"
+        "from isd_gym.common.errors import InputError\n"
         "for _ in range(3):\n try: read_table(sys.argv[1])\n except InputError as e: pass\n"
         "print(isolated._helper.process.pid)"
     )
@@ -908,7 +908,7 @@ def test_reading_says_nothing_on_stderr_and_ends_with_its_process(tmp_path):
 def test_a_forked_process_has_a_reader_of_its_own(tmp_path):
     path = table(tmp_path, ".mat")
     code = (
-        "import os, sys; from isd_gym.data import read_table\n"
+        "import os, sys; from isd_gym.records.data import read_table\n"
         "read_table(sys.argv[1]); pid = os.fork()\n"
         "n = len(read_table(sys.argv[1]))\n"
         "if pid == 0: os._exit(0 if n == 100 else 1)\n"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rigs import pushed_mass
 
-from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
-from isd_gym.discrepancy.selection.uncertainty import intervals
+from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis.selection.uncertainty import intervals
 
 
 @pytest.mark.parametrize("stiffness", [2.5e6, -2.5e6, -2.5])

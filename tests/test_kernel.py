@@ -5,10 +5,10 @@ import pytest
 import reference
 from scipy.signal import lsim, sawtooth
 
-from isd_gym.kernel import compiled
-from isd_gym.network import Channel, Network, linearise
-from isd_gym.road import paper_road
-from isd_gym.simulate import Plant, simulate
+from isd_gym.physics.kernel import compiled
+from isd_gym.physics.network import Channel, Network, linearise
+from isd_gym.physics.road import paper_road
+from isd_gym.physics.simulate import Plant, simulate
 
 STEP = 1e-3
 
@@ -84,8 +84,8 @@ def test_linear_network_is_exact():
 
 
 def test_long_run_on_the_papers_road_is_the_analytic_value():
-    from isd_gym.policies import Idle
-    from isd_gym.scoring import Entry, drive
+    from isd_gym.benchmark.policies import Idle
+    from isd_gym.benchmark.scoring import Entry, drive
 
     run = drive(
         Entry("passive", lambda: Idle("passive")),
@@ -228,7 +228,7 @@ def test_sensor_faults_act_on_their_channel_only():
 
 @pytest.mark.slow  # the kernel is compiled with it
 def test_an_element_of_ones_own_needs_nothing_but_its_class():
-    from isd_gym import elements as el
+    from isd_gym.physics import elements as el
 
     class Magnet(el.Element):
         """Attraction that falls off with distance."""
@@ -257,7 +257,7 @@ def test_an_element_of_ones_own_needs_nothing_but_its_class():
 
 
 def test_simulate_refuses_bad_input():
-    from isd_gym.errors import InputError
+    from isd_gym.common.errors import InputError
 
     time = np.arange(100) * STEP
     with pytest.raises(InputError, match="input 'current' is missing"):

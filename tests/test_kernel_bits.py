@@ -6,9 +6,9 @@ import pickle
 import numpy as np
 import pytest
 
-from isd_gym.batch import Batch
-from isd_gym.network import Channel, Network
-from isd_gym.simulate import Plant
+from isd_gym.physics.batch import Batch
+from isd_gym.physics.network import Channel, Network
+from isd_gym.physics.simulate import Plant
 
 STEP = 1e-3
 LANES = 7  # no multiple of what one instruction works on
@@ -184,7 +184,7 @@ def test_a_copied_batch_goes_on_alike_and_on_its_own(twin):
 @pytest.mark.parametrize("spread", [None, {"body.mass": (0.8, 1.2)}])
 def test_threads_change_nothing(spread):
     """Groups of cars shared by one, two and three threads: observations, rewards and info to the last bit."""
-    from isd_gym.env import ISDSuspensionVectorEnv
+    from isd_gym.env.environment import ISDSuspensionVectorEnv
 
     count = 43
     fleets = [ISDSuspensionVectorEnv(count, road="E", randomize=spread, threads=n) for n in (1, 2, 3)]

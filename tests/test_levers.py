@@ -8,9 +8,9 @@ import pytest
 import reference
 
 from isd_gym import simulate
-from isd_gym.errors import InputError
-from isd_gym.network import Network, assemble, cut, transfer
-from isd_gym.report.schematic import draw
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network, assemble, cut, transfer
+from isd_gym.view.report.schematic import draw
 
 FREQUENCY = np.geomspace(0.05, 60.0, 60)
 

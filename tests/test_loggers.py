@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from test_inspection import CAR, drive
 
-from isd_gym.data import Table
-from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.estimation.clock_lag import align_clocks
-from isd_gym.discrepancy.records import build_record, read_record
-from isd_gym.discrepancy.simulation.problem import Problem
-from isd_gym.errors import InputError
-from isd_gym.inspection import inspect, lines
-from isd_gym.loggers import ChannelMap, Recording, Signal
-from isd_gym.network import Network
-from isd_gym.simulate import simulate
+from isd_gym.records.data import Table
+from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis.estimation.clock_lag import align_clocks
+from isd_gym.diagnosis.records import build_record, read_record
+from isd_gym.diagnosis.simulation.problem import Problem
+from isd_gym.common.errors import InputError
+from isd_gym.view.inspection import inspect, lines
+from isd_gym.records.loggers import ChannelMap, Recording, Signal
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 NETWORK = Network.load(CAR)
 CHANNELS = (*NETWORK.inputs, *NETWORK.outputs)
@@ -147,8 +147,8 @@ def test_a_rate_below_twice_the_motion_is_refused(truth):
 
 
 def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
-    from isd_gym.data import write_table
-    from isd_gym.loggers import runs
+    from isd_gym.records.data import write_table
+    from isd_gym.records.loggers import runs
 
     t = even(2.5e-3)
     for name in ("a", "b"):
@@ -166,7 +166,7 @@ def test_a_channel_that_two_loggers_have_asks_for_the_map(tmp_path):
 
 
 def test_absolute_stamps_of_two_loggers_share_their_origin(tmp_path):
-    from isd_gym.loggers import runs
+    from isd_gym.records.loggers import runs
 
     for name, first, columns in (("a", 0.0, CHANNELS[:1]), ("b", 1.25, CHANNELS[1:])):
         rows = [",".join(["stamp", *(c.name for c in columns)])]

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from isd_gym.data import Table
-from isd_gym.discrepancy import SearchSettings, diagnose
-from isd_gym.discrepancy.hypotheses import library
-from isd_gym.discrepancy.selection import screening
-from isd_gym.network import Network
-from isd_gym.simulate import simulate
+from isd_gym.records.data import Table
+from isd_gym.diagnosis import SearchSettings, diagnose
+from isd_gym.diagnosis.hypotheses import library
+from isd_gym.diagnosis.selection import screening
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 if TYPE_CHECKING:
-    from isd_gym.discrepancy import Diagnosis
+    from isd_gym.diagnosis import Diagnosis
 
 STEP, SAMPLES = 1e-2, 600
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from isd_gym.network import Network
-from isd_gym.simulate import simulate
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 GROUND = ["mass", "ground"]

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp, trapezoid
 
-from isd_gym import elements as el
-from isd_gym.errors import InputError
-from isd_gym.network import Network, assemble, builtin_networks, linearise
-from isd_gym.simulate import simulate
+from isd_gym.physics import elements as el
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network, assemble, builtin_networks, linearise
+from isd_gym.physics.simulate import simulate
 
 KAPPA, SPEED = 5e-7, 20.0
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.initial_states import motion_rows
-from isd_gym.discrepancy.estimation.noise import white_filters
-from isd_gym.discrepancy.estimation.structure import base_structure
-from isd_gym.discrepancy.hypotheses.score_test import residual_of
-from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.errors import InputError
-from isd_gym.network import Channel, Network
-from isd_gym.schemas import load
+from isd_gym.diagnosis.estimation.gauss_newton import Fitter
+from isd_gym.diagnosis.estimation.initial_states import motion_rows
+from isd_gym.diagnosis.estimation.noise import white_filters
+from isd_gym.diagnosis.estimation.structure import base_structure
+from isd_gym.diagnosis.hypotheses.score_test import residual_of
+from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Channel, Network
+from isd_gym.records.schemas import load
 
 STEP, SAMPLES = 2e-3, 1500
 OFFSET, NOISE = 0.013, 2e-5  # [m]

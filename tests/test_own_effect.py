@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from isd_gym import elements as el
-from isd_gym.data import Table
-from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.errors import InputError
-from isd_gym.network import Network
+from isd_gym.physics import elements as el
+from isd_gym.records.data import Table
+from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
 
 RIG = {
     "schema": "isd-model/1",
@@ -149,7 +149,7 @@ def test_a_package_offers_elements_through_its_entry_point(monkeypatch) -> None:
 
             return offer
 
-    monkeypatch.setattr("isd_gym.elements.base.entry_points", lambda group: [Entry()])
+    monkeypatch.setattr("isd_gym.physics.elements.base.entry_points", lambda group: [Entry()])
     el.discover.cache_clear()
     try:
         assert any(h.effect == "offered_damper" for h in hypotheses(Network.load(RIG)))

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import random_networks
 
-from isd_gym import elements as el
-from isd_gym.errors import InputError
-from isd_gym.network import Channel, Network
-from isd_gym.simulate import Plant, simulate
+from isd_gym.physics import elements as el
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Channel, Network
+from isd_gym.physics.simulate import Plant, simulate
 
 STEP = 2.5e-5  # a Stribeck bound is that at the start of a step: energy closes with the first power of it
 

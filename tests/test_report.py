@@ -17,30 +17,32 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from isd_gym import cli, schemas, show
-from isd_gym.comparability import Comparable
-from isd_gym.data import Table, read_table
-from isd_gym.discrepancy import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
-from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import white_filters
-from isd_gym.discrepancy.estimation.structure import base_structure
-from isd_gym.discrepancy.hypotheses.missing_force import Deconvolution
-from isd_gym.discrepancy.result import BestCandidate, Tabulated
-from isd_gym.discrepancy.selection.criteria import CRITERIA
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence
-from isd_gym.discrepancy.verdict.explanation import draw_law as series_law
-from isd_gym.discrepancy.verdict.findings import Finding, LawProbability
-from isd_gym.discrepancy.verdict.gates import gates_of
-from isd_gym.elements import TYPES, CoulombFriction
-from isd_gym.errors import InputError, ReportError
-from isd_gym.network import Network
-from isd_gym.policies import find, passive
-from isd_gym.report import charts, plots
-from isd_gym.report import diagnosis as report
-from isd_gym.report import score as score_page
-from isd_gym.scoring import score
-from isd_gym.simulate import simulate
+from isd_gym import commands as cli
+from isd_gym.records import schemas
+from isd_gym.benchmark import show
+from isd_gym.benchmark.comparability import Comparable
+from isd_gym.records.data import Table, read_table
+from isd_gym.diagnosis import Contender, Diagnosis, Effect, Gate, Law, Place, Quantity, Trace
+from isd_gym.diagnosis.estimation.gauss_newton import Fitter
+from isd_gym.diagnosis.estimation.noise import white_filters
+from isd_gym.diagnosis.estimation.structure import base_structure
+from isd_gym.diagnosis.hypotheses.missing_force import Deconvolution
+from isd_gym.diagnosis.result import BestCandidate, Tabulated
+from isd_gym.diagnosis.selection.criteria import CRITERIA
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence
+from isd_gym.diagnosis.verdict.explanation import draw_law as series_law
+from isd_gym.diagnosis.verdict.findings import Finding, LawProbability
+from isd_gym.diagnosis.verdict.gates import gates_of
+from isd_gym.physics.elements import TYPES, CoulombFriction
+from isd_gym.common.errors import InputError, ReportError
+from isd_gym.physics.network import Network
+from isd_gym.benchmark.policies import find, passive
+from isd_gym.view.report import charts, plots
+from isd_gym.view.report import diagnosis as report
+from isd_gym.view.report import score as score_page
+from isd_gym.benchmark.scoring import score
+from isd_gym.physics.simulate import simulate
 
 jsonschema = pytest.importorskip("jsonschema")
 
@@ -542,7 +544,7 @@ def test_a_diagnosis_without_records_still_has_a_page(diagnosis, tmp_path):
 def test_every_effect_of_the_library_has_a_test_that_could_refute_it():
     import string
 
-    from isd_gym.elements import parameter_fields
+    from isd_gym.physics.elements import parameter_fields
 
     kept = {"motor"}
     tests = {name: cls.test for name, cls in TYPES.items() if cls.__module__.startswith("isd_gym.elements")}
@@ -787,7 +789,7 @@ def told(diagnosis, monkeypatch, quick):
         options["progress"]("working")
         return diagnosis
 
-    monkeypatch.setattr("isd_gym.discrepancy.diagnose", fake)
+    monkeypatch.setattr("isd_gym.diagnosis.diagnose", fake)
     return calls
 
 
@@ -842,7 +844,7 @@ def test_diagnose_writes_the_page_of_every_verdict(diagnosis, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     tables(tmp_path, "a.csv")
     d = of_kind(diagnosis, kind)
-    monkeypatch.setattr("isd_gym.discrepancy.diagnose", lambda data, model, **options: d)
+    monkeypatch.setattr("isd_gym.diagnosis.diagnose", lambda data, model, **options: d)
     args = ["diagnose", "a.csv", "--model", "quarter-car-isd", "--out", "found"]
     done = CliRunner().invoke(cli.app, args)
     assert done.exit_code == 0, done.output

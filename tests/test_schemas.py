@@ -6,10 +6,11 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym import elements, schemas
-from isd_gym.cli import app
-from isd_gym.errors import InputError
-from isd_gym.network import Network, builtin_networks
+from isd_gym.physics import elements
+from isd_gym.records import schemas
+from isd_gym.commands import app
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network, builtin_networks
 
 jsonschema = pytest.importorskip("jsonschema")
 
@@ -60,7 +61,7 @@ def test_the_shipped_model_schema_is_made_from_the_elements(monkeypatch):
     own = {k: cls for k, cls in elements.TYPES.items() if cls.__module__.startswith(elements.__name__)}
     monkeypatch.setattr(elements, "TYPES", own)
     assert schemas.load("isd-model/1") == json.loads(schemas.dumps(schemas.model_schema())), (
-        "an element changed: run python -m isd_gym.schemas"
+        "an element changed: run python -m isd_gym.records.schemas"
     )
 
 
@@ -179,10 +180,10 @@ def _places(data, path=()):
 @pytest.mark.parametrize("name", ["isd-score/1", "isd-diagnosis/1", "isd-card/1"])
 def test_the_own_check_accepts_what_jsonschema_accepts(name):
     """Each part of a document is deleted or replaced in turn."""
-    from isd_gym.schemas.checking import check
+    from isd_gym.records.schemas.checking import check
 
     if name == "isd-score/1":
-        from isd_gym.scoring import score
+        from isd_gym.benchmark.scoring import score
 
         document = json.loads(json.dumps(score(["skyhook"], episodes=1, duration=0.1).to_dict()))
     elif name == "isd-card/1":
@@ -221,7 +222,7 @@ def test_the_own_check_accepts_what_jsonschema_accepts(name):
 
 
 def test_every_keyword_of_the_shipped_schemas_is_handled():
-    from isd_gym.schemas.checking import problems
+    from isd_gym.records.schemas.checking import problems
 
     def parts(schema):
         yield schema

@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym import cli
-from isd_gym.errors import InputError
-from isd_gym.network import Network, builtin_networks
-from isd_gym.report import schematic
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network, builtin_networks
+from isd_gym.view.report import schematic
 
 BRIDGE = {
     "schema": "isd-model/1",

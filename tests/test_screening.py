@@ -6,12 +6,12 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-from isd_gym.discrepancy.estimation.structure import Hypothesis, add, base_structure
-from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.discrepancy.hypotheses.score_test import ScoredStart
-from isd_gym.discrepancy.selection.screening import Screening, amplified, starts
-from isd_gym.elements import Start
-from isd_gym.network import Network
+from isd_gym.diagnosis.estimation.structure import Hypothesis, add, base_structure
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.hypotheses.score_test import ScoredStart
+from isd_gym.diagnosis.selection.screening import Screening, amplified, starts
+from isd_gym.physics.elements import Start
+from isd_gym.physics.network import Network
 
 
 def screened(effect: str, values: dict[str, float], **start: Any) -> tuple[Screening, ScoredStart]:

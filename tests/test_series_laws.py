@@ -1,8 +1,8 @@
 """Series laws along one line: links of a chain without masses carry the same force."""
 
-from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.discrepancy.selection.equivalent_laws import _series_alone
-from isd_gym.network import Network
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.selection.equivalent_laws import _series_alone
+from isd_gym.physics.network import Network
 
 
 def car():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from isd_gym import elements as el
-from isd_gym.network import Network, assemble
-from isd_gym.simulate import Plant
+from isd_gym.physics import elements as el
+from isd_gym.physics.network import Network, assemble
+from isd_gym.physics.simulate import Plant
 
 STEP = 1e-4
 #: numbers at which each law acts on the rig below, which moves by some millimetres at some decimetres per second

@@ -13,8 +13,8 @@ import pytest
 from isd_gym.agents.convert import convert, trained_options
 from isd_gym.benchmark.policies import find
 from isd_gym.benchmark.scoring import drive
-from isd_gym.errors import InputError
-from isd_gym.network import Network
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
 
 sb3 = pytest.importorskip("stable_baselines3")
 from isd_gym.sb3 import ScoreCallback, make_vec_env, save_model  # noqa: E402
@@ -39,7 +39,7 @@ def learner(kind: str, env, **options):
 
 def run(monkeypatch, capsys, *words):
     """Exit status, stdout and stderr of a command."""
-    from isd_gym.cli import main
+    from isd_gym.commands import main
 
     monkeypatch.setattr(sys, "argv", ["isd-gym", *map(str, words)])
     with pytest.raises(SystemExit) as done:

@@ -10,11 +10,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from isd_gym.errors import TyreContactWarning
-from isd_gym.network import Network
-from isd_gym.road import road
-from isd_gym.tyre_contact import pulling_share
-from isd_gym.vehicle import vehicle
+from isd_gym.common.errors import TyreContactWarning
+from isd_gym.physics.network import Network
+from isd_gym.physics.road import road
+from isd_gym.physics.tyre_contact import pulling_share
+from isd_gym.physics.vehicle import vehicle
 
 QUARTER = "ISDSuspension-v0"
 
@@ -97,7 +97,7 @@ def test_a_program_warns_once():
 
 
 def test_the_command_says_it_in_one_line():
-    command = [sys.executable, "-m", "isd_gym.cli", "score", "passive", "--road", "E", "--episodes", "2"]
+    command = [sys.executable, "-m", "isd_gym", "score", "passive", "--road", "E", "--episodes", "2"]
     run = subprocess.run([*command, "--duration", "1"], capture_output=True, text=True, check=False)
     lines = [line for line in run.stderr.splitlines() if "tyre_lift_off" in line]
     assert len(lines) == 1, run.stderr

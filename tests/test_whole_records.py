@@ -6,21 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from isd_gym.data import Table
-from isd_gym.discrepancy import diagnose
-from isd_gym.discrepancy import result_builder as builder
-from isd_gym.discrepancy.estimation.gauss_newton import Fitter
-from isd_gym.discrepancy.estimation.noise import white_filters
-from isd_gym.discrepancy.estimation.structure import rebuilt
-from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.discrepancy.records import split_records
-from isd_gym.discrepancy.selection.candidate import Candidate
-from isd_gym.discrepancy.selection.held_out import HeldOutEvaluator
-from isd_gym.discrepancy.simulation.problem import Problem, Record
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.report import write_report
-from isd_gym.simulate import simulate
+from isd_gym.records.data import Table
+from isd_gym.diagnosis import diagnose
+from isd_gym.diagnosis import result_builder as builder
+from isd_gym.diagnosis.estimation.gauss_newton import Fitter
+from isd_gym.diagnosis.estimation.noise import white_filters
+from isd_gym.diagnosis.estimation.structure import rebuilt
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.records import split_records
+from isd_gym.diagnosis.selection.candidate import Candidate
+from isd_gym.diagnosis.selection.held_out import HeldOutEvaluator
+from isd_gym.diagnosis.simulation.problem import Problem, Record
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.view.report import write_report
+from isd_gym.physics.simulate import simulate
 
 STEP = 0.01
 

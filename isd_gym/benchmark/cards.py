@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, markdown, shown
-from ..inputs import read_json
-from ..schemas.checking import check
-from ..seeds import named_roads
+from ..common.errors import InputError, markdown, shown
+from ..common.inputs import read_json
+from ..records.schemas.checking import check
+from ..common.seeds import named_roads
 from .scoring import compare
 
 if TYPE_CHECKING:

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ..batch import CURRENT_LIMIT
-from ..errors import InputError
-from ..vehicle import kind, vehicle
+from ..physics.batch import CURRENT_LIMIT
+from ..common.errors import InputError
+from ..physics.vehicle import kind, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import DTypeLike
 
-    from ..env import ISDSuspensionVectorEnv
-    from ..network import Network
+    from ..env.environment import ISDSuspensionVectorEnv
+    from ..physics.network import Network
 
 
 class Controller(Protocol):

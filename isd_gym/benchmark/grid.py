@@ -21,7 +21,7 @@
     factors = { "body.mass" = [0.8, 1.3] }
 
 A condition may set `network`, `road`, `speed` [m/s], `factors` (on parameters of the plant), `model` (of the
-controllers; by default the unchanged network), `preview` [s], the attributes of `isd_gym.sensors.Sensors`
+controllers; by default the unchanged network), `preview` [s], the attributes of `isd_gym.env.sensors.Sensors`
 (`noise`, `delay`, `road_error`, `road_lag`, `road_range`), and a smaller number of `episodes` (one is enough
 for a bump). The conventional passive car is driven in each condition, too: changes are paired with the
 passive car.
@@ -41,10 +41,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, hint, shown
-from ..inputs import is_number, parse_json, read_bytes
-from ..network import Network
-from ..sensors import Sensors
+from ..common.errors import InputError, hint, shown
+from ..common.inputs import is_number, parse_json, read_bytes
+from ..physics.network import Network
+from ..env.sensors import Sensors
 from .engine import Task
 
 SCHEMA = "isd-sweep/1"
@@ -169,7 +169,7 @@ def _network(source: str, changed: float) -> Network:
 
 @lru_cache(maxsize=256)
 def _check_road(source: str, changed: float) -> None:
-    from ..road import road
+    from ..physics.road import road
 
     road(source)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InputError, hint, shown
+from ..common.errors import InputError, hint, shown
 from .driving import Entry
 
 if TYPE_CHECKING:

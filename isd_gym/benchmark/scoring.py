@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import elements as el
-from ..comparability import Comparable, comparable
-from ..cost import StageCost, square
-from ..errors import InputError, shown
-from ..inputs import check_memory
-from ..network import Network
-from ..road import road as find_road
-from ..seeds import generators, named_roads
-from ..sensors import Sensors
-from ..vehicle import Corner, Vehicle, vehicle
+from ..physics import elements as el
+from .comparability import Comparable, comparable
+from ..physics.cost import StageCost, square
+from ..common.errors import InputError, shown
+from ..common.inputs import check_memory
+from ..physics.network import Network
+from ..physics.road import road as find_road
+from ..common.seeds import generators, named_roads
+from ..env.sensors import Sensors
+from ..physics.vehicle import Corner, Vehicle, vehicle
 from .driving import Controller, Crew, Entry, Idle, travel
 from .policies import find_all, passive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ..road import Road
+    from ..physics.road import Road
 
 __all__ = [
     "LIMITS",
@@ -226,7 +226,7 @@ def check_size(car: Vehicle, episodes: int, duration: float) -> None:
     Raises:
         InputError: A number is not positive and finite, or the signals do not fit into the memory.
     """
-    from ..env import CONTROL_STEP
+    from ..env.environment import CONTROL_STEP
 
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")
@@ -278,7 +278,7 @@ def drive(
     Raises:
         InputError: A car breaks, or an argument is invalid.
     """
-    from ..env import CONTROL_STEP, ISDSuspensionVectorEnv
+    from ..env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
 
     plant = entry.network or network
     check_size(vehicle(plant), episodes, duration)

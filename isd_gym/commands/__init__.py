@@ -5,17 +5,7 @@ Heavy imports wait until a command runs, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
-from . import (
-    card,
-    diagnose,
-    inspect,
-    networks,
-    policies,
-    score,
-    show,
-    simulate,
-    warm,
-)
+from . import card, diagnose, inspect, networks, policies, score, show, simulate, warm
 from ._app import FiniteCommand, SeveralValuesCommand, app
 from ._main import main
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from ..errors import InputError
+from ..common.errors import InputError
 
 
 class CommandGroup(TyperGroup):

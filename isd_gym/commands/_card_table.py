@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ..console import printer
-from ..errors import InputError, plain
+from .console import printer
+from ..common.errors import InputError, plain
 from ._columns import print_columns
 from ._score_bounds import known_ceilings
 
@@ -66,9 +66,9 @@ def print_track(card: Mapping[str, Any], name: str, scores: Sequence[Mapping[str
 
 def _ceilings(one: Mapping[str, Any]) -> Callable[[float], Mapping[str, Any] | None] | None:
     """Return a function from preview [s] to the causal ceiling of a track; None where no ceiling may stand beside the track."""
-    from ..comparability import comparable
-    from ..network import Network
-    from ..road import road
+    from ..benchmark.comparability import comparable
+    from ..physics.network import Network
+    from ..physics.road import road
 
     speed, duration = one["speed"]["value"], one["duration"]["value"]
     try:

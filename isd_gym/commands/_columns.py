@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from ..console import printer
+from .console import printer
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -7,13 +7,13 @@ from typing import Any
 
 import typer
 
-from ..console import printer, write_json
-from ..errors import ReportError, plain
+from .console import printer, write_json
+from ..common.errors import ReportError, plain
 
 
 def write_result(result: Any, out: Path, about: dict[str, str]) -> Path | ReportError:
     """Write results and report to `out`. Return the page, or the error where the page could not be drawn."""
-    from ..report import write_report
+    from ..view.report import write_report
 
     try:
         return write_report(result, out, about=about)

@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 import typer
 
-from ..errors import InputError, TyreContactWarning, plain
+from ..common.errors import InputError, TyreContactWarning, plain
 from ._app import app
 from ._plugins import add_plugins
 from ._streams import prepare_streams

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError, hint, shown
+from ..common.errors import InputError, hint, shown
 
 
 def complete(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
@@ -29,7 +29,7 @@ def policy_names() -> Iterable[str]:
 
 def network_names() -> Iterable[str]:
     """Return the names of the built-in networks."""
-    from ..network import builtin_networks
+    from ..physics.network import builtin_networks
 
     return builtin_networks()
 
@@ -208,7 +208,7 @@ def channel_names(
     Raises:
         InputError: A channel is unknown, or --map is given with one of the others.
     """
-    from ..loggers import ChannelMap
+    from ..records.loggers import ChannelMap
 
     named: dict[str, Any] = {
         "rename": pairs(rename, "--rename", "COLUMN=CHANNEL"),
@@ -238,7 +238,7 @@ def signs_of(values: list[str] | None) -> dict[str, int]:
 
 def check_records(data: list[Path], validate: list[Path]) -> None:
     """Raise `InputError` for a record given twice, or given for fitting and for validation."""
-    from ..loggers import files_of
+    from ..records.loggers import files_of
 
     seen: set[Path] = set()
     fitted = [f for word in data for f in files_of(word)]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from ..plugins import COMMANDS, plugins
+from ..common.plugins import COMMANDS, plugins
 from ._app import FiniteCommand, app
 
 #: names of the commands that are plugins

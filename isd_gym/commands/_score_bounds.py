@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from ..errors import InputError
-from ..plugins import REFERENCES, plugins
+from ..common.errors import InputError
+from ..common.plugins import REFERENCES, plugins
 
 
 def known_optimum(

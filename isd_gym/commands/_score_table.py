@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ..console import printer
-from ..errors import plain, shown
+from .console import printer
+from ..common.errors import plain, shown
 from ._columns import print_columns
 
 

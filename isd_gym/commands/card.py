@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InputError, plain
-from ..registration import ENVIRONMENTS
+from ..common.errors import InputError, plain
+from ..env.registration import ENVIRONMENTS
 from ._card_table import print_track
 
 
@@ -47,7 +47,7 @@ def command(
     if write is not None:
         import datetime
 
-        from ..files import write_text
+        from ..common.files import write_text
 
         if not found:
             raise InputError("--write wants scores to make a card of")

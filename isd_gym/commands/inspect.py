@@ -7,20 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ..console import check_file, terminal_columns, write_json
-from ..errors import InputError, shown
-from ._options import (
-    ColumnsOption,
-    FileRateOption,
-    JsonOption,
-    MapOption,
-    RenameOption,
-    SignOption,
-    check_channels,
-    column_names,
-    pairs,
-    signs_of,
-)
+from .console import check_file, terminal_columns, write_json
+from ..common.errors import InputError, shown
+from ._options import ColumnsOption, FileRateOption, JsonOption, MapOption, RenameOption, SignOption, check_channels, column_names, pairs, signs_of
 
 
 def command(
@@ -62,11 +51,11 @@ def command(
 
     Example: isd-gym inspect body.csv wheel.mf4 --model car.json --out map.json
     """
-    from ..files import write_text
-    from ..inspection import inspect, lines, page
-    from ..loggers import ChannelMap, Column
-    from ..loggers.mapping import files_of
-    from ..network import Network
+    from ..common.files import write_text
+    from ..view.inspection import inspect, lines, page
+    from ..records.loggers import ChannelMap, Column
+    from ..records.loggers.mapping import files_of
+    from ..physics.network import Network
 
     files = [file for word in data for file in files_of(word)]
     for target in (out, html, json_file):
@@ -78,7 +67,7 @@ def command(
         name, joined, value = word.rpartition("=")
         if not (name and joined and value):
             raise InputError(f"--unit wants COLUMN=UNIT, not {shown(word)}")
-        from ..units import convert
+        from ..common.units import convert
 
         convert(1.0, value, value)
         given[name] = value

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ..console import check_file, print_names
-from ..errors import InputError
+from .console import check_file, print_names
+from ..common.errors import InputError
 from ._options import complete, network_names
 
 
@@ -31,11 +31,11 @@ def command(
 
     Example: isd-gym networks quarter-car-isd --draw car.svg
     """
-    from ..network import Network, builtin_networks
+    from ..physics.network import Network, builtin_networks
 
     if draw is not None:
-        from ..report.schematic import check_suffix
-        from ..report.schematic import draw as sketch
+        from ..view.report.schematic import check_suffix
+        from ..view.report.schematic import draw as sketch
 
         if name is None:
             raise InputError("--draw wants a network: isd-gym networks NAME --draw FILE")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..console import print_names, write_json
+from .console import print_names, write_json
 from ._options import JsonOption
 
 

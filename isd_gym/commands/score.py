@@ -8,22 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ..console import check_file, progress, warm_up, write_json
+from .console import check_file, progress, warm_up, write_json
 from ._card_table import print_track
-from ._options import (
-    POLICIES,
-    DurationOption,
-    JsonOption,
-    MapOption,
-    NetworkOption,
-    PreviewOption,
-    RoadOption,
-    SeedOption,
-    SpeedOption,
-    TrainedOption,
-    complete,
-    policy_names,
-)
+from ._options import POLICIES, DurationOption, JsonOption, MapOption, NetworkOption, PreviewOption, RoadOption, SeedOption, SpeedOption, TrainedOption, complete, policy_names
 from ._score_bounds import bounds_beside, known_ceilings, known_optimum
 from ._score_table import print_score
 
@@ -86,17 +73,17 @@ def command(
     from ..benchmark.policies import find_all, passive
     from ..benchmark.scoring import check_size, unscored
     from ..benchmark.scoring import score as run
-    from ..loggers import ChannelMap
-    from ..loggers.record_reading import road_of
-    from ..network import Network
-    from ..road import road as find_road
-    from ..sensors import Sensors
-    from ..vehicle import vehicle
+    from ..records.loggers import ChannelMap
+    from ..records.loggers.record_reading import road_of
+    from ..physics.network import Network
+    from ..physics.road import road as find_road
+    from ..env.sensors import Sensors
+    from ..physics.vehicle import vehicle
 
     check_file(json_file, network, model, road)
     senses = Sensors.of(sensors)
     if report is not None:
-        from ..report import check_report
+        from ..view.report import check_report
 
         check_report(report)
     plant = Network.load(network)
@@ -137,7 +124,7 @@ def command(
     made = result.to_dict() | {"command": " ".join(["isd-gym", *sys.argv[1:]])}
     write_json(json_file, made)
     if report is not None:
-        from ..report import score_report
+        from ..view.report import score_report
 
         page = score_report(result, report)
         typer.echo(f"report: {page}", err=True)

@@ -8,25 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from ..console import check_file, printer, tell, write_json
-from ..errors import InputError, plain, shown
-from ._options import (
-    ColumnsOption,
-    FileRateOption,
-    JsonOption,
-    MapOption,
-    ModelArgument,
-    RenameOption,
-    SignOption,
-    UnitOption,
-    channel_names,
-    check_records,
-)
+from .console import check_file, printer, tell, write_json
+from ..common.errors import InputError, plain, shown
+from ._options import ColumnsOption, FileRateOption, JsonOption, MapOption, ModelArgument, RenameOption, SignOption, UnitOption, channel_names, check_records
 
 if TYPE_CHECKING:
-    from ..discrepancy.prediction_errors import PredictionErrors
-    from ..network import Network
-    from ..simulate import Interpolation
+    from ..diagnosis.prediction_errors import PredictionErrors
+    from ..physics.network import Network
+    from ..physics.simulate import Interpolation
 
 
 def command(
@@ -94,7 +83,7 @@ def command(
 
     Example: isd-gym simulate found/model.json rig-b.csv --compare --against rig-b.json
     """
-    from ..network import Network
+    from ..physics.network import Network
 
     check_file(json_file, model, *data)
     network = Network.load(model)
@@ -121,8 +110,8 @@ def _compare(
     network: Network, data: list[Path], named: dict[str, Any], json_file: Path | None, against: Network | None
 ) -> None:
     """Print the errors of a model, and of the model to compare with, on records; write them to the file of --json."""
-    from ..discrepancy.prediction_errors import prediction_errors, removed_share
-    from ..loggers.record_reading import records_of
+    from ..diagnosis.prediction_errors import prediction_errors, removed_share
+    from ..records.loggers.record_reading import records_of
 
     check_records(data, [])
     if "by" in named:
@@ -204,13 +193,13 @@ def _write(
     """Simulate the inputs of a table and write the outputs."""
     import numpy as np
 
-    from ..data import Table, write_table
-    from ..loggers import files_of
-    from ..loggers.record_reading import outputs_of, records_of
-    from ..loggers.resampling import inputs_of
-    from ..loggers.start import motions_at, motions_of, state_of
-    from ..simulate import simulate as run
-    from ..units import convert
+    from ..records.data import Table, write_table
+    from ..records.loggers import files_of
+    from ..records.loggers.record_reading import outputs_of, records_of
+    from ..records.loggers.resampling import inputs_of
+    from ..records.loggers.start import motions_at, motions_of, state_of
+    from ..physics.simulate import simulate as run
+    from ..common.units import convert
 
     check_file(out, model, *files_of(data))
     by = named.get("by")
@@ -229,7 +218,7 @@ def _write(
         )
     table, start = pieces[0], None
     if fitted:
-        from ..discrepancy.estimation.initial_state_fit import initial_state
+        from ..diagnosis.estimation.initial_state_fit import initial_state
 
         begun = initial_state(table, network, outputs=measured)
         table, start = Table(begun.time, dict(begun.inputs), str(data)), begun.state

@@ -19,8 +19,8 @@ def command() -> None:
     from ..benchmark.grid import Condition
     from ..benchmark.policies import find
     from ..benchmark.scoring import drive
-    from ..network import Network
-    from ..simulate import simulate
+    from ..physics.network import Network
+    from ..physics.simulate import simulate
 
     def ready(what: str, begin: float) -> None:
         typer.echo(f"{what}: ready after {time.perf_counter() - begin:.1f} s")

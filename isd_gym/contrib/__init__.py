@@ -4,5 +4,5 @@
 (functional mock-up units), `hub` (a folder for a model hub), `minari` (data sets), `no_road` (identification without a
 measured road), `reproduce` (figures of the paper; it shows the ceilings), `sweep` (grids of conditions).
 
-The core reaches a wing by an entry point (`isd_gym.plugins`). No wing imports another, but `reproduce` the ceilings.
+The core reaches a wing by an entry point (`isd_gym.common.plugins`). No wing imports another, but `reproduce` the ceilings.
 """

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from isd_gym.contrib.ceilings import bounds
-from isd_gym.errors import InputError
-from isd_gym.road import paper_road
-from isd_gym.simulate import Plant
+from isd_gym.common.errors import InputError
+from isd_gym.physics.road import paper_road
+from isd_gym.physics.simulate import Plant
 
 
 @pytest.mark.parametrize(

@@ -19,12 +19,12 @@ from isd_gym.contrib.ceilings.ceiling import (
     stitch,
 )
 from isd_gym.contrib.ceilings.clairvoyant import Episode, Schedule
-from isd_gym.cost import StageCost
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.policies import find, passive
-from isd_gym.road import road
-from isd_gym.scoring import drive
+from isd_gym.physics.cost import StageCost
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.benchmark.policies import find, passive
+from isd_gym.physics.road import road
+from isd_gym.benchmark.scoring import drive
 
 CAR, PAPER, COST = Network.load("quarter-car-isd"), road("paper"), StageCost()
 
@@ -145,7 +145,7 @@ def test_bad_input_is_one_line():
 
 def test_the_shipped_ceiling_is_above_every_causal_controller():
     found = ceiling(compute=False)
-    assert found is not None, "regenerate: isd-gym ceiling --store isd_gym/bounds/ceiling.json"
+    assert found is not None, "regenerate: isd-gym ceiling --store isd_gym/benchmark/bounds/ceiling.json"
     assert found.standard_error / found.passive < 0.003
     # proven is farther away than what is searched, and nearer than the clairvoyant's proven bound
     assert -0.6 < found.proven.mean() / found.passive - 1 < found.change < -0.24

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from isd_gym.contrib.ceilings import clairvoyant as oracle
-from isd_gym.cost import StageCost
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.road import road
-from isd_gym.seeds import scoring_generator
+from isd_gym.physics.cost import StageCost
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.physics.road import road
+from isd_gym.common.seeds import scoring_generator
 
 
 def _convex() -> Network:
@@ -96,8 +96,8 @@ def test_without_friction_and_stops_reached_and_proven_meet():
 
 
 def _costs(name: str, episodes: int) -> np.ndarray:
-    from isd_gym.policies import find
-    from isd_gym.scoring import drive
+    from isd_gym.benchmark.policies import find
+    from isd_gym.benchmark.scoring import drive
 
     net = Network.load("quarter-car-isd")
     return drive(find(name, net), net, episodes=episodes).cost(StageCost())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from isd_gym.cli import app
+from isd_gym.commands import app
 from isd_gym.contrib.fleet.cases import (
     Case,
     _task,
@@ -19,8 +19,8 @@ from isd_gym.contrib.fleet.cases import (
     page,
     write_page,
 )
-from isd_gym.data import Table, write_table
-from isd_gym.errors import InputError, ReportError
+from isd_gym.records.data import Table, write_table
+from isd_gym.common.errors import InputError, ReportError
 
 
 def case(folder, name, *files):
@@ -180,7 +180,7 @@ def test_a_broken_result_of_a_case_is_made_again(tmp_path, monkeypatch):
 
 
 def test_a_case_that_cannot_be_diagnosed_is_told_and_the_others_go_on(tmp_path):
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
     rig = Network.load("force-rig")
     for name in ("a_2024-01-01", "b_2024-01-01"):

@@ -11,10 +11,10 @@ from isd_gym import cli
 from isd_gym.contrib.fmi.cosimulation import Unit
 from isd_gym.contrib.fmi.export import export_fmu
 from isd_gym.contrib.fmi.identification import diagnose_unit
-from isd_gym.data import Table, write_table
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.simulate import simulate
+from isd_gym.records.data import Table, write_table
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.physics.simulate import simulate
 
 pytest.importorskip("pythonfmu")
 pytest.importorskip("fmpy")

@@ -12,7 +12,7 @@ import pytest
 
 from isd_gym import baselines
 from isd_gym.contrib.exports.mpc_in_c import export_c
-from isd_gym.errors import InputError
+from isd_gym.common.errors import InputError
 
 compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(compiler is None, reason="no C compiler")
@@ -83,7 +83,7 @@ def test_what_has_no_c_is_one_line(tmp_path):
 def test_the_command_writes_it(tmp_path, monkeypatch, capsys):
     import sys
 
-    from isd_gym.cli import main
+    from isd_gym.commands import main
 
     def go(*words):
         monkeypatch.setattr(sys, "argv", ["isd-gym", "convert", *map(str, words)])

@@ -11,23 +11,13 @@ import pytest
 from typer.testing import CliRunner
 
 from isd_gym.contrib.forecast import plan, read_rivals
-from isd_gym.data import Table, read_table
-from isd_gym.discrepancy import Criteria, diagnose
-from isd_gym.discrepancy.planning import (
-    KINDS,
-    Excitation,
-    Limits,
-    Rig,
-    design_test,
-    infer_rig,
-    list_excitations,
-    make_excitation,
-    make_record,
-)
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.schemas import load
-from isd_gym.simulate import simulate
+from isd_gym.records.data import Table, read_table
+from isd_gym.diagnosis import Criteria, diagnose
+from isd_gym.diagnosis.planning import KINDS, Excitation, Limits, Rig, design_test, infer_rig, list_excitations, make_excitation, make_record
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.records.schemas import load
+from isd_gym.physics.simulate import simulate
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -304,7 +294,7 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
     assert isinstance(lost.exception, InputError) and "--rename COLUMN=stroke" in str(lost.exception)
     named = ("--rename", "Weg=stroke", "--rename", "az=acceleration", "--unit", "stroke=cm")
     asked = {}
-    from isd_gym.data import Table as Kept
+    from isd_gym.records.data import Table as Kept
 
     def kept(network: Network, tables: list[Kept], **options: Any) -> Any:
         asked["stroke"] = tables[0]["stroke"], tables[0].units.get("stroke")
@@ -314,7 +304,7 @@ def test_the_columns_of_data_may_have_other_names_and_units(tmp_path: Path) -> N
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("isd_gym.contrib.forecast.workflow.plan", kept)
         assert "enough" in str(run(str(model), str(log), *named, *more).exception)
-        from isd_gym.units import convert
+        from isd_gym.common.units import convert
 
         values, unit = asked["stroke"]
         np.testing.assert_allclose(convert(np.asarray(values), unit or "mm", "mm"), stroke, atol=1e-6)

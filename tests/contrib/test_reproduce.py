@@ -10,8 +10,8 @@ import pytest
 from isd_gym.contrib.reproduce import page, rig, show
 from isd_gym.contrib.reproduce.device import device
 from isd_gym.contrib.reproduce.study import SCHEMA
-from isd_gym.errors import InputError
-from isd_gym.network import Network
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
 
 
 def test_first_harmonic_of_a_known_signal():

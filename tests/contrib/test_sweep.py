@@ -18,12 +18,12 @@ from isd_gym.benchmark import engine
 from isd_gym.benchmark.engine import Task
 from isd_gym.benchmark.grid import Condition, Grid
 from isd_gym.contrib.sweep.conditions import _watched, drive_item, overall, sweep
-from isd_gym.driving import Entry
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.policies import find, passive
-from isd_gym.scoring import score
-from isd_gym.vehicle import vehicle
+from isd_gym.benchmark.driving import Entry
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.benchmark.policies import find, passive
+from isd_gym.benchmark.scoring import score
+from isd_gym.physics.vehicle import vehicle
 
 GRID = """
 policies = ["isd-passive", "skyhook"]
@@ -239,7 +239,7 @@ def test_over_all_conditions_each_counts_the_same():
 def test_the_watch_sees_what_is_not_allowed():
     from collections import Counter
 
-    from isd_gym.scoring import drive
+    from isd_gym.benchmark.scoring import drive
 
     class Wild:
         name = "wild"
@@ -302,7 +302,7 @@ def test_a_bad_grid_is_one_line(text, why, tmp_path):
 
 
 def test_the_command_prints_a_table_and_says_what_is_missing(tmp_path, capsys, monkeypatch):
-    from isd_gym.cli import main
+    from isd_gym.commands import main
 
     def go(*args: str) -> int:
         monkeypatch.setattr(sys, "argv", ["isd-gym", "sweep", *args])
@@ -376,7 +376,7 @@ def test_a_ray_cluster_of_two_nodes_one_of_them_killed(tmp_path, importable, clu
 DEADLY = """
 import os, signal
 from pathlib import Path
-from isd_gym.driving import Entry, Idle
+from isd_gym.benchmark.driving import Entry, Idle
 
 class Deadly(Idle):
     def __init__(self):
@@ -399,14 +399,14 @@ def deadly(tmp_path, monkeypatch):
         "Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n"
     )
     (folder / "deadly-1.0.dist-info" / "entry_points.txt").write_text(
-        "[isd_gym.policies]\ndeadly = deadly:open_policy\n"
+        "[isd_gym.benchmark.policies]\ndeadly = deadly:open_policy\n"
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
     return folder / "mended"
 
 
 def _command(*words: str) -> subprocess.CompletedProcess[str]:
-    code = f"import sys; sys.argv = ['isd-gym', 'sweep', *{list(words)!r}]; from isd_gym.cli import main\nif __name__ == '__main__': main()"
+    code = f"import sys; sys.argv = ['isd-gym', 'sweep', *{list(words)!r}]; from isd_gym.commands import main\nif __name__ == '__main__': main()"
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
 
 

@@ -20,14 +20,14 @@ import numpy as np
 from scipy.linalg import null_space, solve_continuous_are, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from isd_gym import elements as el
-from isd_gym.batch import signal_channels
-from isd_gym.cost import StageCost
-from isd_gym.errors import InputError
-from isd_gym.network import Channel, Network, linearise
-from isd_gym.road import REFERENCE_FREQUENCY, Road
-from isd_gym.road import road as find_road
-from isd_gym.vehicle import require_quarter_car, vehicle
+from isd_gym.physics import elements as el
+from isd_gym.physics.batch import signal_channels
+from isd_gym.physics.cost import StageCost
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Channel, Network, linearise
+from isd_gym.physics.road import REFERENCE_FREQUENCY, Road
+from isd_gym.physics.road import road as find_road
+from isd_gym.physics.vehicle import require_quarter_car, vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -284,7 +284,7 @@ def reference(
     Raises:
         InputError: The road is not rough, or the network is no car.
     """
-    from isd_gym.policies import conventional
+    from isd_gym.benchmark.policies import conventional
 
     return stationary(linear_car(conventional(Network.load(network)), speed=speed, road=road))[0]
 
@@ -498,7 +498,7 @@ def wheelbase_bound(
         InputError: The road is not white in velocity, or the car has two tracks, whose coherence the model leaves out.
     """
     from isd_gym.baselines.car import CarWeights, blind_gain, car_model, car_regulator, simulated_cost
-    from isd_gym.policies import conventional
+    from isd_gym.benchmark.policies import conventional
 
     network, ground = Network.load(network), find_road(road)
     car = vehicle(network)

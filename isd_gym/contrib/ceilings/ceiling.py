@@ -41,16 +41,16 @@ import numpy as np
 import typer
 from scipy.linalg import expm
 
-from isd_gym import elements as el
+from isd_gym.physics import elements as el
 from isd_gym.baselines.controller import steps_ahead
 from isd_gym.baselines.model import Model, Weights, device_reach, prediction_model, statistical_linearisation
-from isd_gym.cost import StageCost
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.policies import conventional
-from isd_gym.road import Road
-from isd_gym.road import road as find_road
-from isd_gym.simulate import PHYSICS_STEP
+from isd_gym.physics.cost import StageCost
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.benchmark.policies import conventional
+from isd_gym.physics.road import Road
+from isd_gym.physics.road import road as find_road
+from isd_gym.physics.simulate import PHYSICS_STEP
 
 from .bounds import linear_car
 from .clairvoyant import CONTROL_STEP, SCHEDULES, Episode, Penalty, Schedule, episode_key, keep, read
@@ -595,8 +595,8 @@ def command(
     """
     import json
 
-    from isd_gym.console import progress, tell
-    from isd_gym.files import check_file, write_text
+    from isd_gym.commands.console import progress, tell
+    from isd_gym.common.files import check_file, write_text
 
     if json_file is not None:
         check_file(json_file)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.files import make_folder, write_text
-from isd_gym.network import Network
-from isd_gym.vehicle import vehicle
+from isd_gym.common.files import make_folder, write_text
+from isd_gym.physics.network import Network
+from isd_gym.physics.vehicle import vehicle
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,8 +8,8 @@ from typing import Any
 import typer
 
 from isd_gym.commands._diagnose_result import print_page
-from isd_gym.console import counted, resumable, terminal_columns, write_json
-from isd_gym.errors import ReportError
+from isd_gym.commands.console import counted, resumable, terminal_columns, write_json
+from isd_gym.common.errors import ReportError
 
 from .cases import case_itself, check, fleet, write_page
 from .cases import lines as told

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from isd_gym.commands._options import ModelArgument, check_channels
-from isd_gym.console import lines, tell
+from isd_gym.commands.console import lines, tell
 
 
 def command(
@@ -25,7 +25,7 @@ def command(
 
     Example: isd-gym export quarter-car-isd --fmu car.fmu
     """
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
     from .export import export_fmu
 
@@ -64,7 +64,7 @@ def diagnose_unit(
     Returns:
         The diagnosis.
     """
-    from isd_gym.data import read_table
+    from isd_gym.records.data import read_table
 
     from .cosimulation import WHY_TRUST, Unit
     from .identification import diagnose_unit

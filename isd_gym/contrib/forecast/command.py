@@ -20,13 +20,13 @@ from isd_gym.commands._options import (
     UnitOption,
     channel_names,
 )
-from isd_gym.console import check_file, printer, progress
-from isd_gym.errors import InputError, plain, shown
+from isd_gym.commands.console import check_file, printer, progress
+from isd_gym.common.errors import InputError, plain, shown
 
 if TYPE_CHECKING:
-    from isd_gym.data import Table
-    from isd_gym.discrepancy.planning import Rig
-    from isd_gym.network import Network
+    from isd_gym.records.data import Table
+    from isd_gym.diagnosis.planning import Rig
+    from isd_gym.physics.network import Network
 
     from .result import Plan
 
@@ -111,9 +111,9 @@ def command(
 
     Example: isd-gym plan car.json --limit road=15mm --html plan.html
     """
-    from isd_gym import elements as el
-    from isd_gym.loggers import files_of
-    from isd_gym.network import Network
+    from isd_gym.physics import elements as el
+    from isd_gym.records.loggers import files_of
+    from isd_gym.physics.network import Network
 
     from .workflow import plan as run
 
@@ -162,7 +162,7 @@ DECIDED = {
 
 def _check_undecided(after: Path) -> None:
     """Raise `InputError` for a diagnosis without a question for another test."""
-    from isd_gym.inputs import read_json
+    from isd_gym.common.inputs import read_json
 
     data = read_json(after)
     verdict = data.get("verdict") if isinstance(data, dict) else None
@@ -172,10 +172,10 @@ def _check_undecided(after: Path) -> None:
 
 def _tables(data: list[Path], network: Network, named: dict[str, Any], notes: list[str]) -> list[Table]:
     """Return the records of DATA with the inputs of the model, and the outputs if complete."""
-    from isd_gym.data import Table
-    from isd_gym.loggers.record_reading import outputs_of, records_of
-    from isd_gym.loggers.resampling import inputs_of
-    from isd_gym.units import convert
+    from isd_gym.records.data import Table
+    from isd_gym.records.loggers.record_reading import outputs_of, records_of
+    from isd_gym.records.loggers.resampling import inputs_of
+    from isd_gym.common.units import convert
 
     out = []
     for word in data:
@@ -204,7 +204,7 @@ def _made(
     options: dict[str, Any],
 ) -> Plan:
     """Return the plan of a generated test, and write the test on request."""
-    from isd_gym.discrepancy.planning import Limits, infer_rig
+    from isd_gym.diagnosis.planning import Limits, infer_rig
 
     from .workflow import plan as run
     from .workflow import read_planned_record
@@ -242,7 +242,7 @@ def _designed(
     notes: list[str],
     options: dict[str, Any],
 ) -> Plan:
-    from isd_gym.discrepancy.planning import design_test
+    from isd_gym.diagnosis.planning import design_test
 
     from .general_test import design_general_test, estimate_output_noise, read_rivals
     from .workflow import plan as run
@@ -286,7 +286,7 @@ def amounts(
     Raises:
         InputError: A name is unknown, or a value cannot be converted.
     """
-    from isd_gym.units import convert
+    from isd_gym.common.units import convert
 
     out = {}
     for text in values or ():

@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.discrepancy.estimation.gauss_newton import Fit, Fitter
-from isd_gym.discrepancy.estimation.initial_states import transfer_states
-from isd_gym.discrepancy.estimation.noise import channel_moments, predicted, white_filters
-from isd_gym.discrepancy.estimation.structure import Hypothesis, Structure, add
-from isd_gym.discrepancy.result import Quantity
-from isd_gym.discrepancy.selection.candidate import is_special_case
-from isd_gym.discrepancy.selection.comparison import Comparison
-from isd_gym.discrepancy.selection.held_out import BLOCKS, effect_size
-from isd_gym.discrepancy.selection.uncertainty import differing_part, relative_uncertainty
-from isd_gym.discrepancy.simulation.problem import BROKEN
-from isd_gym.discrepancy.verdict.evidence import EffectEvidence, Evidence, as_numbers
-from isd_gym.discrepancy.verdict.gates import decide
-from isd_gym.discrepancy.verdict.measurement import find_contradiction
-from isd_gym.errors import InputError
+from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter
+from isd_gym.diagnosis.estimation.initial_states import transfer_states
+from isd_gym.diagnosis.estimation.noise import channel_moments, predicted, white_filters
+from isd_gym.diagnosis.estimation.structure import Hypothesis, Structure, add
+from isd_gym.diagnosis.result import Quantity
+from isd_gym.diagnosis.selection.candidate import is_special_case
+from isd_gym.diagnosis.selection.comparison import Comparison
+from isd_gym.diagnosis.selection.held_out import BLOCKS, effect_size
+from isd_gym.diagnosis.selection.uncertainty import differing_part, relative_uncertainty
+from isd_gym.diagnosis.simulation.problem import BROKEN
+from isd_gym.diagnosis.verdict.evidence import EffectEvidence, Evidence, as_numbers
+from isd_gym.diagnosis.verdict.gates import decide
+from isd_gym.diagnosis.verdict.measurement import find_contradiction
+from isd_gym.common.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from isd_gym import elements as el
-    from isd_gym.discrepancy.simulation.problem import Array, Problem
-    from isd_gym.discrepancy.verdict.gates import Decision
+    from isd_gym.physics import elements as el
+    from isd_gym.diagnosis.simulation.problem import Array, Problem
+    from isd_gym.diagnosis.verdict.gates import Decision
 
     from .virtual_bench import BenchFit, VirtualBench
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.discrepancy.estimation.structure import owner_pair
-from isd_gym.discrepancy.simulation.problem import BROKEN
-from isd_gym.discrepancy.verdict.gates import decide
-from isd_gym.elements import parameter_fields
+from isd_gym.diagnosis.estimation.structure import owner_pair
+from isd_gym.diagnosis.simulation.problem import BROKEN
+from isd_gym.diagnosis.verdict.gates import decide
+from isd_gym.physics.elements import parameter_fields
 
 from .detectability import find_smallest_scale, refit_rival, simulate_effect
 from .result import Amount, EffectForecast
@@ -22,10 +22,10 @@ from .virtual_bench import REQUIRED_DEVIANCE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.discrepancy.estimation.structure import Hypothesis
-    from isd_gym.discrepancy.planning.design import Progress
-    from isd_gym.discrepancy.simulation.problem import Array
-    from isd_gym.elements import Start
+    from isd_gym.diagnosis.estimation.structure import Hypothesis
+    from isd_gym.diagnosis.planning.design import Progress
+    from isd_gym.diagnosis.simulation.problem import Array
+    from isd_gym.physics.elements import Start
 
     from .detectability import SimulatedEffect
     from .sensitivity import Distances, LawShape, Sensitivities

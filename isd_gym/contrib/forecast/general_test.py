@@ -8,21 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.discrepancy.estimation.structure import Hypothesis, rebuilt
-from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.discrepancy.planning.design import MOST, Design, Rival
-from isd_gym.discrepancy.planning.excitation import (
-    Excitation,
-    Rig,
-    list_excitations,
-    make_excitation,
-    make_record,
-)
-from isd_gym.discrepancy.selection.criteria import CRITERIA
-from isd_gym.discrepancy.simulation.problem import BROKEN, Array, Problem, Record
-from isd_gym.errors import InputError, shown
-from isd_gym.errors import plain as one_line
-from isd_gym.inputs import read_json
+from isd_gym.diagnosis.estimation.structure import Hypothesis, rebuilt
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.planning.design import MOST, Design, Rival
+from isd_gym.diagnosis.planning.excitation import Excitation, Rig, list_excitations, make_excitation, make_record
+from isd_gym.diagnosis.selection.criteria import CRITERIA
+from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, Record
+from isd_gym.common.errors import InputError, shown
+from isd_gym.common.errors import plain as one_line
+from isd_gym.common.inputs import read_json
 
 from .sensitivity import Sensitivities, choose_starts, select_hypotheses
 from .virtual_bench import VirtualBench, measured_noise
@@ -31,8 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from isd_gym.discrepancy.planning.design import Progress
-    from isd_gym.network import Network
+    from isd_gym.diagnosis.planning.design import Progress
+    from isd_gym.physics.network import Network
 
 FEW_SAMPLES = 6000  # of a test in the linearised comparison of all hypotheses
 

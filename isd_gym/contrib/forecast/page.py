@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.files import check_file, whole, write_text
-from isd_gym.report.plots import Picture, channel_text, embedded, figure, page, pixels, save, style, unit_text
+from isd_gym.common.files import check_file, whole, write_text
+from isd_gym.view.report.plots import Picture, channel_text, embedded, figure, page, pixels, save, style, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,7 +109,7 @@ def size_of(e: EffectForecast, amounts: dict[str, Any]) -> str:
     Returns:
         Text.
     """
-    from isd_gym.discrepancy.verdict.wording import plain_number
+    from isd_gym.diagnosis.verdict.wording import plain_number
 
     def one(key: str) -> str:
         text = f"{channel_text(key)} {plain_number(amounts[key].value)} {unit_text(amounts[key].unit)}"

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.discrepancy.result import _plain
-from isd_gym.files import write_text
+from isd_gym.diagnosis.result import _plain
+from isd_gym.common.files import write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from isd_gym.arrays import Array
-    from isd_gym.discrepancy.simulation.problem import Record
-    from isd_gym.network import Network
+    from isd_gym.common.arrays import Array
+    from isd_gym.diagnosis.simulation.problem import Record
+    from isd_gym.physics.network import Network
 
 #: function that receives the stage and the finished share
 

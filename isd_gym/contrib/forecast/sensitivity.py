@@ -13,23 +13,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.discrepancy.estimation.sensitivities import tangents
-from isd_gym.discrepancy.estimation.structure import Hypothesis, Structure, add, in_line, twin
-from isd_gym.discrepancy.hypotheses.library import hypotheses
-from isd_gym.discrepancy.hypotheses.motion import setting, simulate_variants
-from isd_gym.discrepancy.selection.candidate import is_special_case
-from isd_gym.discrepancy.selection.criteria import CRITERIA
-from isd_gym.discrepancy.simulation.problem import BROKEN, Array, Problem, bare, deviation_within
-from isd_gym.elements import Start, parameter_fields
-from isd_gym.errors import InputError, shown
-from isd_gym.network import Channel, Network, assemble
+from isd_gym.diagnosis.estimation.sensitivities import tangents
+from isd_gym.diagnosis.estimation.structure import Hypothesis, Structure, add, in_line, twin
+from isd_gym.diagnosis.hypotheses.library import hypotheses
+from isd_gym.diagnosis.hypotheses.motion import setting, simulate_variants
+from isd_gym.diagnosis.selection.candidate import is_special_case
+from isd_gym.diagnosis.selection.criteria import CRITERIA
+from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, bare, deviation_within
+from isd_gym.physics.elements import Start, parameter_fields
+from isd_gym.common.errors import InputError, shown
+from isd_gym.physics.network import Channel, Network, assemble
 
 from .virtual_bench import REQUIRED_DEVIANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence
 
-    from isd_gym.discrepancy.estimation.gauss_newton import Fit
+    from isd_gym.diagnosis.estimation.gauss_newton import Fit
 
     from .virtual_bench import VirtualBench
 

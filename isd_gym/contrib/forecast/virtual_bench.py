@@ -12,25 +12,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym.discrepancy.estimation.gauss_newton import Fit, Fitter, residuals
-from isd_gym.discrepancy.estimation.initial_states import states_along, transfer_states
-from isd_gym.discrepancy.estimation.noise import floor_of, innovations, white_filters, whitener
-from isd_gym.discrepancy.estimation.structure import Structure, base_structure
-from isd_gym.discrepancy.hypotheses.forces import PlaceForces, place_forces
-from isd_gym.discrepancy.hypotheses.motion import motions
-from isd_gym.discrepancy.hypotheses.unmodelled_effects import simulate_unmodelled_effects
-from isd_gym.discrepancy.records import differentiate_inputs, split_records
-from isd_gym.discrepancy.selection.candidate import Candidate
-from isd_gym.discrepancy.selection.criteria import CRITERIA, Criteria
-from isd_gym.discrepancy.selection.held_out import SMALL, HeldOutEvaluator
-from isd_gym.discrepancy.simulation.problem import BROKEN, Array, Problem, Record, bare
-from isd_gym.errors import InputError, shown
-from isd_gym.network import Network, assemble
+from isd_gym.diagnosis.estimation.gauss_newton import Fit, Fitter, residuals
+from isd_gym.diagnosis.estimation.initial_states import states_along, transfer_states
+from isd_gym.diagnosis.estimation.noise import floor_of, innovations, white_filters, whitener
+from isd_gym.diagnosis.estimation.structure import Structure, base_structure
+from isd_gym.diagnosis.hypotheses.forces import PlaceForces, place_forces
+from isd_gym.diagnosis.hypotheses.motion import motions
+from isd_gym.diagnosis.hypotheses.unmodelled_effects import simulate_unmodelled_effects
+from isd_gym.diagnosis.records import differentiate_inputs, split_records
+from isd_gym.diagnosis.selection.candidate import Candidate
+from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis.selection.held_out import SMALL, HeldOutEvaluator
+from isd_gym.diagnosis.simulation.problem import BROKEN, Array, Problem, Record, bare
+from isd_gym.common.errors import InputError, shown
+from isd_gym.physics.network import Network, assemble
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.elements import Motion
+    from isd_gym.physics.elements import Motion
 
 REQUIRED_DEVIANCE = 50.0  # deviance by which a rival must be worse
 MOST = 16000  # simulated samples; a part of a longer test represents the whole test

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from isd_gym.data import Table, read_table
-from isd_gym.discrepancy.planning.excitation import Excitation, Rig, infer_rig, make_excitation, make_record
-from isd_gym.discrepancy.selection.criteria import CRITERIA, Criteria
-from isd_gym.discrepancy.simulation.problem import Array, Record
-from isd_gym.errors import InputError
-from isd_gym.network import Network
-from isd_gym.units import convert
+from isd_gym.records.data import Table, read_table
+from isd_gym.diagnosis.planning.excitation import Excitation, Rig, infer_rig, make_excitation, make_record
+from isd_gym.diagnosis.selection.criteria import CRITERIA, Criteria
+from isd_gym.diagnosis.simulation.problem import Array, Record
+from isd_gym.common.errors import InputError
+from isd_gym.physics.network import Network
+from isd_gym.common.units import convert
 
 from .effects import forecast_effects
 from .result import Plan
@@ -25,7 +25,7 @@ from .virtual_bench import VirtualBench, measured_noise
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from isd_gym.discrepancy.planning.design import Progress
+    from isd_gym.diagnosis.planning.design import Progress
 
 LEAST_SAMPLES = 400  # of a test
 

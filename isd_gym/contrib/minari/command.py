@@ -14,7 +14,7 @@ from isd_gym.commands._options import (
     SpeedOption,
     TrainedOption,
 )
-from isd_gym.console import progress, warm_up
+from isd_gym.commands.console import progress, warm_up
 
 
 def command(
@@ -35,7 +35,7 @@ def command(
     Example: isd-gym record mpc --out isd/mpc-v0
     """
     from isd_gym.benchmark.policies import find
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
     from .dataset import ID, write_dataset
 

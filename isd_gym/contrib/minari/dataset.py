@@ -7,14 +7,14 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.errors import InputError, how_to_install
-from isd_gym.files import reserve, whole_folder
+from isd_gym.common.errors import InputError, how_to_install
+from isd_gym.common.files import reserve, whole_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from isd_gym.benchmark.driving import Entry
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
 #: memory beside the numbers of an episode, and of a data set [bytes]
 EPISODE_ROOM, DATASET_ROOM = 32_768, 2**20
@@ -41,7 +41,7 @@ def write_dataset(
     network; `recover_environment()` creates the environment. An error leaves no files behind.
 
     Args:
-        entry: The policy (`isd_gym.policies.find`), on its own plant, if any.
+        entry: The policy (`isd_gym.benchmark.policies.find`), on its own plant, if any.
         out: A Minari id ('isd/mpc-v0', for `minari.load_dataset`, in Minari's folder), or a new folder (for
             `minari.MinariDataset`).
         network: The plant of policies without a plant of their own.
@@ -70,10 +70,10 @@ def write_dataset(
 
     from isd_gym.benchmark.driving import Crew, travel
     from isd_gym.benchmark.scoring import check_size
-    from isd_gym.env import CONTROL_STEP, ISDSuspensionVectorEnv
-    from isd_gym.network import builtin_networks
-    from isd_gym.registration import BY_CORNERS
-    from isd_gym.vehicle import vehicle
+    from isd_gym.env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
+    from isd_gym.physics.network import builtin_networks
+    from isd_gym.env.registration import BY_CORNERS
+    from isd_gym.physics.vehicle import vehicle
 
     if episodes < 1:
         raise InputError(f"episodes must be at least 1, not {episodes}")

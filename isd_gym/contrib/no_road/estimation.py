@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from isd_gym import elements as el
-from isd_gym.arrays import Z95
-from isd_gym.discrepancy.estimation.structure import add
-from isd_gym.discrepancy.result import Quantity
-from isd_gym.errors import InputError
+from isd_gym.physics import elements as el
+from isd_gym.common.arrays import Z95
+from isd_gym.diagnosis.estimation.structure import add
+from isd_gym.diagnosis.result import Quantity
+from isd_gym.common.errors import InputError
 
 from .kalman import IMPOSSIBLE, KalmanModel, Prior
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from isd_gym.arrays import Array
-    from isd_gym.discrepancy.estimation.structure import Hypothesis, Structure
-    from isd_gym.discrepancy.simulation.time_limit import TimeLimit
-    from isd_gym.network import Network
+    from isd_gym.common.arrays import Array
+    from isd_gym.diagnosis.estimation.structure import Hypothesis, Structure
+    from isd_gym.diagnosis.simulation.time_limit import TimeLimit
+    from isd_gym.physics.network import Network
 
     from .kalman import Prediction
 

@@ -6,17 +6,17 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from isd_gym.discrepancy.result import _plain
-from isd_gym.files import claim_folder, write_text
+from isd_gym.diagnosis.result import _plain
+from isd_gym.common.files import claim_folder, write_text
 
 from .estimation import Estimates
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from isd_gym.discrepancy.result import Quantity
-    from isd_gym.discrepancy.verdict.gates import Gate, Verdict
-    from isd_gym.network import Network
+    from isd_gym.diagnosis.result import Quantity
+    from isd_gym.diagnosis.verdict.gates import Gate, Verdict
+    from isd_gym.physics.network import Network
 
 SCHEMA = "isd-unmeasured/1"
 #: Kind, mark and files of a result folder.

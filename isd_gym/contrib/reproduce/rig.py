@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares
 
-from isd_gym.simulate import simulate
+from isd_gym.physics.simulate import simulate
 
 from .study import AMPLITUDE, FREQUENCIES
 
 if TYPE_CHECKING:
-    from isd_gym.network import Network
+    from isd_gym.physics.network import Network
 
 
 def triangle(time: np.ndarray, frequency: float) -> np.ndarray:

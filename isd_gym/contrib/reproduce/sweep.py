@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from isd_gym.baselines import make
-from isd_gym.cost import StageCost
-from isd_gym.driving import Crew, Entry, travel
-from isd_gym.env import CONTROL_STEP, ISDSuspensionVectorEnv
-from isd_gym.network import Network
-from isd_gym.report.plots import LOOKS, figure, percent
-from isd_gym.scoring import PAPER
+from isd_gym.physics.cost import StageCost
+from isd_gym.benchmark.driving import Crew, Entry, travel
+from isd_gym.env.environment import CONTROL_STEP, ISDSuspensionVectorEnv
+from isd_gym.physics.network import Network
+from isd_gym.view.report.plots import LOOKS, figure, percent
+from isd_gym.benchmark.scoring import PAPER
 
 from ..ceilings.bounds import reference as passive_rms
 from ..ceilings.clairvoyant import clairvoyant
@@ -70,7 +70,7 @@ def sweep(study: Study) -> Section:
         done += 1
         study.progress("sweep", done / total)
 
-    from isd_gym.policies import conventional
+    from isd_gym.benchmark.policies import conventional
 
     def passive_triple(step: float) -> np.ndarray:
         env = ISDSuspensionVectorEnv(episodes, network=conventional(net), control_step=step, duration=duration,

@@ -10,8 +10,8 @@ import typer
 
 from isd_gym.commands._columns import print_columns
 from isd_gym.commands._options import EngineOption, JobsOption
-from isd_gym.console import counted, printer, resumable
-from isd_gym.errors import plain
+from isd_gym.commands.console import counted, printer, resumable
+from isd_gym.common.errors import plain
 
 
 def command(

@@ -12,16 +12,16 @@ import numpy as np
 from isd_gym.benchmark.engine import Outcome, Task, shard, stored
 from isd_gym.benchmark.engine import run as run_tasks
 from isd_gym.benchmark.grid import SCHEMA, Condition, Grid, belongings
-from isd_gym.errors import InputError, markdown
-from isd_gym.files import claim_folder, write_text
-from isd_gym.inputs import is_number
-from isd_gym.network import Network
-from isd_gym.seeds import named_roads
+from isd_gym.common.errors import InputError, markdown
+from isd_gym.common.files import claim_folder, write_text
+from isd_gym.common.inputs import is_number
+from isd_gym.physics.network import Network
+from isd_gym.common.seeds import named_roads
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from isd_gym.vehicle import Vehicle
+    from isd_gym.physics.vehicle import Vehicle
 
 RESAMPLES = 4000
 #: kind, mark and parts of the folder of a sweep
@@ -52,7 +52,7 @@ def drive_item(
         files: Digests of the files that the grid's machine read.
 
     Returns:
-        `isd_gym.scoring.measures` of each episode, number of fallbacks, and counts of commands; no signals,
+        `isd_gym.benchmark.scoring.measures` of each episode, number of fallbacks, and counts of commands; no signals,
             to keep files small.
 
     Raises:
@@ -60,8 +60,8 @@ def drive_item(
     """
     from isd_gym.benchmark.policies import find
     from isd_gym.benchmark.scoring import drive, measures
-    from isd_gym.cost import StageCost
-    from isd_gym.vehicle import vehicle
+    from isd_gym.physics.cost import StageCost
+    from isd_gym.physics.vehicle import vehicle
 
     for name, digest in (files or {}).items():
         if belongings([name]).get(name) != digest:
@@ -94,7 +94,7 @@ def drive_item(
 
 def _watched(entry: Any, car: Vehicle, counts: Counter[str]) -> Any:
     """Return the policy with counted commands: all, not finite, and outside of the limits of Table 5."""
-    from isd_gym.batch import CURRENT_LIMIT, SLEW_LIMIT
+    from isd_gym.physics.batch import CURRENT_LIMIT, SLEW_LIMIT
     from isd_gym.benchmark.driving import Entry
 
     currents = [i for i, signal in enumerate(car.measured) if signal.kind == "current"]

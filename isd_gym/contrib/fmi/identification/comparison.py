@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from isd_gym.discrepancy.simulation.problem import Array, Record
+    from isd_gym.diagnosis.simulation.problem import Array, Record
 
     from ..cosimulation import Port, Unit, UnitModel
 

@@ -1,0 +1,545 @@
+"""The result of a diagnosis, its JSON document (`isd-diagnosis/1`) and the new model."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from ..records.data import Table, write_table
+from ..common.files import claim_folder, write_text
+from ..physics.network import Network
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ..contrib.fmi.cosimulation import UnitModel
+    from .estimation.clock_lag import Lag
+    from .records import Feedback
+    from .selection.criteria import Criteria
+    from .selection.settings import SearchSettings
+    from .simulation.problem import Array
+    from .verdict.evidence import Evidence
+    from .verdict.findings import Finding
+    from .verdict.gates import Gate, Reason
+
+SCHEMA = "isd-diagnosis/1"
+#: argument of a force without a known law
+Over = Literal["rate", "elongation", "both"]
+#: kind, mark and parts of the folder of a diagnosis, with its report
+FOLDER = (
+    "diagnosis",
+    "diagnosis.json",
+    ("report.html", "diagnosis.json", "model.json", "parameters.ssv", "next_experiment.csv", "*.png"),
+)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A fitted number with its 95 % interval."""
+
+    #: estimate [unit]
+    value: float
+    #: lower end of the interval [unit]
+    low: float
+    #: upper end of the interval [unit]
+    high: float
+    #: unit of the parameter
+    unit: str
+    #: value in the nominal model [unit]; None for parameters of a new effect
+    prior: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        head = {} if self.prior is None else {"prior": self.prior}
+        return head | {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that a diagnosis found."""
+
+    #: type of the element, such as 'coulomb_friction'
+    effect: str
+    #: terminals; None for an effect of a sensor or motor
+    between: tuple[str, str] | None
+    #: channel of a sensor effect
+    channel: str | None
+    #: probability that the name is right, in [0, 1]
+    confidence: float
+    #: fitted parameters by name
+    parameters: dict[str, Quantity]
+    #: name of the element in the new model
+    element: str
+    #: for an element in series: the element that the effect carries; empty for all elements between the terminals
+    behind: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        out: dict[str, Any] = {"effect": self.effect}
+        if self.channel is not None:
+            out["channel"] = self.channel
+        else:
+            out["between"] = list(self.between) if self.between else None
+        if self.behind:
+            out["behind"] = self.behind
+        out["confidence"] = self.confidence
+        out["parameters"] = {k: q.to_dict() for k, q in self.parameters.items()}
+        return out
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A set of effects that was tried."""
+
+    #: types of the effects
+    effects: tuple[str, ...]
+    #: place of each effect
+    where: tuple[tuple[str, ...], ...]
+    #: excess error on held-out data (1: as the refitted model, 0: noise)
+    score: float
+    #: -2 log L minus that of the best candidate
+    likelihood: float
+    #: reason why the set is not named, in words
+    why_not: str
+    #: parameters of each effect by name
+    values: tuple[dict[str, float], ...] = ()
+    #: options of each effect that are not numbers
+    options: tuple[dict[str, str], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        names = {"score": "excess"}
+        return {names.get(k, k): v for k, v in asdict(self).items() if k != "likelihood"}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Part of the gap in one channel."""
+
+    channel: str
+    #: share of the squared error beyond noise over all channels
+    share: float
+    #: frequency bands (low, high) with most of the error [Hz]
+    bands_hz: tuple[tuple[float, float], ...]
+    #: condition of the motion under which the error is largest
+    when: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Measured and simulated signals of one record."""
+
+    #: name of the record
+    name: str
+    #: whether no sample of the record was fitted
+    held_out: bool
+    #: time [s] (n,)
+    time: Array
+    #: inputs by channel (n,)
+    inputs: dict[str, Array]
+    #: measured outputs by channel (n,)
+    measured: dict[str, Array]
+    #: outputs of the nominal model by channel (n,)
+    before: dict[str, Array]
+    #: outputs of the refitted nominal model by channel (n,)
+    refit: dict[str, Array]
+    #: outputs of the new model by channel (n,)
+    after: dict[str, Array]
+    #: start of the held-out part of a record that is fitted before that time [s]; None for other records
+    held_from: float | None = None
+
+    @property
+    def use(self) -> str:
+        """Use of the record in words."""
+        if self.held_from is None:
+            return "held out" if self.held_out else "fitted"
+        return f"fitted up to {self.held_from:.4g} s, then held out"
+
+
+@dataclass(frozen=True)
+class Law:
+    """Force of an effect over elongation or rate, with its 95 % band."""
+
+    #: name of the element in the new model
+    element: str
+    #: 'rate' or 'travel'
+    kind: str
+    #: rate [m/s] or elongation [m] (n,)
+    axis: Array
+    #: force [N] (n,)
+    force: Array
+    #: lower end of the band [N] (n,)
+    low: Array
+    #: upper end of the band [N] (n,)
+    high: Array
+    #: measured operating points, in the unit of `axis`
+    visited: Array
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """A missing force without a known law, as a table with its 95 % band."""
+
+    #: terminals
+    between: tuple[str, str]
+    #: argument of the force: 'rate', 'elongation' or 'both'
+    over: Over
+    #: name of the element in the new model
+    element: str
+    #: share of the squared held-out error beyond noise that the table removes
+    explained: float
+    #: knots [m], or [rad] between rotating nodes
+    elongation: tuple[float, ...]
+    #: knots [m/s], or [rad/s] between rotating nodes
+    rate: tuple[float, ...]
+    #: force at the knots [N], or torque [N m]
+    force: Array
+    #: lower end of the band at the knots [N]
+    low: Array
+    #: upper end of the band at the knots [N]
+    high: Array
+    #: nearest known laws, best first: effect, share of the squared force over the measured motion
+    nearest: tuple[tuple[str, float], ...] = ()
+    #: for a table over both arguments: argument, share of the squared force that a function of the argument alone gives
+    shares: tuple[tuple[str, float], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        axes = {k: list(v) for k, v in (("elongation", self.elongation), ("rate", self.rate)) if v}
+        return {
+            **{k: getattr(self, k) for k in ("between", "over", "element", "explained")},
+            **axes,
+            **{k: getattr(self, k).tolist() for k in ("force", "low", "high")},
+            "nearest": [{"effect": name, "share": share} for name, share in self.nearest],
+            "shares": dict(self.shares),
+        }
+
+
+@dataclass(frozen=True)
+class BestTable:
+    """The table of a force that explains the held-out records best, accepted or not."""
+
+    #: terminals
+    between: tuple[str, str]
+    #: argument of the force
+    over: Over
+    #: share of the squared held-out error beyond noise that the table removes
+    explained: float
+    #: conditions for the acceptance of the table
+    gates: tuple[Gate, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the table passes every gate."""
+        return all(g.passed for g in self.gates)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        return asdict(self) | {"gates": [g.to_dict() for g in self.gates]}
+
+
+@dataclass(frozen=True)
+class BestCandidate:
+    """The best set of effects of a diagnosis that names no effect."""
+
+    #: types of the effects
+    effects: tuple[str, ...]
+    #: place of each effect
+    where: tuple[tuple[str, ...], ...]
+    #: parameters of each effect by name
+    values: tuple[dict[str, float], ...]
+    #: share of the squared held-out error beyond noise that the set removes
+    explained: float
+    #: NRMSE on the test records: `before`, `refit`, `after` -> channel -> error
+    error: dict[str, dict[str, float]]
+    #: gates that the set fails
+    failed_gates: tuple[Gate, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        return asdict(self) | {"failed_gates": [g.to_dict() for g in self.failed_gates]}
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """A wide error that remains with the named effects."""
+
+    #: channel with the largest remaining error
+    channel: str
+    #: NRMSE of the new model on the test records
+    after: float
+    #: NRMSE of noise on the test records
+    noise_floor: float
+    #: condition of the motion under which the error is largest
+    when: str
+    #: effects of the closest further candidate, which was not kept
+    effects: tuple[str, ...] = ()
+    #: place of each of these effects
+    where: tuple[tuple[str, ...], ...] = ()
+    #: NRMSE of the further candidate
+    error: float = math.nan
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        out = asdict(self)
+        addition = {k: out.pop(k) for k in ("effects", "where", "error")}
+        return out | {"candidate": addition if self.effects else None}
+
+
+@dataclass(frozen=True)
+class SimulationFit:
+    """Last fit of the completed model, to all training data for the smallest error of its simulation."""
+
+    #: parameters of the model by path
+    values: dict[str, float]
+    #: NRMSE of free runs over all training data: `before`, `after` -> channel -> error
+    data: dict[str, dict[str, float]]
+    #: the same over the records of `validate`, or over the part of the training data that the search held out
+    held_out: dict[str, dict[str, float]]
+    #: estimates of the search whose 95 % interval excludes the value of the last fit, by path
+    outside: dict[str, Quantity] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON document."""
+        return {
+            "values": self.values,
+            "data": self.data,
+            "held_out": self.held_out,
+            "outside": {k: q.to_dict() for k, q in self.outside.items()},
+        }
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Stretches over which records were compared, each with its own initial state."""
+
+    #: number of stretches
+    count: int
+    #: length of the shortest stretch [s]
+    shortest: float
+    #: length of the longest stretch [s]
+    longest: float
+    #: reason for the comparison over stretches:
+    #:
+    #: - diverges: the simulation of whole records diverges.
+    #: - astray: the error over whole records exceeds `limit`.
+    #: - feedback: an input follows from outputs.
+    #: - unnamed: over whole records no candidate passes every gate.
+    reason: Literal["diverges", "astray", "unnamed", "feedback"]
+    #: NRMSE of the refitted model over whole records, mean over channels
+    error: float
+    #: largest `error` at which whole records are compared
+    limit: float
+
+
+@dataclass(frozen=True, repr=False)
+class Diagnosis:
+    """Result of a diagnosis.
+
+    `summary` states the result in words, `to_dict` is the JSON document (`isd-diagnosis/1`), and `save` writes the files.
+    """
+
+    #: 'missing_effect', 'no_discrepancy', 'parameters_only', 'ambiguous' or 'unknown_effect'
+    verdict: str
+    #: result in words
+    summary: str
+    #: named effects
+    effects: tuple[Effect, ...]
+    #: other candidates, best first
+    contenders: tuple[Contender, ...]
+    #: part of the gap in each channel, largest first
+    where: tuple[Place, ...]
+    #: refitted parameters of the nominal model by path
+    parameters: dict[str, Quantity]
+    #: NRMSE on held-out data: `before`, `refit`, `after`, `noise_floor` -> channel -> error
+    gap: dict[str, dict[str, float]]
+    #: share of the squared gap beyond noise that the new model removes; None without a new model
+    closed: float | None
+    #: conditions for a name, for the best candidate
+    gates: tuple[Gate, ...]
+    #: test that would decide between the candidates
+    next_experiment: dict[str, Any] | None
+    #: nominal model
+    base: Network | UnitModel
+    #: nominal model with refitted parameters
+    refitted: Network | UnitModel
+    #: new model
+    model: Network | UnitModel
+    #: measured and simulated signals of each record
+    traces: tuple[Trace, ...]
+    #: forces of the named effects, for figures
+    laws: tuple[Law, ...] = ()
+    #: notes in words
+    notes: tuple[str, ...] = ()
+    #: parts of the work that the limit of the time left out, in words
+    not_tried: tuple[str, ...] = ()
+    #: wall-clock time of the diagnosis [s]
+    seconds: float = 0.0
+    #: unit of each channel
+    units: dict[str, str] = field(default_factory=dict)
+    #: effects that are present but too small, or not certain enough, to be named
+    small_effects: tuple[Effect, ...] = ()
+    #: evidence for the best candidate
+    evidence: Evidence | None = None
+    #: limits of the decision
+    criteria: Criteria | None = None
+    #: settings of the search
+    settings: SearchSettings | None = None
+    #: missing force as a table, if no known law gives the force
+    tabulated: Tabulated | None = None
+    #: complete model with the effects, if only a part of the model was diagnosed (`cut`)
+    whole: Network | None = None
+    #: lags between the clocks of loggers
+    lags: tuple[Lag, ...] = ()
+    #: inputs of `next_experiment`
+    test: Table | None = None
+    #: best table of a force, accepted or not
+    best_table: BestTable | None = None
+    #: best set of effects, if no effect is named
+    best_candidate: BestCandidate | None = None
+    #: condition that led to the verdict
+    reason: Reason = "gates"
+    #: wide error that remains with the named effects
+    remainder: Remainder | None = None
+    #: stretches of the comparison, if records were not compared whole
+    stretches: Stretches | None = None
+    #: share of the squared error that is constant, by channel (FMU only)
+    constant: dict[str, float] = field(default_factory=dict)
+    #: last fit, whose values `model` has; None where the model has the values of the search
+    simulation_fit: SimulationFit | None = None
+    #: probabilities of places, kinds and laws
+    findings: tuple[Finding, ...] = ()
+    #: inputs that follow from outputs
+    closed_loop: tuple[Feedback, ...] = ()
+
+    def __repr__(self) -> str:
+        found = [f"{e.effect} {e.channel or '-'.join(e.between or ())}".strip() for e in self.effects]
+        if self.tabulated is not None:
+            found = [f"force without a name {'-'.join(self.tabulated.between)}"]
+        closed = "" if self.closed is None else f", closed={self.closed:.3g}"
+        return f"Diagnosis({self.verdict!r}, found={found}{closed}, {len(self.traces)} record(s))"
+
+    def _repr_html_(self) -> str:
+        """Return verdict, the picture of the measured and simulated signals, effects and gap as HTML for notebooks."""
+        stages = [s for s in ("before", "refit", "after", "noise_floor") if s in self.gap]
+        rows = [
+            [e.effect, e.channel or "-".join(e.between or ()), name, f"{q.value:.4g} {q.unit}", f"{q.low:.4g} to {q.high:.4g}"]
+            for e in self.effects
+            for name, q in e.parameters.items()
+        ]  # fmt: skip
+        out = f"<p><b>{html.escape(self.verdict)}</b>: {html.escape(self.summary)}</p>{self._picture()}"
+        if rows:
+            out += _table(["effect", "where", "parameter", "value", "95 % interval"], rows)
+        gap = [[c, *(f"{100 * self.gap[s][c]:.1f} %" for s in stages)] for c in self.gap.get("refit", {})]
+        return out + _table(["error on held-out data", *stages], gap)
+
+    def _picture(self) -> str:
+        """Return the picture of the signals as HTML; empty where it cannot be drawn, since a notebook shows the tables all the same."""
+        from ..common.errors import ReportError
+        from ..view.report import signal_picture
+
+        try:
+            return signal_picture(self)
+        except ReportError:
+            return ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON document (`isd-diagnosis/1`)."""
+        return _plain(
+            {
+                "schema": SCHEMA,
+                "verdict": self.verdict,
+                "summary": self.summary,
+                "effects": [e.to_dict() for e in self.effects],
+                "findings": [f.to_dict() for f in self.findings],
+                "small_effects": [e.to_dict() for e in self.small_effects],
+                "alternatives": [c.to_dict() for c in self.contenders],
+                "where": [p.to_dict() for p in self.where],
+                "parameters": {k: q.to_dict() for k, q in self.parameters.items()},
+                "gap": {"held_out": self.gap, "closed": self.closed},
+                "gates": [g.to_dict() for g in self.gates],
+                "reason": self.reason,
+                "best_candidate": self.best_candidate.to_dict() if self.best_candidate else None,
+                "best_table": self.best_table.to_dict() if self.best_table else None,
+                "remainder": self.remainder.to_dict() if self.remainder else None,
+                "simulation_fit": self.simulation_fit.to_dict() if self.simulation_fit else None,
+                "stretches": asdict(self.stretches) if self.stretches else None,
+                "constant": self.constant,
+                "closed_loop": [asdict(f) | {"outputs": list(f.outputs)} for f in self.closed_loop],
+                "next_experiment": self.next_experiment,
+                "tabulated": self.tabulated.to_dict() if self.tabulated else None,
+                "evidence": _finite(asdict(self.evidence)) if self.evidence else None,
+                "criteria": asdict(self.criteria) if self.criteria else None,
+                "search": asdict(self.settings) if self.settings else None,
+                "clocks": [
+                    {
+                        "record": x.record,
+                        "clock": x.clock,
+                        "lag": {"value": x.value, "low": x.low, "high": x.high, "unit": "s"},
+                        **({"doubt": x.doubt} if x.doubt else {}),
+                    }
+                    for x in self.lags
+                ],
+                "not_tried": list(self.not_tried),
+                "notes": list(self.notes),
+            }
+        )
+
+    def save(self, folder: str | Path, *, report: bool = True) -> None:
+        """Write the result to a folder. Each file is written completely or not at all.
+
+        Files: `diagnosis.json`, `model.json` (for an FMU `parameters.ssv`), `next_experiment.csv` if a test would decide, and
+        `report.html` with its figures.
+
+        Args:
+            folder: New, empty or an earlier diagnosis.
+            report: Whether to write the report.
+
+        Raises:
+            InputError: The folder holds other files, or cannot be written.
+            ReportError: The report cannot be drawn; the other files are in the folder.
+        """
+        if report:
+            from ..view.report import write_report
+
+            write_report(self, folder)
+            return
+        folder = claim_folder(folder, *FOLDER)
+        write_text(folder / "diagnosis.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        model = self.whole or self.model
+        model.save(folder / ("model.json" if isinstance(model, Network) else "parameters.ssv"))
+        if self.test is not None:
+            write_table(folder / "next_experiment.csv", self.test)
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    def line(tag: str, cells: Sequence[str]) -> str:
+        return "<tr>" + "".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) + "</tr>"
+
+    return f"<table><thead>{line('th', heads)}</thead><tbody>{''.join(line('td', r) for r in rows)}</tbody></table>"
+
+
+def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries without infinite numbers, such as the loss ratio without a rival."""
+    return {k: v for k, v in values.items() if not (isinstance(v, float) and math.isinf(v))}
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON types. Infinite numbers and NaN become null."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

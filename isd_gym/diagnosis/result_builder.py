@@ -1,0 +1,362 @@
+"""The result of a diagnosis, put together from a search, its evidence and the decision."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from .estimation.gauss_newton import Fitter
+from .estimation.noise import white_filters
+from .estimation.structure import base_structure, owner_pair, with_sensor_offsets
+from .hypotheses.library import hypotheses
+from .planning import next_experiment, played
+from .result import BestCandidate, Contender, Diagnosis, Effect, Quantity, Remainder, SimulationFit, Stretches, Trace
+from .selection.candidate import Candidate, parameter_values
+from .selection.free_force import FreeForce, fit_free_force
+from .selection.simulation_fit import fit_simulation_error
+from .selection.uncertainty import intervals, with_posterior
+from .selection.weights import weigh_candidates
+from .simulation.problem import BROKEN
+from .simulation.time_limit import RESULT, TimeUp
+from .verdict.explanation import draw_law, draw_table, locate_errors
+from .verdict.findings import find
+from .verdict.gates import Decision, confidence, table_gates, with_findings
+from .verdict.wording import summary_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from ..physics.network import Network
+    from .estimation.structure import Structure
+    from .records import Feedback
+    from .result import Law
+    from .selection.candidate_comparison import CandidateComparison
+    from .selection.forward_backward import Search
+    from .simulation.problem import Array, Problem
+    from .verdict.findings import Finding
+    from .verdict.measurement import Measurements
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class ResultBuilder:
+    """Builds the result of a diagnosis."""
+
+    search: Search
+    scores: CandidateComparison
+    measured: Measurements
+    #: the whole records
+    whole: Problem
+    #: time from which each whole record takes no part in fitting [s]
+    held_from: tuple[float, ...]
+    seed: int
+    say: Callable[[str], None]
+    #: inputs that follow from outputs
+    feedback: tuple[Feedback, ...] = ()
+    #: parts of the result that could not be made
+    lost: list[str] = field(default_factory=list)
+
+    def build(self, decision: Decision, notes: Sequence[str], over: Stretches | None = None) -> Diagnosis:
+        """Build the result; `over` describes the segments over which records were compared, None for whole records."""
+        search, scores, measured = self.search, self.scores, self.measured
+        p, network, criteria = search.problem, search.problem.network, search.criteria
+        refitted, quantities, rivals = scores.refitted, measured.quantities, measured.indistinguishable
+        # under feedback a free curve would draw the controller's law
+        is_free = decision.verdict == "unknown_effect" and not self.feedback
+        free = self._free_force() if is_free else FreeForce()
+        no_findings: tuple[Decision, tuple[Finding, ...]] = (decision, ())
+        decision, findings = self._attempt("the probabilities", no_findings, self._findings, decision, free)
+        is_named, is_ambiguous = decision.verdict == "missing_effect", decision.verdict == "ambiguous"
+        if is_ambiguous:  # a law of the library stands for the force
+            free = FreeForce()
+        # the likeliest law of several that the records do not tell apart
+        final = scores.foremost if is_named or is_ambiguous else refitted
+        tabulated, final = free.tabulated, free.candidate or final
+        last: SimulationFit | None = None
+        structure, x = final.fit.structure, final.fit.x
+        if final is not refitted and not tabulated and not search.clock.is_over:
+            structure, x, last = self._fit_simulation(final, quantities)
+        probability = confidence(measured.evidence, criteria)
+        found = self._effects(quantities, probability) if is_named else []
+        rows = self._errors(final)
+        deviation = search.evaluator.validation_deviation
+        noise = scores.noise * deviation
+        posterior = quantities if final is scores.foremost else {}
+        if not is_named:
+            quantities = self._attempt("the intervals", {}, intervals, search.evaluator, refitted)
+        posterior = quantities if final is refitted else posterior
+        no_law: Law | None = None
+        what = "the picture of a law"
+        laws = [self._attempt(what, no_law, draw_law, p, final.fit, e.element, e.parameters) for e in found]
+        if tabulated:
+            laws.append(self._attempt(what, no_law, draw_table, p, final.fit, tabulated))
+        test = None
+        if is_ambiguous:
+            self.say("designing the test that would decide")
+            candidates = [scores.foremost, *rivals]
+            test = self._attempt("the next test", None, next_experiment, self.whole, candidates, noise)
+        result = Diagnosis(
+            verdict=decision.verdict,
+            summary="",
+            tabulated=tabulated,
+            best_table=free.best,
+            best_candidate=self._rejected(decision, rows),
+            reason=decision.reason,
+            remainder=self._remainder(noise, rows) if is_named else None,
+            stretches=over,
+            closed_loop=self.feedback,
+            effects=tuple(found),
+            small_effects=tuple(self._effects(measured.quantities, probability) if decision.small else []),
+            contenders=tuple(self._contenders(rivals, is_ambiguous and decision.reason != "kind_certain")),
+            findings=findings,
+            where=() if decision.verdict == "no_discrepancy" else locate_errors(p, refitted.fit, noise),
+            parameters={path: q for path, q in quantities.items() if path in network.parameters},
+            gap={stage: self._by_channel(row) for stage, row in rows.items()},
+            closed=None if final is refitted else closed(rows),
+            gates=decision.gates,
+            next_experiment=test.to_dict() if test else None,
+            test=self._attempt("the next test", None, played, network, test.record) if test else None,
+            base=network,
+            refitted=refitted.fit.network,
+            model=self._described(
+                with_posterior(with_sensor_offsets(structure.at(x), structure.offsets), posterior), decision
+            ),
+            simulation_fit=last,
+            traces=self._traces(final),
+            laws=tuple(x for x in laws if x is not None),
+            notes=(*notes, *self._tried(), *self.lost),
+            units={c.name: c.unit for c in network.outputs},
+            evidence=measured.evidence,
+            criteria=criteria,
+            settings=search.settings,
+        )
+        result = replace(result, not_tried=tuple(search.clock.left_out))
+        return replace(result, summary=summary_of(result.to_dict()))
+
+    def _described(self, network: Network, decision: Decision) -> Network:
+        """Return a model whose description states that its law is the likeliest of several."""
+        if decision.verdict != "ambiguous":
+            return network
+        law = "; ".join(h.label for h in self.scores.foremost.hypotheses)
+        text = f"Likeliest law, not certain: {law}."
+        return replace(network, description=f"{network.description} {text}".strip())
+
+    def _attempt(self, what: str, otherwise: T, make: Callable[..., T], *args: Any) -> T:
+        """Return a part of the result, or `otherwise` and a note where its simulation breaks down or the time is up.
+
+        The search is done and must not be lost.
+        """
+        clock = self.search.clock
+        try:
+            with clock.until(RESULT):
+                return make(*args)
+        except TimeUp:
+            clock.leave_out(what)
+            return otherwise
+        except BROKEN as error:
+            self.lost.append(f"{what} could not be made: {error}")
+            return otherwise
+
+    # -- decision -----------------------------------------------------------------------------------------
+    def _free_force(self) -> FreeForce:
+        """Fit a table of the missing force; nothing where the fit breaks down."""
+        self.say("no known law explains it: following the missing force")
+        gates = functools.partial(table_gates, c=self.search.criteria)
+        try:
+            with self.search.clock.until(RESULT):
+                free = fit_free_force(self.search.evaluator, self.scores.refitted, gates)
+        except BROKEN:
+            return FreeForce()
+        except TimeUp:
+            self.search.clock.leave_out("a table of the missing force")
+            return FreeForce()
+        return free if free.candidate is None or self.scores.can_score(free.candidate) else FreeForce()
+
+    def _findings(self, decision: Decision, free: FreeForce) -> tuple[Decision, tuple[Finding, ...]]:
+        """Return the decision and the findings, with the free force among the candidates where one was fitted."""
+        scores, measured = self.scores, self.measured
+        if decision.verdict in ("no_discrepancy", "parameters_only") or not scores.foremost.hypotheses:
+            return decision, ()
+        weighted = measured.weighted
+        if free.candidate is not None:
+            weighted = weigh_candidates(self.search, scores, [free.candidate], self.seed)
+        failed = {g.name for g in decision.gates if not g.passed}
+        findings = find(
+            self.search,
+            weighted,
+            measured.evidence,
+            measured.quantities,
+            next(w.statements for w in weighted if w.candidate is scores.foremost),
+            is_named=decision.verdict == "missing_effect",
+            # a single law competes with the free force by its weight
+            is_doubted=bool(self.feedback)
+            or "predicts better" in failed
+            or ("lack of fit" in failed and len(scores.foremost.hypotheses) > 1),
+        )
+        if self.feedback:  # a controller imitates an element: no kind is certain
+            return decision, findings
+        return with_findings(decision, findings, measured.evidence, self.search.criteria), findings
+
+    def _fit_simulation(
+        self, final: Candidate, quantities: Mapping[str, Quantity]
+    ) -> tuple[Structure, Array, SimulationFit | None]:
+        """Return the completed model fitted to all training data, or as the search fitted it where the last fit gains nothing."""
+        self.say("fitting the completed model to all training data")
+        made = fit_simulation_error(self.search.evaluator, final, self.held_from)
+        if made is None:
+            return final.fit.structure, final.fit.x, None
+        structure, x, last = made
+        outside = {k: q for k, q in quantities.items() if not q.low <= last.values.get(k, q.value) <= q.high}
+        return structure, x, replace(last, outside=outside)
+
+    # -- parts of the result ------------------------------------------------------------------------------
+    def _errors(self, final: Candidate) -> dict[str, Array]:
+        """Return the NRMSE on the test records by stage, (channels,) each."""
+        scores = self.scores
+        after = scores.score(final).test_nrmse
+        return {
+            "before": self.search.evaluator.nominal_nrmse()[1],
+            "refit": scores.score(scores.refitted).test_nrmse,
+            "after": after,
+            "noise_floor": np.minimum(scores.test_noise, after),
+        }
+
+    def _by_channel(self, row: Array) -> dict[str, float]:
+        return {n: float(v) for n, v in zip(self.search.problem.channels, row, strict=True)}
+
+    def _tried(self) -> list[str]:
+        """Return what was tried, in words."""
+        every = list(hypotheses(self.search.problem.network))
+        where = dict.fromkeys("-".join(h.where) for h in every)
+        return [
+            f"tried {len({h.effect for h in every})} effects at {len(where)} places: {', '.join(where)}",
+            *(f"tried {line}" for line in self.scores.notes),
+        ]
+
+    def _effects(self, quantities: Mapping[str, Quantity], probability: float) -> list[Effect]:
+        """Return the effects of the foremost candidate."""
+        best, network, out = self.scores.foremost, self.search.problem.network, []
+        for h, element in zip(best.hypotheses, best.fit.structure.names, strict=True):
+            own = {
+                path.rpartition(".")[2]: q
+                for path, q in quantities.items()
+                if path.rpartition(".")[0] == element
+            }
+            channel = h.where[0] if h.place == "channel" else None
+            out.append(Effect(h.effect, owner_pair(network, h), channel, probability, own, element, h.behind))
+        return out
+
+    def _rejected(self, decision: Decision, rows: Mapping[str, Array]) -> BestCandidate | None:
+        """Return the foremost candidate if it is not named."""
+        best = self.scores.foremost
+        if decision.verdict == "missing_effect" or not best.hypotheses:
+            return None
+        stages = {k: rows[k] for k in ("before", "refit")} | {"after": self.scores.score(best).test_nrmse}
+        return BestCandidate(
+            tuple(h.effect for h in best.hypotheses),
+            tuple(h.where for h in best.hypotheses),
+            tuple(parameter_values(e) for e in best.elements),
+            self.measured.evidence.explained,
+            {k: self._by_channel(row) for k, row in stages.items()},
+            tuple(g for g in decision.gates if not g.passed),
+        )
+
+    def _contenders(self, rivals: Sequence[Candidate], is_tied: bool) -> list[Contender]:
+        """Return the other candidates, and why they are not named; where several are tied, the foremost candidate too."""
+        scores = self.scores
+        refit, best = scores.score(scores.refitted), scores.foremost
+        out = []
+        for r in [best, *rivals] if is_tied else scores.rivals():
+            loss = scores.score(r).mean_square
+            why = "explains less of the held-out records"
+            if r in rivals or is_tied:
+                why = "cannot be told apart on these data"
+            elif loss > refit.mean_square:
+                why = "errs more on the held-out records than the old model does"
+            excess = (loss - scores.noise_score) / max(refit.mean_square - scores.noise_score, 1e-12)
+            out.append(
+                Contender(
+                    tuple(h.effect for h in r.hypotheses),
+                    tuple(h.where for h in r.hypotheses),
+                    excess,
+                    r.deviance - best.deviance,
+                    why,
+                    tuple(parameter_values(e) for e in r.elements),
+                    tuple(h.choices for h in r.hypotheses),
+                )
+            )
+        return out
+
+    def _remainder(self, noise: Array, rows: Mapping[str, Array]) -> Remainder | None:
+        """Return the error beside the named effects; None where it is small."""
+        scores, p = self.scores, self.search.problem
+        found, richest = scores.foremost, scores.richest
+        beyond = rows["after"] ** 2 - rows["noise_floor"] ** 2
+        j = int(np.argmax(beyond))
+        if beyond[j] < self.search.criteria.misses**2:
+            return None
+        channel = p.channels[j]
+        place = next(x for x in locate_errors(p, found.fit, noise) if x.channel == channel)
+        left = Remainder(channel, float(rows["after"][j]), float(rows["noise_floor"][j]), place.when)
+        if not set(found.hypotheses) < set(richest.hypotheses):
+            return left
+        more = [h for h in richest.hypotheses if h not in found.hypotheses]
+        then = scores.score(richest).test_nrmse
+        if not then[j] < rows["after"][j]:
+            return left
+        effects, where = tuple(h.effect for h in more), tuple(h.where for h in more)
+        return replace(left, effects=effects, where=where, error=float(then[j]))
+
+    def _traces(self, final: Candidate) -> tuple[Trace, ...]:
+        """Return every whole record with the outputs of the three models; initial states and offsets are those of the record."""
+        whole, refitted, out = self.whole, self.scores.refitted, []
+        nominal = base_structure(whole.network)
+        models = [
+            (nominal, nominal.start, {}),
+            *((c.fit.structure, c.fit.x, self._first_states(c)) for c in (refitted, final)),
+        ]
+        for i, record in enumerate(whole.records):
+            before, refit, after = (
+                dict(zip(whole.channels, self._trace(*model, i).T, strict=True)) for model in models
+            )
+            measured = {c: record.measured[:, j] for j, c in enumerate(whole.channels)}
+            inputs = {k: record.seen(v) for k, v in record.inputs.items()}
+            since = self.held_from[i]
+            cut = since if math.isfinite(since) else None
+            held_out = since == -math.inf
+            out.append(Trace(record.name, held_out, record.time, inputs, measured, before, refit, after, cut))
+        return tuple(out)
+
+    def _first_states(self, candidate: Candidate) -> dict[int, Array]:
+        """Return the fitted initial states of whole records."""
+        return self.search.evaluator.first_states(candidate.fit, self.scores.score(candidate).fit)
+
+    def _trace(self, structure: Structure, x: Array, initial: Mapping[int, Array], index: int) -> Array:
+        """Return the outputs (samples, channels) of a model over a whole record; NaN where the simulation breaks down."""
+        fitter = Fitter(self.whole, white_filters(self.search.least_noise))
+        for begun in ({}, {k: v for k, v in initial.items() if k == index}):
+            try:
+                fit = fitter.fit(structure, x, begun, records=[index], frozen=True, iterations=3)
+            except BROKEN:
+                continue
+            return fit.outputs[index]
+        name = self.whole.records[index].name
+        self.lost.append(f"a model does not simulate the whole record {name}: no curve is drawn there")
+        return np.full_like(self.whole.records[index].measured, np.nan)
+
+
+def closed(rows: Mapping[str, Array]) -> float | None:
+    """Return the closed share of the gap: (refit - after) / (refit - noise), of the squares, over all channels.
+
+    Args:
+        rows: NRMSE (channels,) by stage.
+    """
+    top = float(np.sum(rows["refit"] ** 2 - rows["after"] ** 2))
+    bottom = float(np.sum(np.maximum(rows["refit"] ** 2 - rows["noise_floor"] ** 2, 0.0)))
+    return min(1.0, top / bottom) if bottom > 0 and math.isfinite(top) else None

@@ -1,0 +1,169 @@
+"""Uncertainty of fitted parameters: covariance, intervals, and parameters at their limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...physics import elements as el
+from ...common.arrays import Z95
+from ..estimation.gauss_newton import Fitter
+from ..result import Quantity
+from ..simulation.problem import BROKEN
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ...physics.network import Network
+    from ..estimation.structure import Structure
+    from ..simulation.problem import Array
+    from .candidate import Candidate
+    from .held_out import HeldOutEvaluator
+
+#: largest relative standard deviation that a model states
+MOST_UNCERTAIN = 100.0
+#: largest shift of a parameter by an unmodelled effect (transformed units): keeps squares finite
+LARGEST_SHIFT = 1e6
+
+
+def covariance(evaluator: HeldOutEvaluator, candidate: Candidate) -> Array | None:
+    """Return the covariance of the free parameters, transformed (parameters, parameters); None where no parameter is free.
+
+    Noise counts by the curvature of the cost with the coloured noise of the residuals. Unmodelled effects count by the shift of the
+    parameters that each of them causes, to first order.
+    """
+    problem, fit = evaluator.problem, candidate.fit
+    filters = evaluator.whitener(candidate)
+    f = Fitter(problem, filters).fit(fit.structure, fit.x, fit.initial, fit.offset, iterations=0)
+    if f.hessian is None or not len(f.x):
+        return None
+    out = np.linalg.inv(f.hessian + np.diag(1 / f.structure.sigma**2))
+    try:
+        shift, left = Fitter(problem, filters).refit(f, evaluator.unmodelled_responses(candidate))
+        # no effect is larger than the residual allows: a small force moves a free mass far, and the sensors would measure this motion
+        visible = np.sqrt(sum(np.sum(part**2, axis=(0, 1)) for part in left.values()))
+        shift = shift * np.minimum(1.0, math.sqrt(f.cost) / np.maximum(visible, 1e-300))
+        shift = np.clip(shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+        out = out + shift @ shift.T
+    except BROKEN:
+        pass
+    return np.asarray(out)
+
+
+def intervals(
+    evaluator: HeldOutEvaluator, candidate: Candidate, known: Array | None = None
+) -> dict[str, Quantity]:
+    """Return every free parameter with its 95 % interval, by path; no interval is wider than the stated uncertainty.
+
+    Args:
+        evaluator: Records and responses to unmodelled effects.
+        candidate: The candidate.
+        known: The covariance, where it is known already.
+    """
+    problem, f = evaluator.problem, candidate.fit
+    matrix = covariance(evaluator, candidate) if known is None else known
+    out: dict[str, Quantity] = {}
+    if matrix is None:
+        return out
+    variance = np.minimum(np.maximum(np.diag(matrix), 0.0), f.structure.sigma**2)
+    prior = problem.network.parameters
+    for k, q in enumerate(f.structure.free):
+        ends = q.interval(f.x[k], math.sqrt(variance[k]))
+        out[q.path] = Quantity(q.back(f.x[k]), *ends, f.network.unit_of(q.path), prior.get(q.path))
+    return out
+
+
+def with_posterior(network: Network, quantities: Mapping[str, Quantity]) -> Network:
+    """Return a fitted model whose stated uncertainties are those of the fit.
+
+    The uncertainty of a parameter is its relative standard deviation, as `base_structure` reads it: of the logarithm for a positive
+    value, of the value for a negative one. Parameters without an interval keep their uncertainty.
+
+    Args:
+        network: The fitted model.
+        quantities: Fitted parameters with their intervals, by path.
+    """
+    own, found = network.parameters, {}
+    for path, q in quantities.items():
+        if path not in own or q.value == 0 or not math.isfinite(q.low) or not math.isfinite(q.high):
+            continue
+        if q.value > 0 and q.low > 0:
+            sigma = math.expm1(min(0.5 * math.log(q.high / q.low) / Z95, 10.0))
+        else:
+            sigma = 0.5 * (q.high - q.low) / Z95 / abs(q.value)
+        found[path] = float(f"{min(sigma, MOST_UNCERTAIN):.3g}")
+    return replace(network, uncertainty={**network.uncertainty, **found})
+
+
+def parameters_at_limits(candidate: Candidate) -> tuple[str, ...]:
+    """Return the parameters of the nominal model that end at the limit of their stated uncertainty."""
+    return tuple(
+        q.path
+        for q, x in zip(candidate.fit.structure.free, candidate.fit.x, strict=True)
+        if q.owner < 0 and (x <= q.low + 1e-6 * q.sigma or x >= q.high - 1e-6 * q.sigma)
+    )
+
+
+def differing_part(
+    network: Network, structure: Structure, x: Array, element: el.Element, matrix: Array | None
+) -> Quantity | None:
+    """Return the difference of two parameters of a law whose common part could be a parameter of the model.
+
+    Args:
+        network: The nominal model.
+        structure: Structure with the law.
+        x: Free parameters, transformed (parameters,).
+        element: The law.
+        matrix: Covariance of the free parameters.
+
+    Returns:
+        The difference with its interval; None for a law without two such parameters.
+    """
+    here = [e for e in el.beside(network, element.where) if e.name != element.name]
+    pair = element.differing(here)
+    if pair is None or matrix is None:
+        return None
+    free = structure.free
+    paths = [q.path for q in free]
+    wanted = [f"{element.name}.{name}" for name in pair]
+    if any(w not in paths or free[paths.index(w)].log for w in wanted):
+        return None
+    a = np.zeros(len(paths))
+    a[[paths.index(w) for w in wanted]] = 1.0, -1.0
+    value, half = float(a @ x), Z95 * math.sqrt(max(float(a @ matrix @ a), 0.0))
+    return Quantity(value, value - half, value + half, structure.network.unit_of(wanted[0]), None)
+
+
+def relative_uncertainty(
+    element: el.Element, quantities: dict[str, Quantity], difference: Quantity | None = None
+) -> float:
+    """Return half of the widest 95 % interval of a law, as the logarithm of a factor; infinite where the interval holds zero.
+
+    Of several parameters with the same unit the largest counts: an asymmetric damper may be soft in one direction.
+
+    Args:
+        element: The law.
+        quantities: Parameters with intervals, by path.
+        difference: Difference of two parameters that counts in their place (`differing_part`).
+    """
+    by_unit: dict[str, tuple[float, float]] = {}
+    for f in el.parameter_fields(type(element)):
+        q = quantities.get(f"{element.name}.{f.name}")
+        if q is None or f.metadata["stride"]:  # a phase has no size
+            continue
+        neutral = f.default if isinstance(f.default, int | float) else 0.0
+        size = abs(q.value - neutral)
+        half = q.value - q.low if f.metadata["minimum"] >= 0 else 0.5 * abs(q.high - q.low)
+        old = by_unit.get(q.unit, (0.0, 0.0))
+        by_unit[q.unit] = max(old[0], size), max(old[1], half)
+    if difference is not None:
+        by_unit[difference.unit] = abs(difference.value), 0.5 * (difference.high - difference.low)
+    return max((_factor(size, half) for size, half in by_unit.values()), default=0.0)
+
+
+def _factor(size: float, half: float) -> float:
+    """Return the logarithm of the factor by which a value, known to plus or minus `half`, may be too large."""
+    return math.inf if half >= size else -math.log1p(-half / size)

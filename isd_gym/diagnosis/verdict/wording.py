@@ -1,0 +1,790 @@
+"""The summary of a diagnosis, written from the numbers of its JSON document alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...physics.elements import TYPES, spoken
+from ...common.units import practical
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+#: an addition that makes the error on the test records larger
+NOT_BORNE_OUT = "On the test records the error is larger with this addition."
+#: what to do about a failed gate, most urgent first
+ADVICE = {
+    "sensor": "check the zero, the scale and the clock of the sensor before you trust a fault of it",
+    "distinguishable": "record another excitation: other amplitudes, speeds or frequencies",
+    "lack of fit": "compare the curve of the missing force with a law of your own (--elements): no known law has its shape",
+    "adequate": "log further motions or inputs: the candidate leaves a part of the error, so another effect is missing beside it",
+    "confirmed": "repeat the test: the test records do not confirm the candidate",
+    "determined": "record a test in which the effect is larger, or state smaller uncertainties of the parameters that you know",
+    "probable": "record more data of the same kind: several candidates share the probability",
+    "material": "record larger amplitudes: the effect is small in these records",
+    "predicts better": "record more data of the same kind: the gain is within its statistical error",
+}
+#: error of which a candidate removes a share (`Evidence.explained`)
+EXCESS = "the squared held-out error beyond noise"
+RELATIONS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
+OVER = {"rate": "their rate", "elongation": "their distance", "both": "their distance and rate"}
+#: parameters whose change is stated; laws of a kind that are stated
+CHANGES, LAWS = 2, 2
+#: probability from which on a further kind is mentioned
+POSSIBLE = 0.2
+#: kinds of effects in words
+KINDS = {
+    "dry_friction": "Dry friction",
+    "viscous": "A viscous force",
+    "elastic": "An elastic force",
+    "play": "Play",
+    "inertial": "An inertia force",
+    "position_periodic": "A force that is periodic in position",
+    "series_compliance": "A compliance in series",
+    "drive": "A fault of the drive",
+    "sensor": "A fault of the sensor",
+    "constant": "A constant force",
+    "other": "A force of another kind",
+}
+
+
+@dataclass(frozen=True)
+class Statements:
+    """Sentences about a diagnosis, by their use."""
+
+    #: what is missing, in a line
+    title: str
+    #: what was found and how far it goes
+    finding: tuple[str, ...]
+    #: limits of the data and of the model
+    remarks: tuple[str, ...]
+    #: what to do next
+    next_steps: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """All sentences but the title."""
+        steps = [f"Next: {step}" for step in self.next_steps]
+        return " ".join(s for s in (*self.finding, *self.remarks, *steps) if s)
+
+
+def summary_of(document: Mapping[str, Any]) -> str:
+    """Return the summary of a diagnosis: the finding, the limits of the data, and what to do next.
+
+    Args:
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
+
+    Returns:
+        Sentences.
+    """
+    return statements_of(document).text
+
+
+def statements_of(document: Mapping[str, Any]) -> Statements:
+    """Return the sentences about a diagnosis of a network.
+
+    Args:
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
+
+    Returns:
+        Sentences by their use.
+    """
+    verdict, remarks = document["verdict"], []
+    if verdict == "missing_effect":
+        finding = [_missing(document), _remaining(document)]
+    elif verdict == "ambiguous":
+        finding = [_ambiguous(document)]
+        remarks = [_likely(document)]
+        if document["reason"] == "kind_certain":
+            finding, remarks = [*remarks, *finding], []
+    elif verdict == "unknown_effect":
+        table, shape = _table(document)
+        finding, remarks = [_unknown(document), _likely(document), _best_candidate(document)], [table]
+        if document["tabulated"]:
+            finding, remarks = [table, finding[2]], [finding[0], finding[1], shape]
+        remarks.append(_where(document))
+    else:
+        finding = [_agreement(document), _reason(document), _changes(document)]
+    if _is_open(document):
+        remarks += [_worse_refit(document), _worse_than_constant(document)]
+    remarks += [
+        _small(document),
+        _noise(document),
+        _limits(document),
+        _stretches(document),
+        _simulation_fit(document),
+        _closed_loop(document),
+    ]
+    finding = [_not_tried(document), *finding]
+    return Statements(
+        _title(document), _kept(finding), _kept(remarks), _kept([*_urgent(document), _next(document)])
+    )
+
+
+def _not_tried(d: Mapping[str, Any]) -> str:
+    """Return what the limit of the time left out; empty where nothing was left out."""
+    if not d.get("not_tried"):
+        return ""
+    limit = plain_number(d["search"]["max_seconds"])
+    return (
+        f"The time limit of {limit} s ended the diagnosis early. Not tried: {', '.join(d['not_tried'])}. "
+        "What follows rests on the rest of the search."
+    )
+
+
+def unit_summary_of(document: Mapping[str, Any]) -> str:
+    """Return the summary of a diagnosis whose model is an FMU.
+
+    Args:
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
+
+    Returns:
+        Sentences.
+    """
+    return unit_statements_of(document).text
+
+
+def unit_statements_of(document: Mapping[str, Any]) -> Statements:
+    """Return the sentences about a diagnosis of an FMU.
+
+    Args:
+        document: JSON document of the diagnosis (`isd-diagnosis/1`); its `summary` is not read.
+
+    Returns:
+        Sentences by their use.
+    """
+    gap, verdict = document["gap"]["held_out"], document["verdict"]
+    title, steps, remarks = _title(document), [_next(document)], [_noise(document), _limits(document)]
+    if verdict == "no_discrepancy":
+        finding = [
+            f"The FMU agrees with the measurements; no effect is missing ({_errors(gap, _widest(gap), 'refit')})."
+        ]
+    elif verdict == "parameters_only":
+        most = _most_gained(gap, "before", "refit")
+        finding = [
+            f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
+        ]
+        steps = [
+            "use the refitted parameters (parameters.ssv), and test them with a record of another excitation."
+        ]
+    else:
+        title = "An effect is missing that no parameter of the FMU explains"
+        finding = [
+            f"An effect is missing that no parameter values of the FMU explain ({_errors(gap, _widest(gap), 'before', 'refit')}).",
+            _where(document),
+        ]
+        shifted = [n for n, share in document["constant"].items() if share is not None and share > 0.5]
+        remarks = [
+            *(
+                f"A constant offset is {_percent(document['constant'][n], 0)} of the squared error in {n}."
+                for n in shifted
+            ),
+            *remarks,
+        ]
+        steps = [f"check the zero of the sensor of {n}." for n in shifted]
+        steps.append(
+            "diagnose a network model of the rig (isd-model/1): the equations inside an FMU are hidden, so the effect and its place are not searched."
+        )
+    return Statements(title, _kept(finding), _kept(remarks), _kept(steps))
+
+
+def _kept(sentences: Iterable[str]) -> tuple[str, ...]:
+    """Return the sentences that are not empty, each once."""
+    return tuple(dict.fromkeys(s for s in sentences if s))
+
+
+def _is_open(d: Mapping[str, Any]) -> bool:
+    """Return whether an effect is missing and neither its name nor its kind is certain."""
+    return d["verdict"] in ("ambiguous", "unknown_effect") and d["reason"] != "kind_certain"
+
+
+# ---------------------------------------------------------------------------------------------- numbers and names
+
+
+def plain_number(value: float | None, digits: int = 4) -> str:
+    """Return significant digits, without an exponent for values from 1e4 to 1e7; ``unknown`` for None."""
+    if value is None:
+        return "unknown"
+    text = f"{value:.{digits}g}"
+    return np.format_float_positional(float(text), trim="-") if 1e4 <= abs(value) < 1e7 else text
+
+
+def described(effect: Mapping[str, Any]) -> str:
+    """Return an effect of the JSON with its place and values."""
+    figures = ", ".join(_parameter(k, q) for k, q in effect["parameters"].items() if q["value"] is not None)
+    return f"{_placed(effect)} ({figures})"
+
+
+def _placed(effect: Mapping[str, Any]) -> str:
+    """Return an effect of the JSON with its place."""
+    kind = TYPES.get(effect["effect"])
+    if "channel" in effect:
+        return f"{spoken(effect['effect'])} in channel {effect['channel']}"
+    spot = _between(effect["between"] or ())
+    if kind is not None and kind.series:
+        spot = f"in series with {effect.get('behind') or 'all elements'} {spot}"
+    return f"{spoken(effect['effect'])}{',' if kind is not None and kind.series else ''} {spot}"
+
+
+def _parameter(name: str, quantity: Mapping[str, Any]) -> str:
+    """Return a parameter with its value and unit, such as ``level 1.2 N`` or ``exponent 2``."""
+    return f"{spoken(name)} {plain_value(quantity['value'], quantity['unit'])}"
+
+
+def plain_value(value: float | None, unit: str) -> str:
+    """Return a value with four digits in a practical unit, such as ``0.79 mm`` for 0.00079 m."""
+    factor, unit = (1.0, unit) if value is None else practical(value, unit)
+    text = plain_number(None if value is None else factor * value)
+    return text if unit in ("", "-") else f"{text} {unit}"
+
+
+def _in_unit_of(other: float, value: float, unit: str) -> str:
+    """Return a value in the practical unit of another value, without the unit."""
+    return plain_number(practical(other, unit)[0] * value)
+
+
+def candidate_text(candidate: Mapping[str, Any]) -> str:
+    """Return the effects of a candidate (an item of `alternatives`, or `best_candidate`) with their places."""
+    named = zip(candidate["effects"], candidate["where"], strict=True)
+    return " and ".join(f"{spoken(effect)} {_spot(where)}" for effect, where in named)
+
+
+def _spot(where: Sequence[str]) -> str:
+    return _between(where) if len(where) == 2 else f"at {' and '.join(where)}"
+
+
+def _between(nodes: Iterable[str]) -> str:
+    return f"between {' and '.join(nodes)}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _percent(value: float | None, digits: int = 1) -> str:
+    return "an unknown share" if value is None else f"{round(100 * value, digits) + 0.0:.{digits}f} %"
+
+
+def _errors(gap: Mapping[str, Mapping[str, float]], channel: str, *stages: str) -> str:
+    """Return the errors of a channel, such as ``error in travel: 40.0 % before, 30.0 % refitted, noise 2.0 %``."""
+    words = {"before": " before", "refit": " refitted"}
+    stated = [f"{_percent(gap[s][channel])}{words[s] if len(stages) > 1 else ''}" for s in stages]
+    noise = _percent(gap["noise_floor"][channel])
+    return f"error in {channel}: {', '.join(stated)}, noise {noise}"
+
+
+def _square(value: float | None) -> float:
+    return float("inf") if value is None else value**2
+
+
+def _widest(gap: Mapping[str, Mapping[str, float]]) -> str:
+    """Return the channel with the largest error of the refitted model."""
+    return max(gap["refit"], key=lambda c: _square(gap["refit"][c]))
+
+
+def _most_gained(gap: Mapping[str, Mapping[str, float]], old: str, new: str) -> str:
+    return max(gap[old], key=lambda c: _square(gap[old][c]) - _square(gap[new][c]))
+
+
+def failures(gates: Iterable[Mapping[str, Any]]) -> str:
+    """Return failed gates with value and limit, such as ``determined (1, needed below 0.9)``."""
+    return ", ".join(
+        f"{g['gate']} ({plain_number(g['value'], 3)}, needed {RELATIONS[g['relation']]} {plain_number(g['limit'], 3)})"
+        for g in gates
+        if not g["passed"]
+    )
+
+
+# ------------------------------------------------------------------------------------------------- the verdicts
+
+
+def _title(d: Mapping[str, Any]) -> str:
+    """Return the finding in a line."""
+    effects, verdict = d["effects"], d["verdict"]
+    if effects and all("channel" in e for e in effects):
+        return "A sensor has a fault; no physical effect is missing"
+    if len(effects) > 1:
+        kind = "" if any("channel" in e for e in effects) else "physical "
+        return f"{('Two', 'Three', 'Four')[min(len(effects), 4) - 2]} {kind}effects are missing"
+    if effects:
+        return f"Missing: {_placed(effects[0])}"
+    if verdict in ("no_discrepancy", "parameters_only"):
+        if not _agrees(d):
+            return "No missing effect can be named"
+        return (
+            "The model agrees with the measurements"
+            if verdict == "no_discrepancy"
+            else "Parameters were off; no effect is missing"
+        )
+    if verdict == "unknown_effect" and d.get("not_tried"):
+        return "An effect is missing; the time limit ended the search for it"
+    kinds, places = _likely_kinds(d), _certain_places(d)
+    if d["reason"] == "kind_certain" and kinds:
+        place = f" {_spot(kinds[0]['place'])}; its law is" if kinds[0]["place"] else "; its place and law are"
+        return f"Missing: {_lower(KINDS[kinds[0]['kind']])}{place} open"
+    if d["tabulated"] and not _is_table_refuted(d):
+        return f"Missing: a force {_between(d['tabulated']['between'])}; its law is open"
+    if verdict == "ambiguous" and len(d["alternatives"]) > 1:
+        return f"An effect is missing; these data leave {len(d['alternatives'])} candidates"
+    if kinds:
+        place = f" {_spot(kinds[0]['place'])}" if kinds[0]["place"] else ""
+        return f"An effect is missing, probably {_lower(KINDS[kinds[0]['kind']])}{place}"
+    if places:
+        return f"An effect is missing {_spot(next(iter(places)))}; its kind is open"
+    return "An effect is missing, and no known law passes every gate"
+
+
+def _next(d: Mapping[str, Any]) -> str:
+    """Return what to do next about the finding."""
+    verdict = d["verdict"]
+    if verdict in ("no_discrepancy", "parameters_only"):
+        if not _agrees(d):
+            return "log further motions or inputs, or record larger amplitudes."
+        if verdict == "parameters_only":
+            return (
+                "use the refitted parameters (model.json), and test them with a record of another excitation."
+            )
+        return (
+            "record other amplitudes, speeds or frequencies to see effects that these records do not excite."
+        )
+    if verdict == "missing_effect":
+        gap = d["gap"]["held_out"]
+        c = _most_gained(gap, "refit", "after")
+        if not _square(gap["after"][c]) <= _square(gap["refit"][c]):
+            return "repeat the test: the test records do not confirm the addition."
+        return f"confirm it with a new record: the error of model.json in {c} must be about {_percent(gap['after'][c])}."
+    if d.get("closed_loop"):
+        return ""
+    if d["tabulated"]:
+        if _is_table_refuted(d):
+            return "repeat the test: the test records do not confirm the force."
+        return (
+            "confirm the force with a new record, and compare its curve with a law of your own (--elements)."
+        )
+    if d["next_experiment"]:
+        return "run the test in next_experiment.csv."
+    best = d["best_candidate"]
+    failed = {g["gate"] for g in best["failed_gates"] if not g["passed"]} if best and is_gain(best) else set()
+    advice = next((text for name, text in ADVICE.items() if name in failed), None)
+    return f"{advice or 'log further motions or inputs: the missing force may depend on a quantity that is not measured'}."
+
+
+def _is_table_refuted(d: Mapping[str, Any]) -> bool:
+    """Return whether the table of the missing force makes the error on the test records larger."""
+    closed = d["gap"]["closed"]
+    return closed is not None and closed < 0
+
+
+def _urgent(d: Mapping[str, Any]) -> list[str]:
+    """Return what to do before anything else."""
+    steps = []
+    if d.get("closed_loop"):
+        steps.append("repeat the test with an input that does not depend on the outputs.")
+    if _is_open(d) and _worse_than_constant(d):
+        steps.append("check values, stated uncertainty, signs and units of the model.")
+    return steps
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def _missing(d: Mapping[str, Any]) -> str:
+    gap = d["gap"]["held_out"]
+    c = _most_gained(gap, "refit", "after")
+    found = " and ".join(described(e) for e in d["effects"])
+    down = _square(gap["after"][c]) <= _square(gap["refit"][c])
+    text = (
+        f"The model lacks {found}. With {'these effects' if len(d['effects']) > 1 else 'this effect'} the error in {c} on held-out "
+        f"data {'falls' if down else 'rises'} from {_percent(gap['refit'][c])} to {_percent(gap['after'][c])} "
+        f"(noise {_percent(gap['noise_floor'][c])})."
+    )
+    return text if down else f"{text} {NOT_BORNE_OUT}"
+
+
+def _worse_refit(d: Mapping[str, Any]) -> str:
+    """Return a sentence where the refitted model errs more on held-out data than the model as given, by a material share."""
+    gap = d["gap"]["held_out"]
+    c = _most_gained(gap, "refit", "before")
+    given, refit = gap["before"][c], gap["refit"][c]
+    if not _square(refit) - _square(given) >= d["criteria"]["material"] ** 2:
+        return ""
+    return (
+        f"On held-out data the refitted model errs more in {c} ({_percent(refit)}) than the model as given ({_percent(given)}): the share "
+        "of the error that an addition removes is relative to the refitted model."
+    )
+
+
+def _worse_than_constant(d: Mapping[str, Any]) -> str:
+    """Return a sentence where the refitted model errs more on held-out data than the mean of each record."""
+    gap = d["gap"]["held_out"]
+    c = _widest(gap)
+    if not _square(gap["refit"][c]) > 1.0:
+        return ""
+    return f"The refitted model errs more in {c} than a constant would ({_percent(gap['refit'][c])} of the deviation)."
+
+
+def _remaining(d: Mapping[str, Any]) -> str:
+    left = d["remainder"]
+    if not left:
+        return ""
+    most = f", largest when {left['when']}" if left["when"] != "everywhere" else ""
+    text = (
+        f"An error of {_percent(left['after'])} in {left['channel']} remains (noise {_percent(left['noise_floor'])}){most}. "
+        "Another effect may be missing."
+    )
+    if left["candidate"]:
+        text += (
+            f" The closest further effect, {candidate_text(left['candidate'])}, would reduce the error to "
+            f"{_percent(left['candidate']['error'])} and was not kept."
+        )
+    return text
+
+
+def _likely_kinds(d: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the findings whose kind is probable."""
+    least = d["criteria"]["probable"]
+    return [f for f in d["findings"] if f["kind"] != "other" and f["kind_probability"] >= least]
+
+
+def _certain_places(d: Mapping[str, Any]) -> dict[tuple[str, ...], float]:
+    """Return the places that are certain, with their probabilities."""
+    least = d["criteria"]["certain"]
+    return {
+        tuple(f["place"]): f["place_probability"] for f in d["findings"] if f["place_probability"] >= least
+    }
+
+
+def _likely(d: Mapping[str, Any]) -> str:
+    """Return the most specific statements that are likely, with probabilities: kinds, or else places that are certain."""
+    certain, findings = d["criteria"]["certain"], d["findings"]
+    kinds, sentences = _likely_kinds(d), []
+    for f in kinds:
+        sure = "is missing" if f["kind_probability"] >= certain else "is probably missing"
+        chance = f"(probability {f['kind_probability']:.2f})"
+        if not f["place"]:
+            open_places = " or ".join(
+                f"{_spot(g['place'])} ({g['place_probability']:.2f})"
+                for g in findings
+                if g["place"] and g["kind"] == f["kind"]
+            )
+            sentences.append(
+                f"{KINDS[f['kind']]} {sure} {chance}, but the data do not determine its place: {open_places}."
+            )
+            continue
+        laws = " or ".join(
+            f"{spoken(law['effect'])} (probability {law['probability']:.2f}{_law_values(law)})"
+            for law in f["laws"][:LAWS]
+            if law is f["laws"][0] or law["probability"] >= d["criteria"]["reported"]
+        )
+        sentences.append(f"{KINDS[f['kind']]} {_spot(f['place'])} {sure} {chance}. Likeliest law: {laws}.")
+    if not kinds:
+        sentences = [
+            f"An effect is missing {_spot(place)} (probability {chance:.2f}); the data do not determine its kind."
+            for place, chance in _certain_places(d).items()
+        ]
+    others = [
+        f
+        for f in findings
+        if f not in kinds
+        and f["kind"] not in {"other", *(g["kind"] for g in kinds if not g["place"])}
+        and f["kind_probability"] >= POSSIBLE
+    ]
+    # candidates without the likeliest kind have the rest of the weight: a kind that is twice as likely stands mostly beside it
+    rest = 1.0 - max((f["kind_probability"] for f in kinds), default=0.0)
+    for words, told in (
+        ("Perhaps beside it", [f for f in others if f["kind_probability"] > 2.0 * rest]),
+        ("Also possible", [f for f in others if f["kind_probability"] <= 2.0 * rest]),
+    ):
+        if kinds and told:
+            listed = (
+                f"{_lower(KINDS[f['kind']])} {_spot(f['place'])} (probability {f['kind_probability']:.2f})"
+                for f in told
+            )
+            sentences.append(f"{words}: {' or '.join(listed)}.")
+    return " ".join(sentences)
+
+
+def _law_values(law: Mapping[str, Any]) -> str:
+    values = [_parameter(k, q) for k, q in law["parameters"].items()]
+    return f", {', '.join(values)}" if values else ""
+
+
+def _ambiguous(d: Mapping[str, Any]) -> str:
+    rivals, best = d["alternatives"], d["best_candidate"]
+    if d["reason"] != "kind_certain" and len(rivals) > 1:
+        names = " or ".join(f"{candidate_text(r)} (leaves {_left(r)})" for r in rivals)
+        return (
+            f"An effect is missing, and these data do not decide between {len(rivals)} candidates: {names}."
+        )
+    subject = "The law is not certain" if d["reason"] == "kind_certain" else "An effect is missing"
+    if not is_gain(best):
+        return f"{subject}: {_no_gain(best)}"
+    return (
+        f"{subject}: {candidate_text(best)} removes {_percent(best['explained'], 0)} of {EXCESS}, "
+        f"but fails {failures(best['failed_gates'])}."
+    )
+
+
+def _left(rival: Mapping[str, Any]) -> str:
+    excess = rival["excess"]
+    return "an unknown share" if excess is None else f"{_percent(max(excess, 0.0))} of the error beyond noise"
+
+
+def _unknown(d: Mapping[str, Any]) -> str:
+    gap = d["gap"]["held_out"]
+    c = _widest(gap)
+    why = "the search for it is not finished" if d.get("not_tried") else "no known effect passes every gate"
+    return f"An effect is missing, and {why} ({_errors(gap, c, 'before', 'refit')})."
+
+
+def _where(d: Mapping[str, Any]) -> str:
+    """Return the channel with most of the error, and the motion at which the error is largest."""
+    if not d["where"] or not d["where"][0]["share"]:
+        return ""
+    first = d["where"][0]
+    parts = [f"{_percent(first['share'], 0)} of the gap is in {first['channel']}"] * (len(d["where"]) > 1)
+    parts += [f"the gap is largest when {first['when']}"] * (first["when"] != "everywhere")
+    return f"{_capital('; '.join(parts))}." if parts else ""
+
+
+def is_gain(candidate: Mapping[str, Any] | None) -> bool:
+    """Return whether a candidate reduces the error on validation records, and on test records over all channels.
+
+    Args:
+        candidate: Entry `best_candidate` of the JSON document; None without a candidate.
+    """
+    if candidate is None or not (candidate["explained"] or 0.0) > 0.0:
+        return False
+    before, after = (sum(map(_square, candidate["error"][s].values())) for s in ("refit", "after"))
+    return after < before
+
+
+def _no_gain(candidate: Mapping[str, Any]) -> str:
+    if not (candidate["explained"] or 0.0) > 0.0:
+        return "no known effect reduces the error on the validation records."
+    error = candidate["error"]
+    c = _most_gained(error, "after", "refit")
+    return (
+        f"no known effect reduces the error on the test records. With the likeliest, {candidate_text(candidate)}, the error in {c} is "
+        f"{_percent(error['after'][c])} (refitted {_percent(error['refit'][c])})."
+    )
+
+
+def _best_candidate(d: Mapping[str, Any]) -> str:
+    best = d["best_candidate"]
+    if best is None and d.get("not_tried"):
+        return ""
+    if best is None:
+        return "No known effect reduces the held-out error by enough to be kept."
+    if not is_gain(best):
+        return _capital(_no_gain(best))
+    error = best["error"]
+    c = _most_gained(error, "refit", "after")
+    failed = [g for g in best["failed_gates"] if not g["passed"]]
+    return (
+        f"The best candidate, {candidate_text(best)}, reduces the error in {c} from "
+        f"{_percent(error['refit'][c])} to {_percent(error['after'][c])} and fails {len(failed)} of {len(d['gates'])} gates: "
+        f"{failures(failed)}."
+    )
+
+
+def _table(d: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the statement about the table of the missing force, and what is known of its shape."""
+    t, tried = d["tabulated"], d["best_table"]
+    if t:
+        near = ", ".join(f"{spoken(x['effect'])} {_percent(x['share'], 0)}" for x in t["nearest"])
+        alone = ", ".join(
+            f"{OVER[k].removeprefix('their ')} alone {_percent(v, 0)}" for k, v in t["shares"].items()
+        )
+        text = (
+            f"A force {_between(t['between'])} that depends on {OVER[t['over']]} removes {_percent(t['explained'], 0)} of {EXCESS}. "
+            f"In model.json the force is the table '{t['element']}'."
+        )
+        text += f" {NOT_BORNE_OUT}" if _is_table_refuted(d) else ""
+        shape = [f"Share of its power by argument: {alone}."] if alone else []
+        shape += [f"Share of its power that the nearest known laws give: {near}."] if near else []
+        return text, " ".join(shape)
+    if tried is None and d.get("not_tried"):
+        return "", ""
+    return _rejected_table(tried), ""
+
+
+def _rejected_table(tried: Mapping[str, Any] | None) -> str:
+    if tried is None:
+        return "No table of a force between two nodes could be fitted."
+    explains = next(g for g in tried["gates"] if g["gate"] == "explains")
+    text = (
+        f"The best table of a force, {_between(tried['between'])} over {OVER[tried['over']]}, removes "
+        f"{_percent(tried['explained'], 0)} of {EXCESS}"
+    )
+    if not (tried["explained"] or 0.0) > 0.0:
+        return "No table of a force between two nodes reduces the held-out error."
+    if not explains["passed"]:
+        return (
+            f"{text} (needed {_percent(explains['limit'], 0)}). The missing force may depend on time, on its own past, on an input, or "
+            "on a motion that no sensor measures."
+        )
+    failed = failures(tried["gates"])
+    return f"{text}, but fails {failed}." if failed else f"{text}, but its interval cannot be computed."
+
+
+def _agrees(d: Mapping[str, Any]) -> bool:
+    """Return whether the refitted model errs by no material amount more than the noise."""
+    gap = d["gap"]["held_out"]
+    c = _most_gained(gap, "refit", "noise_floor")
+    return _square(gap["refit"][c]) - _square(gap["noise_floor"][c]) <= d["criteria"]["material"] ** 2
+
+
+def _agreement(d: Mapping[str, Any]) -> str:
+    gap = d["gap"]["held_out"]
+    worst = _most_gained(gap, "refit", "noise_floor")
+    if not _agrees(d):
+        return f"No missing effect can be named ({_errors(gap, worst, 'before', 'refit')})."
+    if d["verdict"] == "no_discrepancy":
+        return (
+            f"The model agrees with the measurements; no effect is missing ({_errors(gap, worst, 'refit')})."
+        )
+    most = _most_gained(gap, "before", "refit")
+    return f"Refitted parameters explain the difference; no effect is missing ({_errors(gap, most, 'before', 'refit')})."
+
+
+def _reason(d: Mapping[str, Any]) -> str:
+    e, c = d["evidence"], d["criteria"]
+    rows = zip(e["channels"], e["refit"], e["noise"], e["envelope"], strict=True)
+    excess = [
+        (name, max(_square(r) - _square(f), 0.0) ** 0.5, f, w)
+        for name, r, f, w in rows
+        if None not in (r, f, w)
+    ]
+    if not excess:
+        return ""
+    if d["reason"] == "small_effects":
+        worst, over, _, small = max(excess, key=lambda x: x[1] / max(x[3], 1e-12))
+        return (
+            f"On validation data the error in {worst} beyond noise is {_percent(over)}. Unmodelled effects of {_percent(c['small'], 0)} of "
+            f"the typical force, which every rig has, leave up to {_percent(small)}."
+        )
+    if d["reason"] == "closed_by_small":
+        return (
+            f"Effects of at most {_percent(e['richest_share'])} of the force at their places close the gap. A name needs at least "
+            f"{_percent(c['share'], 0)}."
+        )
+    if d["reason"] == "noise":
+        worst, over, floor, _ = max(excess, key=lambda x: x[1] / max(x[2], 1e-12))
+        return f"On validation data the error in {worst} beyond noise is {_percent(over)} (noise {_percent(floor)}), and no known effect reduces the error."
+    if d["reason"] == "doubtful_sensor":
+        return f"A sensor fault may explain the rest, but fails {failures(d['gates'])}."
+    if d["reason"] == "immaterial":
+        return (
+            f"On validation data the error beyond noise is at most {_percent(max(x[1] for x in excess))} of the standard deviation in every channel "
+            f"(limit {_percent(c['material'], 0)})."
+        )
+    return ""
+
+
+def _changes(d: Mapping[str, Any]) -> str:
+    """Return the parameters whose 95 % interval excludes the value of the nominal model, largest change first."""
+    if d["verdict"] != "parameters_only":
+        return ""
+    moved = [
+        (abs(q["value"] / q["prior"] - 1.0), path, q)
+        for path, q in d["parameters"].items()
+        if q.get("prior") and None not in (q["value"], q["low"], q["high"])
+        and not q["low"] <= q["prior"] <= q["high"]
+    ]  # fmt: skip
+    stated = [
+        f"{path} from {_in_unit_of(q['value'], q['prior'], q['unit'])} to {plain_value(q['value'], q['unit'])} ({q['value'] / q['prior'] - 1.0:+.1%})"
+        for _, path, q in sorted(moved, key=lambda t: -t[0])[:CHANGES]
+    ]
+    more = f" and {len(moved) - CHANGES} more" if len(moved) > CHANGES else ""
+    return f"Largest changes: {', '.join(stated)}{more}." if stated else ""
+
+
+# --------------------------------------------------------------------------------------------------- for all of them
+
+
+def _small(d: Mapping[str, Any]) -> str:
+    found = d["small_effects"]
+    if not found:
+        return ""
+    seen, least = d["evidence"]["effects"], d["criteria"]["share"]
+    names = " and ".join(described(e) for e in found)
+    shares = " and ".join(f"{_percent(x['share'])}" for x in seen)
+    if all((x["share"] or 0.0) < least for x in seen):
+        return f"Too small to be named: {names}, {shares} of the force, current or signal at its place (needed {_percent(least, 0)})."
+    return f"Detected but not named: {names}, {shares} of the force, current or signal at its place; the effect fails {failures(d['gates'])}."
+
+
+def _noise(d: Mapping[str, Any]) -> str:
+    e = d["evidence"]
+    if d["verdict"] not in ("no_discrepancy", "parameters_only", "unknown_effect"):
+        return ""
+    rows = zip(e["channels"], e["noise"], e["noise_known"], strict=True)
+    bounded = [f"{name} (at most {_percent(floor)})" for name, floor, known in rows if not known]
+    if not bounded:
+        return ""
+    return f"These data give only an upper bound on the noise of {', '.join(bounded)}. If you know the noise, state 'noise' of the output in the model file."
+
+
+def _limits(d: Mapping[str, Any]) -> str:
+    final = d["verdict"] == "missing_effect" or not d["gates"]
+    asked = d["evidence"]["limits" if final else "refit_limits"]
+    if not asked:
+        return ""
+    return f"Parameters at the limit of their stated uncertainty: {', '.join(asked)}. Check their values."
+
+
+def _closed_loop(d: Mapping[str, Any]) -> str:
+    found = d.get("closed_loop")
+    if not found:
+        return ""
+    inputs = [
+        f"past {' and '.join(f['outputs'])} explain {_percent(f['share'], 0)} of the part of {f['input']} that the past of "
+        f"{f['input']} does not predict"
+        for f in found
+    ]
+    return (
+        f"The records are of a closed loop: {'; '.join(inputs)}. A control law can look like an element, such as a spring to the "
+        "ground."
+    )
+
+
+def _simulation_fit(d: Mapping[str, Any]) -> str:
+    """Return sentences on the last fit, and on its values outside the intervals of the search."""
+    fit = d.get("simulation_fit")
+    if not fit:
+        return ""
+    before, after = fit["data"]["before"], fit["data"]["after"]
+    c = max(before, key=lambda name: _square(before[name]) - _square(after[name]))
+    text = (
+        f"model.json is fitted once more to all training data for the smallest error of its simulation, which falls from "
+        f"{_percent(before[c])} to {_percent(after[c])} in {c}; the other figures are those of the search."
+    )
+    moved = [
+        f"{path} {plain_number(fit['values'][path])} {q['unit']} ({plain_number(q['low'])} to {plain_number(q['high'])})"
+        for path, q in fit["outside"].items()
+    ]
+    return (
+        f"{text} Values of the last fit outside the interval of the search: {', '.join(moved)}."
+        if moved
+        else text
+    )
+
+
+def _stretches(d: Mapping[str, Any]) -> str:
+    s = d["stretches"]
+    if not s:
+        return ""
+    low, high = f"{s['shortest']:.2g}", f"{s['longest']:.2g}"
+    length = f"{low} s" if low == high else f"{low} to {high} s"
+    why = {
+        "diverges": "the refitted model diverges over whole records",
+        "astray": f"over whole records the mean error of the refitted model is {_percent(s['error'])} (limit {_percent(s['limit'], 0)})",
+        "unnamed": "over whole records no candidate passes every gate",
+        "feedback": "feedback makes a comparison of whole records invalid",
+    }[s["reason"]]
+    return f"These are errors over {s['count']} stretches of {length}, each with its own initial state, because {why}."

@@ -1,0 +1,44 @@
+"""Registration of the environments with Gymnasium; the import costs nothing."""
+
+from __future__ import annotations
+
+ENVIRONMENTS = {
+    "ISDSuspension-v0": "quarter-car-isd",
+    "ISDSuspensionEq8-v0": "quarter-car-eq8",
+    "ISDHalfCar-v0": "half-car-isd",
+    "ISDFullCar-v0": "full-car-isd",
+}
+#: environments with the options that learning algorithms need: scaled signals with memory, the effect of a car's own
+#: currents as the reward, changes of the currents as actions, each held for a while. The cars are those of the others.
+LEARNING = {
+    "ISDSuspensionLearning-v0": "quarter-car-isd",
+    "ISDHalfCarLearning-v0": "half-car-isd",
+    "ISDFullCarLearning-v0": "full-car-isd",
+}
+LEARNING_OPTIONS = {"observation": "history", "reward": "relative", "action": "increment", "hold": 2}
+#: environment by number of corners
+BY_CORNERS = {1: "ISDSuspension-v0", 2: "ISDHalfCar-v0", 4: "ISDFullCar-v0"}
+EPISODE_STEPS = 4000  # 20 s at 5 ms
+#: Mean return from which on an environment counts as solved: the best classical controller of the card, rounded down to a
+#: multiple of 5 (`benchmarks/tracks.py` prints them). None where no card exists.
+REWARD_THRESHOLDS = {"ISDFullCar-v0": -2375.0, "ISDHalfCar-v0": -2420.0, "ISDSuspension-v0": -2650.0}
+
+
+def register() -> None:
+    """Register every environment of the package that Gymnasium does not know yet."""
+    from gymnasium.envs.registration import register as add
+    from gymnasium.envs.registration import registry
+
+    all_ids: list[tuple[str, str, dict[str, object]]] = [
+        (name, network, {}) for name, network in ENVIRONMENTS.items()
+    ]
+    all_ids += [(name, network, LEARNING_OPTIONS) for name, network in LEARNING.items()]
+    for name, network, options in all_ids:
+        if name not in registry:
+            add(
+                id=name,
+                entry_point="isd_gym.env.environment:ISDSuspensionEnv",
+                vector_entry_point="isd_gym.env.environment:ISDSuspensionVectorEnv",
+                reward_threshold=REWARD_THRESHOLDS.get(name),
+                kwargs={"network": network, **options},
+            )

@@ -1,0 +1,853 @@
+"""Discretisation of networks for the kernel, and simulation over records.
+
+`Plant` is a network (or several networks of the same structure, one per lane) at a step; `simulate` runs a
+model over given inputs.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.linalg import expm
+
+from . import elements as el
+from .balance import Balance
+from ..common.errors import InputError, shown
+from .kernel.layout import CLOSED, CONTACT, GENERAL, QUIET, WAY, WIDTH, Layout, aligned, layout
+from .network import MOTIONS, Assembly, Channel, Network, assemble
+from ..common.units import HELD, convert
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PHYSICS_STEP = 1e-3  # s
+#: physics steps over the time scale of the motion in a fit: 126 steps per period. The error by dry friction is of first order: where
+#: friction dominates, outputs are off by about 1 % of their deviation
+FINE = 0.05
+#: sampling steps over the time scale of the motion above which samples are sparse: fewer than 21 samples per period
+COARSE = 0.3
+#: number of samples below which the time scale of outputs says nothing
+FEWEST = 64
+#: course of displacements and forces between samples
+Interpolation = Literal["linear", "spline", "auto"]
+#: parts of the base vector for the motion of a node, each the derivative of the preceding part
+PARTS = ("r", "v", "alpha")
+TOLD = dict(zip(MOTIONS, PARTS, strict=True))
+SEPARATE = 1e-6  # relative coupling of devices below which a closed form is used
+AT_ONCE = 1e-12  # smaller velocities are rounding [m/s per N or A]; corresponds to a damper of 1e12 N s/m
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """A network at a step: its numbers in the order of the kernel, and the blocks of its matrix.
+
+    The state at the end of a step is A x + U0 u(start) + U1 u(end) + B c + G0 f(start) + G1 f(end), with the
+    laws f in the order of the assembly.
+
+    Attributes:
+        blocks: Matrices A, U0, U1, B, G0 and G1.
+        outputs: Matrices of the outputs, for x, u, c and the forces of the laws.
+        yields: Elongations [m/N] and rates [m/(s N)] of the laws per force, in the order of the kernel.
+        numbers: Pool of numbers, without the laws' parameters if each lane has its own (`layout`).
+        ints: Integers of the kernel (`layout`).
+        order: Index of each law in the assembly.
+    """
+
+    blocks: tuple[np.ndarray, ...]
+    outputs: tuple[np.ndarray, ...]
+    yields: tuple[np.ndarray, np.ndarray]
+    numbers: np.ndarray
+    ints: np.ndarray
+    order: tuple[int, ...]
+
+    @property
+    def layout(self) -> Layout:
+        """Places of the numbers in the kernel's arrays."""
+        return layout(self.ints.tolist())
+
+    def structure(self) -> tuple[int, ...]:
+        """Return the part of the integers that all lanes of a plant share: sizes and codes, without the way through a step.
+
+        Returns:
+            Integers.
+        """
+        return tuple(np.delete(self.ints, WAY).tolist())
+
+
+def _columns(asm: Assembly) -> list[int]:
+    """Return the used columns of the base vector that are linear over the step: r, v, alpha, F."""
+    start, stop = asm.columns("r").start, asm.columns("F").stop
+    used = (
+        np.any(asm.rate != 0, axis=0)
+        | np.any(asm.outputs != 0, axis=0)
+        | np.any(asm.elongation != 0, axis=0)
+        | np.any(asm.elongation_rate != 0, axis=0)
+    )
+    return [j for j in range(start, stop) if used[j]]
+
+
+def _instant(asm: Assembly) -> bool:
+    """Return whether friction or a current moves a massless terminal instantly, in a rate that some law reads."""
+    from .kernel.compiled import law_code
+
+    c, f = asm.columns("I"), asm.columns("f")
+    seen = asm.elongation_rate[~np.array(asm.by_difference, bool)]
+    dry = [j for j, e in zip(range(f.start, f.stop), asm.laws, strict=True) if law_code(type(e)) < 0]
+    return bool(np.abs(np.hstack([seen[:, c], seen[:, dry]])).max(initial=0.0) > AT_ONCE)
+
+
+def side_by_side(asm: Assembly) -> tuple[object, ...]:
+    """Return the properties that assemblies must share to be lanes of one `Plant`.
+
+    Args:
+        asm: An assembly.
+
+    Returns:
+        A key; equal keys fit together.
+    """
+    laws = tuple(type(e).__name__ for e in asm.laws)
+    return asm.size, laws, asm.by_difference, asm.outputs_by_difference, _instant(asm)
+
+
+def discretise(asm: Assembly, step: float, columns: Sequence[int]) -> Discrete:
+    """Return the exact discretisation of the linear part: first-order hold for `columns`, zero-order hold for
+    currents and friction.
+
+    Args:
+        asm: Equations of motion.
+        step: Step [s].
+        columns: Columns of the base vector that are linear over the step.
+
+    Returns:
+        The discrete network.
+
+    Raises:
+        InputError: The network diverges so fast that its matrices are not finite.
+    """
+    from .kernel.compiled import law_code
+
+    n, laws = asm.size[0], list(asm.laws)
+    x, u, c, f = asm.columns("x"), list(columns), asm.columns("I"), asm.columns("f")
+    A = asm.rate[:, x]
+    B = np.hstack([asm.rate[:, u], asm.rate[:, c], asm.rate[:, f]])
+    k, m, nc = B.shape[1], len(u), c.stop - c.start
+    if n:
+        big = np.zeros((n + 2 * k, n + 2 * k))
+        big[:n, :n], big[:n, n : n + k] = A * step, B * step
+        big[n : n + k, n + k :] = np.eye(k)
+        with np.errstate(all="ignore"):
+            phi = expm(big) if np.isfinite(big).all() else big
+        if not np.isfinite(phi).all():
+            raise InputError(
+                f"model '{asm.network.name}' cannot be stepped by {step:g} s: its linear part overflows"
+            )
+        Ad, hold, late = phi[:n, :n], phi[:n, n : n + k], phi[:n, n + k :]
+    else:
+        Ad, hold, late = np.zeros((0, 0)), np.zeros((0, k)), np.zeros((0, k))
+    early = hold - late
+    U0, U1, G0, G1 = early[:, :m], late[:, :m], early[:, m + nc :], late[:, m + nc :].copy()
+    codes = tuple(law_code(type(e)) for e in laws)
+    dry = np.array([code < 0 for code in codes], bool)
+    G1[:, dry] += G0[:, dry]  # dry friction holds its force over the whole step
+    G0[:, dry] = 0.0
+    order = np.argsort(dry, kind="stable")
+    codes, laws, dry = tuple(codes[j] for j in order), [laws[j] for j in order], dry[order]
+    nl, ns = len(laws), int(np.sum(~dry))
+    start, end = G0[:, order], G1[:, order]
+    E, R = asm.elongation[order], asm.elongation_rate[order]
+    differ = np.array(asm.by_difference, bool)[order]
+    R[differ] = E[differ] / step
+    own = list(range(f.start, f.stop))
+    own = [own[j] for j in order]
+    blank = np.zeros((n, nl * bool(differ.any())))
+    states = np.hstack([Ad, U0, U1, hold[:, m : m + nc], blank, start[:, :ns]])
+
+    def seen(by: np.ndarray) -> np.ndarray:
+        """Return the rows of the laws' elongations or rates, without the forces at the end of the step."""
+        at = by[:, x] @ states
+        at[:, n + m : n + 2 * m] += by[:, u]
+        at[:, n + 2 * m : n + 2 * m + nc] += by[:, c]
+        return at
+
+    D, S = seen(E), seen(R)
+    if differ.any():
+        last = n + 2 * m + nc
+        S[:, last : last + nl] -= np.diag(differ / step)
+    GD, GS = E[:, x] @ end + E[:, own], R[:, x] @ end + R[:, own]
+    smooth = ~dry[:, None]
+    rows = np.vstack([states, np.where(smooth, D, S), np.where(smooth, S, D)])
+    gains = np.vstack([end, np.where(smooth, GD, GS), np.where(smooth, GS, GD)])
+    O = asm.outputs
+    instant = _instant(asm)
+    if instant:
+        O = np.vstack([O, asm.elongation[order], np.where(differ[:, None], 0.0, asm.elongation_rate[order])])
+    way, of_laws, parameters = _law_numbers(laws, ns, GD, GS, bool(differ.any()), instant)
+    zero = np.zeros((len(O), 1))
+    seen_outside = np.hstack(
+        [O[:, x], zero.repeat(m, 1), O[:, u], O[:, c], zero.repeat(blank.shape[1], 1), O[:, own]]
+    )
+    sizes = (
+        n,
+        m,
+        nc,
+        nl,
+        ns,
+        way,
+        len(asm.outputs),
+        -(-len(rows) // 4) * 4,
+        seen_outside.shape[1],
+        int(differ.any()),
+    )
+    O = asm.outputs
+    return Discrete(
+        blocks=(Ad, U0, U1, _pad(hold[:, m : m + nc]), G0, G1),
+        outputs=(O[:, x], O[:, u], _pad(O[:, c]), O[:, f]),
+        yields=(GD, GS),
+        numbers=np.concatenate(
+            [[step], _stored(rows), _stored(gains), of_laws, _stored(seen_outside), parameters.ravel()]
+        ),
+        ints=np.array([*sizes, parameters.shape[1], instant, *codes, *differ], np.int64),
+        order=tuple(int(j) for j in order),
+    )
+
+
+def _law_numbers(
+    laws: Sequence[el.Element], ns: int, GD: np.ndarray, GS: np.ndarray, differ: bool, instant: bool
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """Return the way through a step for these laws, its numbers, and the laws' parameters (law, number)."""
+    lists = [e.law_parameters() for e in laws]
+    parameters = np.zeros((len(laws), max(map(len, lists), default=0)))
+    for row, numbers in zip(parameters, lists, strict=True):
+        row[: len(numbers)] = numbers
+    nl = len(laws)
+    devices = max(ns, nl - ns, 1)
+    # in addition to the general way: constant frictions with yielding motion, and stops without contact
+    constant = all(type(e).bound is el.CoulombFriction.bound for e in laws[ns:])
+    levels = parameters[ns:, 0] if constant and nl > ns else np.zeros(nl - ns)
+    spans = np.array([e.quiet() for e in laws[:ns]]) - np.abs(GD[:ns, ns:]) @ levels
+    stops = [e.contact() for e in laws[:ns]]
+    several = devices > 1 and None not in stops and _are_separate(ns, GD, GS)
+    found = [
+        _closed_form(stops[p] if p < ns and (several or ns == 1) else None, ns, GD, GS, p, levels)
+        for p in range(devices)
+    ]
+    closes = all(ok for _, ok in (found if several else found[:1]))
+    way = CONTACT
+    if (
+        differ
+        or not constant
+        or not closes
+        or (instant and (ns or devices > 1))
+        or (nl - ns > 1 and not several)
+    ):
+        way = GENERAL
+    elif ns and not several and (ns > 1 or stops[0] is None):
+        way = QUIET if (spans > 0).all() else GENERAL
+    closed = np.concatenate([numbers for numbers, _ in found])
+    return way, np.concatenate([np.maximum(spans, 0.0), closed]), parameters
+
+
+def _are_separate(ns: int, GD: np.ndarray, GS: np.ndarray) -> bool:
+    """Return whether the forces of each device, stop p and friction p, hardly move another device within a step."""
+    device = np.concatenate([np.arange(ns), np.arange(len(GD) - ns)])
+    across = device[:, None] != device
+    for yields in (GD, GS):
+        own = np.abs(np.diag(yields))
+        if (np.abs(yields) > SEPARATE * np.sqrt(own[:, None] * own))[across].any():
+            return False
+    return True
+
+
+def _closed_form(
+    stop: tuple[float, float, float, float] | None,
+    ns: int,
+    GD: np.ndarray,
+    GS: np.ndarray,
+    p: int,
+    levels: np.ndarray,
+) -> tuple[np.ndarray, bool]:
+    """Return the numbers of device p (a stop, if any, and a friction) for the closed form (`layout`), and
+    whether the form exists."""
+    dry = ns + p
+    rubs = dry < len(GD)
+    own = GS[dry, dry] if rubs else -1.0
+    level = levels[p] if rubs else 0.0
+    closed = np.array([np.inf, -np.inf, 0.0, 0.0, 0.0, level, -1.0 / own if own < 0 else 0.0, 0.0])
+    if own >= 0 or stop is None:
+        return closed, bool(own < 0)
+    upper, lower, stiffness, damping = stop
+    rest = 1.0 - stiffness * GD[p, p] - damping * GS[p, p]
+    by_friction, slip = 0.0, own
+    if rubs:
+        by_friction = (stiffness * GD[p, dry] + damping * GS[p, dry]) / rest
+        slip = own + GS[dry, p] * by_friction
+    closed[:5] = upper, lower, stiffness / rest, damping / rest, by_friction
+    closed[7] = -1.0 / slip if slip < 0 else 0.0
+    return closed, bool(rest > 0 and slip < 0)
+
+
+def with_laws(part: Discrete, laws: Sequence[el.Element]) -> Discrete:
+    """Return a discrete network with other parameters of its laws; the linear part is unchanged.
+
+    Args:
+        part: The discrete network.
+        laws: Laws in the order of the assembly.
+
+    Returns:
+        The changed network.
+    """
+    at = part.layout
+    way, of_laws, parameters = _law_numbers(
+        [laws[i] for i in part.order], at.smooth, *part.yields, bool(at.differ), bool(at.instant)
+    )
+    numbers, ints = part.numbers.copy(), part.ints.copy()
+    numbers[at.spans : at.out], numbers[at.own :] = of_laws, parameters.ravel()
+    ints[WAY] = way
+    return replace(part, numbers=numbers, ints=ints)
+
+
+def _law_elements(network: Network) -> tuple[el.Element, ...]:
+    return tuple(part for e in network.elements if e.place == "between" for part in e.parts())
+
+
+def _linear_part(network: Network) -> tuple[Any, ...]:
+    """Return everything that the linear equations of a network depend on, without the parameters of its laws."""
+    elements = (
+        (type(e), e.name, e.where) if e.place == "between" and e.parts() and not any(e.linear()) else e
+        for e in network.elements
+    )
+    ties = (network.bodies, network.levers)
+    return (*network.masses.items(), network.turning, *ties, network.inputs, network.outputs, *elements)
+
+
+def _pad(block: np.ndarray) -> np.ndarray:
+    """Return a block with at least one column: a current may be driven in a car without a motor."""
+    return block if block.shape[1] else np.zeros((len(block), 1))
+
+
+def _stored(matrix: np.ndarray) -> np.ndarray:
+    """Return a matrix column by column, padded with zeros to a multiple of four rows."""
+    high, wide = matrix.shape
+    out = np.zeros((wide, -(-high // 4) * 4))
+    out[:, :high] = matrix.T
+    return out.ravel()
+
+
+class Plant:
+    """Networks prepared for the kernel: one network shared by all lanes, or one per lane with the same structure.
+
+    `u_columns` are the inputs of the base vector that the kernel reads, in order; `labels` names them as
+    (part, channel) with part 'r', 'v', 'alpha' or 'F'. `at` gives the places in `mats`, `ints` and a state
+    (`layout`).
+
+    Args:
+        networks: One network, or one per lane.
+        step: Step [s].
+        lanes: Number of lanes for a single network.
+        extra: Further output channels, after those of the network.
+
+    Raises:
+        InputError: The step is not positive, or the networks differ in structure.
+    """
+
+    def __init__(
+        self,
+        networks: Network | Sequence[Network],
+        step: float = PHYSICS_STEP,
+        *,
+        lanes: int = 1,
+        extra: Sequence[Channel] = (),
+    ) -> None:
+        if not (isinstance(step, int | float) and math.isfinite(step) and step > 0):
+            raise InputError(f"the step must be a positive number of seconds, not {step!r}")
+        several = not isinstance(networks, Network)
+        self.networks: list[Network] = list(networks) if several else [networks]  # type: ignore[list-item,arg-type]
+        self.lanes = len(self.networks) if several else lanes
+        self.step, self.extra = float(step), tuple(extra)
+        # many lanes may share a network, or differ only in the parameters of their laws
+        once: dict[int, Assembly] = {}
+        linear: dict[tuple[Any, ...], Assembly] = {}
+        for net in self.networks:
+            if id(net) not in once:
+                key = _linear_part(net)
+                if key not in linear:
+                    once[id(net)] = linear[key] = assemble(net, extra)
+                else:
+                    once[id(net)] = replace(linear[key], network=net, laws=_law_elements(net))
+        self.assemblies = [once[id(net)] for net in self.networks]
+        first = self.assemblies[0]
+        used = sorted({c for asm in linear.values() for c in _columns(asm)})
+        self.u_columns = used
+        self.channels = (*first.network.outputs, *extra)
+        self._by_difference = first.outputs_by_difference
+        parts = []
+        moving = first.network.moving
+        force = [c for c in first.network.inputs if c.quantity == "force"]
+        for column in used:
+            for part, channels in (
+                ("r", moving),
+                ("v", moving),
+                ("alpha", moving),
+                ("F", force),
+            ):
+                span = first.columns(part)
+                if span.start <= column < span.stop:
+                    parts.append((part, channels[column - span.start].name))
+        #: part of the base vector of the input at every moved node
+        self.told = {c.name: TOLD[c.quantity] for c in moving}
+        self.labels: tuple[tuple[str, str], ...] = tuple(parts)
+        #: inputs that are held over a step: currents, then logged channels
+        self.currents = [c for kind in HELD for c in first.network.inputs if c.quantity == kind]
+        stepped = {id(asm.rate): (asm, discretise(asm, self.step, used)) for asm in linear.values()}
+        whole = {}
+        for asm in once.values():
+            like, discrete = stepped[id(asm.rate)]
+            whole[id(asm)] = discrete if asm is like else with_laws(discrete, asm.laws)
+        self._pack([whole[id(asm)] for asm in self.assemblies], several)
+
+    def _pack(self, parts: Sequence[Discrete], several: bool) -> None:
+        from .kernel.compiled import kernel_of
+
+        first = parts[0]
+        for other in parts[1:]:
+            if other.structure() != first.structure():
+                raise InputError("the lanes' networks differ in structure, not only in parameters")
+        self.ints = first.ints.copy()
+        self.ints[WAY] = min(int(p.ints[WAY]) for p in parts)
+        self.at = at = layout(self.ints.tolist())
+        self.groups = -(-self.lanes // WIDTH)
+        self.n, self.n_laws, self.n_outputs = at.states, at.laws, at.outputs
+        self.order = first.order
+        if several:
+            self.mats = aligned(self.groups, at.size, WIDTH)
+            self.mats[:] = parts[0].numbers[:, None]  # unused lanes need valid numbers, too
+            for lane, part in enumerate(parts):
+                self.place(self.mats, lane, part)
+        else:
+            self.mats = first.numbers[:, None].copy()
+        self.kernel = kernel_of(self.at)
+
+    def place(self, mats: np.ndarray, lane: int, part: Discrete) -> None:
+        """Write the numbers of a lane into an array in which every lane has separate numbers.
+
+        Args:
+            mats: Array (groups, numbers, 8), changed in place.
+            lane: Index of the lane.
+            part: The discrete network of the lane.
+        """
+        at = self.at
+        group, l = divmod(lane, WIDTH)
+        mats[group, : at.own, l] = part.numbers[: at.own]
+        count = at.size - at.own  # the parameters of a lane's laws are contiguous
+        mats[group, at.own :].reshape(-1)[l * count : (l + 1) * count] = part.numbers[at.own :]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k != "kernel"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        from .kernel.compiled import kernel_of
+
+        self.__dict__.update(state)
+        self.kernel = kernel_of(self.at)
+
+    def state(
+        self,
+        initial: np.ndarray | None = None,
+        inputs: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return a new state of the kernel.
+
+        Args:
+            initial: State (n,) or (n, lanes) in the coordinates of the assembly; None for rest.
+            inputs: Values (inputs, 1 or lanes) of the inputs at the start, in the order of `labels`; None for
+                zero.
+            held: Values (held inputs, 1 or lanes) of currents and logged channels at the start; None for
+                zero.
+
+        Returns:
+            State (rows, lanes).
+        """
+        state = np.zeros((self.at.height, self.lanes))
+        if initial is not None and self.n:
+            state[: self.n] = np.asarray(initial, float).reshape(self.n, -1)
+        if self.n_laws and (initial is not None or inputs is not None):
+            self._start_laws(state, np.zeros((len(self.u_columns), 1)) if inputs is None else inputs, held)
+        return state
+
+    def grouped(self, state: np.ndarray) -> np.ndarray:
+        """Return a state in groups of lanes.
+
+        Args:
+            state: State (rows, lanes).
+
+        Returns:
+            State (groups, rows, 8).
+        """
+        grouped = aligned(self.groups, len(state), WIDTH)
+        for group in range(self.groups):
+            some = state[:, group * WIDTH : (group + 1) * WIDTH]
+            grouped[group, :, : some.shape[1]] = some
+        return grouped
+
+    @property
+    def memory(self) -> list[int]:
+        """Rows of the kernel's state for the states of the hysteresis laws."""
+        laws = self.assemblies[0].laws
+        return [self.at.memory + j for j, i in enumerate(self.order) if isinstance(laws[i], el.Hysteresis)]
+
+    def softened(self, softness: float) -> np.ndarray:
+        """Return `mats` with dry friction that is viscous below ``softness * |g| * level``; g is the rate per
+        force of the friction.
+
+        Args:
+            softness: Factor [-].
+
+        Returns:
+            Numbers in the shape of `mats`.
+        """
+        at, mats = self.at, self.mats.copy()
+        numbers = mats if mats.ndim == 2 else mats.transpose(1, 0, 2)
+        for j in range(at.smooth, at.laws):
+            own = at.gains + j * at.rows + at.states + j
+            with np.errstate(divide="ignore", invalid="ignore"):
+                # the contribution of the stop to the yielding of its friction is unchanged
+                give, stopped = (k + CLOSED * (j - at.smooth) for k in (at.give, at.give_stopped))
+                through = np.where(numbers[stopped] > 0, -1.0 / numbers[stopped] - numbers[own], 0.0)
+                numbers[own] *= 1.0 + softness
+                yields = -(numbers[own] + through)
+                numbers[give] = np.where(numbers[own] < 0, -1.0 / numbers[own], 0.0)
+                numbers[stopped] = np.where(yields > 0, 1.0 / yields, 0.0)
+        return mats
+
+    def _start_laws(self, state: np.ndarray, inputs: np.ndarray, held: np.ndarray | None) -> None:
+        """Set elongations, rates and forces of the initial state and the first inputs, in static balance.
+
+        The rate of a law at an algebraic node is a difference of elongations. Its terminals start at rest.
+        """
+        at, order = self.at, list(self.order)
+        x = state[: at.states]
+        f, z, d, s = (state[row : row + at.laws] for row in (at.force, at.memory, at.elongation, at.rate))
+        shared: dict[
+            int, tuple[np.ndarray, np.ndarray]
+        ] = {}  # most lanes differ in the parameters of laws alone
+        for lane in range(self.lanes):
+            asm = self.assemblies[lane if len(self.assemblies) > 1 else 0]
+            if id(asm.rate) not in shared:
+                still = np.array(asm.by_difference, bool)[:, None]
+                shared[id(asm.rate)] = (
+                    asm.elongation[order],
+                    np.where(still, 0.0, asm.elongation_rate)[order],
+                )
+            given = np.zeros(asm.elongation.shape[1])
+            given[asm.columns("x")] = x[:, lane]
+            given[self.u_columns] = inputs[:, lane if inputs.shape[1] > 1 else 0]
+            if held is not None:
+                given[asm.columns("I")] = held[:, lane if held.shape[1] > 1 else 0]
+            laws = [asm.laws[i] for i in order]
+            own = np.arange(asm.columns("f").start, asm.columns("f").stop)[order]
+            E, R = shared[id(asm.rate)]
+            f[:, lane] = Balance(laws, E @ given, R @ given, E[:, own], R[:, own], self.step).solve()
+            given[own] = f[:, lane]
+            d[:, lane], s[:, lane] = E @ given, R @ given
+            for j, e in enumerate(laws):
+                if e.law is not None:
+                    p = np.array(e.law_parameters())
+                    z[j, lane] = e.law(p, d[j, lane], s[j, lane], d[j, lane], 0.0, self.step)[1]
+
+    def order_of(self, part: str, name: str) -> int:
+        """Return how often an input is differentiated for a part of the base vector.
+
+        Args:
+            part: 'r', 'v', 'alpha' or 'F'.
+            name: Name of the input.
+
+        Returns:
+            Number of derivatives.
+        """
+        return PARTS.index(part) - PARTS.index(self.told[name]) if part in PARTS else 0
+
+    @property
+    def differentiated(self) -> set[str]:
+        """Names of the inputs whose derivatives act on the network."""
+        return {name for part, name in self.labels if self.order_of(part, name)}
+
+    def _unsolved(self, states: np.ndarray) -> list[tuple[int, str] | None]:
+        """Return the index of the first unsolved step and the name of the unsolved law for every lane; None for a solved lane."""
+        out: list[tuple[int, str] | None] = []
+        for lane in range(self.lanes):
+            group, l = divmod(lane, WIDTH)
+            step, law = states[group, self.at.failed : self.at.failed + 2, l]
+            laws = self.assemblies[0].laws
+            out.append((int(step), laws[self.order[int(law)]].name) if step else None)
+        return out
+
+    def run(
+        self,
+        inputs: Mapping[str, np.ndarray],
+        *,
+        every: int = 1,
+        samples: int,
+        initial: np.ndarray | None = None,
+        derivatives: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    ) -> np.ndarray:
+        """Simulate, and return the outputs at every `every`-th step.
+
+        Args:
+            inputs: Values [SI] by channel at every physics step, (every*(samples-1)+1,) or with a lane axis.
+            every: Number of physics steps per output sample.
+            samples: Number of output samples.
+            initial: State in the coordinates of the assembly; None for rest.
+            derivatives: Known velocities and accelerations [SI] of moved nodes by channel; differences
+                otherwise.
+
+        Returns:
+            Outputs (samples, outputs, lanes) [SI].
+        """
+        total = every * (samples - 1) + 1
+        shared = all(np.ndim(v) == 1 for v in inputs.values())
+        width = 1 if shared else self.lanes
+
+        def wide(values: np.ndarray) -> np.ndarray:
+            values = np.asarray(values, float)
+            return values[:, None] if values.ndim == 1 else values
+
+        u = np.zeros((total, len(self.labels), width))
+        for j, (part, name) in enumerate(self.labels):
+            order = self.order_of(part, name)  # number of derivatives of the input
+            if not order:
+                u[:, j] = wide(inputs[name])
+            elif derivatives is not None and name in derivatives:
+                u[:, j] = wide(derivatives[name][order - 1])
+            else:
+                r = wide(inputs[name])
+                v = np.gradient(r, self.step, axis=0)
+                u[:, j] = v if order == 1 else np.gradient(v, self.step, axis=0)
+        c = np.zeros((max(total - 1, 1), len(self.currents), width))
+        for j, channel in enumerate(self.currents):
+            values = effective_current(
+                self.networks[0], str(channel.element), wide(inputs[channel.name]), self.step
+            )
+            c[:, j] = values[: len(c)]
+        out = np.empty((samples, self.n_outputs, self.lanes))
+        states = self.grouped(self.state(initial, u[0], c[0]))
+        self.kernel.record(
+            self.mats.reshape(-1), self.ints, states.reshape(-1), u.reshape(-1), c.reshape(-1),
+            every, width, self.lanes, out,
+        )  # fmt: skip
+        self.unsolved = self._unsolved(states)
+        for j, difference in enumerate(self._by_difference):
+            if difference:
+                out[:, j] = np.gradient(out[:, j], self.step * every, axis=0)
+        return out
+
+
+def effective_current(network: Network, motor: str, command: np.ndarray, step: float) -> np.ndarray:
+    """Return the current behind a motor's drive, with the effects in the order of `DRIVE_ORDER` and unknown effects last.
+
+    Args:
+        network: The model.
+        motor: Name of the motor.
+        command: Commanded current (n, lanes) [A], held over each step.
+        step: Step [s].
+
+    Returns:
+        Current (n, lanes) [A].
+    """
+    out = np.asarray(command, float)
+    drive = [e for e in network.elements if e.place == "element" and e.where[0] == motor]
+    kinds = el.DRIVE_ORDER
+    for e in sorted(
+        drive, key=lambda e: next((k for k, t in enumerate(kinds) if isinstance(e, t)), len(kinds))
+    ):
+        out = e.apply(out, step)
+    return out
+
+
+def sense(network: Network, outputs: Mapping[str, np.ndarray], step: float) -> dict[str, np.ndarray]:
+    """Return outputs as the sensors of the network report them, with delay, gain and bias.
+
+    Args:
+        network: The model.
+        outputs: Exact outputs (n, ...) by channel, in the channel's unit.
+        step: Sampling step [s].
+
+    Returns:
+        Reported outputs (n, ...) by channel.
+    """
+    seen = dict(outputs)
+    for e in network.elements:
+        if e.place == "channel" and e.where[0] in seen:
+            seen[e.where[0]] = e.apply(seen[e.where[0]], step)
+    return seen
+
+
+def upsample(values: np.ndarray, every: int, hold: bool = False) -> np.ndarray:
+    """Return a record at a multiple of its sampling rate.
+
+    Args:
+        values: Samples (n, ...) over time.
+        every: Multiple.
+        hold: Whether each value is held until the next (currents), instead of linear interpolation.
+
+    Returns:
+        Samples (every*(n-1)+1, ...).
+    """
+    if every == 1:
+        return np.asarray(values, float)
+    if hold:
+        return np.repeat(values, every)[: every * (len(values) - 1) + 1]
+    n = len(values)
+    return np.interp(np.arange(every * (n - 1) + 1) / every, np.arange(n), values)
+
+
+#: largest number of steps of a simulation: more than a day at 1 ms suggests a wrong unit of time
+MOST_STEPS = 1e8
+
+
+def pace(values: np.ndarray, step: float) -> float:
+    """Return the time scale of a signal: the inverse of the circular frequency below which half of its power lies.
+
+    Args:
+        values: Samples (n,).
+        step: Sampling step [s].
+
+    Returns:
+        Time scale [s].
+    """
+    # the import takes longer than the simulation of most records
+    from scipy.signal import welch
+
+    f, s = welch(values - values.mean(), 1.0 / step, nperseg=min(len(values), 4096))
+    total = np.cumsum(s)
+    middle = float(np.interp(0.5 * total[-1], total, f)) if total[-1] > 0 else 0.0
+    return 1.0 / (2 * math.pi * max(middle, float(f[1])))
+
+
+def simulate(
+    model: Network | str | Path | Mapping[str, Any],
+    time: np.ndarray,
+    inputs: Mapping[str, np.ndarray],
+    *,
+    step: float = PHYSICS_STEP,
+    initial: np.ndarray | None = None,
+    extra: Sequence[Channel] = (),
+    interpolation: Interpolation = "linear",
+) -> dict[str, np.ndarray]:
+    """Return the outputs of a model for uniformly sampled inputs; all values are in the units of the channels.
+
+    The physics runs at the largest integer fraction of the sampling step that is at most `step`.
+    Displacements and forces are linear between samples; currents are held. If the velocity or acceleration of
+    a moved node acts on the network, a cubic spline through the samples is differentiated.
+
+    Straight lines between sparse samples attenuate an input: by 4 % at nine samples per period. A diagnosis therefore takes cubic
+    splines where an output has fewer than 21 samples per period. To reproduce its simulations, choose 'auto'.
+
+    Args:
+        model: The model, or the name of a built-in model, a file, or the content of a file.
+        time: Time stamps (n,) [s].
+        inputs: Samples (n,) by channel.
+        step: Largest physics step [s].
+        initial: State in the coordinates of the assembly; None for rest.
+        extra: Further output channels, after those of the model.
+        interpolation: Displacements and forces between samples: 'linear', 'spline' (cubic), or 'auto' for a
+            spline with small physics steps where samples are sparse, and straight lines elsewhere.
+
+    Returns:
+        Samples (n,) of the outputs by channel.
+
+    Raises:
+        InputError: A channel is missing, the time is not uniform, or the simulation diverges; the message
+            names the time and the unsolved law.
+    """
+    network = Network.load(model)
+    time = np.asarray(time, float)
+    if time.ndim != 1 or len(time) < 2 or not np.all(np.isfinite(time)):
+        raise InputError("time must be a row of at least two finite samples")
+    if np.abs(time).max() > 1e12:
+        raise InputError(f"time must lie within 1e12 s, not at {np.abs(time).max():g}")
+    dt = (time[-1] - time[0]) / (len(time) - 1)
+    if dt <= 0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
+        raise InputError("time must be uniformly sampled and increasing")
+    if not step > 0:
+        raise InputError(f"the physics step must be positive, not {step}")
+    if (dt / step) * len(time) > MOST_STEPS:
+        raise InputError(
+            f"{dt * len(time):.4g} s would take more than {MOST_STEPS:g} steps of {step:g} s: give a larger step"
+        )
+    if interpolation not in ("linear", "spline"):
+        return _simulate_as_needed(interpolation, network, time, inputs, step, initial, extra)
+    every = max(1, math.ceil(dt / step - 1e-9))
+    plant = Plant(network, dt / every, extra=extra)
+    if initial is not None and (isinstance(initial, Mapping) or np.size(initial) != plant.n):
+        raise InputError(
+            f"initial must be a state ({plant.n},) in the coordinates of the assembly; isd_gym.records.loggers.start.state_of makes a state from motions of nodes"
+        )
+    needs = plant.differentiated
+    fine, slopes = {}, {}
+    for c in network.inputs:
+        if c.name not in inputs:
+            raise InputError(f"input '{c.name}' is missing")
+        values = np.asarray(inputs[c.name], float)
+        if values.shape != time.shape or not np.all(np.isfinite(values)):
+            raise InputError(f"input '{c.name}' must hold {len(time)} finite samples")
+        values = convert(values, c.unit, c.si)
+        fine[c.name] = upsample(values, every, hold=c.quantity in HELD)
+        is_splined = interpolation == "spline" and c.quantity not in HELD
+        if c.name in needs or is_splined:
+            # the import takes longer than the simulation of most records
+            from scipy.interpolate import CubicSpline
+
+            spline = CubicSpline(np.arange(len(values)) * dt, values)
+            at = np.arange(len(fine[c.name])) * (dt / every)
+            fine[c.name] = spline(at)
+            if c.name in needs:
+                slopes[c.name] = (spline(at, 1), spline(at, 2))
+    with np.errstate(all="ignore"):
+        out = plant.run(fine, every=every, samples=len(time), initial=initial, derivatives=slopes)
+    sound = np.isfinite(out).all(axis=(1, 2))
+    if not sound.all():
+        failure = plant.unsolved[0]
+        at = time[0] + plant.step * failure[0] if failure else time[int(np.argmin(sound))]
+        why = f"the force of '{failure[1]}' cannot be found" if failure else "the motion overflows"
+        raise InputError(
+            f"model '{network.name}' fails at t = {at:.6g} s: {why} (try a smaller step, or check the stability of the model)"
+        )
+    named = {c.name: convert(out[:, j, 0], c.si, c.unit) for j, c in enumerate(plant.channels)}
+    return sense(network, named, dt)
+
+
+def _simulate_as_needed(
+    interpolation: str,
+    network: Network,
+    time: np.ndarray,
+    inputs: Mapping[str, np.ndarray],
+    step: float,
+    initial: np.ndarray | None,
+    extra: Sequence[Channel],
+) -> dict[str, np.ndarray]:
+    """Return the outputs with straight lines between samples, or with splines where an output shows that the samples are sparse."""
+    if interpolation != "auto":
+        raise InputError(f"interpolation must be linear, spline or auto, not {shown(interpolation)}")
+    outputs = simulate(network, time, inputs, step=step, initial=initial, extra=extra)
+    dt = (time[-1] - time[0]) / (len(time) - 1)
+    scale = min((pace(y, dt) for y in outputs.values()), default=math.inf)
+    if len(time) < FEWEST or dt <= COARSE * scale:
+        return outputs
+    fine = max(min(step, FINE * scale), dt * len(time) / MOST_STEPS)
+    return simulate(network, time, inputs, step=fine, initial=initial, extra=extra, interpolation="spline")
+
+
+class _Module(ModuleType):
+    """A callable module: `isd_gym.simulate` is both the module and the function."""
+
+    __call__ = staticmethod(simulate)
+
+
+sys.modules[__name__].__class__ = _Module
